@@ -8,7 +8,6 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.effects.floor import CELLS, UnevenFloor
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 HALF_M = 20.0
@@ -69,7 +68,7 @@ def test_the_relief_lies_where_its_heights_say() -> None:
     """Rays straight down find the heights at the grid's corners, the floor's middle in the world's origin."""
     scenario = vs.load("car_pbvs", {"robot.uneven_floor": {"rms_m": 0.004, "correlation_m": 0.3, "seed": 3}})
     heights = UnevenFloor(rms_m=0.004, correlation_m=0.3, seed=3).heights(HALF_M)
-    scene = Scene(SceneDescription(scenario.robot, scenario.camera, scenario.target, scenario.world, 0.002))
+    scene = Scene(scenario.scene)
     mujoco.mj_forward(scene.model, scene.data)
     relief = next(i for i in range(scene.model.ngeom) if scene.model.geom_type[i] == mujoco.mjtGeom.mjGEOM_HFIELD)
     cell, n = 2 * HALF_M / (len(heights) - 1), len(heights)

@@ -275,7 +275,7 @@ class TestUnevenFloor:
 
     def test_the_written_model_has_it(self, tmp_path: Path) -> None:
         s = vs.load("car_pbvs", {"robot.uneven_floor": {"rms_m": 0.002, "correlation_m": 1.0}, "robot.steering_play_deg": 1.0})
-        xml, assets = scene_files(s.robot, s.camera, s.target, s.world, s.physics, s.sights)
+        xml, assets = scene_files(s.scene)
         (tmp_path / "model.xml").write_text(xml)
         for name, data in assets.items():
             (tmp_path / name).parent.mkdir(exist_ok=True)

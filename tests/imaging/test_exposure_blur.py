@@ -33,7 +33,7 @@ def scenario(exposure: dict[str, Any], settings: dict[str, Any] | None = None, *
 
 
 def plant_of(s: vs.Scenario) -> Plant:
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(needs_image=True, needs_truth=False))[0]
+    return build_plant(s.scene, PictureSetup(needs_image=True, needs_truth=False))[0]
 
 
 def flown(exposure_s: float) -> Array:

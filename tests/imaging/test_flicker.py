@@ -28,7 +28,7 @@ def pictures(
     camera = {"kind": "perspective", "width": 120, "height": 120, "fovy_deg": 30, "rate_hz": 25, "renderer": renderer}
     goal = {"goal.T_camera_target.xyz": [0, 0, 1.5]}
     s = vs.load("ibvs_book", {"camera": camera, "robot.start": {"nominal": near}, "world.light": light} | goal | (settings or {}))
-    plant = build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(needs_image=True, needs_truth=False))[0]
+    plant = build_plant(s.scene, PictureSetup(needs_image=True, needs_truth=False))[0]
     assert s.world.light is not None
     rng = np.random.default_rng(0)
     shutter = Shutter(s.timing, s.camera, plant.step_s, plant.steps_per_frame, rng, flicker=s.world.light.flicker)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ def scenario(changes: dict[str, Any], name: str = "arm_ibvs") -> Scenario:
 def plant(s: Scenario, seed: int = 3, sigma: float = 0.0) -> Iterator[Plant]:
     random = {"rng": np.random.default_rng(8), "imaging_rng": np.random.default_rng(seed)}
     pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=sigma, **random)
-    made, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)
+    made, _ = build_plant(s.scene, pictures)
     with closing(made):
         yield made
 
@@ -87,7 +88,7 @@ def test_a_run_and_its_pictures_taken_again_are_the_same():
             truth = frame.truth
             taken.append((frame.t, truth.T_world_target, truth.q, truth.T_world_camera, frame.image.copy()))
             frame = session.step()
-    with closing(Rerendering(s.robot, s.camera, s.target, s.world, imaging_rng=s.rng(IMAGING_STREAM))) as rerendered:
+    with closing(Rerendering(s.scene, imaging_rng=s.rng(IMAGING_STREAM))) as rerendered:
         for t, T_world_target, q, T_world_camera, image in taken:
             again = rerendered.picture(t, T_world_target, q, T_world_camera)
             np.testing.assert_array_equal(again, image)
@@ -130,8 +131,7 @@ def test_nothing_is_made_for_a_camera_without_any():
 
 def test_a_film_drawn_again_shows_the_camera_at_rest():
     s = scenario(ALL)
-    parts = s.robot, s.camera, s.target, s.world
-    with closing(Replay(*parts, share=0.5)) as replay, closing(Replay(s.robot, scenario({}).camera, s.target, s.world)) as bare:
+    with closing(Replay(s.scene, share=0.5)) as replay, closing(Replay(replace(s.scene, camera=scenario({}).camera))) as bare:
         state = "eye", 80, 60, 0.0, s.target.T_world_start, s.robot.configuration(), np.eye(4)
         shown, sharp = replay.picture(*state), bare.picture(*state)
     assert shown.shape == (120, 160, 3) and shown.mean() == pytest.approx(90, abs=3)

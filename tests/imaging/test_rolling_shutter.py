@@ -42,7 +42,7 @@ def scene(lens: str, renderer: str, readout_s: float, **settings: Any) -> vs.Sce
 
 
 def plant_of(s: vs.Scenario) -> Plant:
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(needs_image=True, needs_truth=False))[0]
+    return build_plant(s.scene, PictureSetup(needs_image=True, needs_truth=False))[0]
 
 
 def taken(s: vs.Scenario, twist: list[float], regions: Regions | None = None) -> tuple[Picture, Truth]:

@@ -112,7 +112,7 @@ def scenario_of(file: Path, **changed: object) -> vs.Scenario:
 def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion: tuple[float, ...] | None, level: int) -> None:
     """Column by column: correlation above 0.98, scale within 4 % of the differences that displacements of a pixel make."""
     s = scenario_of(file, camera={"kind": "perspective", "width": 160, "height": 120, "fovy_deg": 25, "distortion": distortion})
-    camera, rerendered = s.camera, Rerendering(s.robot, s.camera, s.target, s.world)
+    camera, rerendered = s.camera, Rerendering(s.scene)
     assert isinstance(camera, Perspective)
     T = exp(np.array([0.02, 0.01, 0.1, 0.2, -0.1, 0.3])) @ AT_GOAL
     pixels, normal = GoalLevel.of(camera, np.zeros((1, 1), np.float32), level, 8, 1), T[:3, 2]

@@ -28,14 +28,13 @@ def scenario(renderer: str = "auto") -> Scenario:
 def pictures(worlds: int, size: tuple[int, int]) -> float:
     """Whole pictures a second of so many arms, with packing and copying."""
 
-    from vstestbed.sim.base import SceneDescription
     from vstestbed.sim.render.warp import PictureRequest, WarpRenderer
     from vstestbed.sim.scene.scene import Scene
     from vstestbed.studies.together import device
 
     width, height = size
     s = load("arm_ibvs", {"camera.width": width, "camera.height": height})
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002))
+    stage = Scene(s.scene)
     stage.place(0.0, s.target.pose.T, *stage.parts.start)
     asked: list[PictureRequest] = []
 

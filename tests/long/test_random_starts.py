@@ -9,7 +9,6 @@ import vstestbed as vs
 from tests.shortcuts import jacobian
 from vstestbed.core.geometry import Array
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.compose import compose
 
 SEEDS = 20
@@ -39,7 +38,7 @@ def line(seed: int, scenario: Scenario, nominal: Array, r: vs.Recording) -> str:
 def dead_band(scenario: Scenario) -> Array:
     """Joint speeds (6,) that each servo may be told without moving its joint: frictionloss / kv [rad/s]."""
     s = scenario
-    model = compose(SceneDescription(s.robot, s.camera, s.target, s.world, s.physics.resolve(s.camera)[0])).compile()
+    model = compose(s.scene).compile()
     return model.dof_frictionloss / model.actuator_gainprm[:, 0]
 
 

@@ -13,7 +13,6 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.loop.columns import Layout, text_of
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 
@@ -33,7 +32,7 @@ def test_torques_at_rest_are_those_that_carry_the_arm(realism: str) -> None:
     scenario = vs.load("arm_ibvs", {"detector": "oracle", "robot.realism": realism})
     recording = vs.run(scenario)
     tau, q = (np.array([recording[f"{stem}_{name}"][-1] for name in scenario.robot.joints]) for stem in ("tau", "q"))
-    scene = Scene(SceneDescription(scenario.robot, scenario.camera, scenario.target, scenario.world, 0.002))
+    scene = Scene(scenario.scene)
     scene.data.qpos[scene.at.qpos], scene.data.qvel[:] = q, 0
     mujoco.mj_forward(scene.model, scene.data)
     bias, friction = scene.data.qfrc_bias[scene.at.qvel], scene.model.dof_frictionloss[scene.at.motor_qvel]

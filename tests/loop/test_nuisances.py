@@ -45,7 +45,7 @@ def picture(setting, t: float = 0.0) -> np.ndarray:
     """The servo camera's picture of arm_ibvs at a time, the arm at rest at its start."""
     s = vs.load("arm_ibvs", setting)
     pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=s.noise.image_sigma, rng=s.rng(1), drift=s.noise.drift)
-    plant, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)
+    plant, _ = build_plant(s.scene, pictures)
     plant.advance(round(t / plant.step_s))
     frame = plant.capture(None)[0]
     assert frame is not None and frame.image is not None

@@ -75,7 +75,7 @@ def test_a_compensation_carries_a_declared_payload(tmp_path: Path, declared: boo
 
 def test_the_puma_with_all_imperfections_of_the_field_stands_still() -> None:
     s = vs.load("arm_ibvs", {"robot.realism": "field"})
-    plant, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics)
+    plant, _ = build_plant(s.scene)
     plant.advance(round(0.4 / plant.step_s))
     assert plant.truth().q == pytest.approx(s.robot.configuration(), abs=1e-5)
     plant.close()

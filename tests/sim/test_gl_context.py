@@ -10,7 +10,6 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.sim import gl_context as contexts
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.gl_context import repeated
 from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
 from vstestbed.sim.scene.scene import Scene
@@ -26,7 +25,7 @@ def scene() -> Iterator[Callable[..., Made]]:
 
     def make(name: str, outside: bool = False) -> Made:
         s = vs.load(name)
-        stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002), samples=4 if outside else 0)
+        stage = Scene(s.scene, samples=4 if outside else 0)
         flange = s.robot.flange_pose(s.robot.configuration())
         stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.body else np.zeros(0), flange @ s.camera.mount.T)
         stages.append(stage)
@@ -71,7 +70,7 @@ def test_few_are_kept_and_none_is_freed_while_it_is_used(scene: Callable[..., Ma
     before = used[0][1]()
     for width in range(100, 100 + 2 * contexts.MOST_KEPT):
         s = vs.load("arm_ibvs", {"camera.width": 7 * width, "camera.height": 6 * width})
-        stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
+        stage = Scene(s.scene)
         stage.place(0.0, s.target.pose.T, s.robot.configuration())
         OpenGLRenderer(stage, s.camera).full_image()
         stage.close()

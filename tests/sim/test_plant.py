@@ -26,7 +26,7 @@ def arm() -> Iterator[Build]:
 
     def build(actuation: str = "industrial", mount: dict | None = None) -> Plant:
         s = vs.load("arm_ibvs", {"robot.actuation": actuation, "camera.mount": mount or {}})
-        plant, renderer = build_plant(s.robot, s.camera, s.target, s.world, s.physics)
+        plant, renderer = build_plant(s.scene)
         assert (plant.step_s, plant.steps_per_frame, renderer) == (STEP, 20, "none")
         made.append(plant)
         return plant
@@ -159,7 +159,7 @@ class TestSpeeds:
 
 def test_the_ideal_camera_moves_by_the_exact_exponential():
     s = vs.load("ibvs_book", {"camera.mount": MOUNT})
-    plant, renderer = build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(needs_image=False, needs_truth=True))
+    plant, renderer = build_plant(s.scene, PictureSetup(needs_image=False, needs_truth=True))
     start = s.robot.start.nominal.T @ Pose(**MOUNT).T
     twist = np.array([0.3, -0.2, 0.5, 0.4, -0.6, 1.5])
     plant.apply(adjoint(Pose(**MOUNT).T) @ twist)  # the flange's

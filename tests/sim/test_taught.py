@@ -7,7 +7,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import inverse, rigid_error
-from vstestbed.sim.base import SceneDescription, flange_for, posture_at
+from vstestbed.sim.base import flange_for, posture_at
 from vstestbed.sim.plant import shown_at
 from vstestbed.sim.scene.scene import Scene
 
@@ -15,7 +15,7 @@ from vstestbed.sim.scene.scene import Scene
 @pytest.mark.parametrize("level", ["none", "field"])
 def test_the_camera_is_at_the_goal_view(level: str) -> None:
     s = vs.load("arm_ibvs", {"robot.realism": level}).resolved
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.001))
+    stage = Scene(s.scene)
     T = flange_for(s.camera, s.target, s.goal_poses[-1])
     own = posture_at(s.robot, T)
     q = shown_at(stage, T, own)

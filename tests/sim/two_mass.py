@@ -51,12 +51,16 @@ def frequency(t: Array, x: Array) -> float:
     return math.pi * (len(at) - 1) / (at[-1] - at[0])
 
 
+def scene_of(robot: Mjcf, step_s: float) -> SceneDescription:
+    """The arm before a target."""
+    return SceneDescription(robot, Perspective(), TARGET, World(floor_z=-5.0), step_s)
+
+
 def stage_of(robot: Mjcf, step_s: float | None = None) -> Scene:
-    """The scene of the arm before a target."""
-    return Scene(SceneDescription(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or longest_step(robot)))
+    """Its compiled scene."""
+    return Scene(scene_of(robot, step_s or longest_step(robot)))
 
 
 def plant_of(robot: Mjcf, step_s: float | None = None) -> Plant:
-    """The plant of the arm without pictures."""
-    clock = Clock(step_s=step_s)
-    return build_plant(robot, Perspective(), TARGET, World(floor_z=-5.0), clock)[0]
+    """Its plant without pictures."""
+    return build_plant(scene_of(robot, Clock(step_s=step_s).resolve(Perspective(), longest_step(robot))[0]))[0]

@@ -12,8 +12,7 @@ from vstestbed.sim.build import build_plant
 
 
 def plant_of(s: Scenario) -> Plant:
-    parts, interpolator = (s.robot, s.camera, s.target, s.world, s.physics), s.timing.interpolator(*s.clock)
-    return build_plant(*parts, interpolator=interpolator)[0]
+    return build_plant(s.scene, interpolator=s.timing.interpolator(*s.clock))[0]
 
 
 def mean_ramp(u: np.ndarray, k: int, every: int, steps: int) -> np.ndarray:

@@ -112,7 +112,7 @@ class TestBlur:
         }
         s, rng = vs.load("ibvs_book", settings), np.random.default_rng(0)
         pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=image_sigma, rng=rng)
-        return s, build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)[0]
+        return s, build_plant(s.scene, pictures)[0]
 
     def picture(self, plant: Plant, exposure_s: float) -> np.ndarray:
         plant.apply(np.array([self.SPEED, 0, 0, 0, 0, 0]))

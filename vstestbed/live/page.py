@@ -304,10 +304,8 @@ class LiveView:
             self.eye.remove()
             self.plots.remove()
         scenario, self._unit = self._scenario, first.unit
-        parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
         share = min(1.0, WIDTH / scenario.camera.width)  # the servo camera makes pictures as large as they are shown
-        others = tuple(eye.viewpoint for eye in scenario.eyes.values())
-        self._replay = Replay(*parts, shadows=False, sights=scenario.sights, share=share, others=others)
+        self._replay = Replay(scenario.scene, shadows=False, share=share)
         self.scene = SceneView(self._server, scenario, self._replay, first)
         with self._tab:
             self.eye = Eye(self._server.gui, scenario, self._replay)

@@ -132,18 +132,13 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
 
         warn_of_colours(scenery.file, scenario.detector.kind, chroma)
     return build_plant(
-        scenario.robot,
-        scenario.camera,
-        scenario.target_in_run,
-        scenario.world,
-        scenario.physics,
+        replace(scenario.scene, plate_m=plate_m),
         _pictures(scenario, pictures),
         sensor_rng=scenario.rng(SENSOR_STREAM),
         motion_rng=scenario.rng(MOTION_STREAM),
         order_s=scenario.timing.order_s(scenario.camera),
         interpolator=scenario.timing.interpolator(*scenario.clock),
-        plate_m=plate_m,
-        others=[(eye.viewpoint, _pictures(eye, pictures)) for eye in scenario.eyes.values()],
+        others={name: _pictures(eye, pictures) for name, eye in scenario.eyes.items()},
     )
 
 

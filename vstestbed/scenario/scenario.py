@@ -24,7 +24,7 @@ from vstestbed.scenario.cameras import FurtherCamera, OtherCamera, check_cameras
 from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
-from vstestbed.sim.base import camera_start, flange_for, posture_at, target_start
+from vstestbed.sim.base import SceneDescription, camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS, Target
 from vstestbed.targets.markers import HIDDEN_M
@@ -275,6 +275,13 @@ class Scenario:
             return tuple((float(x), float(y), z) for x, y, z in low)
         high = [(self.target.T_world_start @ inverse(goal.T_camera_target))[:3, 3] for goal in self.goal_views]
         return tuple((float(x), float(y), float(z)) for x, y, z in (*low, *high))
+
+    @property
+    def scene(self) -> SceneDescription:
+        """What is simulated and seen, in this run."""
+        others = tuple(eye.viewpoint for eye in self.eyes.values())
+        parts = self.robot, self.camera, self.target_in_run, self.world
+        return SceneDescription(*parts, self.clock[0], self.sights, others=others)
 
     @property
     def T_world_goal(self) -> Array:

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vstestbed.camera import Camera, Perspective
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
-from vstestbed.robots import Robot
-from vstestbed.robots.base import longest_step
-from vstestbed.sim.base import OtherEye, Plant, Viewpoint
-from vstestbed.sim.scene.world import World
-from vstestbed.targets.base import Target
-from vstestbed.timing.clock import Clock
+from vstestbed.sim.base import OtherEye, Plant, SceneDescription, Viewpoint
 from vstestbed.timing.setpoints import Interpolator
 from vstestbed.vision.perturb import Perturbed
 
@@ -43,22 +38,18 @@ class PictureSetup(NamedTuple):
 
 
 NO_PICTURES = PictureSetup(needs_image=False, needs_truth=False)
+NO_OTHERS: Mapping[str, PictureSetup] = {}
 
 
 def build_plant(
-    robot: Robot,
-    camera: Camera,
-    target: Target,
-    world: World,
-    clock: Clock,
+    scene: SceneDescription,
     pictures: PictureSetup = NO_PICTURES,
     *,
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
     order_s: float = math.inf,
     interpolator: Interpolator | None = None,
-    plate_m: float = 0.0,
-    others: Sequence[tuple[Viewpoint, PictureSetup]] = (),
+    others: Mapping[str, PictureSetup] = NO_OTHERS,
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
@@ -69,36 +60,34 @@ def build_plant(
         sensor_rng, motion_rng: generators of the robot's sensor noise, and of a target's random walk.
         order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one command to
             the next; None: at once.
-        plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
-        others: further cameras (`Plant.others`).
+        pictures, others: of the servo camera, and of the further ones by name (`Plant.others`).
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
-    from vstestbed.sim.base import SceneDescription
     from vstestbed.sim.ideal import IdealPlant
 
-    step, steps_per_frame = clock.resolve(camera, longest_step(robot))
-    parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m, others=tuple(view for view, _ in others))
-    ideal = robot.body is None
+    robot, camera, target = scene.robot, scene.camera, scene.target
+    steps_per_frame = round(camera.period / scene.step)
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
-    may_hide = world.hides or (target.body is not None and not target.outlined)
-    pictured = pictures.needs_image or any(other.needs_image for _, other in others)
-    if ideal and not (pictured or plate_m or may_hide):
-        plant: Plant = IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator)
-        plant.others = {view.name: _other_eye(plant, view, other, None) for view, other in others}
+    may_hide = scene.world.hides or (target.body is not None and not target.outlined)
+    pictured = pictures.needs_image or any(other.needs_image for other in others.values())
+    ideal = robot.body is None
+    if ideal and not (pictured or scene.plate_m or may_hide):
+        plant: Plant = IdealPlant(scene, steps_per_frame, None, None, path, order_s, interpolator)
+        plant.others = {view.name: _other_eye(plant, view, others[view.name], None) for view in scene.others}
         return plant, "none"
     from vstestbed.sim.scene.scene import Scene
 
-    stage = Scene(parts, samples=max(camera.multisampling, *(view.camera.multisampling for view, _ in others), 0))
+    stage = Scene(scene, samples=max(camera.multisampling, *(view.camera.multisampling for view in scene.others), 0))
     eye, renderer = None, "none"
     if pictures.needs_image:
         eye, renderer = _sensor(stage, camera, "eye", pictures)
     if ideal:
-        plant = IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, interpolator)
+        plant = IdealPlant(scene, steps_per_frame, stage, eye, path, order_s, interpolator)
     else:
         from vstestbed.sim.plant import MujocoPlant
 
         plant = MujocoPlant(stage, steps_per_frame, eye, pictures.needs_truth, _given(sensor_rng), path, order_s, interpolator)
-    plant.others = {view.name: _other_eye(plant, view, other, stage) for view, other in others}
+    plant.others = {view.name: _other_eye(plant, view, others[view.name], stage) for view in scene.others}
     return plant, renderer
 
 
@@ -128,32 +117,23 @@ def _given(rng: np.random.Generator | None) -> np.random.Generator:
     return rng or np.random.default_rng(0)
 
 
-def scene_files(
-    robot: Robot,
-    camera: Camera,
-    target: Target,
-    world: World,
-    clock: Clock,
-    sights: tuple[tuple[float, float, float], ...] = (),
-    others: tuple[Viewpoint, ...] = (),
-) -> tuple[str, dict[str, bytes]]:
+def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
     """The compiled scene as MJCF, and the asset files that it names, by their paths relative to it.
-    Its keyframe `start` is the nominal start. sights: points that the outside view must show [m]. others: further cameras.
+    Its keyframe `start` is the nominal start.
     """
     from vstestbed.core.geometry import quaternion_wxyz
-    from vstestbed.sim.base import SceneDescription
     from vstestbed.sim.scene.compose import compose
     from vstestbed.sim.scene.scene import Scene
 
-    parts = SceneDescription(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights, others=others)
+    robot = scene.robot
     if robot.body is None:
-        spec, T = compose(parts), robot.flange_pose(robot.configuration())
+        spec, T = compose(scene), robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")
         body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
     else:
-        stage = Scene(parts)
+        stage = Scene(scene)
         spec = stage.spec
-        stage.place(0.0, parts.T_world_target, *parts.start)
+        stage.place(0.0, scene.T_world_target, *scene.start)
         stage.rest()
         spec.add_key(name="start", qpos=stage.data.qpos.copy(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()

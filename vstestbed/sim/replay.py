@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from vstestbed.camera import Camera, Image, Perspective
+from vstestbed.camera import Image, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
-from vstestbed.robots import Robot
-from vstestbed.sim.base import SceneDescription, Viewpoint
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
@@ -22,7 +22,6 @@ from vstestbed.sim.scene.follow import FixedView, FollowCamera, Things
 from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids, texels_of
 from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.scene import Scene
-from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 
 FILM_SHADOW_PX = 2048  # shadow map of the outside view: half of MuJoCo's default
@@ -49,27 +48,22 @@ class Replay:
     EnvironmentLackError: OpenGL is asked for, and does not work here.
 
     Args:
-        robot, camera, target, world: the scene. shadows: render shadows in the outside views (three times the work).
-        sights: points that the outside view must show [m]. samples: multisampling of the outside views, for smooth edges.
+        scene: of the run. shadows: render shadows in the outside views (three times the work). samples: multisampling of them, for
+            smooth edges.
         share: size of the servo camera's images as a share of its own (see `servo_renderer`).
-        view: where the camera `overview` stands; None: it follows the robot. others: further cameras.
+        view: where the camera `overview` stands; None: it follows the robot.
     """
 
     def __init__(
         self,
-        robot: Robot,
-        camera: Camera,
-        target: Target,
-        world: World,
+        scene: SceneDescription,
         shadows: bool = True,
-        sights: tuple[tuple[float, float, float], ...] = (),
         samples: int = 0,
         share: float = 1.0,
         view: FixedView | None = None,
-        others: tuple[Viewpoint, ...] = (),
     ):
-        self._parts = SceneDescription(robot, camera, target, world, step=camera.period, sights=sights, others=others)
-        self._stage = Scene(self._parts, samples=samples)
+        self._parts = scene
+        self._stage = Scene(scene, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
@@ -80,13 +74,12 @@ class Replay:
         self._view = view
         self._seen: tuple[float, Image] | None = None
         self._own: dict[str, tuple[Scene, Callable[[], Image]]] = {}
-        self._lenses = {"eye": camera} | {other.name: other.camera for other in others}
+        self._lenses = {"eye": scene.camera} | {other.name: other.camera for other in scene.others}
         self._views: dict[str, tuple[StillView, Perspective]] = {}
 
     def of_target(self, target: Target) -> Replay:
         """Another replay, of the same scene with this target, whose servo camera gives images of the same size; it is to be closed."""
-        parts = self._parts
-        return Replay(parts.robot, parts.camera, target, parts.world, self._shadows, parts.sights, share=self._share)
+        return Replay(replace(self._parts, target=target, others=()), self._shadows, share=self._share)
 
     @property
     def cameras(self) -> list[str]:
@@ -227,23 +220,21 @@ class Rerendering:
     does not work here.
 
     Args:
-        robot, camera, target, world: the scene.
+        scene: of the run.
         image_sigma, rng: noise of the pictures [grey levels] and its generator as at the beginning of the run. drift: of its gains.
         imaging_rng: generator of the image sensor's noise, likewise.
     """
 
     def __init__(
         self,
-        robot: Robot,
-        camera: Camera,
-        target: Target,
-        world: World,
+        scene: SceneDescription,
         image_sigma: float = 0.0,
         rng: np.random.Generator | None = None,
         drift: Drift = NO_DRIFT,
         imaging_rng: np.random.Generator | None = None,
     ):
-        self._stage = Scene(SceneDescription(robot, camera, target, world, step=camera.period), samples=camera.multisampling)
+        camera = scene.camera
+        self._stage = Scene(replace(scene, others=()), samples=camera.multisampling)
         drawn_by, noise = servo_renderer(self._stage, camera, image_sigma > 0), ImageNoise(image_sigma, rng)
         self._sensor = ImageSensor(self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift))
 

@@ -30,7 +30,6 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.speed_baseline import measure_baseline
 from vstestbed.studies.batch import simulate_batch
 from vstestbed.studies.comparison import compare
@@ -227,9 +226,7 @@ def _pair(scenario: Scenario) -> tuple[Recording, tuple[float, float]]:
 def _floor(recording: Recording) -> tuple[float, float]:
     """The floor of a recorded run: its actuator inputs stepped and its camera poses rendered again, without the loop."""
     scenario = recording.scenario
-    step, steps_per_frame = scenario.clock
     robot = scenario.robot
-    parts = SceneDescription(robot, scenario.camera, scenario.target, scenario.world, step)
 
     def joined(kind: str, names: tuple[str, ...]) -> Array:
         columns = [recording[f"{kind}_{name}"] for name in names]
@@ -237,7 +234,7 @@ def _floor(recording: Recording) -> tuple[float, float]:
 
     T = np.array(recording.camera_poses().A)  # the floor renders the same views
     ctrl = joined("ctrl", robot.body.actuators if robot.body else ())
-    return measure_baseline(parts, steps_per_frame, ctrl, joined("q", robot.joints), T, scenario.detector.needs_image)
+    return measure_baseline(scenario.scene, scenario.clock[1], ctrl, joined("q", robot.joints), T, scenario.detector.needs_image)
 
 
 # What became slower or faster between two measurements of the benchmarks, beyond their noise.

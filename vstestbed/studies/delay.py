@@ -68,8 +68,7 @@ def measure_lags(scenario: Scenario, delay_frames: float, off: float) -> list[La
     scenario: of an arm; its start is the configuration about which the joints move. delay_frames: d. off: amplitude of each joint [rad].
     """
     # neither images nor true poses are needed: the encoders are the measurement
-    parts = (scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics)
-    plant, _ = build_plant(*parts, interpolator=scenario.timing.interpolator(*scenario.clock))
+    plant, _ = build_plant(scenario.scene, interpolator=scenario.timing.interpolator(*scenario.clock))
     try:
         return [_lag_of(plant, name, i, scenario.camera.period, delay_frames, off) for i, name in enumerate(scenario.robot.joints)]
     finally:

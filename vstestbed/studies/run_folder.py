@@ -123,15 +123,7 @@ def files_before(scenario: Scenario) -> Files:
     Raises ParameterError: what the seed draws is refused.
     """
     runs = scenario.resolved
-    xml, assets = scene_files(
-        runs.robot,
-        runs.camera,
-        runs.target_in_run,
-        runs.world,
-        runs.physics,
-        runs.sights,
-        tuple(eye.viewpoint for eye in runs.eyes.values()),
-    )
+    xml, assets = scene_files(runs.scene)
     texts = {name: text.encode() for name, text in documents(scenario).items()}
     kept = {name: path.read_bytes() for name, path in kept_files(runs).items()}
     return texts | kept | assets | {"model.xml": xml.encode()}

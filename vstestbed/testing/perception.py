@@ -45,7 +45,7 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
         _check_own_points(detector, scenario or load("camera_keypoints"), within_px)
         return
     s = replace(scenario or _scene(detector), detector=detector)
-    plant, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(detector.needs_image, detector.needs_truth))
+    plant, _ = build_plant(s.scene, PictureSetup(detector.needs_image, detector.needs_truth))
     with closing(plant):
         picture, truth = plant.capture()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None

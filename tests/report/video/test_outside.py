@@ -17,14 +17,13 @@ from vstestbed.report.video.film import DRAFT, FINE, Film, Pictures, error_in_wo
 from vstestbed.report.video.outside import DRAWN_FOR, GOAL, MOST_PLACES, Outside, Pen
 from vstestbed.report.video.overlay import GOOD, FilmFrame, draw_ending, strip_height, text_size
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import SceneDescription
 
 SIZE = 320, 180
 
 
 def at_the_start(s: Scenario, t: float = 0.0, own: float = 0.0, grey: int | None = 90) -> FilmFrame:
     """A frame with everything at its start; grey: level of the servo camera's image."""
-    parts = SceneDescription(s.robot, s.camera, s.target, s.world, step=0.01)
+    parts = s.scene
     q, T = parts.start
     image = None if grey is None else np.full((s.camera.height, s.camera.width, 3), grey, np.uint8)
     uv = np.full((len(s.target.points), 2), np.nan)

@@ -11,7 +11,7 @@ import vstestbed as vs
 from vstestbed.camera import DepthImage
 from vstestbed.core.errors import ScenarioError
 from vstestbed.loop.plants import plant_of
-from vstestbed.sim.base import Plant, SceneDescription
+from vstestbed.sim.base import Plant
 from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
@@ -23,7 +23,7 @@ SMALL = {"camera.width": 320, "camera.height": 240}
 def both(changes: dict[str, object]) -> tuple[DepthImage, DepthImage]:
     """The depth of the arm's first view, by OpenGL and by rays."""
     s = vs.load("arm_ibvs", SMALL | changes)
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=s.camera.period), s.camera.multisampling)
+    stage = Scene(s.scene, s.camera.multisampling)
     stage.place(0.0, s.target.T_world_start, *stage.parts.start)
     with closing(stage):
         eyes = OpenGLRenderer(stage, s.camera), RayRenderer(stage, s.camera)
@@ -89,7 +89,7 @@ def test_a_distorted_edge_has_the_depth_of_one_surface():
 def plant(sensor: str, **changes: object) -> Plant:
     s = vs.load("arm_depth", SMALL | {"camera.depth_sensor": sensor} | changes)
     pictures = PictureSetup(needs_image=True, needs_truth=False, depth_rng=np.random.default_rng(3))
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)[0]
+    return build_plant(s.scene, pictures)[0]
 
 
 def test_an_exposure_has_the_depth_of_its_middle():

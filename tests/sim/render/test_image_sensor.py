@@ -23,7 +23,7 @@ def plants(scenario: str, renderer: str, sigma: float = 0.0, settings: dict[str,
     s = vs.load(scenario, {"camera.renderer": renderer, **(settings or {})})
     rng = np.random.default_rng(3)
     pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=sigma, rng=rng, drift=s.noise.drift)
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)[0]
+    return build_plant(s.scene, pictures)[0]
 
 
 @pytest.fixture(params=["gl", "rays"])

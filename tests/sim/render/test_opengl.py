@@ -91,12 +91,12 @@ def test_a_scene_of_more_than_mujoco_draws_is_told_as_such(tmp_path: Path, caplo
 
 def _parts_with(scenery: Path) -> SceneDescription:
     s = vs.load("arm_ibvs", {"world.scenery": str(scenery)})
-    return SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002)
+    return s.scene
 
 
 def test_mujocos_own_projection_agrees():
     s = vs.load("arm_ibvs")
-    spec = compose(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
+    spec = compose(s.scene)
     for i in range(4):
         sensor = spec.add_sensor(name=f"pixel_{i}", type=mujoco.mjtSensor.mjSENS_CAMPROJECTION)
         sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, f"target/marker_{i}"

@@ -49,7 +49,7 @@ def free_stage(target: Target, camera: Camera) -> Scene:
 def arm():
     """The arm's stage, placed by arm(offset of its joints [rad])."""
     s = vs.load("arm_ibvs")
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
+    stage = Scene(s.scene)
 
     def placed(offset: Array | float = 0.0) -> Scene:
         stage.place(0.0, s.target.pose.T, s.robot.configuration() + offset)

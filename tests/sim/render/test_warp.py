@@ -12,8 +12,6 @@ pytest.importorskip("mujoco_warp")
 import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.camera import Image, Window
-from vstestbed.robots.base import longest_step
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import lamps_at
 from vstestbed.sim.render.rays import BLANK, RayRenderer
 from vstestbed.sim.render.warp import MOST_TILES, PLACES, PictureRequest, WarpRenderer, _kept, cut, look_of, slots_of
@@ -27,8 +25,7 @@ SMALL = {"camera.width": 160, "camera.height": 120}
 
 def stage_of(scenario: vs.Scenario) -> Scene:
     s = scenario.resolved
-    step, _ = s.physics.resolve(s.camera, longest_step(s.robot))
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target_in_run, s.world, step))
+    stage = Scene(s.scene)
     stage.place(0.0, s.target.pose.T, *stage.parts.start)
     return stage
 

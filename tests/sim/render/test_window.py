@@ -11,7 +11,6 @@ import pytest
 import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import LABEL, REACH, SKYBOX, OpenGLRenderer, SceneCamera, merged, part_round
 from vstestbed.sim.scene.scene import Scene
 
@@ -22,7 +21,7 @@ PART = (250, 100, 420, 180)
 
 def stage_of(scenario: Scenario) -> Scene:
     s = scenario
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=s.camera.period, sights=s.sights), s.camera.multisampling)
+    stage = Scene(s.scene, s.camera.multisampling)
     stage.place(0.0, s.target.T_world_start, *stage.parts.start)
     return stage
 

@@ -15,7 +15,6 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Pose, transform
 from vstestbed.robots.puma560 import ACTUATIONS, JOINT_LIMITS
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.scene.compose import compose
 from vstestbed.timing.clock import Clock
@@ -26,7 +25,7 @@ TILTED = {"xyz": [1.2, 0.1, 0.8], "rpy_deg": [10, 70, -20]}
 
 def compiled(scenario: Scenario) -> mujoco.MjModel:
     s = scenario
-    return compose(SceneDescription(s.robot, s.camera, s.target, s.world, s.physics.resolve(s.camera)[0])).compile()
+    return compose(s.scene).compile()
 
 
 def at_start(model: mujoco.MjModel) -> mujoco.MjData:
@@ -47,7 +46,7 @@ def pose_of(xpos: np.ndarray, xmat: np.ndarray) -> np.ndarray:
 def test_model_xml_loads_alone(name: str, nu: int, nq: int, tmp_path: Path):
     s = vs.load(name, {"camera.mount": MOUNT, "target.pose": TILTED, "goal.T_camera_target": {"xyz": [0, 0, 1.2]}})
     file = tmp_path / "model.xml"
-    file.write_text(scene_files(s.robot, s.camera, s.target, s.world, s.physics)[0])
+    file.write_text(scene_files(s.scene)[0])
     alone, composed = mujoco.MjModel.from_xml_path(str(file)), compiled(s)
     for model in (alone, composed):
         assert (model.nq, model.nu, model.ncam) == (nq, nu, 2)

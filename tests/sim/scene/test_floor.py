@@ -18,7 +18,7 @@ PLACES = [(3.0, 3.0), (50.0, -120.0), (-990.0, 3.0)]
 
 def craft(x: float, y: float, height: float, floor_z: float = 0.0) -> Plant:
     s = vs.load("quadrotor_hover", {"robot.start.nominal": {"xyz": [x, y, height]}, "world.floor_z": floor_z, "detector": "oracle"})
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics)[0]
+    return build_plant(s.scene)[0]
 
 
 @pytest.fixture

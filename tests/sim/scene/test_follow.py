@@ -13,7 +13,6 @@ from tests.shortcuts import one_quick
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import FLIP, Array, exp, inverse, log, transform
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.replay import FREE
 from vstestbed.sim.scene.follow import LEAST_SHARE, FixedView, FollowCamera, Things
 from vstestbed.sim.scene.scene import Scene
@@ -27,7 +26,7 @@ class Filmed:
 
     def __init__(self, scenario: Scenario):
         self.scenario = scenario
-        parts = SceneDescription(scenario.robot, scenario.camera, scenario.target, scenario.world, step=scenario.camera.period)
+        parts = scenario.scene
         self.stage = Scene(parts)
         self.q, self.start = parts.start
         self.T_target = parts.T_world_target

@@ -33,7 +33,7 @@ def test_a_geom_keeps_its_volume_and_faces_outwards(kind: str):
 )
 def test_every_robot_and_target_is_there(name: str):
     s = vs.load(name)
-    replay = Replay(s.robot, s.camera, s.target, s.world)
+    replay = Replay(s.scene)
     names = replay.body_names
     shown = {names[solid.body].partition("/")[0] for solid in replay.solids}
     assert {"robot", "target"} <= shown
@@ -44,13 +44,13 @@ def test_every_robot_and_target_is_there(name: str):
 
 def test_markers_have_their_colours_and_tags_their_print():
     s = vs.load("arm_ibvs")
-    replay = Replay(s.robot, s.camera, s.target, s.world)
+    replay = Replay(s.scene)
     colours = {solid.rgb for solid in replay.solids if replay.body_names[solid.body] == "target/frame"}
     for colour in s.target.colors:
         assert min(np.abs(np.array(c) - colour).max() for c in colours) < 0.01
     replay.close()
     s = vs.load("arm_tags")
-    replay = Replay(s.robot, s.camera, s.target, s.world)
+    replay = Replay(s.scene)
     prints = replay.panes
     assert len(prints) == 4 and {replay.body_names[pane.body] for pane in prints} == {"target/frame"}
     for i, pane in enumerate(prints):
@@ -63,7 +63,7 @@ def test_markers_have_their_colours_and_tags_their_print():
 
 def test_a_picture_is_there_without_its_margin():
     s = vs.load("arm_picture")
-    replay = Replay(s.robot, s.camera, s.target, s.world)
+    replay = Replay(s.scene)
     (pane,) = replay.panes
     assert (pane.width, pane.height) == pytest.approx((0.6, 0.424)) and pane.image.shape == (896, 1792, 3)
     corner = pane.image[: 2 * 40, : 2 * 50].mean(), pane.image[-30:, -40:].mean()
@@ -75,7 +75,7 @@ def test_a_picture_is_there_without_its_margin():
 
 def test_poses_are_those_of_the_state():
     s = vs.load("arm_ibvs")
-    replay = Replay(s.robot, s.camera, s.target, s.world)
+    replay = Replay(s.scene)
     q = s.robot.start_joints()
     xpos, xquat = replay.body_poses(0.0, s.target.T_world_start, q, np.eye(4))
     np.testing.assert_allclose(xpos[replay.body_names.index("target/frame")], s.target.T_world_start[:3, 3], atol=1e-9)

@@ -15,7 +15,6 @@ from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import moved
 from vstestbed.report.run.tracks import Setting, ideal_bicycle_path
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.attach import extent_of
 from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.overview import WIDE_PICTURE, frame_drive
@@ -73,7 +72,7 @@ def way(s: Scenario) -> Array:
 @pytest.mark.parametrize("name", one_quick(*SCENARIOS, every=3))
 def test_way_goals_and_landmarks_are_in_the_picture(name: str):
     s = vs.load(name)
-    T, f = overview(compose(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002, sights=s.sights)).compile())
+    T, f = overview(compose(s.scene).compile())
     places, size = way(s), extent_of(s.robot)
     corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (0, 0.8)]) * size
     vehicle = (np.c_[places, np.zeros(len(places))][:, None] + corners).reshape(-1, 3)
@@ -97,7 +96,7 @@ def test_a_turn_away_from_the_goal_is_in_the_picture():
 
 def test_the_light_that_casts_shadows_covers_the_way():
     s = vs.load("omni_ibvs")
-    model = compose(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002, sights=s.sights)).compile()
+    model = compose(s.scene).compile()
     light = model.light("key")
     along = np.array([0.45, 0.45, -1]) / np.linalg.norm([0.45, 0.45, -1])
     reach = model.vis.map.shadowclip * model.stat.extent

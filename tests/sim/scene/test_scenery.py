@@ -11,7 +11,6 @@ from PIL import Image
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.scenario.load import for_another_folder
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
@@ -36,7 +35,7 @@ def mjcf(tmp_path: Path, inside: str, rest: str = "") -> Path:
 def stage_of(file: Path | None, **changes: object) -> Scene:
     """The stage of arm_ibvs in a scenery, at its start."""
     s = vs.load("arm_ibvs", ({"world.scenery": str(file)} if file else {}) | changes)
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
+    stage = Scene(s.scene)
     stage.place(0.0, s.target.pose.T, s.robot.configuration())
     return stage
 
@@ -137,7 +136,7 @@ def test_a_scenario_names_it_relative_to_its_own_file_and_the_run_carries_its_te
     s = vs.load(str(scenario))
     assert s.world.scenery is not None and s.world.scenery.file == str(file)
     assert str(file) in for_another_folder(scenario)
-    xml, assets = scene_files(s.robot, s.camera, s.target, s.world, s.physics)
+    xml, assets = scene_files(s.scene)
     out = tmp_path / "elsewhere"
     for name, content in assets.items():
         (out / name).parent.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,6 @@ import vstestbed as vs
 from vstestbed.core.geometry import inverse
 from vstestbed.core.planar import place_of, relative
 from vstestbed.robots.base import Reading
-from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.build import build_plant, scene_files
 from vstestbed.sim.plant import LeadVehicle
 from vstestbed.sim.scene.overview import WIDE_PICTURE, eye_for
@@ -19,7 +18,7 @@ NAMES = ["omni_ibvs", "car_pbvs", "car_pursuit"]
 
 def plant_of(s, rng=0):
     rng = np.random.default_rng(rng)
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, sensor_rng=rng)[0]
+    return build_plant(s.scene, sensor_rng=rng)[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -40,7 +39,7 @@ def test_it_starts_at_rest_where_it_is_told(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_written_model_loads_alone_and_starts_there(name, tmp_path):
     s = vs.load(name)
-    xml, _ = scene_files(s.robot, s.camera, s.target, s.world, s.physics, s.sights)
+    xml, _ = scene_files(s.scene)
     (tmp_path / "model.xml").write_text(xml)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
     data = mujoco.MjData(model)
@@ -93,7 +92,7 @@ class TestLeadVehicle:
     def test_it_needs_a_vehicle(self):
         s = vs.load("arm_ibvs")
         with pytest.raises(TypeError, match="no vehicle"):
-            LeadVehicle(Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002)))
+            LeadVehicle(Scene(s.scene))
 
 
 class TestOverview:
@@ -111,7 +110,7 @@ class TestOverview:
     @pytest.mark.parametrize("name", NAMES)
     def test_start_goal_landmarks_and_route_are_in_the_picture(self, name):
         s = vs.load(name)
-        stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002, s.sights))
+        stage = Scene(s.scene)
         stage.place(0.0, stage.parts.T_world_target, *stage.parts.start)
         mujoco.mj_forward(stage.model, stage.data)
         camera = stage.model.camera("overview").id
@@ -131,7 +130,7 @@ def test_replay_puts_vehicle_and_leader_where_the_log_has_them():
     plant.apply(np.array([0.5, 0.2]))
     plant.advance(1000)
     truth = plant.capture()[1]
-    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002, s.sights))
+    stage = Scene(s.scene)
     stage.place(2.0, truth.T_world_target, truth.q, truth.T_world_camera)
     np.testing.assert_allclose(stage.camera_pose(), truth.T_world_camera, atol=1e-12)
     np.testing.assert_allclose(stage.target_pose(), truth.T_world_target, atol=1e-12)

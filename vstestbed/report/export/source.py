@@ -105,10 +105,8 @@ class RecordedRun:
 
     def frames(self) -> Iterator[Taken]:
         """The frames in their order, each with its picture drawn anew. EnvironmentLackError: it cannot be drawn here."""
-        s = self.scenario
-        noise = s.noise
-        scene = (s.robot, s.camera, s.target_in_run, s.world)
-        with closing(Rerendering(*scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM))) as rerendered:
+        s, noise = self.scenario, self.scenario.noise
+        with closing(Rerendering(s.scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM))) as rerendered:
             names = rerendered.body_names
             for row in rows_of(self.log):
                 state = FilmFrame.of_row(row, s)

@@ -283,12 +283,10 @@ def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | 
     """A replay of the scene; inset_in: size of a picture in whose inset alone the servo camera's drafts are shown, drawn as small. view: of
     the camera outside; None: it follows the robot.
     """
-    parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
     share = quality.share(scenario.camera.width, scenario.camera.height)
     if inset_in is not None and quality.longest < FINE.longest:
         share = min(share, inset_share(scenario.camera, inset_in))
-    others = tuple(other.viewpoint for other in scenario.eyes.values())
-    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, share, view, others)
+    return Replay(scenario.scene, quality.shadows, quality.samples, share, view)
 
 
 @contextmanager
