@@ -133,12 +133,7 @@ def render(
     from vstestbed.report.video.gif import gif_of
     from vstestbed.scenario.dump import load_run
 
-    size_px, ending = None, ".gif" if gif else ".mp4"
-    if size is not None:
-        width, _, height = size.lower().partition("x")
-        if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
-            raise ParameterError.form("--size", "WIDTHxHEIGHT in pixels, such as 1280x720", size)
-        size_px = int(width), int(height)
+    size_px, ending = _size_of(size), ".gif" if gif else ".mp4"
     if out is not None and out.suffix.lower() != ending:
         raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif", str(out))
     if view is not None and camera != "overview":
@@ -160,6 +155,16 @@ def render(
         raise RunFolderError(run_dir, "has a log without frames; there is nothing to film", NOTHING_RAN)
     if not quiet:
         typer.echo(str(film), err=True)
+
+
+def _size_of(words: str | None) -> tuple[int, int] | None:
+    """The size [px] of `--size`."""
+    if words is None:
+        return None
+    width, _, height = words.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
+        raise ParameterError.form("--size", "WIDTHxHEIGHT in pixels, such as 1280x720", words)
+    return int(width), int(height)
 
 
 def view_of(words: str | None) -> FixedView | None:

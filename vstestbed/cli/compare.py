@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from polars import DataFrame
 
     from vstestbed.report.comparison.baseline import BaselineChanges
+    from vstestbed.studies.comparison.folder import ComparisonTable
 
 
 def compare(
@@ -81,13 +82,18 @@ def compare(
             words = f"interrupted: {runner.done} of {total} runs are done; go on with: vstestbed compare --resume --out {runner.folder}"
             typer.echo(words, err=True)
             raise typer.Exit(INTERRUPTED) from None
+    _tell(table, as_json, quiet)
+    if table.baseline is not None:
+        _tell_changes(table.baseline, TOLERANCE if tolerance is None else tolerance, fail, shown)
+
+
+def _tell(table: ComparisonTable, as_json: bool, quiet: bool) -> None:
+    """The runs as JSON, or what the comparison has found, in words."""
     if as_json:
         runs, changed = table.write_json(), table.baseline
         sys.stdout.write((runs if changed is None else f'{{"runs": {runs}, "baseline": {json.dumps(changed.plain())}}}') + "\n")
     elif not quiet:
-        typer.echo(_summary_text(table, runner.folder), err=True)
-    if table.baseline is not None:
-        _tell_changes(table.baseline, TOLERANCE if tolerance is None else tolerance, fail, shown)
+        typer.echo(_summary_text(table, table.folder), err=True)
 
 
 def _tell_changes(changes: BaselineChanges, tolerance: float, fail: bool, shown: bool) -> None:
@@ -111,10 +117,7 @@ def _merge(places: list[Path], out: Path | None, figures: bool, as_json: bool, q
         raise ParameterError.missing("--merge", "name the shards' folders, e.g. shards/*")
     show_notes(not quiet)
     table = merge(places, out, (lambda words: None) if quiet or as_json else lambda words: typer.echo(f"{words} ...", err=True), figures)
-    if as_json:
-        sys.stdout.write(table.write_json() + "\n")
-    elif not quiet:
-        typer.echo(_summary_text(table, table.folder), err=True)
+    _tell(table, as_json, quiet)
 
 
 def _again(places: list[Path], out: Path | None, jobs: int | None, executor: str, shown: bool) -> None:

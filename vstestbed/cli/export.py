@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -61,7 +62,6 @@ def export(
 
     from vstestbed.cli.progress import ProgressBar, show_notes
     from vstestbed.core.files import make_parents, must_be_new
-    from vstestbed.report.export.source import opened, write_csv
 
     found = _found(folder, plugin or [], only)
     beside, file = found.folder.resolve(), to == "mcap" and found.within is None
@@ -74,29 +74,34 @@ def export(
     columns = *Progress.get_default_columns()[:-1], TimeRemainingColumn()
     with ProgressBar(columns, not quiet, "exporting", found.frames) as bar:
         make_parents(path)
-        runs = opened(found.runs, found.plugins)  # one at a time
-        if to == "csv":
-            write_csv(runs, path, bar.were_done, found.within, found.table)
-        elif to == "lerobot":
-            from vstestbed.report.export.lerobot import write_dataset
-
-            write_dataset(runs, path, bar.were_done, found.within, task)
-        elif to == "rosbag2":
-            from vstestbed.ros.bag import write_rosbag2, write_rosbags
-
-            if found.within is None:
-                write_rosbag2(next(runs), path, start or 0.0, bar.were_done)
-            else:
-                write_rosbags(runs, path, found.within, start or 0.0, bar.were_done)
-        else:
-            from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
-
-            if found.within is None:
-                write_mcap(next(runs), path, start or 0.0, bar.were_done)
-            else:
-                write_mcaps(runs, path, found.within, start or 0.0, bar.were_done)
+        _write(found, to, path, task, start or 0.0, bar.were_done)
     if not quiet:
         typer.echo("\n".join([*found.left_out, str(path)]), err=True)
+
+
+def _write(found: Exported, to: Format, path: Path, task: str | None, start_s: float, tick: Callable[[], None]) -> None:
+    from vstestbed.report.export.source import RecordedRun, opened, write_csv, write_each
+
+    runs = opened(found.runs, found.plugins)  # one at a time
+    if to == "csv":
+        write_csv(runs, path, tick, found.within, found.table)
+    elif to == "lerobot":
+        from vstestbed.report.export.lerobot import write_dataset
+
+        write_dataset(runs, path, tick, found.within, task)
+    else:
+        if to == "mcap":
+            from vstestbed.report.export.mcap_file import write_mcap as write_one
+        else:
+            from vstestbed.ros.bag import write_rosbag2 as write_one
+
+        def write(run: RecordedRun, path: Path) -> object:
+            return write_one(run, path, start_s, tick)
+
+        if found.within is None:
+            write(next(runs), path)
+        else:
+            write_each(runs, path, found.within, ".mcap" if to == "mcap" else "", write)
 
 
 def _found(folder: Path, plugins: list[str], only: Only = "all") -> Exported:

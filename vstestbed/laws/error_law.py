@@ -151,16 +151,10 @@ class ErrorLaw(Law[ErrorState], ABC):
     def step(self, state: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:
         """One frame; rest where too few markers are seen, or no pose is known."""
         known, rows, why = self._known(state, observation, goal, basis)
-        if self.cameras:
-            stacked = self._stacked(known, goal, basis)
-            if isinstance(stacked, str):
-                return self._unseen(state, basis, stacked)
-            (e, J), view, at = stacked, known, goal
-        elif isinstance(rows, str):
-            return self._unseen(state, basis, rows)
-        else:
-            view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
-            e, J = self._checked(*self.equations(view, at))
+        measured = self._measured(known, rows, goal, basis)
+        if isinstance(measured, str):
+            return self._unseen(state, basis, measured)
+        e, J, view, at = measured
         after, shift, tau = state, None, None
         if known.motion is not None and isinstance(self.feedforward, Estimator):
             after, shift, tau = self._estimated(state, known, goal, basis, why)
@@ -173,8 +167,24 @@ class ErrorLaw(Law[ErrorState], ABC):
             u = u - tau
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow
-        if extra is not state.extra:
-            after = replace(after, extra=extra)
+        after, command = self._limited(state, after if extra is state.extra else replace(after, extra=extra), u, observation, goal, basis)
+        free, why = self.free_motions(J, e, x, basis), "" if self.cameras else why
+        return after, replace(command, free=free, rest_reason=why) if free or why else command
+
+    def _measured(self, known: Observation, rows: Rows | str, goal: Goal, basis: Array) -> tuple[Array, Array, Observation, Goal] | str:
+        """The error and its Jacobian, with the views of which they are; or the reason for rest. rows: usable ones, or why none are."""
+        if self.cameras:
+            stacked = self._stacked(known, goal, basis)
+            return stacked if isinstance(stacked, str) else (*stacked, known, goal)
+        if isinstance(rows, str):
+            return rows
+        view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
+        return (*self._checked(*self.equations(view, at)), view, at)
+
+    def _limited(
+        self, state: ErrorState, after: ErrorState, u: Array, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[ErrorState, Command]:
+        """The command for the velocities u (n,): shaped, kept from the border of the picture, within the limits."""
         if self._shapes or self.keep_last:
             after, u = self._shaped(after, observation.t, u)
         if self.visibility.margin_px > 0:
@@ -182,8 +192,7 @@ class ErrorLaw(Law[ErrorState], ABC):
         command = self.limits.command(u, basis)
         if command.scale < 1 and after.integral is not None:  # anti-windup: while limits shorten the command, the integral does not grow
             after = replace(after, integral=state.integral)
-        free, why = self.free_motions(J, e, x, basis), "" if self.cameras else why
-        return after, replace(command, free=free, rest_reason=why) if free or why else command
+        return after, command
 
     def _stacked(self, own: Observation, goal: Goal, basis: Array) -> tuple[Array, Array] | str:
         """The error (rows,) and its Jacobian (rows, 6) in all pictures, each with what it shows, or the reason for rest."""

@@ -84,22 +84,29 @@ class GuardedLaw:
             if isinstance(stepped, tuple):
                 got = f"({', '.join(type(part).__name__ for part in stepped)})"
             return f"returned {got}; its step must return (state, Command)"
-        twist, rates, free, row = stepped[1].twist, stepped[1].rates, stepped[1].free, stepped[1].row
-        if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
-            return f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
-        if not all_finite(twist):
-            self._mode = stepped[1].mode
-            return f"gave a twist that is not finite, {np.round(twist, 3)}"
-        wrench = stepped[1].wrench
-        if wrench is not None and not (wrench.shape == (6,) and all_finite(wrench)):
-            return f"gave the wrench {short(wrench)}; the wrench of a Command must be six finite numbers"
-        if rates is not None and not all_finite(rates):
-            return f"gave rates that are not finite, {np.round(rates, 3)}"
-        if free and not all(math.isfinite(share) and all_finite(twists) for share, twists in free):
-            return "gave free motions that are not finite"
-        if row and len(row) != len(self._law.columns):
-            return f"gave {len(row)} numbers as the row of its Command, and has the columns {', '.join(self._law.columns) or 'none'}"
-        return ""
+        command = stepped[1]
+        wrong = _wrong_numbers(command, self._law.columns)
+        if wrong:
+            self._mode = command.mode
+        return wrong
+
+
+def _wrong_numbers(command: Command, columns: Sequence[str]) -> str:
+    """What is wrong with the numbers of a command; "" for finite ones. columns: of the law in the log."""
+    twist, rates, wrench = command.twist, command.rates, command.wrench
+    if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
+        return f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
+    if not all_finite(twist):
+        return f"gave a twist that is not finite, {np.round(twist, 3)}"
+    if wrench is not None and not (wrench.shape == (6,) and all_finite(wrench)):
+        return f"gave the wrench {short(wrench)}; the wrench of a Command must be six finite numbers"
+    if rates is not None and not all_finite(rates):
+        return f"gave rates that are not finite, {np.round(rates, 3)}"
+    if command.free and not all(math.isfinite(share) and all_finite(twists) for share, twists in command.free):
+        return "gave free motions that are not finite"
+    if command.row and len(command.row) != len(columns):
+        return f"gave {len(command.row)} numbers as the row of its Command, and has the columns {', '.join(columns) or 'none'}"
+    return ""
 
 
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.

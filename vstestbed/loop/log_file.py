@@ -138,24 +138,8 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
 
     whole = folder / "log.parquet"
     try:
-        if whole.is_file():
-            frame = pl.read_parquet(whole, columns=None if names is None else list(names))
-            for column in frame:
-                if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
-                    raise ValueError(f"the column {column.name} holds something else than numbers")
-            log = Log(tuple(frame.columns), frame.cast(pl.Float64).to_numpy())
-        else:
-            log = _of_part(folder / "log.part", names)
-        lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
-        if lacking and all(name.startswith("tau_") for name in lacking):  # logs of before have no torques
-            log, lacking = Log((*log.columns, *lacking), np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan)), []
-        if lacking:
-            raise RunFolderError(whole, f"has no column {lacking[0]}", WORKS)
-        if scenario is not None and not (np.isfinite(log["t"]).all() and (np.diff(log["t"]) >= 0).all()):
-            raise ValueError("its times do not go on")
-        if scenario is not None and not np.isin(log["lost"], (0, 1)).all():
-            raise ValueError("the column lost holds something else than 0 and 1")
-        return log
+        log = _of_parquet(whole, names) if whole.is_file() else _of_part(folder / "log.part", names)
+        return log if scenario is None else _complete(log, whole, Layout(scenario).columns)
     except FileNotFoundError:
         raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder") from None
     # A panic of polars is no Exception, and comes from damaged pages.
@@ -163,6 +147,30 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
         path = whole if whole.is_file() else folder / "log.part"
         words = str(error).strip().partition("\n")[0][:200]
         raise RunFolderError(path, f"cannot be read ({words})", WORKS) from None
+
+
+def _of_parquet(path: Path, names: Sequence[str] | None) -> Log:
+    import polars as pl  # here: a run needs it only at its end
+
+    frame = pl.read_parquet(path, columns=None if names is None else list(names))
+    for column in frame:
+        if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
+            raise ValueError(f"the column {column.name} holds something else than numbers")
+    return Log(tuple(frame.columns), frame.cast(pl.Float64).to_numpy())
+
+
+def _complete(log: Log, path: Path, columns: Sequence[str]) -> Log:
+    """The log, which has all these columns; those of torques, which logs of before do not have, are added without values."""
+    lacking = [name for name in columns if name not in log.columns]
+    if lacking and all(name.startswith("tau_") for name in lacking):
+        log, lacking = Log((*log.columns, *lacking), np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan)), []
+    if lacking:
+        raise RunFolderError(path, f"has no column {lacking[0]}", WORKS)
+    if not (np.isfinite(log["t"]).all() and (np.diff(log["t"]) >= 0).all()):
+        raise ValueError("its times do not go on")
+    if not np.isin(log["lost"], (0, 1)).all():
+        raise ValueError("the column lost holds something else than 0 and 1")
+    return log
 
 
 def _of_part(path: Path, names: Sequence[str] | None) -> Log:

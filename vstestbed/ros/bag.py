@@ -6,7 +6,7 @@ import io
 import logging
 import struct
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, short
-from vstestbed.core.files import make_folder, whole_folder, write_whole
+from vstestbed.core.files import whole_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.loop.ego_motion import mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
@@ -115,18 +115,6 @@ def write_rosbag2(run: RecordedRun, out: Path, start_s: float = 0.0, tick: Calla
         logging.getLogger("vstestbed").warning(
             "%s: its commands, flown again, differ by up to %.2g from those of %s", out, differs, run.folder
         )
-    return out
-
-
-def write_rosbags(
-    runs: Iterable[RecordedRun], out: Path, within: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None
-) -> Path:
-    """Write a bag for each run into a new folder `out`, which appears whole or not at all, at the run's place within a folder."""
-    with whole_folder(out) as folder:
-        for run in runs:
-            path = folder / run.place(within)
-            make_folder(path.parent)
-            write_rosbag2(run, path, start_s, tick)
     return out
 
 
@@ -253,50 +241,44 @@ class Fed(NamedTuple):
     recorded: Array
 
 
-def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterator[Fed]:
+def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> list[Fed]:
     """Feed a bag through the controller of a scenario, offline; errors: as of `events`, and of `Controller.step` at a picture. A twist
     belongs to the picture before it.
     """
-    servo, waiting = Feed(scenario, live=False), list[Event]()
-    last: Fed | None = None
+    servo, waiting, done = Feed(scenario, live=False), list[Event](), list[Fed]()
 
-    def step(event: Event) -> Fed:
+    def step() -> None:
+        event = waiting.pop(0)
         began, stamp = time.perf_counter(), time_of(event.message)
         late = event.arrived - stamp  # by another clock it says nothing
         cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None)
         took, reading = 1e3 * (time.perf_counter() - began), servo.senses.at(stamp)
-        return Fed(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan))
-
-    def due() -> bool:
-        return len(waiting) > 1 or bool(waiting and servo.senses.until(time_of(waiting[0].message)))
+        done.append(Fed(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan)))
 
     for event in events(path, scenario, remap):
         if event.role == "image_raw":
             waiting.append(event)
         elif event.role == "depth":
             servo.depth = event.message
-        elif event.role == "twist" and (waiting or (last is not None and np.isnan(last.recorded).any())):
+        elif event.role == "twist":
             if waiting:  # it was answered, whatever was heard since
-                yield from () if last is None else (last,)
-                last = step(waiting.pop(0))
-            assert last is not None
-            last = last._replace(recorded=twist_of(event.message))
+                step()
+            if done and np.isnan(done[-1].recorded).any():
+                done[-1] = done[-1]._replace(recorded=twist_of(event.message))
         elif event.role in sensors_of(scenario.robot):
             servo.senses.hear(event.role, event.message)
-        while due():
-            yield from () if last is None else (last,)
-            last = step(waiting.pop(0))
-    for event in waiting:
-        yield from () if last is None else (last,)
-        last = step(event)
-    if last is None:
+        while len(waiting) > 1 or (waiting and servo.senses.until(time_of(waiting[0].message))):
+            step()
+    while waiting:
+        step()
+    if not done:
         raise RunFolderError(path, "has no picture", "is the topic the right one (--remap image_raw=/TOPIC)?")
-    yield last
+    return done
 
 
 def replay(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None) -> Replayed:
     """What the controller of a scenario makes of a bag; errors: as of `stepped`."""
-    rows, steps = [], list(stepped(path, scenario, remap or {}))
+    rows, steps = [], stepped(path, scenario, remap or {})
     for one in steps:
         row = {"t": one.cycle.t, "stopped": one.cycle.stopped, "reason": one.cycle.reason, "notes": "; ".join(one.cycle.notes)}
         row |= {f"computed_{n}": v for n, v in zip(TWIST_NAMES, one.computed.tolist(), strict=True)}

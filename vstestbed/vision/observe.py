@@ -273,8 +273,7 @@ class Observer:
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
-        asked = "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size or pair is not None
-        ray = self.camera.ray(uv) if self._solves(T) or asked or tilt is not None else None
+        ray = self.camera.ray(uv) if self._solves(T) or self._reads_rays or pair is not None or tilt is not None else None
         T, solved = self._pose(ray, t, state, T, twist)
         flow, estimator = state.flow, self.depth.estimator
         if estimator is not None and flow is not None and ray is not None:
@@ -289,13 +288,22 @@ class Observer:
             cues = cues._replace(p_by_pair=triangulated(ray, *pair))
         view, trim = self._view(t, uv, ray, T, flow, cues, own), state.trim
         if tilt is not None:
-            if self.trim_s and solved and T is not None:
-                gain = 0.0 if math.isnan(state.t) else 1 - math.exp(-(t - state.t) / self.trim_s)
-                trim = trimmed(trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
+            trim = self._trimmed(state, t, tilt, T) if solved and T is not None else trim
             view = self._leveled(view, tilt + trim[0])
         odometry, place = self._driven(state, t, twist, view.T_camera_target if solved else None, compass)
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
         return ObserverState(t, T, flow, place, odometry, trim, measured_uv), self._observation(view, solved, odometry, place)
+
+    @cached_property
+    def _reads_rays(self) -> bool:
+        return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
+
+    def _trimmed(self, state: ObserverState, t: float, tilt: Array, T: Array) -> Trim:
+        """The trim of the tilt, corrected by a pose of the target."""
+        if not self.trim_s:
+            return state.trim
+        gain = 0.0 if math.isnan(state.t) else 1 - math.exp(-(t - state.t) / self.trim_s)
+        return trimmed(state.trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
 
     def _view(
         self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowState | None, cues: DepthCues, own: EgoMotion | None

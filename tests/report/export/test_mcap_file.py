@@ -17,8 +17,8 @@ from mcap_protobuf.decoder import DecoderFactory
 import vstestbed as vs
 from vstestbed.core.geometry import pose_from, transform
 from vstestbed.report.export import mcap_file
-from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
-from vstestbed.report.export.source import RecordedRun, opened
+from vstestbed.report.export.mcap_file import write_mcap
+from vstestbed.report.export.source import RecordedRun, opened, write_each
 
 FOXGLOVE = {
     "/camera/image": "foxglove.CompressedImage",
@@ -163,10 +163,10 @@ def test_lenses_without_a_standard_model_have_no_calibration() -> None:
 def test_runs_of_a_comparison_are_files_in_its_places_whole_or_not_at_all(
     folders: list[Path], home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = write_mcaps(opened(folders), tmp_path / "out", home)
+    out = write_each(opened(folders), tmp_path / "out", home, ".mcap", write_mcap)
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*.mcap")) == ["runs/0.mcap", "runs/1.mcap"]
     assert len(read(out / "runs/1.mcap")[0]["/camera/image"]) == 8
     monkeypatch.setattr(mcap_file, "circles", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        write_mcaps(opened(folders), tmp_path / "broken", home)
+        write_each(opened(folders), tmp_path / "broken", home, ".mcap", write_mcap)
     assert [p.name for p in tmp_path.iterdir()] == ["out"]

@@ -216,20 +216,23 @@ def differences(data: Data, width_in: float) -> Figure | None:
     grid, figure = metric_panels(shown, width_in, height, 5, names)
     for axes, metric in zip(grid, shown, strict=True):
         axes.axvline(0, color=INK, linewidth=0.8)
-        largest = 0.0
-        for row, pair in enumerate(rows):
-            d = pair.differences.get(metric.name, NOTHING)
-            real = metric.name in pair.differences and pair.is_real(metric.name)
-            # filled if the difference is real, in colour also if only the improvement is
-            more_often = metric.name in pair.improvements and pair.is_real(metric.name, "improvement")
-            color = LINE_COLORS[1] if real or more_often else LINE_COLORS[7]
-            if np.isfinite(d.low):
-                axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
-            axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
-            largest = max(largest, float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max()))
-        if largest <= 1e-9:  # rounding errors, in any display unit, would fill the width
+        largest = [_draw_difference(axes, row, pair, metric.name) for row, pair in enumerate(rows)]
+        if max(largest) <= 1e-9:  # rounding errors, in any display unit, would fill the width
             axes.set_xlim(-1, 1)
     return figure
+
+
+def _draw_difference(axes: Axes, row: int, pair: Pair, metric: str) -> float:
+    """A pair's mean difference and its interval in a row; the largest of the numbers."""
+    d = pair.differences.get(metric, NOTHING)
+    real = metric in pair.differences and pair.is_real(metric)
+    # filled if the difference is real, in colour also if only the improvement is
+    more_often = metric in pair.improvements and pair.is_real(metric, "improvement")
+    color = LINE_COLORS[1] if real or more_often else LINE_COLORS[7]
+    if np.isfinite(d.low):
+        axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
+    axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
+    return float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max())
 
 
 def matrix(data: Data, width_in: float) -> Figure | None:

@@ -30,7 +30,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from vstestbed.camera import Camera, Image
 from vstestbed.camera.intrinsics import as_ros
 from vstestbed.core.errors import EnvironmentLackError
-from vstestbed.core.files import PartFile, make_folder, whole_folder, writing
+from vstestbed.core.files import PartFile, writing
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.core.provenance import vstestbed_version
 from vstestbed.report.export.source import Bodies, RecordedRun, Taken, meaning, name_with_unit
@@ -75,18 +75,6 @@ def write_mcap(run: RecordedRun, path: Path, start_s: float = 0.0, tick: Callabl
             tick()
         writer.finish()
     return path
-
-
-def write_mcaps(
-    runs: Iterable[RecordedRun], out: Path, within: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None
-) -> Path:
-    """Write a file for each run into a new folder `out`, which appears whole or not at all, at the run's place within a folder."""
-    with whole_folder(out) as folder:
-        for run in runs:
-            path = folder / f"{run.place(within)}.mcap"
-            make_folder(path.parent)
-            write_mcap(run, path, start_s, tick)
-    return out
 
 
 def described(run: RecordedRun) -> dict[str, str]:

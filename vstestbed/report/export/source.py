@@ -120,6 +120,16 @@ def opened(folders: Iterable[Path], plugins: Sequence[str] = ()) -> Iterator[Rec
         yield RecordedRun.of(folder, plugins)
 
 
+def write_each(runs: Iterable[RecordedRun], out: Path, within: Path, suffix: str, write: Callable[[RecordedRun, Path], object]) -> Path:
+    """Write each run at its place within a folder into a new folder `out`, which appears whole or not at all."""
+    with whole_folder(out) as folder:
+        for run in runs:
+            path = folder / f"{run.place(within)}{suffix}"
+            make_folder(path.parent)
+            write(run, path)
+    return out
+
+
 # What the columns of a log are: their units, and who knows them.
 Whose = Literal["clock", "measured", "command", "truth", "own"]
 """`clock`: times and counters; `measured`: what camera and robot know; `command`: what they command; `truth`: the simulator's alone;
