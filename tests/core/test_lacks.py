@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-from vstestbed.core.errors import EnvironmentLackError, OutputError
+from vstestbed.core.errors import EnvironmentLackError, OutputError, lack_of, shortage
 from vstestbed.core.files import writing
-from vstestbed.core.lacks import lack_of, shortage
 
 LIMITED = "import resource, runpy, sys; resource.setrlimit(resource.{name}, ({value}, {value})); sys.argv = sys.argv[1:]; "
 

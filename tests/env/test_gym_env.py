@@ -23,8 +23,7 @@ from vstestbed.env.lerobot import make_env
 from vstestbed.laws.policy import MOST_PX
 from vstestbed.loop.termination import Termination
 from vstestbed.robots import Mount
-from vstestbed.sim.base import Truth
-from vstestbed.sim.ideal import IdealPlant
+from vstestbed.sim.base import IdealPlant, Truth
 from vstestbed.sim.plant import MujocoPlant
 
 MODES = "markers", "pixels", "both"

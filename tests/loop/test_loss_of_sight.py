@@ -14,12 +14,10 @@ from tests.shortcuts import one_quick
 from vstestbed.core.geometry import Array
 from vstestbed.robots.base import STOP_S
 from vstestbed.robots.puma560 import SPEED_LIMITS
-from vstestbed.sim.base import Plant
-from vstestbed.sim.ideal import IdealPlant
+from vstestbed.sim.base import IdealPlant, Plant
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.timing.plan import Planned, Shutter
-from vstestbed.vision.base import Detection
-from vstestbed.vision.oracle import Oracle
+from vstestbed.vision.base import Detection, Oracle
 
 LATENCY_S, TIMEOUT_S = 0.04, 0.3
 BLACK_FRAME = 30

@@ -33,8 +33,7 @@ from vstestbed.loop.ego_motion import Exposure
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.termination import Termination
 from vstestbed.robots.base import RobotLog, RobotState
-from vstestbed.sim.base import Truth
-from vstestbed.sim.ideal import IdealPlant
+from vstestbed.sim.base import IdealPlant, Truth
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.tasks import Task

@@ -18,8 +18,7 @@ from typing import Any, TextIO, cast
 
 import typer
 
-from vstestbed.core.errors import EnvironmentLackError, VstestbedError
-from vstestbed.core.lacks import lack_of, shortage, take_early
+from vstestbed.core.errors import EnvironmentLackError, VstestbedError, lack_of, shortage, take_early
 from vstestbed.core.shares import STOPS
 
 

@@ -63,7 +63,7 @@ def build_plant(
         pictures, others: of the servo camera, and of the further ones by name (`Plant.others`).
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
-    from vstestbed.sim.ideal import IdealPlant
+    from vstestbed.sim.base import IdealPlant
 
     robot, camera, target = scene.robot, scene.camera, scene.target
     steps_per_frame = round(camera.period / scene.step)

@@ -21,7 +21,7 @@ from dm_control.mujoco import wrapper
 from dm_control.mujoco.engine import Contexts
 from numpy.typing import NDArray
 
-from vstestbed.core.lacks import shortage
+from vstestbed.core.errors import shortage
 from vstestbed.sim import gl_probe
 
 # The process's one OpenGL context, on a thread of its own, so that any thread may ask for pictures.

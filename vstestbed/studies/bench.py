@@ -30,7 +30,7 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
-from vstestbed.sim.speed_baseline import measure_baseline
+from vstestbed.sim.replay import measure_baseline
 from vstestbed.studies.batch import simulate_batch
 from vstestbed.studies.comparison import compare
 from vstestbed.studies.run_folder import run_into

@@ -15,9 +15,8 @@ from dm_control.mujoco import wrapper
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image, Perspective, Regions, Window
-from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, lack_of
 from vstestbed.core.geometry import Array, pixel_grid
-from vstestbed.core.lacks import lack_of
 from vstestbed.core.lazy import cv2
 from vstestbed.imaging.depth import EDGE, DepthLens
 from vstestbed.imaging.shutter import Rows
