@@ -14,10 +14,10 @@ from vstestbed.sim import gl_probe as gl
 @pytest.fixture
 def pixel_errors(monkeypatch: pytest.MonkeyPatch):
     """Sets what the check of pixels finds."""
-    import vstestbed.sim.render.pixel_check
+    import vstestbed.sim.render.pictures
 
     def set_(errors: np.ndarray) -> None:
-        monkeypatch.setattr(vstestbed.sim.render.pixel_check, "pixel_convention", lambda renderer: (errors, "a renderer"))
+        monkeypatch.setattr(vstestbed.sim.render.pictures, "pixel_convention", lambda renderer: (errors, "a renderer"))
 
     return set_
 

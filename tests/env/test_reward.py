@@ -11,7 +11,7 @@ import pytest
 
 from tests.shortcuts import one_quick
 from vstestbed.env.rollout import Rollout
-from vstestbed.tasks.reward import Reward, RewardKind
+from vstestbed.tasks.judged import Reward, RewardKind
 
 DISCOUNTS = 0.9, 0.95, 0.99, 1.0
 BUNDLED = "arm_ibvs", "arm_pbvs", "omni_ibvs", "car_pbvs", "quadrotor_hover", "arm_track_circle"

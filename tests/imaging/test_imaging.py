@@ -14,7 +14,7 @@ import vstestbed as vs
 from vstestbed.camera import Image, Picture, Regions
 from vstestbed.imaging.chain import Imaging
 from vstestbed.loop.plants import take_goal_images
-from vstestbed.scenario.randomise import IMAGING_STREAM
+from vstestbed.scenario.distributions import IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import PictureSetup, build_plant

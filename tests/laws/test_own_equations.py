@@ -11,7 +11,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import Pose, inverse
-from vstestbed.laws.views import has_batch
+from vstestbed.laws.base import has_batch
 from vstestbed.studies.batch import ideal, simulate_batch, started_at
 from vstestbed.studies.delay import displaced, growth, prepared
 

@@ -16,9 +16,8 @@ from vstestbed.features import Point, Polygon
 from vstestbed.features.depth import OracleDepth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Law, Partitioned
-from vstestbed.laws.base import ConstantGain, TwistLimits
+from vstestbed.laws.base import ConstantGain, TwistLimits, Views
 from vstestbed.laws.points import NO_AREA, Visibility
-from vstestbed.laws.views import Views
 from vstestbed.targets.base import Square
 
 TRUE = OracleDepth()

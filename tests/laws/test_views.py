@@ -8,7 +8,7 @@ from tests.laws.flight import book_camera
 from vstestbed.core.geometry import Pose, transform
 from vstestbed.features.depth import AtGoal, Constant, Depth, OracleDepth, PnP
 from vstestbed.features.observation import Goal
-from vstestbed.laws.views import Views
+from vstestbed.laws.base import Views
 from vstestbed.targets.base import Square
 
 POINTS = Square(side=0.5, pose=Pose()).points

@@ -17,7 +17,8 @@ from vstestbed.robots.puma560 import SPEED_LIMITS
 from vstestbed.sim.base import IdealPlant, Plant
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.timing.plan import Planned, Shutter
-from vstestbed.vision.base import Detection, Oracle
+from vstestbed.vision.base import Detection
+from vstestbed.vision.oracle import Oracle
 
 LATENCY_S, TIMEOUT_S = 0.04, 0.3
 BLACK_FRAME = 30

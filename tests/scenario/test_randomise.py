@@ -14,9 +14,8 @@ from scipy import stats
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.env.rollout import Rollout
-from vstestbed.scenario.distributions import Chosen, Gaussian, Integer, LogUniform, Uniform
+from vstestbed.scenario.distributions import IMAGE_STREAM, START_STREAM, Chosen, Gaussian, Integer, LogUniform, Uniform
 from vstestbed.scenario.load import for_another_folder
-from vstestbed.scenario.randomise import IMAGE_STREAM, START_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.batch import BatchSetup
 

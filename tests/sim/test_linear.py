@@ -9,7 +9,7 @@ import pytest
 
 from tests.sim.two_mass import ROTOR, arm, inertia
 from vstestbed.effects.joints import Gears
-from vstestbed.sim.linear import linear_arm
+from vstestbed.sim.plant import linear_arm
 
 
 def test_its_matrices_are_those_of_the_joint(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose, exp, inverse, log, transform
-from vstestbed.vision.fusion import CameraPixels, fused_pose, pose_of_all
+from vstestbed.vision.observe import CameraPixels, fused_pose, pose_of_all
 
 POINTS = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
 HAND = Perspective(width=640, height=480, fovy_deg=64)

@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 import typer
 
 from vstestbed.cli import complete, tools
-from vstestbed.cli.compare import compare
+from vstestbed.cli.compare import compare, submit, suite
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import export
 from vstestbed.cli.robots import calibrate, excite, identify
 from vstestbed.cli.ros import replay, ros
 from vstestbed.cli.studies import basin, bench, gain_limit, grade, sweep, tune
-from vstestbed.cli.suite import submit, suite
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS

@@ -87,7 +87,7 @@ def examine() -> Iterator[Finding]:
 def _pictures() -> Iterator[Finding]:
     """OpenGL (ray casting where it does not work), then the pixel convention: rendered against projected positions of balls."""
     from vstestbed.sim import gl_probe as gl
-    from vstestbed.sim.render.pixel_check import pixel_convention
+    from vstestbed.sim.render.pictures import pixel_convention
 
     try:
         errors, renderer = pixel_convention("gl")

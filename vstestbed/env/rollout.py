@@ -21,13 +21,12 @@ from vstestbed.report.video.film import Pictures, quality_of, replay_of
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.robots import Mount
 from vstestbed.scenario.cameras import OWN
+from vstestbed.scenario.distributions import values_of
 from vstestbed.scenario.load import load
-from vstestbed.scenario.randomise import values_of
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.judged import JudgedError, in_a_frame
-from vstestbed.tasks.reward import Reward, RewardKind, potential
+from vstestbed.tasks.judged import JudgedError, Reward, RewardKind, in_a_frame, potential
 from vstestbed.vision import Detector, Oracle
 
 ObservationMode = Literal["markers", "pixels", "both"]

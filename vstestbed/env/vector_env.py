@@ -24,9 +24,8 @@ from vstestbed.loop.termination import FAR_M
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.basin import left_out
 from vstestbed.studies.batch import FIRST_POSE, BatchSetup, behind, ideal, seen_by, start_of
-from vstestbed.tasks.judged import in_a_frame
+from vstestbed.tasks.judged import in_a_frame, nearness
 from vstestbed.tasks.monitor import REST
-from vstestbed.tasks.reward import nearness
 
 GOING, *CODES = None, Outcome.timed_out, Outcome.local_minimum, Outcome.target_lost, Outcome.diverged, Outcome.converged
 OUTCOMES: list[Outcome | None] = [GOING, *CODES]  # an outcome's code is its place

@@ -16,11 +16,10 @@ from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, Law, Motions, TwistLimits, held
+from vstestbed.laws.base import Command, ConstantGain, Gain, Law, Motions, TwistLimits, Views, held
 from vstestbed.laws.feedforward import Estimator, Feedforward, Integral, NoFeedforward, TargetEstimate, follow, look_ahead
 from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, reckoned_markers, usable_rows
 from vstestbed.laws.solve import Solve, least_squares
-from vstestbed.laws.views import Views
 
 StackWeight = Annotated[float, Gt(0), Le(1e3)]
 DEAD_RECKON_S = 0.3

@@ -18,7 +18,7 @@ from vstestbed.core.quantity import Angle, Distance, Pixels, PositiveGain, Posit
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, Law, TwistLimits, inputs_of
+from vstestbed.laws.base import Command, Law, TwistLimits, Views, inputs_of
 from vstestbed.laws.constraints import (
     Group,
     Solution,
@@ -39,7 +39,6 @@ from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.points import check_margin, usable_rows
 from vstestbed.laws.solve import PINV_RCOND
-from vstestbed.laws.views import Views
 from vstestbed.robots.arm import singularity_damping2
 from vstestbed.robots.own_model import OwnModel
 

@@ -32,7 +32,7 @@ from vstestbed.robots.arm import Arm
 from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
-from vstestbed.vision.fusion import CameraPixels
+from vstestbed.vision.observe import CameraPixels
 
 
 class GuardedLaw:

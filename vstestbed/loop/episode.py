@@ -27,7 +27,7 @@ from vstestbed.loop.stability import Stability
 from vstestbed.loop.termination import LostMarkers, Termination
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.base import RobotLog, RobotState
-from vstestbed.scenario.randomise import LINK_STREAM
+from vstestbed.scenario.distributions import LINK_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
 from vstestbed.tasks.frame import CameraRecord, Cycle, Frame

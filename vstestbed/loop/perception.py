@@ -14,12 +14,12 @@ from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure
 from vstestbed.robots import Mount, Reading, Robot
 from vstestbed.scenario.cameras import OtherCamera
-from vstestbed.scenario.randomise import NOISE_STREAM
+from vstestbed.scenario.distributions import NOISE_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Observer
 from vstestbed.vision.base import Detection
 from vstestbed.vision.derotate import level_from_tilt
-from vstestbed.vision.fusion import CameraPixels
+from vstestbed.vision.observe import CameraPixels
 
 FRESH_PERIODS = 2.5  # an observation older than so many periods of its camera, and its latency, tells nothing of now
 STILL = np.zeros(6)  # the twist of a camera whose motion nothing reads; read-only, since all frames share it

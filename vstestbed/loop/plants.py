@@ -12,8 +12,8 @@ from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.features.observation import Goal, Sight
 from vstestbed.scenario.cameras import OtherCamera
+from vstestbed.scenario.distributions import GOAL_STREAM, IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
 from vstestbed.scenario.noise import Noise, TargetNoise
-from vstestbed.scenario.randomise import GOAL_STREAM, IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant, flange_for, posture_at
 from vstestbed.sim.build import PictureSetup, build_plant

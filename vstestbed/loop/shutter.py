@@ -17,7 +17,7 @@ from vstestbed.imaging.flicker import STEADY
 from vstestbed.loop.ego_motion import Exposure
 from vstestbed.robots import Reading
 from vstestbed.scenario.cameras import OtherCamera
-from vstestbed.scenario.randomise import STAMP_STREAM, TIMING_STREAM
+from vstestbed.scenario.distributions import STAMP_STREAM, TIMING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import PlantCamera, Truth
 from vstestbed.timing.clock import CameraStamps, DelayLine, Loses, RobotStamps

@@ -21,8 +21,8 @@ from vstestbed.features.observation import Goal
 from vstestbed.laws.base import inputs_of
 from vstestbed.robots.arm import Arm
 from vstestbed.scenario.checks import MOST_MOUNT_M, MOST_PLACE_M, check_detected, check_length
+from vstestbed.scenario.distributions import DEPTH_STREAM, PERTURB_STREAM
 from vstestbed.scenario.noise import Noise
-from vstestbed.scenario.randomise import DEPTH_STREAM, PERTURB_STREAM
 from vstestbed.sim.base import Viewpoint
 from vstestbed.timing.plan import Timing
 from vstestbed.vision import DETECTORS, Detector

@@ -21,9 +21,18 @@ from vstestbed.robots import ROBOTS, Robot, Vehicle
 from vstestbed.robots.base import longest_step
 from vstestbed.scenario import checks
 from vstestbed.scenario.cameras import FurtherCamera, OtherCamera, check_cameras, eyes_of
-from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
+from vstestbed.scenario.distributions import (
+    BODY_STREAM,
+    DEPTH_STREAM,
+    DISTRIBUTIONS,
+    PERTURB_STREAM,
+    START_STREAM,
+    TARGET_STREAM,
+    Distribution,
+    check_randomise,
+    drawn,
+)
 from vstestbed.scenario.noise import Noise
-from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
 from vstestbed.sim.base import SceneDescription, camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS, Target

@@ -17,7 +17,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_json, write_table
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, transform
 from vstestbed.core.outcome import Outcome
-from vstestbed.laws.views import has_batch
+from vstestbed.laws.base import has_batch
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario

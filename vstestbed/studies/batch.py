@@ -24,8 +24,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Law
-from vstestbed.laws.base import inputs_of
-from vstestbed.laws.views import Views, has_batch
+from vstestbed.laws.base import Views, has_batch, inputs_of
 from vstestbed.loop.controller import GuardedLaw
 from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.loop.termination import FAR_M

@@ -30,7 +30,7 @@ from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
-from vstestbed.sim.linear import LinearArm, linear_arm
+from vstestbed.sim.plant import LinearArm, linear_arm
 from vstestbed.tasks.metrics import TWIST
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle

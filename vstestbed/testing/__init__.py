@@ -9,8 +9,15 @@ Each raises AssertionError with a sentence that says what was expected and what 
 """
 
 from vstestbed.testing.laws import check_feature, check_law
-from vstestbed.testing.nuisances import check_effect, check_metric, check_monitor, check_noise
-from vstestbed.testing.perception import check_camera, check_detector, check_keypoints
+from vstestbed.testing.perception import (
+    check_camera,
+    check_detector,
+    check_effect,
+    check_keypoints,
+    check_metric,
+    check_monitor,
+    check_noise,
+)
 from vstestbed.testing.robots import check_robot
 from vstestbed.testing.targets import check_motion, check_target, check_task
 

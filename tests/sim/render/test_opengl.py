@@ -19,7 +19,7 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.render.pixel_check import BALLS, pixel_convention
+from vstestbed.sim.render.pictures import BALLS, pixel_convention
 from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World

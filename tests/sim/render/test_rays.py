@@ -22,10 +22,9 @@ from vstestbed.robots.free import FreeStart
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.render.pictures import servo_renderer
-from vstestbed.sim.render.pixel_check import pixel_convention
+from vstestbed.sim.render.pictures import pixel_convention, servo_renderer
 from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
-from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Points, Square, Target

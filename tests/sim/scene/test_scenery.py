@@ -14,8 +14,7 @@ from vstestbed.scenario.load import for_another_folder
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.groups import RANGE_GROUP
-from vstestbed.sim.scene.meshes import solids
+from vstestbed.sim.scene.meshes import RANGE_GROUP, solids
 from vstestbed.sim.scene.model_report import examine_model
 from vstestbed.sim.scene.scene import Scene
 

@@ -19,10 +19,9 @@ from vstestbed.features import FEATURES, Ellipse, Feature, LineFeature, Moments,
 from vstestbed.features.depth import AtGoal, Constant, Estimate, OracleDepth
 from vstestbed.features.observation import Observation
 from vstestbed.laws import IBVS, LAWS, PBVS, QP, Hybrid, Law, Partitioned, Predictive
-from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
+from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits, has_batch
 from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import Solve
-from vstestbed.laws.views import has_batch
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.noise import Noise

@@ -13,7 +13,7 @@ from tests.shortcuts import one_quick
 from vstestbed.effects.joints import Gears
 from vstestbed.loop.stability import closed_form, gain_limit
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.linear import LinearArm, linear_arm
+from vstestbed.sim.plant import LinearArm, linear_arm
 from vstestbed.studies.delay import displaced, find_limits, growth, linear_gain_limit, prepared, sampled
 
 PERIOD = 0.04

@@ -37,8 +37,7 @@ from vstestbed.report.export.source import RecordedRun, unit_of_joint
 from vstestbed.report.video.writer import DATASET, VideoWriter
 from vstestbed.robots import Mount
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.tasks.judged import in_a_frame
-from vstestbed.tasks.reward import Reward, potential
+from vstestbed.tasks.judged import Reward, in_a_frame, potential
 
 # What a LeRobot dataset holds of each frame: the observations, actions and ends of the scenario's environment (`vstestbed.env`).
 #

@@ -22,8 +22,8 @@ from vstestbed.loop.log_file import ROW_GROUP, Log, open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.film import rows_of
 from vstestbed.report.video.overlay import FilmFrame
+from vstestbed.scenario.distributions import IMAGE_STREAM, IMAGING_STREAM
 from vstestbed.scenario.dump import load_run
-from vstestbed.scenario.randomise import IMAGE_STREAM, IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Rerendering
 

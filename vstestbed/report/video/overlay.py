@@ -19,7 +19,7 @@ from vstestbed.core.geometry import Array, inverse, pose_from
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.columns import POSE
 from vstestbed.report.video.writer import Image
-from vstestbed.scenario.randomise import GOAL_STREAM
+from vstestbed.scenario.distributions import GOAL_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame

@@ -22,7 +22,7 @@ from vstestbed.imaging.depth import EDGE, DepthLens
 from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.cube_map import Pinhole, cube_of, drawn_for, resampling_maps
-from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 
 # Rendering of a window of the image: with software OpenGL the cost is in the pixels, and a tracker needs few of them.

@@ -20,7 +20,7 @@ from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.render.still import lamp_of
-from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.vision.colour import noise_rows
 

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.sim.gl_context import repeated
-from vstestbed.sim.scene.groups import TARGET_GROUP
-from vstestbed.sim.scene.meshes import own_colours, texels_of
+from vstestbed.sim.scene.meshes import TARGET_GROUP, own_colours, texels_of
 
 
 class Mipmap:

@@ -15,8 +15,8 @@ from vstestbed.effects.base import RobotModel
 from vstestbed.effects.body import Change, reshape
 from vstestbed.robots import Robot
 from vstestbed.robots.allocation import Actuation, Servo
-from vstestbed.sim.scene.groups import OF_FILES
 from vstestbed.sim.scene.joint_chain import flange_in
+from vstestbed.sim.scene.meshes import OF_FILES
 from vstestbed.sim.scene.model_files import carry_files, read_model
 
 UNBOUNDED = 1e6  # range of the integrated position of a joint that turns without end [rad]

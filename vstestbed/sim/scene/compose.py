@@ -22,7 +22,7 @@ from vstestbed.effects.tool import SOFT_S
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.cube_map import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
-from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.meshes import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
 from vstestbed.sim.scene.model_files import ASSETS, lay_picture
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.scenery import add_scenery

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import before, turned
+from vstestbed.sim.scene.meshes import RANGE_GROUP
 from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, extremes, eye_of, holds, slanting
 from vstestbed.sim.scene.scene import Scene
 

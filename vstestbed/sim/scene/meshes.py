@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import FLIP, Array
-from vstestbed.sim.scene.groups import HAND_PLATE, RANGE_GROUP, TARGET_GROUP
+from vstestbed.effects.base import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed, turned
 
 PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom, for which its material's is used
@@ -173,3 +173,16 @@ def _turned(radius: Array, z: Array) -> Array:
     faces = np.concatenate([np.stack([a, b, c], axis=-2).reshape(-1, 3, 3), np.stack([a, c, d], axis=-2).reshape(-1, 3, 3)])
     area = np.linalg.norm(np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]), axis=1)
     return faces[area > 1e-12]
+
+
+# Groups of the scene's geoms, by which renderers and rays choose (0 the room, and these), a name, and how flat things face and glow.
+LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
+"""What encloses the lens, the robot, the target, sites; besides them RANGE_GROUP, which no picture shows."""
+OF_FILES = {0: ROBOT_GROUP, 3: RANGE_GROUP, 4: RANGE_GROUP}
+"""Groups of a robot's file in the scene: by the usual custom 0 to 2 are drawn, and from 3 on there are shapes for contacts alone."""
+HAND_PLATE = "hand_plate"  # name of the plate in reserve
+FACE_VIEWER = (0, 1, 0, 0)
+"""A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
+GLOW = 1000.0
+"""Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
+the scene's lights add (the plain colour times their brightness) is under half a grey level."""

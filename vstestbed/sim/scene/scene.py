@@ -16,8 +16,8 @@ from vstestbed.effects.base import RobotBody, StateIndices
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import compose
-from vstestbed.sim.scene.groups import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import before, placed
+from vstestbed.sim.scene.meshes import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 from vstestbed.targets.markers import HIDDEN_M
 
 PLANAR = ("root_x", "root_y", "root_yaw")

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
-from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import before
-from vstestbed.sim.scene.meshes import own_colours, texels_of, texture_of
+from vstestbed.sim.scene.meshes import RANGE_GROUP, own_colours, texels_of, texture_of
 from vstestbed.sim.scene.model_files import cannot_compile, carry_files, read_model, take_jpeg
 
 PREFIX = "scenery/"
