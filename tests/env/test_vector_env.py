@@ -49,7 +49,7 @@ def test_episodes_are_those_of_single_environments(settings: dict[str, Any], sha
     arrays, single = made("vector_entry_point", **settings), made("sync", **settings)
     a, b, ends = arrays.reset(seed=3), single.reset(seed=3), set()
     rng = np.random.default_rng(0)
-    for k in range(260):
+    for k in range(160):
         for key, values in a[0].items():
             assert values.dtype == np.float32 and values == pytest.approx(b[0][key], rel=1e-6, abs=1e-3)
         assert arrays.observation_space.contains(a[0])

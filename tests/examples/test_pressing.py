@@ -8,7 +8,8 @@ import pytest
 
 import vstestbed as vs
 
-SEATED = {"detector": "oracle", "goal.press_n": None, "goal.seat_s": 4.0, "goal.jam_s": 8.0}
+NEAR = {"robot.start.nominal.q_deg": [13.0, 34.0, -168.0, 18.4, 46.0, -13.0]}  # 4 cm before the mouth
+SEATED = NEAR | {"detector": "oracle", "goal.press_n": None, "goal.jam_s": 8.0}
 
 
 @pytest.fixture(autouse=True)
@@ -26,5 +27,5 @@ def pressed(**changes: object) -> float:
 
 
 def test_the_plug_sits_with_the_ordered_force_where_a_law_of_pictures_presses_on():
-    assert pressed(law={"kind": "pressing", "gain": 1, "force_n": 20.0}) == pytest.approx(20, abs=3)
-    assert pressed() > 50
+    assert pressed(law={"kind": "pressing", "gain": 1, "force_n": 20.0}, **{"goal.seat_s": 4.0}) == pytest.approx(20, abs=3)
+    assert pressed(**{"goal.seat_s": 2.0}) > 40

@@ -63,7 +63,7 @@ TAKEN = {
 @pytest.mark.parametrize(("name", "taken"), one_quick(*product(("arm_ibvs", "arm_fisheye", "arm_pbvs", "arm_tags", "car_line"), TAKEN)))
 def test_whole_pictures_beside_those_of_the_detector_change_no_byte_of_a_whole_run(name: str, taken: str) -> None:
     """Were the detector shown them, a pixel at an edge would fall otherwise some frames later."""
-    scenario = vs.load(name, {"stop.duration_s": 8.0, **TAKEN[taken]})
+    scenario = vs.load(name, {"stop.duration_s": 4.0, **TAKEN[taken]})
     assert same(vs.run(scenario, pictures=True), vs.run(scenario))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from tests.sim import two_mass
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, inverse, log
@@ -104,7 +105,7 @@ class TestImpedance:
         moment = np.cross(centre - after[:3, 3], force)
         return log(inverse(before) @ after), np.concatenate([R.T @ force, R.T @ moment])
 
-    @pytest.mark.parametrize("at", [{}, {"xyz": [0.0, 0.05, 0.15], "rpy_deg": [20, 0, 0]}], ids=["flange", "tip"])
+    @pytest.mark.parametrize("at", one_quick({"xyz": [0.0, 0.05, 0.15], "rpy_deg": [20, 0, 0]}, {}))  # at the tip, at the flange
     def test_a_static_push_displaces_it_by_force_over_stiffness(self, at: dict[str, Any]) -> None:
         stiff = [800.0, 1500.0, 3000.0]
         moved, wrench = self.pushed(np.array([10.0, -5.0, 8.0]), at=at, stiffness_npm=stiff, stiffness_nmprad=[200, 200, 200])

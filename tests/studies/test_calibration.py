@@ -125,7 +125,7 @@ def test_what_is_no_calibration_is_refused(folder, tmp_path):
 def test_a_calibration_is_less_exact_with_worse_joints(monkeypatch):
     """By the commands' own table: five times the joints' error is more than twice the error of the pose."""
     monkeypatch.setattr(c, "OVER", {"joint_deg": (0.02, 0.1)})
-    lines = c.exactness(vs.load("arm_calibrate"), BOARD, 6)
+    lines = c.exactness(vs.load("arm_calibrate"), BOARD, 3)
     assert len(lines) == 2 * 6  # five methods, and the bundle adjustment
     small, large = (line["mm"] for line in lines if line["method"] == "bundle adjustment")
     assert 2 * small < large < 12 * small

@@ -273,19 +273,30 @@ def quaternion_wxyz(R: Array) -> Array:
     """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3). The column of 4 q q^T with the largest diagonal
     element, normalised, which never divides by a small number. Reference: Shepperd 1978, doi:10.2514/3.55767b.
     """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0))
-    columns = [
-        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
-        (zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx),
-        (xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz),
-        (yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
-    ]
+    if R.ndim == 2:  # one, for the time loop, as in `exp`
+        columns = _quaternion_columns(*R.tolist())
+        largest = max(range(4), key=lambda i: columns[i][i])
+        q = columns[largest]
+        size = math.copysign(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), q[0] if q[0] else 1.0)
+        return np.array([q[0] / size, q[1] / size, q[2] / size, q[3] / size])
+    columns = _quaternion_columns(*(np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0)))
     four = np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)  # 4 q q^T
     largest = np.diagonal(four, axis1=-2, axis2=-1).argmax(axis=-1)
     q = np.take_along_axis(four, largest[..., None, None], axis=-1)[..., 0]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     # q and -q are the same rotation; with w >= 0 the angle is at most pi.
     return np.where(q[..., :1] < 0, -q, q)
+
+
+def _quaternion_columns(x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any, Any], ...]:
+    """The columns of 4 q q^T by the rows of R, of numbers or of arrays."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = x, y, z
+    return (
+        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx),
+        (xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz),
+        (yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
+    )
 
 
 def rotation_from_quaternion(q_wxyz: Array) -> Array:

@@ -109,17 +109,26 @@ class JointChain:
         along[self.slides, :, 3] = M[self.slides, :, 2]
         return fixed, cosine, sine, along, inverse(G[-1]) @ self.T_0
 
+    def _frames(self, q: Array) -> Array:
+        """The frame of each joint in the world (n, 4, 4)."""
+        fixed, cosine, sine, along, _ = self._parts
+        frames = fixed + np.cos(q)[:, None, None] * cosine + np.sin(q)[:, None, None] * sine + q[:, None, None] * along
+        for i in range(1, len(q)):
+            frames[i] = frames[i - 1] @ frames[i]
+        return frames
+
+    def flange(self, q: Array) -> Array:
+        """T_world_flange (4, 4) at positions q (n,)."""
+        return self._frames(q)[-1] @ self._parts[-1]
+
     def kinematics(self, q: Array) -> tuple[Array, Array]:
         """T_world_flange (4, 4), and the Jacobian (6, n): twist (v, w) of the flange in its own frame = J @ dq, at positions q (n,).
 
         With the axis z_i and the origin o_i of the frame of joint i, and the flange's origin o, a joint that turns gives
         v = z_i x (o - o_i) dq_i and w = z_i dq_i, one that slides v = z_i dq_i.
         """
-        fixed, cosine, sine, along, end = self._parts
-        frames = fixed + np.cos(q)[:, None, None] * cosine + np.sin(q)[:, None, None] * sine + q[:, None, None] * along
-        for i in range(1, len(q)):
-            frames[i] = frames[i - 1] @ frames[i]
-        T = frames[-1] @ end
+        frames = self._frames(q)
+        T = frames[-1] @ self._parts[-1]
         R_t = T[:3, :3].T
         axes, arms = R_t @ frames[:, :3, 2].T, R_t @ (T[:3, 3] - frames[:, :3, 3]).T
         J = np.empty((6, len(q)))

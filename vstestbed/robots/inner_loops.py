@@ -113,14 +113,18 @@ class Impedance(InnerLoop):
     at: Pose = Pose()
     takes_wrench: ClassVar[bool] = True
 
+    @cached_property
+    def _constants(self) -> tuple[Array, Array]:
+        """The flange's twist to that of the frame, and K, both (6, 6)."""
+        return adjoint(inverse(self.at.T)), np.diag((*self.stiffness_npm, *self.stiffness_nmprad))
+
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
-        n, at = len(q), self.at.T
-        (T, J), T_ref = arm.chain.kinematics(q), arm.chain.kinematics(q_ref)[0]
-        J = adjoint(inverse(at)) @ J
+        n, at, (to_frame, K) = len(q), self.at.T, self._constants
+        (T, J), T_ref = arm.chain.kinematics(q), arm.chain.flange(q_ref)
+        J = to_frame @ J
         M = arm.dynamics.mass(q)
         across = np.linalg.solve(M, J.T)  # M^-1 J^T
         felt = np.linalg.inv(J @ across + LEAST_MOBILITY * np.eye(6)).astype(float)  # Lambda
-        K = np.diag((*self.stiffness_npm, *self.stiffness_nmprad))
         wrench = K @ log(inverse(T @ at) @ T_ref @ at) + damping_of(felt, K, self.damping) @ (J @ (setpoint[:n] - qd)) + setpoint[n:]
         tau = J.T @ wrench + arm.dynamics.inverse(q, qd, np.zeros(n))
         if n > 6:  # torques that leave the frame alone, J M^-1 tau = 0
