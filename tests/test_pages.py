@@ -73,6 +73,13 @@ def test_no_sentence_stands_twice_as_after_a_merge_that_kept_both_sides() -> Non
         assert not {one for one, times in found.items() if times > 1}, page
 
 
+def test_files_that_the_page_of_the_code_names_are_there() -> None:
+    package = REPOSITORY / "vstestbed"
+    named = re.findall(r"`([a-z_]+/[\w/]+\.py)`", (package / "README.md").read_text(encoding="utf-8"))
+    assert len(named) > 60
+    assert not [name for name in named if not (package / name).is_file() and not (REPOSITORY / name).is_file()]
+
+
 def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given() -> None:
     """Above a table with literal decimals its source has `{# given ... #}`: inputs, not results; or `{# held by tests ... #}`."""
     for paragraph in (paragraph for page in pages() for paragraph in (SOURCES / page).read_text(encoding="utf-8").split("\n\n")):
