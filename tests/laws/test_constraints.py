@@ -89,6 +89,15 @@ def test_the_distance_to_the_targets_plane() -> None:
         assert float((group.A @ rates)[0]) == pytest.approx((distance(exp(-step) @ T) - distance(exp(step) @ T)) / 2e-6, abs=1e-6)
 
 
+def test_the_plane_of_a_single_marker_faces_the_camera() -> None:
+    T = exp(np.array([0.1, -0.05, 0.9, 0.2, -0.1, 0.3]))
+    observation, goal = seen(Perspective(), T)
+    p, robot = transform(T, POINTS)[0], arm()
+    group = above_plane(observation.only(np.array([True, False, False, False])), goal, robot, 0.5, 2.0)
+    assert group.low[0] == pytest.approx(-2.0 * (np.linalg.norm(p) - 0.5))
+    assert group.A[0] == pytest.approx(-(p / np.linalg.norm(p)) @ robot.J[:3])
+
+
 def test_bounds_stop_a_joint_at_its_margin_and_bring_it_back_from_beyond() -> None:
     robot = arm()
     q = robot.q.copy()

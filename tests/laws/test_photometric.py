@@ -14,7 +14,7 @@ import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.core.geometry import exp, inverse, rigid_error
+from vstestbed.core.geometry import exp, inverse, rigid_error, transform
 from vstestbed.features.depth import Constant, PnP, Sensed
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain
@@ -200,6 +200,44 @@ def test_the_structure_of_the_goals_picture_is_measured_once(texture: np.ndarray
         state, command = law.step(state, looked(seen(texture, AT_GOAL)), goal, np.eye(6))
         assert not command.rest_reason
     assert len(asked) == 1
+
+
+def test_the_gradient_of_a_polynomial_of_fourth_order_is_exact() -> None:
+    u, v = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    grey = (1e-4 * u**4 - 3e-3 * v**3 + 0.02 * u * v + u).astype(np.float32)
+    du, dv = gradient(grey)
+    np.testing.assert_allclose(du[3:-3, 3:-3], (4e-4 * u**3 + 0.02 * v + 1)[3:-3, 3:-3], atol=2e-3)
+    np.testing.assert_allclose(dv[3:-3, 3:-3], (-9e-3 * v**2 + 0.02 * u)[3:-3, 3:-3], atol=2e-3)
+
+
+def test_the_motion_of_a_picture_is_that_of_projected_points() -> None:
+    u, v = np.meshgrid((np.arange(40) + 0.5) * 4, (np.arange(30) + 0.5) * 4)
+    p = 0.8 * CAMERA.ray(np.column_stack([u.ravel(), v.ravel()]))
+    p *= 0.8 / p[:, 2:]
+    for step in 1e-4 * np.random.default_rng(2).normal(size=(4, 6)):
+        moved = CAMERA.project(transform(exp(-step), p)) - CAMERA.project(p)
+        assert motion_px(CAMERA, step, 0.8) == pytest.approx(float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))), rel=0.05)
+
+
+def test_the_matrix_at_the_goal_is_weighted_too(texture: np.ndarray) -> None:
+    level = GoalLevel.of(CAMERA, luminance(seen(texture, AT_GOAL).image), 0, 4, 1)
+    level = replace(level, inverse_depth=np.ones_like(level.x))
+    spoiled = luminance(seen(texture, exp(np.array([2e-3, 0, 0, 0, 0, 0])) @ AT_GOAL).image)
+    spoiled[40:60, 50:90] = 250
+    e = (spoiled[level.at] - level.grey[level.at]).ravel()
+    w = weights("tukey", e)
+    assert w is not None and 0.02 < np.mean(w == 0) < 0.3
+    H, b, _ = level.normal(spoiled, "desired", "tukey")
+    np.testing.assert_allclose(H, (level.L * w) @ level.L.T, rtol=1e-3, atol=1e-3 * np.abs(H).max())
+    np.testing.assert_allclose(b, (level.L * w) @ e, rtol=1e-2, atol=1e-3 * np.abs(b).max())
+
+
+def test_it_goes_a_level_down_where_the_picture_hardly_moves_and_one_up_where_it_moves_far(texture: np.ndarray) -> None:
+    law, goal = Photometric(margin_px=4, levels=4), goal_of(texture)
+    state, _ = law.step(law.init(goal), looked(seen(texture, AT_GOAL)), goal, np.eye(6))
+    sideways = np.array([1.0, 0, 0, 0, 0, 0]) / CAMERA.f  # a pixel at 1 m
+    for level, px, expected in ((3, 0.0, 2), (2, 0.9, 1), (2, 1.1, 2), (2, 15.0, 2), (2, 17.0, 3), (3, 99.0, 3), (0, 0.0, 0)):
+        assert law._next_level(replace(state, level=level), px * sideways, goal) == expected, (level, px)
 
 
 def test_outliers_break_least_squares_and_not_the_m_estimator(texture: np.ndarray) -> None:

@@ -16,6 +16,7 @@ from vstestbed.laws import IBVS, PBVS, QP, Hybrid, Law, Partitioned, Predictive,
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.feedforward import KalmanCA
 from vstestbed.laws.qp import Manipulability, PosturePull, StraightPath, manipulability
+from vstestbed.robots.arm import Arm, singularity_damping2
 from vstestbed.studies.batch import started_at
 from vstestbed.testing import check_law
 
@@ -207,6 +208,29 @@ def test_manipulability_grows_along_its_task() -> None:
     np.testing.assert_array_equal(rows, np.eye(6))
     assert np.linalg.norm(wanted) == pytest.approx(0.1)
     assert manipulability(model.jacobian(q + 0.05 * wanted)) > manipulability(model.J)
+    slope = [manipulability(model.jacobian(q + d)) - manipulability(model.jacobian(q - d)) for d in 1e-3 * np.eye(6)]
+    assert wanted / 0.1 == pytest.approx(np.array(slope) / np.linalg.norm(slope), abs=1e-3)
+
+
+def test_near_a_singularity_joints_turn_as_damped_least_squares_have_them() -> None:
+    scenario = vs.load("arm_ibvs", {"law": "pbvs"})
+    q = scenario.robot.start_joints()
+    q[4] = 0.002  # the axes of joints 4 and 6 nearly on one line
+    model = scenario.robot.own_model(vs.Reading(q, 0 * q), vs.Controller(scenario).mount)
+    model = replace(model, **dict.fromkeys(("underway", "coming", "ordered", "moved"), np.zeros(6)))
+    assert isinstance(scenario.robot, Arm)
+    damping2 = singularity_damping2(model.J, scenario.robot.unit_m)
+    assert 0.001 < damping2 < 0.0025
+    goal, off = scenario.goal_view, exp(np.array([0.002, -0.001, 0.003, 0.004, 0.003, -0.002]))
+    T = off @ goal.T_camera_target
+    p = transform(T, scenario.target.points)
+    seen = vs.Observation(0.0, scenario.camera.project(p), p[:, :2] / p[:, 2:], p[:, 2], T, robot=model)
+    law = QP(law=PBVS(), accelerations=False)
+    twist = PBVS().step(PBVS().init(goal), seen, goal, np.eye(6))[1].twist
+    _, command = law.step(law.init(goal), seen, goal, model.J)
+    expected = np.linalg.solve(model.J.T @ model.J + damping2 * np.eye(6), model.J.T @ twist)
+    assert command.rates == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+    assert np.abs(np.linalg.solve(model.J, twist)).max() > 5 * np.abs(expected).max()
 
 
 def test_prediction_follows_a_target_that_moves() -> None:
