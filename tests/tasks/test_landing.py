@@ -168,6 +168,14 @@ def test_the_goal_pose_is_the_view_from_which_it_comes_down():
     assert TASK.lands and TASK.bases == {"floating"} and TASK.view_fields == ("goal.above",)
 
 
+def test_the_goal_is_where_the_craft_stands_on_its_pad():
+    T = SCENARIO.goal_pose_at(20.0, 0)
+    T_target_base = inverse(SCENARIO.camera.mount.T @ T)  # the target's z points down
+    assert T_target_base[2, 3] == pytest.approx(-SCENARIO.robot.body.standing_m)
+    T_target_camera = inverse(T)
+    assert T_target_camera[:2, 3] == pytest.approx(0, abs=1e-12) and T_target_camera[2, 3] < 0
+
+
 def test_without_a_pad_there_is_no_landing():
     with pytest.raises(ScenarioError, match=r"target\.pad: is missing: goal of kind landing needs one, e\.g\. \{side: 0\.9\}"):
         vs.load("quadrotor_land", {"target.pad": None})
