@@ -41,21 +41,29 @@ class TestGround:
         assert lifted * cheeseman_bennett(z) == pytest.approx(WEIGHT, rel=1e-3)
         assert lifted < 0.99 * WEIGHT
 
-    def test_over_the_edge_of_a_pad_the_craft_is_tilted_away_from_it(self):
-        """The pad's edge is just ahead of the hubs at left and right: back is over the pad, front is not."""
+    @pytest.mark.parametrize(("yaw_deg", "axis"), [(0, 1), (90, 0)])
+    def test_over_the_edge_of_a_pad_the_craft_is_tilted_away_from_it(self, yaw_deg, axis):
+        """The pad's edge is just beyond the hubs at both sides: one of the others, behind or at the left, is over the pad."""
         top, edge = 1.0, 0.01
-        craft = Craft(perfect(ground_effect=GroundEffect()), (0, 0, top + 0.25), pad_at=(edge - 0.45, 0, top))
+        craft = Craft(perfect(ground_effect=GroundEffect()), (0, 0, top + 0.25), (edge - 0.45, 0, top), yaw_deg)
         craft.plant.advance(20)  # all rays anew
         torque, force = craft.data.qfrc_applied[3:6].copy(), craft.data.qfrc_applied[2]
         craft.close()
         T, on, off = WEIGHT / 4, cheeseman_bennett(0.25 + ROTOR_M) - 1, cheeseman_bennett(top + 0.25 + ROTOR_M) - 1
         side = 0.75 * on + 0.25 * off  # three of the four points of each disc are over the pad
         assert force == pytest.approx(T * (on + off + 2 * side), rel=0.02)
-        assert torque[1] == pytest.approx(ARM * T * (on - off), rel=0.02)  # the nose goes down, away from the pad
-        assert abs(torque[0]) < 1e-3 * torque[1]
+        assert torque[axis] == pytest.approx(ARM * T * (on - off), rel=0.02)  # the nose, or the right, goes down, away from the pad
+        assert abs(torque[1 - axis]) < 1e-3 * torque[axis]
 
 
 class TestDrag:
+    def test_there_is_none_at_rest(self):
+        craft = Craft(perfect(rotor_drag=RotorDrag()))
+        craft.plant.advance(1)
+        force = craft.data.qfrc_applied[:6].copy()
+        craft.close()
+        assert force == pytest.approx(np.zeros(6), abs=1e-9)
+
     def test_a_drift_decays_with_the_mass_over_k_times_the_speeds(self):
         bare = replace(X4, drag_area_m2=0.0)
         craft = Craft(perfect(parameters=bare, rotor_drag=RotorDrag()))

@@ -88,6 +88,7 @@ class TestMechanics:
             compliance = (found.torsion(load + step) - found.torsion(load - step)) / 2e-3
             assert compliance == pytest.approx([1 / stiffness, 0], rel=1e-6)
         assert found.torsion(np.array([25.0, 0])) == pytest.approx([7 / 16000 + 18 / 25000, 0])
+        assert found.torsion(np.array([-60.0, 0])) == pytest.approx([-7 / 16000 - 18 / 25000 - 35 / 29000, 0])
 
     def test_a_constant_stiffness_has_one_stage(self, tmp_path: Path) -> None:
         found = arm(tmp_path, gears=Gears(stiffness_nmprad=(2000, 0))).elastic

@@ -25,12 +25,19 @@ class Craft:
     """A craft at rest at a height [m] over the floor.
 
     Args:
-        robot: with its blocks. xyz: where it hovers at the start [m]. pad_at: centre of a pad .9 m wide [m]; None: nothing but the floor.
+        robot: with its blocks. xyz, yaw_deg: where it hovers at the start [m], and its heading. pad_at: centre of a pad .9 m wide [m];
+            None: nothing but the floor.
     """
 
-    def __init__(self, robot: Quadrotor, xyz: tuple[float, float, float] = (0, 0, 10), pad_at: tuple[float, float, float] | None = None):
+    def __init__(
+        self,
+        robot: Quadrotor,
+        xyz: tuple[float, float, float] = (0, 0, 10),
+        pad_at: tuple[float, float, float] | None = None,
+        yaw_deg: float = 0.0,
+    ):
         scenario = vs.load("quadrotor_hover")
-        self.robot = replace(robot, start=FlightStart(nominal=FlightPose(xyz=xyz)))
+        self.robot = replace(robot, start=FlightStart(nominal=FlightPose(xyz=xyz, yaw_deg=yaw_deg)))
         # The target is put aside: what is below the craft is the floor, or the pad.
         pose = replace(scenario.target.pose, xyz=pad_at or (0.0, 50.0, 0.13))
         target = replace(scenario.target, pose=pose, pad=Pad(side=0.9) if pad_at else None)
