@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -382,17 +382,8 @@ NO_JOINTS = Reading(NONE, NONE)
 class IdealPlant(Plant):
     """T_world_camera <- T_world_camera exp([v] dt), v the camera's twist for the flange twist in force, the setpoint."""
 
-    def __init__(
-        self,
-        parts: SceneDescription,
-        steps_per_frame: int,
-        stage: Scene | None,
-        eye: ImageSensor | None,
-        path: Path | None,
-        order_s: float,
-        interpolator: Interpolator | None,
-    ):
-        super().__init__(parts, steps_per_frame, stage, eye, path, order_s, interpolator)
+    def __init__(self, parts: SceneDescription, *of_plant: Any):
+        super().__init__(parts, *of_plant)
         self._T = parts.start[1]
         self._T_camera_flange = inverse(parts.camera.mount.T)
         self._to_camera = adjoint(self._T_camera_flange)
