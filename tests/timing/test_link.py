@@ -16,6 +16,12 @@ def losses(loss: BurstLoss, n: int = MANY) -> np.ndarray:
     return np.array([loses(k) for k in range(n)])
 
 
+def test_a_run_begins_in_the_state_that_the_chain_has_in_the_long_run():
+    loss = BurstLoss(enter_probability=0.1, leave_probability=0.3)
+    first = [bursty_link(loss, np.random.default_rng(seed))(0) for seed in range(2000)]
+    assert np.mean(first) == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 2000))
+
+
 def bursts(lost: np.ndarray) -> np.ndarray:
     """Lengths of the runs of losses."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
