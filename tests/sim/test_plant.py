@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -191,3 +192,11 @@ class TestSteps:
         assert plant.advance(1)
         plant._stage.data.qvel[:] = 1e12  # pyright: ignore[reportAttributeAccessIssue]
         assert not plant.advance(1)
+
+
+def test_of_further_cameras_without_a_detector_it_knows_the_places_alone():
+    plant, renderer = build_plant(vs.load("arm_stereo").scene)
+    with closing(plant):
+        (other,) = plant.others.values()
+        _, truth = other.capture()
+    assert renderer == "none" and truth.T_world_camera.shape == (4, 4)

@@ -10,7 +10,7 @@ import numpy as np
 
 from vstestbed.camera import Camera, Perspective
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
-from vstestbed.sim.base import OtherEye, Plant, SceneDescription, Viewpoint
+from vstestbed.sim.base import IdealPlant, OtherEye, Plant, SceneDescription, Viewpoint
 from vstestbed.timing.setpoints import Interpolator
 from vstestbed.vision.perturb import Perturbed
 
@@ -57,14 +57,10 @@ def build_plant(
     Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
 
     Args:
+        pictures, others: of the servo camera, and of the further ones by name (`Plant.others`); none where nothing is said.
         sensor_rng, motion_rng: generators of the robot's sensor noise, and of a target's random walk.
-        order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one command to
-            the next; None: at once.
-        pictures, others: of the servo camera, and of the further ones by name (`Plant.others`).
+        order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one command to the next; None: at once.
     """
-    # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
-    from vstestbed.sim.base import IdealPlant
-
     robot, camera, target = scene.robot, scene.camera, scene.target
     steps_per_frame = round(camera.period / scene.step)
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
@@ -73,8 +69,9 @@ def build_plant(
     ideal = robot.body is None
     if ideal and not (pictured or scene.plate_m or may_hide):
         plant: Plant = IdealPlant(scene, steps_per_frame, None, None, path, order_s, interpolator)
-        plant.others = {view.name: _other_eye(plant, view, others[view.name], None) for view in scene.others}
+        plant.others = {view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), None) for view in scene.others}
         return plant, "none"
+    # Here, and in the functions below: a run with the ideal camera and the oracle starts without loading any renderer.
     from vstestbed.sim.scene.scene import Scene
 
     stage = Scene(scene, samples=max(camera.multisampling, *(view.camera.multisampling for view in scene.others), 0))
@@ -87,7 +84,7 @@ def build_plant(
         from vstestbed.sim.plant import MujocoPlant
 
         plant = MujocoPlant(stage, steps_per_frame, eye, pictures.needs_truth, _given(sensor_rng), path, order_s, interpolator)
-    plant.others = {view.name: _other_eye(plant, view, others[view.name], stage) for view in scene.others}
+    plant.others = {view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), stage) for view in scene.others}
     return plant, renderer
 
 
