@@ -14,10 +14,9 @@ from vstestbed.sim import gl_probe as gl
 @pytest.fixture
 def pixel_errors(monkeypatch: pytest.MonkeyPatch):
     """Sets what the check of pixels finds."""
-    import vstestbed.sim.render.pictures
 
     def set_(errors: np.ndarray) -> None:
-        monkeypatch.setattr(vstestbed.sim.render.pictures, "pixel_convention", lambda renderer: (errors, "a renderer"))
+        monkeypatch.setattr(doctor, "pixel_convention", lambda renderer: (errors, "a renderer"))
 
     return set_
 

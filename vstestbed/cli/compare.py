@@ -1,4 +1,4 @@
-"""The command `compare`: scenarios, variations and seeds in parallel. Heavy imports are inside the function."""
+"""The commands `compare`, `suite` and `submit`: runs in parallel, and what they conclude. Heavy imports are inside the functions."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def _summary_text(table: DataFrame, folder: Path) -> str:
     return "\n".join(filter(None, (reached, statistics_text(folder), f"  results   {folder}{opened}")))
 
 
-# The commands `suite` and `submit`: the same tasks for any law. Heavy imports are inside the functions.
+# The commands `suite` and `submit`: the same tasks for any law.
 def suite(
     law: Annotated[
         str | None,

@@ -1,4 +1,4 @@
-"""The interface of a control law, its Command, and the parts that laws share: gains, limits on the twist, defaults."""
+"""The interface of a control law, its Command, and the parts that laws share: gains, limits on the twist, views of a batch."""
 
 from __future__ import annotations
 

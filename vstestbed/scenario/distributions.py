@@ -1,4 +1,4 @@
-"""Distributions of the block `randomise`: fields of a scenario that are drawn anew for each seed."""
+"""The block `randomise`, fields of a scenario that are drawn anew for each seed, and the random streams of a seed."""
 
 from __future__ import annotations
 
@@ -169,8 +169,6 @@ DISTRIBUTIONS = Registry(
 
 # Domain randomisation: the block `randomise`, and clutter, drawn from a scenario's seed.
 # Independent random streams of one seed. Their numbers enter the seed: a new one comes last, or all recorded runs change.
-
-
 START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
 """The start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing, of the calibration of depths, the target's
 random walk, perturbations."""

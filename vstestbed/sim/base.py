@@ -1,4 +1,4 @@
-"""The contract of a plant, between the loop and the simulation (MuJoCo, or the ideal camera), and the simulator's truth."""
+"""The contract of a plant, between the loop and the simulation, the simulator's truth, and the plant that is an ideal camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The physical plant: a robot with inertia, gears and friction in MuJoCo, and its rendered camera."""
+"""The physical plant: a robot with inertia, gears and friction in MuJoCo, and its rendered camera; an arm's linear model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images of a recorded run from any camera, without physics: the log has all poses."""
+"""A recorded run again: images from any camera, since the log has all poses, and the least time that its physics and images take."""
 
 from __future__ import annotations
 

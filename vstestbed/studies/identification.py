@@ -414,7 +414,7 @@ class _Model:
             given |= {**_EXACT, "robot.velocity": {**to_mapping(flow), "sigma_mps": 0.0}}
         if "image" in (law := self._scenario.law).inputs:  # it moves nothing here
             given["law"] = {"kind": "ibvs", "depth": "goal"}
-        elif law.depth.needs_pose and not self._scenario.goal.needs_pose:  # half of the time would be for a pose that nobody reads
+        elif law.depth.needs_pose and not self._scenario.goal.needs_pose:  # a quarter of the time would be for a pose that nobody reads
             given["law.depth"] = "goal"
         given |= {f"camera.{name}": None for name in ("exposure", "stream") if getattr(self._scenario.camera, name) is not None}
         return parse(self._plain, self._scenario.name or "scenario", given)

@@ -1,4 +1,4 @@
-"""The error by which a task is judged: its value at the end of a run, its limit, and who measured it."""
+"""The error by which a task is judged: its value at the end of a run, its limit, who measured it, and what a step is worth by it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every lens, detector and kind of local features must do."""
+"""What every lens, detector, kind of local features, perturbation, metric and monitor must do."""
 
 from __future__ import annotations
 

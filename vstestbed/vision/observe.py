@@ -1,4 +1,4 @@
-"""The observer: from detected pixels to an Observation, with undistorted coordinates, depths, pose and odometry."""
+"""The observer: from detected pixels to an Observation, with undistorted coordinates, depths, pose (of several cameras, too), odometry."""
 
 from __future__ import annotations
 

@@ -13,13 +13,13 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
+from vstestbed.cli.doctor import BALLS, pixel_convention
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.render.pictures import BALLS, pixel_convention
 from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World

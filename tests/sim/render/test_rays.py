@@ -14,6 +14,7 @@ import pytest
 import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.camera import Camera, Catadioptric, Fisheye, Perspective, Picture, SphericalCamera
+from vstestbed.cli.doctor import pixel_convention
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.imaging.sensor import ImageNoise
@@ -22,7 +23,7 @@ from vstestbed.robots.free import FreeStart
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.render.pictures import pixel_convention, servo_renderer
+from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
 from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene

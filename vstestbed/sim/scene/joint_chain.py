@@ -1,4 +1,4 @@
-"""Reads an arm's joints from its MJCF or URDF file into plain numbers, and says what of the file cannot be used."""
+"""Reads an arm's joints from its MJCF or URDF file into plain numbers; says what cannot be used; makes one file of arm and platform."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The visible geoms of a scene as triangles, for viewers that have no MuJoCo."""
+"""The visible geoms of a scene: their groups, and their triangles for viewers that have no MuJoCo."""
 
 from __future__ import annotations
 
