@@ -338,7 +338,7 @@ class LawNode:
             self._rest(stopped)
             return
         why = "" if heard is None else self._answered(*heard)
-        if self._silent_s() >= self.watchdog_s:
+        if self._silent_s() >= self.watchdog_s and not self._stopped:
             self._silent(why)
 
     def _answered(self, message: Message, heard: float) -> str:
@@ -354,7 +354,7 @@ class LawNode:
         if self.servo.controller.before is not before:
             self._fresh = time.monotonic() if self._simulated else heard
         if self._silent_s() >= self.watchdog_s and not cycle.latched:
-            return "; ".join(cycle.notes) or f"the last one was answered after {time.monotonic() - heard:.2g} s"
+            return next(iter(cycle.notes), f"the last one was answered after {time.monotonic() - heard:.2g} s")
         with self._news:  # held while it is sent: a stop comes before it, and then it is not, or after it
             if self._stopped:
                 return ""
@@ -362,7 +362,7 @@ class LawNode:
             self._send(self.servo.sent(cycle.order), self._now())
         self.took_s.append(took_s)
         if cycle.latched:
-            self.stop(cycle.reason)
+            self.stop("; ".join((cycle.reason, *cycle.notes)))
         elif cycle.stopped:
             self._tell(f"rests: {cycle.reason}")
         else:
