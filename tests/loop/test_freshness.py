@@ -205,6 +205,22 @@ def test_a_stop_ends_with_a_new_picture_before_the_task_is_given_up(shown: Any) 
     assert not robot.hears(Message(0.7), TIMEOUT_S + 0.5 * LOST_S).latched  # it begins anew
 
 
+def test_a_law_that_takes_longer_than_its_command_lasts(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the time of arrival is told. A film, whose caller tells none, has time."""
+    robot = Robot(shown)
+    step = type(robot.controller.law).step
+
+    def slow(*given: Any) -> Any:
+        robot.clock.now += TIMEOUT_S + 0.1
+        return step(*given)
+
+    monkeypatch.setattr(type(robot.controller.law), "step", slow)
+    for k in range(3):
+        order = robot.hears(Message(k, k + 0.02))
+        assert order.stopped and not order.latched and order.reason == "the picture was answered after 0.6 s"
+        assert moves(robot.hears(Message(k + 0.5)))
+
+
 def sequences(rng: np.random.Generator) -> Iterator[tuple[Message, float]]:
     """Messages of a driver that does anything, each with the time since the last one [s]."""
     t, now = 0.0, 0.0

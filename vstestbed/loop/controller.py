@@ -176,7 +176,8 @@ class Controller:
     To make one takes up to two seconds in a new process, since it imports what the first step needs; to `reset` it takes a millisecond.
 
     A picture that comes again is no new one: where the last new one is older than a command lasts, by the time of arrival or by the own
-    clock (`clock`, of this machine unless somebody sets another), the robot stops as `without_picture` stops it.
+    clock (`clock`, of this machine unless somebody sets another), the robot stops as `without_picture` stops it. So it does where a step
+    that was told the time of arrival took as long.
 
     goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
     Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
@@ -285,20 +286,26 @@ class Controller:
             if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
                 self.refused += t < self._cycle.t
                 self._stop_if_old(t, arrived, now)
-                assert self._order is not None
                 # Not the cycle's own order: since then, silence may have stopped the robot.
-                return replace(self._cycle, order=copy.deepcopy(self._order), notes=notes)
+                return replace(self._cycle, order=self._in_force(), notes=notes)
             at = t + self.scenario.camera.latency_s if arrived is None else arrived
             came = at, self.clock()
             images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
             shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
             cycle = self.arrive(shot, at, at + self.scenario.timing.command_latency_s, now)
-            # Copies: who reads the cycle may write to its arrays.
-            command, allocation, order = copy.deepcopy((cycle.command, cycle.allocation, cycle.order))
             self._came, self._silent = came, False
+            if arrived is not None:
+                self._stop_if_slow(now)
+            # Copies: who reads the cycle may write to its arrays.
+            command, allocation = copy.deepcopy((cycle.command, cycle.allocation))
             frozen = (FROZEN,) * (self._stillness.for_s >= self._order_s)
-            self._cycle = replace(cycle, command=command, allocation=allocation, order=order, notes=(*notes, *frozen))
+            self._cycle = replace(cycle, command=command, allocation=allocation, order=self._in_force(), notes=(*notes, *frozen))
             return self._cycle
+
+    def _in_force(self) -> Order:
+        """The order in force, in arrays of its own."""
+        assert self._order is not None
+        return copy.deepcopy(self._order)
 
     def _stop_if_old(self, t: float, arrived: float | None, reading: Reading) -> None:
         """Stop the robot where the last new picture is too old, whatever stamps say: by the time of arrival, or by the own clock where
@@ -309,6 +316,14 @@ class Controller:
         now = max(at + self.clock() - by_clock, at if arrived is None else arrived)
         if now - at >= self._order_s or (arrived is not None and arrived - t > self._latest_s):
             self._without(now, reading)
+
+    def _stop_if_slow(self, reading: Reading) -> None:
+        """Stop the robot where the law took so long for a picture that its command would have ended."""
+        assert self._came is not None
+        at, by_clock = self._came
+        took_s = self.clock() - by_clock
+        if took_s >= self._order_s:
+            self.lapsed(at + took_s, reading, f"the picture was answered after {took_s:.2g} s")
 
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law from the next picture on; the states of all parts stay.
@@ -372,11 +387,10 @@ class Controller:
         detected = time.perf_counter()
         basis = s.robot.motion_basis(mount, reading.q)
         self.law_state, command = self.guarded.step(self.law_state, seen, goal, basis)
-        late = t - shot.t > self._latest_s
         own = self._perception.own(seen)
         others_tell = own is not seen or bool(self.law.cameras and not command.rest_reason)
         error = ImageError.of(own, goal, command.rest_reason, others_tell)
-        why = f"pictures arrived {t - shot.t:.2g} s late" if late else self._frozen(shot)
+        why = self._unusable(shot, t)
         blind = command.rest_reason or ("" if others_tell else unseen(seen, goal, error, self._needed)) or why
         blind = blind and blind + detail(s, seen, self._perception.found, self._perception.why)
         moved = self._moved(t, reading, blind, mount)
@@ -386,7 +400,7 @@ class Controller:
             allocation = replace(allocation, twist=np.zeros(6), rates=None)
         order = Order.of(allocation).halted(blind) if rests else Order.of(allocation)
         # stamps that are too old to be true tell no time, either
-        order = self._supervised(t if late else shot.t, blind, order, reading, basis, moved)
+        order = self._supervised(max(shot.t, t - self._latest_s), blind, order, reading, basis, moved)
         self._ordered(t_cmd, order)
         self.before = shot
         self.reference_state, next_goal = s.goal.passed(self.reference_state, error)
@@ -396,8 +410,12 @@ class Controller:
         self.spent["law"] += time.perf_counter() - detected
         return Cycle(FrameTiming(shot.number, shot.t, t_cmd), own, goal, error, command, allocation, order=order)
 
-    def _frozen(self, shot: Exposure) -> str:
-        """Why the camera counts as frozen, and the task is given up; "" while it does not."""
+    def _unusable(self, shot: Exposure, t: float) -> str:
+        """Why the robot must not move by a picture that has come at t [s]: it is late, or the camera is frozen, and the task given up; ""
+        where it may.
+        """
+        if t - shot.t > self._latest_s:
+            return f"pictures arrived {t - shot.t:.2g} s late"
         after_s, before = self.scenario.stop.frozen_after, self.before
         if shot.picture is None or before is None or (self._came is None and after_s == math.inf):
             return ""
@@ -525,14 +543,14 @@ class Controller:
             self.lapsed(began, reading)
         return self.lapsed(t, reading)
 
-    def lapsed(self, t: float, reading: Reading) -> Order:
+    def lapsed(self, t: float, reading: Reading, why: str = NO_PICTURE) -> Order:
         """The same for the time loop, which asks in time."""
         self._silent = True
         mount = self._mount_at(reading.q)
         basis = self.scenario.robot.motion_basis(mount, reading.q)
-        moved = self._moved(t, reading, NO_PICTURE, mount)
-        rest = Order.of(self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)).halted(NO_PICTURE)
-        order = self._supervised(t, NO_PICTURE, rest, reading, basis, moved)
+        moved = self._moved(t, reading, why, mount)
+        rest = Order.of(self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)).halted(why)
+        order = self._supervised(t, why, rest, reading, basis, moved)
         self._ordered(t, order)
         return order
 
