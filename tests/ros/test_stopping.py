@@ -172,9 +172,8 @@ def test_readings_that_stand_still_stop_it(shown, clocks):
     law = Law(shown, clocks)
     for k in range(1, 6):
         assert law.hears(EPOCH + k * PERIOD_S)
-    since, moved = clocks.now, []
-    for k in range(6, 40):
-        moved.append(law.hears(EPOCH + k * PERIOD_S, joints=EPOCH + 0.2) and clocks.now - since)
+    since = clocks.now
+    moved = [law.hears(EPOCH + k * PERIOD_S, joints=EPOCH + 0.2) and clocks.now - since for k in range(6, 40)]
     assert max(moved) <= 1.5 * PERIOD_S and law.node._stopped  # a reading may be so far from a picture
     assert any("are both stamped by one clock?" in words for words in law.said)
 
