@@ -372,6 +372,7 @@ class TestBundled:
             "lost_after_s": 1.0,
             "lost_after_m": 2.0,
             "rest_after_s": 2.0,
+            "frozen_after_s": None,
         }
         assert written["camera"]["width"] == 640
         assert written["detector"]["kind"] == "blobs"

@@ -115,7 +115,8 @@ def _fly(
     if not quiet:
         typer.echo(summary_text(recording, folder, filmed=False), err=True)
         words = f"{len(node.answered_s)} pictures were answered, {median_ms(node.answered_s):.2f} ms after they were sent (median)"
-        typer.echo(f"{words}; at most {node.behind_s:.3f} s behind the clock", err=True)
+        dropped = f"; {node.dropped} commands were dropped: {node.refused}" if node.dropped else ""
+        typer.echo(f"{words}; at most {node.behind_s:.3f} s behind the clock{dropped}", err=True)
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
 
 

@@ -24,7 +24,7 @@ from vstestbed.laws import Command, Law
 from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
 from vstestbed.loop.inputs import Inputs, Readings
-from vstestbed.loop.perception import STILL, OtherCameras, Perception, observer_of
+from vstestbed.loop.perception import STILL, OtherCameras, Perception, Stillness, observer_of
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.allocation import Order
@@ -149,6 +149,7 @@ def _never_found(scenario: Scenario) -> str:
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
 
 
+FROZEN = "the pictures are the same to the byte, although a velocity is ordered: is the camera frozen?"
 REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
@@ -174,6 +175,10 @@ class Controller:
 
     To make one takes up to two seconds in a new process, since it imports what the first step needs; to `reset` it takes a millisecond.
 
+    A picture that comes again is no new one: where the last new one is older than a command lasts, by the time of arrival or by the own
+    clock (`clock`, of this machine unless somebody sets another), the robot stops as `without_picture` stops it. So it does where a step
+    that was told the time of arrival took as long.
+
     goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
     Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
     """
@@ -193,7 +198,8 @@ class Controller:
         inputs = inputs_of(scenario.law)
         self._needs_motion, self._needs_sight, self._needs_robot = "motion" in inputs, "image" in inputs, "robot" in inputs
         self._needs_own_state = "proprioception" in inputs and bool(scenario.robot.proprioception_names)
-        self._latest_s = scenario.timing.latest_s(scenario.camera)
+        self._latest_s, self._order_s = scenario.timing.latest_s(scenario.camera), scenario.timing.order_s(scenario.camera)
+        self.clock: Callable[[], float] = time.monotonic
         self.spent = {"detect": 0.0, "law": 0.0}
         self._busy = threading.Lock()
         self._begin()
@@ -225,6 +231,9 @@ class Controller:
         self.inputs = Inputs(s)
         self._other_inputs = {name: Inputs(eye) for name, eye in s.eyes.items()}
         self._cycle: Cycle | None = None
+        self._came: tuple[float, float] | None = None  # the last new picture that was given to `step`, and the own clock then [s]
+        self._silent = False
+        self._stillness = Stillness()
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -257,8 +266,8 @@ class Controller:
 
         Returns the cycle with its order, due `timing.command_latency_s` later: `stopped` with `reason`, or a velocity, as `setpoint` and as
         `twist`, to which the sender leads with `timing.interpolation` (`setpoints.Profile`). `notes` tell of pictures that came late or
-        twice, or did not come. For a picture that comes twice, or (with `out_of_order` or `camera_clock`) an older one, it is the last
-        cycle again.
+        twice, or did not come, or do not change. For a picture that comes twice, or (with `out_of_order` or `camera_clock`) an older one,
+        it is the last cycle again, with the order in force: a stop once the last new picture is too old.
 
         Raises ParameterError: a picture of another size or kind, a reading of another robot or outside of its joints' ranges, a time that
         goes back, a detector that needs the simulator's truth. Nothing has changed then. SessionError: another thread is in a call.
@@ -276,17 +285,45 @@ class Controller:
             (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
             if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
                 self.refused += t < self._cycle.t
-                assert self._order is not None
-                # Not the cycle's own order: since then, `without_picture` may have stopped the robot.
-                return replace(self._cycle, order=copy.deepcopy(self._order), notes=notes)
+                self._stop_if_old(t, arrived, now)
+                # Not the cycle's own order: since then, silence may have stopped the robot.
+                return replace(self._cycle, order=self._in_force(), notes=notes)
             at = t + self.scenario.camera.latency_s if arrived is None else arrived
+            came = at, self.clock()
             images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
             shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
             cycle = self.arrive(shot, at, at + self.scenario.timing.command_latency_s, now)
+            self._came, self._silent = came, False
+            if arrived is not None:
+                self._stop_if_slow(now)
             # Copies: who reads the cycle may write to its arrays.
-            command, allocation, order = copy.deepcopy((cycle.command, cycle.allocation, cycle.order))
-            self._cycle = replace(cycle, command=command, allocation=allocation, order=order, notes=notes)
+            command, allocation = copy.deepcopy((cycle.command, cycle.allocation))
+            frozen = (FROZEN,) * (self._stillness.for_s >= self._order_s)
+            self._cycle = replace(cycle, command=command, allocation=allocation, order=self._in_force(), notes=(*notes, *frozen))
             return self._cycle
+
+    def _in_force(self) -> Order:
+        """The order in force, in arrays of its own."""
+        assert self._order is not None
+        return copy.deepcopy(self._order)
+
+    def _stop_if_old(self, t: float, arrived: float | None, reading: Reading) -> None:
+        """Stop the robot where the last new picture is too old, whatever stamps say: by the time of arrival, or by the own clock where
+        that has gone further. Who gives a time that stands still has no clock.
+        """
+        assert self._came is not None
+        at, by_clock = self._came
+        now = max(at + self.clock() - by_clock, at if arrived is None else arrived)
+        if now - at >= self._order_s or (arrived is not None and arrived - t > self._latest_s):
+            self._without(now, reading)
+
+    def _stop_if_slow(self, reading: Reading) -> None:
+        """Stop the robot where the law took so long for a picture that its command would have ended."""
+        assert self._came is not None
+        at, by_clock = self._came
+        took_s = self.clock() - by_clock
+        if took_s >= self._order_s:
+            self.lapsed(at + took_s, reading, f"the picture was answered after {took_s:.2g} s")
 
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law from the next picture on; the states of all parts stay.
@@ -350,20 +387,20 @@ class Controller:
         detected = time.perf_counter()
         basis = s.robot.motion_basis(mount, reading.q)
         self.law_state, command = self.guarded.step(self.law_state, seen, goal, basis)
-        late = t - shot.t > self._latest_s
         own = self._perception.own(seen)
         others_tell = own is not seen or bool(self.law.cameras and not command.rest_reason)
         error = ImageError.of(own, goal, command.rest_reason, others_tell)
-        why = f"pictures arrived {t - shot.t:.2g} s late" if late else ""
+        why = self._unusable(shot, t)
         blind = command.rest_reason or ("" if others_tell else unseen(seen, goal, error, self._needed)) or why
         blind = blind and blind + detail(s, seen, self._perception.found, self._perception.why)
         moved = self._moved(t, reading, blind, mount)
         allocation = self._allocate(command, reading, mount)
-        rests = late or bool(command.rest_reason and not command.twist.any() and not command.free)
+        rests = bool(why) or bool(command.rest_reason and not command.twist.any() and not command.free)
         if rests:
             allocation = replace(allocation, twist=np.zeros(6), rates=None)
         order = Order.of(allocation).halted(blind) if rests else Order.of(allocation)
-        order = self._supervised(shot.t, blind, order, reading, basis, moved)
+        # stamps that are too old to be true tell no time, either
+        order = self._supervised(max(shot.t, t - self._latest_s), blind, order, reading, basis, moved)
         self._ordered(t_cmd, order)
         self.before = shot
         self.reference_state, next_goal = s.goal.passed(self.reference_state, error)
@@ -372,6 +409,27 @@ class Controller:
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
         return Cycle(FrameTiming(shot.number, shot.t, t_cmd), own, goal, error, command, allocation, order=order)
+
+    def _unusable(self, shot: Exposure, t: float) -> str:
+        """Why the robot must not move by a picture that has come at t [s]: it is late, or the camera is frozen, and the task given up; ""
+        where it may.
+        """
+        if t - shot.t > self._latest_s:
+            return f"pictures arrived {t - shot.t:.2g} s late"
+        after_s, before = self.scenario.stop.frozen_after, self.before
+        if shot.picture is None or before is None or (self._came is None and after_s == math.inf):
+            return ""
+        since = shot.t - before.t
+        if self._came is not None:
+            since = max(since, self.clock() - self._came[1])
+        moves = bool((self.ordered.displacement(shot.t) != self.ordered.displacement(before.t)).any())
+        self._stillness.add(shot.picture, since, moves)
+        if self._stillness.for_s + 1e-9 < after_s:
+            return ""
+        words = f"the pictures were the same to the byte for {after_s:g} s, although a velocity was ordered: the camera is frozen"
+        if not self.supervisor.aborted:
+            self.supervisor.abort(shot.t, Outcome.target_lost, words)
+        return words
 
     def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation, Order]:
         """Another command in place of the law's in the last cycle: as it reads, within the robot's limits, and what the robot is told.
@@ -477,15 +535,22 @@ class Controller:
         A robot stops, and a craft holds; after `stop.lost_after_s` its supervisor gives the task up. Errors: as of `step`.
         """
         with self._alone():
-            return self.lapsed(self.inputs.now(t), self.inputs.reading(reading))
+            return self._without(self.inputs.now(t), self.inputs.reading(reading))
 
-    def lapsed(self, t: float, reading: Reading) -> Order:
-        """The same, of what has been checked."""
+    def _without(self, t: float, reading: Reading) -> Order:
+        """The same of what has been checked. The silence has begun when the last order ended, whenever somebody asks."""
+        if self._came is not None and not self._silent and (began := self._came[0] + self._order_s) < t:
+            self.lapsed(began, reading)
+        return self.lapsed(t, reading)
+
+    def lapsed(self, t: float, reading: Reading, why: str = NO_PICTURE) -> Order:
+        """The same for the time loop, which asks in time."""
+        self._silent = True
         mount = self._mount_at(reading.q)
         basis = self.scenario.robot.motion_basis(mount, reading.q)
-        moved = self._moved(t, reading, NO_PICTURE, mount)
-        rest = Order.of(self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)).halted(NO_PICTURE)
-        order = self._supervised(t, NO_PICTURE, rest, reading, basis, moved)
+        moved = self._moved(t, reading, why, mount)
+        rest = Order.of(self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)).halted(why)
+        order = self._supervised(t, why, rest, reading, basis, moved)
         self._ordered(t, order)
         return order
 

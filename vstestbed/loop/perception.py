@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vstestbed.camera import Regions
+from vstestbed.camera import Picture, Regions
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observation
 from vstestbed.laws.base import inputs_of
@@ -61,6 +62,28 @@ def _observer_of(eye: OtherCamera) -> Observer:
         depth_scale=eye.depth_scale,
         perturbed=perturbed if perturbed and perturbed.on_pixels else None,
     )
+
+
+class Stillness:
+    """For how long a camera's pictures have been the same to the byte while a velocity was in force [s], `for_s`: it may be frozen.
+    Pictures of a robot at rest may be the same in simulation, where nothing is noisy.
+    """
+
+    def __init__(self) -> None:
+        self.for_s = 0.0
+        self._checksum = -1
+
+    def add(self, picture: Picture, since_s: float, moves: bool) -> None:
+        """One more picture, so long after the last one [s]. moves: whether a velocity was in force between both."""
+        before, found = self._checksum, 0
+        for image in picture.images:
+            if image is not None:
+                found = zlib.crc32(np.ascontiguousarray(image), found)
+        self._checksum = found
+        if found != before:
+            self.for_s = 0.0
+        elif moves:
+            self.for_s += since_s
 
 
 class Perception:

@@ -251,6 +251,7 @@ def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> list[Fe
         event = waiting.pop(0)
         began, stamp = time.perf_counter(), time_of(event.message)
         late = event.arrived - stamp  # by another clock it says nothing
+        servo.controller.clock = lambda: event.arrived  # the recorder's, so that a repeated picture is as old as it was
         cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None)
         took, reading = 1e3 * (time.perf_counter() - began), servo.senses.at(stamp)
         done.append(Fed(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan)))

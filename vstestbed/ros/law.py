@@ -12,13 +12,15 @@ from typing import TypeVar
 
 import numpy as np
 
+from vstestbed.camera import DepthImage
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.loop.controller import Controller
+from vstestbed.loop.controller import FROZEN, Controller
 from vstestbed.loop.ego_motion import mount_at
 from vstestbed.robots import Mount, Order, Reading, Robot
 from vstestbed.ros.link import Link
 from vstestbed.ros.messages import (
+    CLOCK,
     COMPRESSED,
     IMAGE,
     OPTICAL,
@@ -41,6 +43,7 @@ REMEMBERED = 400  # readings of each topic, two seconds of joints at 200 Hz
 WALL_S = 3600.0  # stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
 WAIT_S = 1.0  # for how long a picture waits for the reading of its exposure, unless the next picture comes first [s]
 RESTART_S = 5.0  # a clock that goes back by more has begun anew [s]
+SET_CLOCKS = "set the clocks of both machines by NTP"
 LATE = 1.5  # a reading this many camera periods away from a picture's exposure is none of it
 
 
@@ -58,6 +61,14 @@ def command_frame(scenario: Scenario) -> str:
 def sent(scenario: Scenario, mount: Mount, order: Order, q: Array) -> Array:
     """The twist (6,) of an order in the frame in which twists are sent; of a robot whose joints are at q."""
     return order.twist if command_frame(scenario) == OPTICAL else mount_at(scenario, mount, q).to_flange @ order.twist
+
+
+def watchdog_of(scenario: Scenario, given: float | None) -> float:
+    """The time without the other side after which a node rests [s]; by default for as long as an order lasts. ParameterError: no time."""
+    watchdog_s = given or scenario.timing.order_s(scenario.camera)
+    if not 0 < watchdog_s < math.inf:
+        raise ParameterError.bound("--watchdog", ">", "0 s, and finite", given)
+    return watchdog_s
 
 
 Heard = TypeVar("Heard")
@@ -148,6 +159,7 @@ class Feed:
         self.controller = Controller(scenario)
         self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
         self.mount = Mount.of(scenario.believed_camera.mount.T)
+        self._order_s = scenario.timing.order_s(scenario.camera)
         self.began: float | None = None
         self.by_wall = False
         self.depth: Message | None = None
@@ -164,13 +176,27 @@ class Feed:
         stamp = time_of(message)
         picture = picture_of(message)
         given = self.senses.at(stamp), self.senses.at()
-        depth = None if self.depth is None else depth_of(self.depth)
+        depth = None if self.depth is None else self._depth_at(stamp, self.depth)
         if self.began is None:
-            self.began, self.by_wall = stamp, self._live and abs(time.time() - stamp) < WALL_S
+            self.by_wall = self._live and abs(time.time() - stamp) < WALL_S
         if arrived is None and self.by_wall:
-            arrived = time.time()
+            arrived = self._arrived(stamp)
+        if self.began is None:
+            self.began = stamp
         now = None if arrived is None else max(arrived, stamp) - self.began
         return self.controller.step(picture, stamp - self.began, given, now, depth=depth)
+
+    def _arrived(self, stamp: float) -> float:
+        """When a picture comes that is stamped by this machine's clock [s]. ParameterError: its stamp is far ahead, and tells no age."""
+        now = time.time()
+        if stamp - now > self._order_s:
+            raise ParameterError(f"the picture's stamp is {stamp - now:.3g} s ahead of this machine's clock; {SET_CLOCKS}")
+        return now
+
+    def _depth_at(self, stamp: float, message: Message) -> DepthImage:
+        if abs(time_of(message) - stamp) > self._order_s:
+            raise ParameterError("depth", f"is of {time_of(message):.3f} s, and the picture of {stamp:.3f} s")
+        return depth_of(message)
 
     def silent(self, elapsed_s: float) -> Order:
         """The order so long after the last picture [s]."""
@@ -187,16 +213,19 @@ class LawNode:
     """The node: it serves `~/start`, `~/stop` and `~/reset`, and says in `~/status` what it does. A stop is latched: no twist but zero
     leaves it until `~/start`, whatever it sees.
 
-    link: to the others. watchdog_s: wall time without a picture after which zero is sent [s]; by default for as long as an order lasts.
+    link: to the others. watchdog_s: wall time without a new picture after which zero is sent [s]; by default for as long as an order lasts.
     started: servo at once; else with `~/start`.
     """
 
     def __init__(self, scenario: Scenario, link: Link, watchdog_s: float | None = None, started: bool = False):
         self.servo, self.link, self.scenario = Feed(scenario), link, scenario
-        self.watchdog_s = watchdog_s or scenario.timing.order_s(scenario.camera)
+        self.watchdog_s = watchdog_of(scenario, watchdog_s)
         self._stopped = "" if started else "not started"
         self._asked_to_reset = self._moved = False  # moved: it has sent a twist since it was reset
-        self._picture: Message | None = None
+        self._picture: tuple[Message, float] | None = None  # with the time at which it was heard
+        self._fresh = time.monotonic()  # when the last new picture was heard
+        self._moves = self._spins = False  # moves: the twist in force is none of rest
+        self._simulated = False  # by `/clock`: time passes while the robot waits for the law
         self._news = threading.Condition()
         self._status = ""
         self.took_s: list[float] = []
@@ -204,6 +233,7 @@ class LawNode:
             link.subscribe(name, kind, lambda message, name=name: self._sensed(name, message))
         for name, kind in (("/vstestbed_robot/image_raw", IMAGE), ("/vstestbed_robot/image_raw/compressed", COMPRESSED)):
             link.subscribe(name, kind, self._seen)
+        link.subscribe("/clock", CLOCK, self._ticked)
         if scenario.law.depth.measured:
             link.subscribe("/vstestbed_robot/depth", IMAGE, self._deep)
         for name, answer in (("start", self.start), ("stop", self.stop), ("reset", self.reset)):
@@ -216,8 +246,11 @@ class LawNode:
 
     def _seen(self, message: Message) -> None:
         with self._news:
-            self._picture = message  # the newest: one that the law had no time for is past
+            self._picture = message, time.monotonic()  # the newest: one that the law had no time for is past
             self._news.notify()
+
+    def _ticked(self, message: Message) -> None:
+        self._simulated = abs(message.clock.sec - time.time()) > WALL_S
 
     def _deep(self, message: Message) -> None:
         self.servo.depth = message
@@ -251,6 +284,7 @@ class LawNode:
         self._tell(f"stopped: {why}")
 
     def _send(self, v: Array, t: float) -> None:
+        self._moves = bool(v.any())
         self.link.publish(command_topic(self.scenario), twist(t, v, command_frame(self.scenario)))
 
     def _tell(self, words: str) -> None:
@@ -268,48 +302,72 @@ class LawNode:
 
     def spin(self, ended: threading.Event) -> None:
         """Servo until `ended`; then, and whatever happens, send zero and say that it has stopped."""
+        self._fresh, self._spins = time.monotonic(), True
+        threading.Thread(target=self._watch, daemon=True).start()
         try:
-            last = time.monotonic()
             while not ended.is_set():
-                last = self._turn(last)
+                self._turn()
         finally:
+            self._spins = False
             for _ in range(3):  # one may be lost
                 self._rest("the node has ended")
 
-    def _turn(self, last: float) -> float:
-        """Wait for a picture with its reading, and answer it; the time at which the last one came [s]."""
+    def _watch(self) -> None:
+        """Stop the robot where its order is too old while the law is still at work on the next one."""
+        while self._spins:
+            time.sleep(min(self.watchdog_s, 0.1) / 4)
+            with self._news:
+                if self._moves and not self._simulated and self._silent_s() >= self.watchdog_s:
+                    self._rest(f"no new order for over {self.watchdog_s:g} s")
+
+    def _silent_s(self) -> float:
+        """For how long no new picture has been heard [s], by this machine's clock that no one sets."""
+        return time.monotonic() - self._fresh
+
+    def _turn(self) -> None:
+        """Wait for a picture with its reading, and answer it; without a new one for too long, stop."""
         with self._news:
             self._news.wait_for(lambda: self._picture is not None, timeout=min(self.watchdog_s, 0.1))
-            message, self._picture = self._picture, None
+            heard, self._picture = self._picture, None
             stopped = self._stopped
             if self._asked_to_reset:
                 self._asked_to_reset = False
                 self.servo.reset()
         if stopped:
+            self._fresh = time.monotonic()
             self._rest(stopped)
-            return time.monotonic()
-        if message is None:
-            if time.monotonic() - last >= self.watchdog_s:
-                self._silent(time.monotonic() - last)
-            return last
+            return
+        why = "" if heard is None else self._answered(*heard)
+        if self._silent_s() >= self.watchdog_s and not self._stopped:
+            self._silent(why)
+
+    def _answered(self, message: Message, heard: float) -> str:
+        """Answer a picture that was heard at a time of the own clock [s]; why the robot does not move by it, or ""."""
         self._wait_for_reading(time_of(message))
-        began = time.perf_counter()
+        began, before = time.perf_counter(), self.servo.controller.before
         try:
             cycle = self.servo.step(message)
         except ParameterError as error:
             self._rest(str(error))
-            return time.monotonic()
+            return str(error)
+        took_s = time.perf_counter() - began
+        if self.servo.controller.before is not before:
+            self._fresh = time.monotonic() if self._simulated else heard
+        if self._silent_s() >= self.watchdog_s and not cycle.latched:
+            return next(iter(cycle.notes), f"the last one was answered after {time.monotonic() - heard:.2g} s")
         with self._news:  # held while it is sent: a stop comes before it, and then it is not, or after it
             if self._stopped:
-                return time.monotonic()
+                return ""
             self._moved = True
             self._send(self.servo.sent(cycle.order), self._now())
-        self.took_s.append(time.perf_counter() - began)
+        self.took_s.append(took_s)
         if cycle.latched:
-            self.stop(cycle.reason)
+            self.stop("; ".join((cycle.reason, *cycle.notes)))
+        elif cycle.stopped:
+            self._tell(f"rests: {cycle.reason}")
         else:
-            self._tell(f"rests: {cycle.reason}" if cycle.stopped else "servoing")
-        return time.monotonic()
+            self._tell(": ".join(("servoing", *({FROZEN} & {*cycle.notes}))))
+        return ""
 
     def _wait_for_reading(self, stamp: float) -> None:
         """Until the robot's readings of an exposure have come, or the next picture."""
@@ -319,17 +377,20 @@ class LawNode:
                 lambda: self.servo.senses.until(stamp) or self._picture is not None, timeout=max(0.0, end - time.monotonic())
             )
 
-    def _silent(self, elapsed_s: float) -> None:
-        words = f"no picture for over {self.watchdog_s:g} s"
+    def _silent(self, why: str) -> None:
+        """No new picture for too long: rest, and after `stop.lost_after_s` stop. why: of pictures that came and are none to move by."""
         if self.servo.controller.before is None:
-            return self._rest("waits for pictures")
+            self._rest(why or "waits for pictures")
+            return
+        words = f"no {'new ' if why else ''}picture for over {self.watchdog_s:g} s{': ' if why else ''}{why}"
         try:
-            order = self.servo.silent(elapsed_s)
+            order = self.servo.silent(self._silent_s())
         except ParameterError as error:
-            return self._rest(f"{words}; {error}")
+            self._rest(f"{words}; {error}")
+            return
+        self._rest(words)
         if order.latched:
-            self.stop(order.reason)
-        return self._rest(words)
+            self.stop(f"{order.reason}; {words}")
 
 
 def median_ms(seconds: list[float]) -> float:

@@ -19,7 +19,7 @@ from vstestbed.loop.ego_motion import mount_at
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.robots import Mount, Reading
-from vstestbed.ros.law import command_frame, command_topic
+from vstestbed.ros.law import SET_CLOCKS, command_frame, command_topic, watchdog_of
 from vstestbed.ros.link import Link
 from vstestbed.ros.messages import (
     OPTICAL,
@@ -35,6 +35,7 @@ from vstestbed.ros.messages import (
     image,
     pose,
     readings,
+    text,
     time_of,
     transforms,
     twist,
@@ -45,6 +46,7 @@ from vstestbed.tasks.frame import Frame
 
 Pace = Literal["lockstep", "wall"]
 AGAIN_S = 0.01  # after so long without an answer readings are told again [s]
+FASTEST = 1e6  # a faster twist is a mistake, and squares of its numbers could be infinite [m/s, rad/s]
 
 
 class Voice:
@@ -117,7 +119,7 @@ class RobotNode:
         check_scenario(scenario)
         self.scenario, self.link, self._pace, self._truth = scenario.resolved, link, pace, truth
         self._voice, self._record = Voice(self.scenario, link, truth), record
-        self.watchdog_s = watchdog_s or self.scenario.timing.order_s(self.scenario.camera)
+        self.watchdog_s = watchdog_of(self.scenario, watchdog_s)
         self._news = threading.Condition()
         self._command: tuple[float, Array, float] | None = None  # stamp, twist of the camera, when it came
         self._stopped = False
@@ -127,6 +129,7 @@ class RobotNode:
         self.answered_s: list[float] = []  # from a picture's sending to its command
         self.behind_s = 0.0  # at most, of simulated behind wall time
         self.refused = ""
+        self.dropped = 0  # commands, by their stamps
         self.ended = ended or threading.Event()
         link.subscribe(command_topic(scenario), TWIST, self._hear)
         link.serve("~/stop", self.stop)
@@ -152,16 +155,41 @@ class RobotNode:
             if frame not in (OPTICAL, body_frame(self.scenario.robot), ""):
                 words = f"is in the frame {frame}; works: {OPTICAL} or {body_frame(self.scenario.robot)}"
                 raise ParameterError("twist", words)
+            if np.abs(v).max() > FASTEST:
+                raise ParameterError.bound("twist", "at most", f"{FASTEST:g} m/s and rad/s", v.tolist())
         except ParameterError as error:
-            if self.refused != str(error):
-                self.refused = str(error)
-                logging.getLogger("vstestbed").warning("%s", error)
+            self._refuse(str(error))
+            return
+        age_s = self._age_s(message)
+        if v.any() and self._drops(age_s):  # a rest is obeyed, whenever it was ordered
             return
         with self._news:
             in_camera = frame == OPTICAL or (not frame and command_frame(self.scenario) == OPTICAL)
             self._heard, self._as_told = True, (v, frame)
-            self._command = time_of(message), v if in_camera else self._of_body(v), time.monotonic()
+            self._command = time_of(message), v if in_camera else self._of_body(v), time.monotonic() - max(age_s, 0.0)
             self._news.notify()
+
+    def _age_s(self, message: Message) -> float:
+        """How old a command is by its stamp [s]; 0 where it has none, or time is simulated."""
+        stamp = time_of(message)
+        return time.time() - stamp if self._pace == "wall" and stamp else 0.0
+
+    def _drops(self, age_s: float) -> bool:
+        """Whether a command is not obeyed, by its age [s]; said once of clocks that differ."""
+        if abs(age_s) <= self.scenario.timing.order_s(self.scenario.camera):
+            return False
+        self.dropped += 1
+        side = f"s {'behind' if age_s > 0 else 'ahead of'} this clock"
+        if side not in self.refused:
+            self._refuse(f"the commands' stamps are {abs(age_s):.3g} {side}: they are dropped; {SET_CLOCKS}")
+        return True
+
+    def _refuse(self, words: str) -> None:
+        """Tell once why commands move nothing."""
+        if self.refused != words:
+            self.refused = words
+            self.link.publish("~/status", text(words))
+            logging.getLogger("vstestbed").warning("%s", words)
 
     def _of_body(self, v: Array) -> Array:
         """The camera's twist of one of the flange or the base."""
@@ -201,7 +229,7 @@ class RobotNode:
         logging.getLogger("vstestbed").warning("waits for commands on %s", self.link.name(command_topic(self.scenario)))
         while not (self._heard or self.ended.is_set()):
             with self._news:
-                self._news.wait(0.5)
+                self._news.wait(self.watchdog_s / 2)  # before the law takes the same picture for silence
             if not self._heard:
                 self._voice.frame(episode, frame)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from vstestbed.core.quantity import Duration, PositiveAngle, PositiveGrey, PositiveLength, PositivePixels, Time
+from vstestbed.core.quantity import Duration, PositiveAngle, PositiveGrey, PositiveLength, PositivePixels, PositiveTime, Time
 from vstestbed.core.spec import spec
 
 
@@ -68,6 +68,8 @@ class Stop:
         lost_after_m: longest way of the camera without sight of the target, by the robot's own sensors (dead reckoning, or a law that
             coasts) [m]; then the robot stops; None: it goes on for any way. Where both are None, a camera behind its target goes on, too.
         rest_after_s: how long a commanded rest away from the goal lasts until the run ends as `local_minimum` [s]; None: it never ends so.
+        frozen_after_s: how long pictures may be the same to the byte while a velocity is ordered, until the camera counts as frozen and the
+            robot stops (`target_lost`) [s]; None: a real camera's are told in the cycle's notes, and end nothing; e.g. `1`.
     """
 
     duration_s: Duration = 30.0
@@ -75,11 +77,17 @@ class Stop:
     lost_after_s: Time | None = 1.0
     lost_after_m: PositiveLength | None = 2.0
     rest_after_s: Time | None = 2.0
+    frozen_after_s: PositiveTime | None = None
 
     @property
     def lost_after(self) -> tuple[float, float]:
         """The time [s] and the way [m] after which a target that is out of sight is lost; inf: never."""
         return _or_never(self.lost_after_s), _or_never(self.lost_after_m)
+
+    @property
+    def frozen_after(self) -> float:
+        """How long pictures may be the same while a velocity is ordered [s]; inf: for ever."""
+        return _or_never(self.frozen_after_s)
 
     @property
     def rest_after(self) -> float:

@@ -1,0 +1,425 @@
+"""Nodes that must stop: the law by the age of its last new picture, whatever stamps say; the robot by the age of its commands."""
+
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from tests.loop.test_freshness import LOST_S, PERIOD_S, SETTINGS, TIMEOUT_S
+from tests.ros.test_nodes import Wire, spun
+from vstestbed.core.errors import ParameterError
+from vstestbed.loop.controller import FROZEN
+from vstestbed.ros import law, robot
+from vstestbed.ros import messages as m
+from vstestbed.ros.law import LawNode
+from vstestbed.ros.robot import RobotNode
+
+EPOCH = 1.8e9
+"""The wall clock's time at the begin [s]."""
+
+
+class Clocks:
+    """What a node takes for the module `time`: both clocks of its machine, which go on where a test says so."""
+
+    perf_counter, sleep = time.perf_counter, time.sleep
+
+    def __init__(self):
+        self.now, self.set_by = 5e5, 0.0
+
+    def monotonic(self):
+        return self.now
+
+    def time(self):
+        """By NTP it may be set."""
+        return EPOCH + self.now - 5e5 + self.set_by
+
+
+@pytest.fixture
+def clocks(monkeypatch):
+    made = Clocks()
+    monkeypatch.setattr(law, "time", made)
+    monkeypatch.setattr(robot, "time", made)
+    monkeypatch.setattr(law, "WAIT_S", 0.0)  # readings come before their pictures, or not at all
+    return made
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """A scenario, the picture of its start, and the reading there."""
+    scenario = vs.load("arm_ibvs", SETTINGS)
+    with vs.Session(scenario, pictures=True) as session:
+        frame = session.reset()
+        return scenario, frame.image.copy(), vs.Reading(frame.truth.q, np.zeros(6))
+
+
+class Law:
+    """A law's node whose turns a test takes, a picture at a time. joints: whether readings are told with the pictures' stamps."""
+
+    def __init__(self, shown, clocks, **given):
+        self.scenario, self.image, self.reading = shown
+        self.clocks, self.wire, self.count = clocks, Wire("vstestbed_robot"), 0
+        self.node = LawNode(self.scenario, Wire("vstestbed_law", self.wire), started=True, **given)
+        self.node.servo.controller.clock = clocks.monotonic
+        self.node._fresh = clocks.monotonic()
+
+    def hears(self, stamp, after_s=PERIOD_S, new=True, joints=None):
+        """Whether the robot is ordered to move after one more picture."""
+        self.clocks.now += after_s
+        self.tells(stamp if joints is None else joints)
+        image = self.image.copy()
+        self.count += new
+        image[0, 0] = self.count % 251
+        self.wire.publish("~/image_raw", m.image(stamp, image))
+        self.node._turn()
+        return self.moves
+
+    def tells(self, stamp):
+        """The joints."""
+        for topic, message in m.readings(stamp, self.scenario.robot, self.reading).items():
+            self.wire.publish(topic, message)
+
+    @property
+    def moves(self):
+        sent = self.wire.twists()
+        return bool(sent) and bool(sent[-1].any())
+
+    @property
+    def said(self):
+        return [message.data for topic, message in self.wire.shared["said"] if topic == "/vstestbed_law/status"]
+
+
+WALL = {  # stamps of this machine's clock; now: since the begin, when five right pictures have come
+    "frozen": lambda now: EPOCH + 0.2,
+    "zero": lambda now: 0.0,
+    "the last two in turn": lambda now: EPOCH + (0.2 if round(now / PERIOD_S) % 2 else 0.16),
+    "backwards": lambda now: EPOCH + 0.4 - now,
+    "far future": lambda now: EPOCH + 3000.0,
+    "far future once, then right": lambda now: EPOCH + (3000.0 if now < 0.25 else 0.2),
+    "the future, going on": lambda now: EPOCH + 60.0 + now,
+    "the end of time": lambda now: 2.0**31 - 1,
+    "an old queue": lambda now: EPOCH + 0.2 + 0.01 * (now - 0.2),
+    "an old queue at once": lambda now: EPOCH + now - 60.0,
+    "creeping": lambda now: EPOCH + 0.2 + 1e-6 * (now - 0.2),
+}
+OTHER = {  # of another clock, such as one since the camera was switched on
+    "zero from the begin": lambda now: 0.0,
+    "frozen": lambda now: 100.2,
+    "the last two in turn": lambda now: 100.0 + (0.2 if round(now / PERIOD_S) % 2 else 0.16),
+    "backwards": lambda now: 100.4 - now,
+    "far future once, then frozen": lambda now: 1e6,
+    "far future once, then right": lambda now: 1e6 if now < 0.25 else 100.0 + now,
+}
+RUNS = [(EPOCH, name, pattern) for name, pattern in WALL.items()] + [(100.0, name, pattern) for name, pattern in OTHER.items()]
+
+
+@pytest.mark.parametrize(("begin", "name", "pattern"), RUNS, ids=[f"{begin:g} {name}" for begin, name, _ in RUNS])
+@pytest.mark.parametrize("after_s", [0.04, 0.011])
+def test_whatever_stamps_say_the_law_stops_the_robot_and_stays_stopped(shown, clocks, begin, name, pattern, after_s):
+    law, begun = Law(shown, clocks), clocks.now
+    first = [law.hears(0.0 if "from the begin" in name else begin + k * PERIOD_S) for k in range(1, 6)]
+    assert all(first)
+    right_until = begun + PERIOD_S if "from the begin" in name else clocks.now
+    # one stamp of the future is a new picture, where stamps are of another clock
+    last = right_until + (PERIOD_S if "once" in name and begin == 100.0 else 0.0)
+    while clocks.now < last + TIMEOUT_S + LOST_S + 3 * PERIOD_S:
+        moves = law.hears(pattern(clocks.now - begun + after_s), after_s)
+        assert not moves or clocks.now < last + TIMEOUT_S, (clocks.now - last, law.said)
+    assert law.node._stopped, law.said
+    for k in range(3):
+        assert not law.hears(EPOCH + clocks.now - begun + 1e7 + k)  # nothing but `~/start` ends it
+    assert law.node.start() == (True, "servoing")
+    stamp = clocks.time() + PERIOD_S
+    assert law.hears(stamp) and law.hears(stamp + PERIOD_S)
+
+
+def test_a_driver_that_sends_each_picture_several_times_is_followed(shown, clocks):
+    law = Law(shown, clocks)
+    assert all(law.hears(EPOCH + k // 4 * PERIOD_S, PERIOD_S / 4) for k in range(4, 120))
+    assert law.said[-1] == "servoing"
+
+
+def test_the_status_says_why(shown, clocks):
+    law = Law(shown, clocks)
+    for stamp in (EPOCH + 0.04, *[EPOCH + 0.08] * 40):
+        law.hears(stamp)
+    again = "the picture of 0.04 s came again"
+    assert law.said[:2] == ["servoing", f"stopped: no new picture for over 0.5 s: {again}"]
+    assert law.said[2].startswith(f"stopped: no picture arrived for 0.2 s; {again}; the picture is 0.7") and len(law.said) == 3
+    law = Law(shown, clocks)
+    law.hears(clocks.time() + 100.0)
+    assert law.said[-1] == "stopped: the picture's stamp is 100 s ahead of this machine's clock; set the clocks of both machines by NTP"
+
+
+@pytest.mark.parametrize("jump_s", [-100.0, -1.0, 1.0, 100.0, 1e6])
+def test_a_clock_that_is_set_moves_nothing_for_longer(shown, clocks, jump_s):
+    """The law's machine alone is set: stamps are far ahead or far behind. Then the camera stands."""
+    law = Law(shown, clocks)
+    for k in range(1, 6):
+        assert law.hears(EPOCH + k * PERIOD_S)
+    clocks.set_by = jump_s
+    for k in range(6, 18):
+        law.hears(EPOCH + k * PERIOD_S)
+    since = clocks.now
+    while clocks.now < since + TIMEOUT_S + LOST_S + PERIOD_S:
+        assert not law.hears(EPOCH + 18 * PERIOD_S) or clocks.now < since + TIMEOUT_S
+    assert law.node._stopped
+
+
+def test_readings_that_stand_still_stop_it(shown, clocks):
+    law = Law(shown, clocks)
+    for k in range(1, 6):
+        assert law.hears(EPOCH + k * PERIOD_S)
+    since = clocks.now
+    moved = [law.hears(EPOCH + k * PERIOD_S, joints=EPOCH + 0.2) and clocks.now - since for k in range(6, 40)]
+    assert max(moved) <= 1.5 * PERIOD_S and law.node._stopped  # a reading may be so far from a picture
+    assert any("are both stamped by one clock?" in words for words in law.said)
+
+
+def test_no_turn_after_a_law_that_took_too_long_moves_it(shown, clocks, monkeypatch):
+    law = Law(shown, clocks)
+    step = law.node.servo.controller.law.step
+
+    def slow(*given):
+        clocks.now += TIMEOUT_S + 0.1
+        return step(*given)
+
+    monkeypatch.setattr(type(law.node.servo.controller.law), "step", lambda self, *given: slow(*given))
+    assert not any(law.hears(clocks.time() + PERIOD_S) for _ in range(5))
+    assert any("the last one was answered after 0.6 s" in words for words in law.said)
+    law.node._ticked(m.clock(3.0))  # time is simulated: it stands while the law is at work
+    assert law.hears(EPOCH + 1000.0) or "ahead" in law.said[-1]
+
+
+def test_a_picture_that_has_waited_is_old(shown, clocks):
+    """It was heard while the law was at work, and then no other."""
+    law = Law(shown, clocks)
+    assert law.hears(100.0)
+    law.tells(100.04)
+    law.wire.publish("~/image_raw", m.image(100.04, law.image))
+    clocks.now += TIMEOUT_S + 0.01
+    law.node._turn()
+    assert not law.moves
+
+
+def test_pictures_that_do_not_change_are_told_in_the_status(shown, clocks):
+    law = Law(shown, clocks)
+    assert all(law.hears(EPOCH + k * PERIOD_S, new=False) for k in range(1, 30))
+    assert law.said == ["servoing", f"servoing: {FROZEN}"]
+
+
+def test_a_depth_picture_of_another_time_is_none(shown, clocks):
+    scenario, *others = shown
+    scenario = vs.load("arm_ibvs", SETTINGS | {"camera.depth_sensor": "ideal", "law.depth": "sensor"})
+    law = Law((scenario, *others), clocks)
+    deep = np.full(law.image.shape[:2], 0.5, np.float32)
+    for k in range(1, 4):
+        law.wire.publish("~/depth", m.depth_image(EPOCH + k * PERIOD_S, deep))
+        assert law.hears(EPOCH + k * PERIOD_S)
+    moved = [law.hears(EPOCH + k * PERIOD_S) for k in range(4, 30)]
+    assert moved.index(False) * PERIOD_S <= TIMEOUT_S and not any(moved[moved.index(False) :])
+    assert "depth is of" in law.said[-2]
+
+
+def test_no_velocity_by_an_old_picture_in_random_sequences(shown, clocks):
+    """Stamps, times between pictures, joints, starts and resets drawn by chance."""
+    moved = 0
+    for seed in range(6):
+        rng, law = np.random.default_rng(seed), Law(shown, clocks)
+        right = float(rng.choice([EPOCH, 100.0]))
+        begun, newest, fresh_at = clocks.now, -np.inf, clocks.now
+        for _ in range(60):
+            after_s = float(rng.choice([0.001, 0.04, 0.04, 0.04, 0.3, 0.7]))
+            now = clocks.now + after_s
+            here = right + now - begun
+            stamp = abs(float(rng.choice([here, here, here, newest, newest, newest - 0.04, 0.0, here - 9.0, here + 9.0, 2e9])))
+            stamp = stamp if np.isfinite(stamp) else 0.0
+            if rng.random() < 0.1:
+                newest = -np.inf if law.node._stopped else newest  # a new begin: any picture is new
+                law.node.start()
+            moves = law.hears(stamp, after_s)
+            if stamp > newest:
+                newest, fresh_at = stamp, now
+            moved += moves
+            assert not moves or clocks.now - fresh_at < TIMEOUT_S, (seed, stamp, law.said[-3:])
+    assert moved > 20
+
+
+def test_a_driver_whose_stamps_never_advance_stops_the_robot_in_real_time(shown):
+    """As it was found: pictures at 25 Hz with zero stamps for two seconds gave 45 of 45 twists."""
+    scenario, image, reading = shown
+    wire = Wire("vstestbed_robot")
+    node = LawNode(scenario, Wire("vstestbed_law", wire), watchdog_s=0.3, started=True)
+    ended, thread = spun(node)
+    since = time.monotonic()
+    while time.monotonic() - since < 1.0:
+        for topic, message in m.readings(0.0, scenario.robot, reading).items():
+            wire.publish(topic, message)
+        wire.publish("~/image_raw", m.image(0.0, image))
+        time.sleep(0.02)
+        if time.monotonic() - since < 0.6:
+            early = len(wire.twists())
+    after = wire.twists()[early:]
+    ended.set()
+    thread.join(5)
+    assert any(v.any() for v in wire.twists()[:early]) and len(after) > 1 and not np.any(after)
+    assert node._stopped.startswith("no picture arrived for 0.2 s")
+
+
+def test_a_law_that_hangs_is_watched(shown, monkeypatch):
+    """Its last twist was for a picture that is old by now: zero is sent from another thread."""
+    scenario, image, reading = shown
+    wire, go_on = Wire("vstestbed_robot"), threading.Event()
+    node = LawNode(scenario, Wire("vstestbed_law", wire), watchdog_s=0.2, started=True)
+    ended, thread = spun(node)
+    step, calls = type(node.servo.controller.law).step, []
+
+    def hangs(self, *given):
+        calls.append(1)
+        if len(calls) > 1:
+            go_on.wait(5)
+        return step(self, *given)
+
+    monkeypatch.setattr(type(node.servo.controller.law), "step", hangs)
+    for k in range(1, 3):
+        stamp = time.time()
+        for topic, message in m.readings(stamp, scenario.robot, reading).items():
+            wire.publish(topic, message)
+        wire.publish("~/image_raw", m.image(stamp, image))
+        while len(calls) < k:
+            time.sleep(0.005)
+        time.sleep(0.05)
+    assert wire.twists()[-1].any()
+    time.sleep(0.4)
+    assert not wire.twists()[-1].any()
+    go_on.set()
+    time.sleep(0.1)
+    assert not wire.twists()[-1].any()
+    ended.set()
+    thread.join(5)
+    assert "stopped: no new order for over 0.2 s" in [x.data for topic, x in wire.shared["said"] if topic == "/vstestbed_law/status"]
+
+
+@pytest.mark.parametrize("watchdog_s", [np.nan, np.inf, -1.0])
+def test_a_watchdog_that_never_bites_is_refused(watchdog_s):
+    scenario = vs.load("arm_ibvs")
+    for made in (lambda: LawNode(scenario, Wire("a"), watchdog_s), lambda: RobotNode(scenario, Wire("b"), watchdog_s=watchdog_s)):
+        with pytest.raises(ParameterError, match="--watchdog must be > 0 s, and finite"):
+            made()
+
+
+# The robot's side.
+
+
+class Commanded:
+    """A robot's node at the pace of the clock, which is not flown: what it would obey when the next picture is due."""
+
+    def __init__(self, clocks, pace="wall"):
+        self.clocks, self.wire = clocks, Wire("vstestbed_robot")
+        self.node = RobotNode(vs.load("arm_ibvs", {"detector": "oracle"}), self.wire, pace)
+
+    def obeys(self, stamp, v=0.1, after_s=PERIOD_S, frame="camera_optical_frame"):
+        """The twist that it obeys after one more command; v: a twist, or what all its numbers are."""
+        self.clocks.now += after_s
+        self.wire.publish("/servo_node/delta_twist_cmds", m.twist(stamp, np.broadcast_to(np.asarray(v, float), 6), frame))
+        return self.now
+
+    @property
+    def now(self):
+        v = self.node._by_the_clock(0.0)
+        return None if v is None else v.tolist()
+
+    @property
+    def said(self):
+        return [message.data for topic, message in self.wire.shared["said"] if topic == "/vstestbed_robot/status"]
+
+
+@pytest.mark.parametrize("skew_s", [-3600.0, -60.0, -0.51, 0.51, 60.0, 3600.0, 3e8])
+def test_commands_of_another_time_are_dropped_and_the_clocks_named(clocks, skew_s):
+    one = Commanded(clocks)
+    assert [one.obeys(clocks.time() + PERIOD_S + skew_s) for _ in range(5)] == [None] * 5
+    side = "behind" if skew_s < 0 else "ahead of"
+    words = f"the commands' stamps are {abs(skew_s):.3g} s {side} this clock: they are dropped; set the clocks of both machines by NTP"
+    assert one.node.dropped == 5 and one.said == [words] and one.node.refused == words
+
+
+def test_commands_in_time_and_those_without_a_stamp_are_obeyed(clocks):
+    for stamp in (lambda: clocks.time() + PERIOD_S, lambda: clocks.time() - 0.3, lambda: clocks.time() + 0.4, lambda: 0.0):
+        one = Commanded(clocks)
+        assert all(one.obeys(stamp()) == [0.1] * 6 for _ in range(10)) and not one.node.dropped and not one.said
+
+
+def test_without_a_further_command_it_rests_by_its_own_clock(clocks):
+    """As long as a command lasts, from when it was given; whatever the wall clock is set to."""
+    for late_s, jump_s in ((0.0, 0.0), (0.3, 0.0), (0.0, -1e4), (0.0, 1e4), (-0.4, 0.0)):
+        one, clocks.set_by = Commanded(clocks), 0.0
+        assert one.obeys(clocks.time() + PERIOD_S - late_s)
+        clocks.set_by = jump_s
+        clocks.now += TIMEOUT_S - max(late_s, 0.0) - 0.01
+        assert one.now
+        clocks.now += 0.02
+        assert one.now is None
+
+
+def test_one_command_sent_again_and_again_ends(clocks):
+    one, stamp = Commanded(clocks), clocks.time()
+    obeyed = [one.obeys(stamp, after_s=0.001) is not None for _ in range(2000)]
+    assert sum(obeyed) == pytest.approx(500, abs=2) and not any(obeyed[502:])
+
+
+def test_a_rest_is_obeyed_whenever_it_was_ordered(clocks):
+    for skew_s in (-60.0, 60.0):
+        one = Commanded(clocks)
+        assert one.obeys(clocks.time() + PERIOD_S)
+        assert not any(one.obeys(clocks.time() + skew_s, 0.0) or [])
+
+
+@pytest.mark.parametrize("v", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1.1e6, [1e308, -1e308, 0, 0, 0, 0]])
+@pytest.mark.parametrize("frame", ["camera_optical_frame", "flange", ""])
+def test_numbers_that_are_none_never_reach_the_robot(clocks, v, frame):
+    for pace in ("wall", "lockstep"):
+        one = Commanded(clocks, pace)
+        assert one.obeys(clocks.time() + PERIOD_S, v, frame=frame) is None
+        assert one.node._command is None and one.said[0].startswith("twist must be")
+
+
+def test_in_lockstep_stamps_are_simulated(clocks):
+    one = Commanded(clocks, "lockstep")
+    one.obeys(3.0)
+    assert one.node._in_step().tolist() == [0.1] * 6 and not one.node.dropped
+
+
+def test_a_picture_is_told_again_before_the_law_takes_it_for_silence():
+    """In lockstep the first command may be lost; the same picture again must be answered by the same twist."""
+    scenario = vs.load("arm_ibvs", {"detector": "oracle", "stop.duration_s": 0.2})
+    wire, told = Wire("vstestbed_robot"), []
+    node = RobotNode(scenario, wire)
+
+    def heard(message):
+        told.append(time.monotonic())
+        if len(told) > 1:
+            node.ended.set()
+
+    wire.subscribe("~/image_raw", m.IMAGE, heard)
+    node.fly(scenario.resolved)
+    assert told[1] - told[0] < 0.9 * scenario.timing.order_s(scenario.camera)
+
+
+def test_a_real_clock_and_a_robot_that_moves_by_it():
+    """Old twists leave it at rest, right ones move it, and it rests when they end."""
+    given = {"detector": "oracle", "stop.duration_s": 1.2, "stop.rest_after_s": None, "timing.command_timeout_s": 0.2}
+    scenario = vs.load("arm_ibvs", given)
+    wire, speeds = Wire("vstestbed_robot"), []
+    node = RobotNode(scenario, wire, "wall")
+
+    def commands(message):
+        t = len(speeds) * PERIOD_S
+        if t < 0.8:
+            wire.publish("/servo_node/delta_twist_cmds", m.twist(time.time() - (60.0 if t < 0.4 else 0.0), np.full(6, 0.05), "flange"))
+
+    wire.subscribe("~/image_raw", m.IMAGE, commands)
+    watch = SimpleNamespace(frame=lambda frame: speeds.append(float(np.abs(frame.truth.qd).max())))
+    node.fly(scenario.resolved, [watch])
+    assert max(speeds[:10]) < 1e-3 < 0.02 < max(speeds[12:20]) and speeds[-1] < 2e-3 and node.dropped >= 8
