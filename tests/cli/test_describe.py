@@ -5,19 +5,22 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from rich.console import Console
 
+import vstestbed as vs
 from tests.scenario.schemas import whole_schema
 from vstestbed.cli.describe import describe_entry, describe_field
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.fields import class_text
+from vstestbed.core.registry import SPECS
 from vstestbed.scenario.catalogue import Entry, FieldPlace, catalogue, looked_up
 from vstestbed.scenario.plugins import registries
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison import Comparison
+from vstestbed.targets.markers import MARKERS
 
 
 @functools.cache
@@ -184,10 +187,11 @@ def test_every_path_of_a_scenario_is_known_with_its_sentence() -> None:
             assert any(sentence.startswith(text) for text in texts), path
 
 
-def field_shown(path: str) -> list[str]:
+def field_shown(path: str, width: int = 1000) -> list[str]:
+    """What is shown of a field, by default so wide that no line is wrapped: where one is depends on the longest name of a kind."""
     out, place = io.StringIO(), looked_up(path, entries())
     assert isinstance(place, FieldPlace)
-    describe_field(place, entries(), Console(file=out, width=80, highlight=False))
+    describe_field(place, entries(), Console(file=out, width=width, highlight=False))
     return [" ".join(line.split()) for line in out.getvalue().splitlines()]
 
 
@@ -195,7 +199,8 @@ def test_a_field_has_default_unit_words_and_an_example() -> None:
     lines = field_shown("camera.readout_s")
     assert lines[0] == "camera.readout_s"
     assert lines[3].startswith("readout_s 0.0 s time over which a rolling shutter exposes its H rows")
-    assert "camera.spherical." in lines and lines[-1] == "Example: --set camera.readout_s=0.02"
+    owners = next(line for line in lines if line.startswith("A field of camera."))
+    assert "camera.spherical" in owners and lines[-1] == "Example: --set camera.readout_s=0.02"
     assert field_shown("robot.realism")[-1] == "Example: --set robot.realism=lab"
 
 
@@ -223,6 +228,40 @@ def test_a_field_that_holds_another_block_in_each_kind_is_shown_for_each() -> No
     assert field_shown("target.lines.marker")[3].startswith("marker the stripe;")
     for path, kind in (("robot.start", "robot.free"), ("robot.start", "robot.car"), ("robot.parameters", "robot.quadrotor")):
         assert any(line.startswith(f"{kind} ") for line in field_shown(path)), (path, kind)
+
+
+def test_a_field_is_shown_in_80_columns_too() -> None:
+    for path in ("camera.readout_s", "law.gain", "randomise", "target.marker"):
+        lines = field_shown(path, 80)
+        assert max(map(len, lines)) <= 80 and lines[0] == path
+
+
+@pytest.fixture
+def with_long_names(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A camera, a law and a marker more, with names longer than all that are bundled."""
+    kinds = []
+    for room, base in ((vs.CAMERAS, "perspective"), (vs.LAWS, "ibvs"), (vs.LAWS, "line_following"), (MARKERS, "disc")):
+        word = f"{base}_under_a_name_that_is_longer_than_all_others"
+        namespace = {"__annotations__": {"kind": Literal[word]}, "kind": word, "__doc__": room.members[base].__doc__}
+        kinds.append(vs.spec(type(f"Long{base.title()}", (room.members[base],), namespace)))
+        monkeypatch.setitem(room.members, word, kinds[-1])
+    entries.cache_clear()
+    yield
+    entries.cache_clear()
+    for kind in kinds:
+        SPECS.remove(kind)
+
+
+def test_a_kind_with_a_longer_name_changes_nothing_of_the_others(with_long_names: None) -> None:
+    assert any(name.startswith("camera.perspective_under") for name in entries())
+    test_everything_can_be_shown_in_80_columns()
+    test_a_field_has_default_unit_words_and_an_example()
+    test_a_field_that_says_different_things_in_different_blocks_has_a_row_for_each()
+    test_a_field_that_holds_a_block_is_followed_by_it()
+    test_a_field_that_holds_another_block_in_each_kind_is_shown_for_each()
+    test_a_field_is_shown_in_80_columns_too()
+    test_items_of_lists_and_rows_of_definitions_stay_apart()
+    test_a_block_that_no_bundled_file_has_still_has_an_example()
 
 
 def test_starts_of_different_robots_have_different_names() -> None:

@@ -19,7 +19,7 @@ class Wire(Link):
     """A link in this process: what is published is heard at once, by whoever has the same wire. It crosses as CDR."""
 
     def __init__(self, node, others=None):
-        super().__init__(node, 0, {})
+        super().__init__(node, 0)
         self.shared = {"topics": {}, "services": {}, "said": []} if others is None else others.shared
 
     def publish(self, topic, message, now=0.0):
@@ -198,12 +198,6 @@ def test_what_cannot_be_a_node_is_refused(monkeypatch):
     monkeypatch.setattr(links.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(EnvironmentLackError, match="zenoh is not installed"):
         connected("a")
-
-
-def test_topics_are_mapped():
-    link = Wire("node")
-    link._remap = {"image_raw": "/cam/image"}
-    assert [link.name(topic) for topic in ("~/stop", "/tf", "imu", "~/image_raw")] == ["/node/stop", "/tf", "/imu", "/cam/image"]
 
 
 def test_readings_stand_in_the_order_of_their_times_once():

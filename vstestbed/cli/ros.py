@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
 from contextlib import nullcontext
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
-from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
@@ -20,10 +21,11 @@ if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
 
 Role = Literal["robot", "law", "excite", "start", "stop", "reset"]
-NODES = "vstestbed_law", "vstestbed_robot"
 Remap = Annotated[
-    list[str] | None, typer.Option("--remap", metavar="TOPIC=OTHER", help="Another name of a topic, such as image_raw=/cam/image.")
+    list[str] | None,
+    typer.Option("--remap", "-r", metavar="NAME:=OTHER", help="Another name of a topic or service, such as image_raw:=/cam/image."),
 ]
+RosArgs = Annotated[bool, typer.Option("--ros-args", help="Begins arguments of ROS, of which -r and --remap are known.")]
 
 
 def ros(
@@ -41,6 +43,7 @@ def ros(
     truth: Annotated[bool, typer.Option("--truth", help="robot: tell true poses under /truth.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="robot: folder of the run. [default: runs/SCENARIO/NUMBER]")] = None,
     remap: Remap = None,
+    ros_args: RosArgs = False,
     connect: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the other side's address.")] = None,
     listen: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the address to be found at.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
@@ -48,7 +51,8 @@ def ros(
 ) -> None:
     """The simulated robot, or the law, as a node of ROS 2."""
     from vstestbed.cli.progress import show_notes
-    from vstestbed.ros.link import connected
+    from vstestbed.ros.law import command_topic
+    from vstestbed.ros.link import NODES, connected, rules_of
 
     idle = ["stop.rest_after_s=null"] if role == "robot" else []  # who waits for commands has not ended
     given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
@@ -59,7 +63,7 @@ def ros(
         signal.signal(number, lambda *_: ended.set())
     try:
         node = f"vstestbed_{role}"
-        with connected(node, backend, remapped(remap), connect or (), listen or ()) as link:
+        with connected(node, backend, rules_of(remap or []), connect or (), listen or ()) as link:
             if role == "law":
                 from vstestbed.ros.law import LawNode, median_ms
 
@@ -71,12 +75,14 @@ def ros(
                 from vstestbed.ros.law import excite
                 from vstestbed.studies.identification import motion_of
 
+                link.publishes(command_topic(given))
                 motion = motion_of(given).drop("t").to_numpy()
                 typer.echo(f"{excite(given, link, motion, ended)} of {len(motion)} commands were sent", err=True)
             elif role == "robot":
                 _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended)
             else:
-                answers = [f"{name}: {answer[1]}" for name in NODES if (answer := link.call(f"/{name}/{role}"))]
+                link.publishes(*(f"/{name}/{role}" for name in NODES[:2]))
+                answers = [f"{name}: {answer[1]}" for name in NODES[:2] if (answer := link.call(f"/{name}/{role}"))]
                 if not answers:
                     raise EnvironmentLackError("no node has answered", "start `vstestbed ros ... --role law`; is --connect its address?")
                 typer.echo("\n".join(answers))
@@ -107,10 +113,10 @@ def _fly(
 
     if bag is not None:
         must_be_new(bag, "give a new folder with --bag")
+    node = RobotNode(given, link, pace, truth, watchdog, ended)  # refuses before anything is written
     folder = new_folder(given, out)
     given = given.but(description=f"{given.description} {BY_HAND} commanded from outside.".strip())  # before it flies: it is written first
-    with Progress(given, shown=not quiet) as progress, nullcontext() if bag is None else Bag(make_parents(bag)) as record:
-        node = RobotNode(given, link, pace, truth, watchdog, ended, record)
+    with Progress(given, shown=not quiet) as progress, nullcontext() if bag is None else Bag(make_parents(bag)) as node.record:
         recording = run_into(folder, given, "none", [progress], progress.say, fly=node.fly)
     if not quiet:
         typer.echo(summary_text(recording, folder, filmed=False), err=True)
@@ -121,13 +127,13 @@ def _fly(
 
 
 def remapped(words: list[str] | None) -> dict[str, str]:
-    """Topics by the names that they have here. ParameterError: not of the form TOPIC=OTHER."""
+    """Topics of a bag by the names that they have here, the first one of each; errors: as of `rules_of`."""
+    from vstestbed.ros.link import NODES, expanded, rules_of
+
     found: dict[str, str] = {}
-    for word in words or []:
-        name, _, other = word.partition("=")
-        if not (name and other.startswith("/")):
-            raise ParameterError.form("--remap", "TOPIC=/OTHER, such as image_raw=/camera/color/image_raw", word)
-        found[name.removeprefix("~/").removeprefix("/")] = other
+    for rule in rules_of(words or []):
+        name = re.sub(r"^~?/(vstestbed_robot/)?", "", rule.name)
+        found.setdefault(name, expanded(rule.other, NODES[1]))
     return found
 
 

@@ -145,8 +145,16 @@ LETTERS: Final = {
     "unstable": "U",
     "unreachable": "R",
     "crashed": "C",
+    "joint_limit": "J",
+    "singular": "S",
+    "collided": "H",
+    "overturned": "O",
+    "jammed": "P",
+    "rotor_limit": "W",
+    "law_failed": "F",
+    "interrupted": "I",
 }
-"""Letter of the most frequent outcome of a cell's failures."""
+"""Letter of the most frequent outcome of a cell's failures: each has one."""
 NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
 """Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are mixed linearly."""
 SWEEP_COLUMNS = 2
@@ -185,8 +193,9 @@ def write_sweep(
     folder: Path, maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis, seeds: int, description: str, command: str, caution: str = ""
 ) -> Path:
     """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns the page's path."""
-    letters = ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items())
-    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters})."
+    present = {str(outcome) for _, _, others, _ in maps for outcome in others.flat}
+    letters = ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items() if word in present)
+    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters or 'none'})."
     image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
     what = "median distance from the true goal, of those that converged [mm]"
     found = []

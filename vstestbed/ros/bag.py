@@ -59,7 +59,7 @@ class Bag(Link):
     """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one."""
 
     def __init__(self, folder: Path, node: str = "vstestbed_robot"):
-        super().__init__(node, 0, {})
+        super().__init__(node, 0)
         self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._writer.open()
@@ -135,6 +135,8 @@ def events(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterator
     if not path.exists():
         raise RunFolderError(path, "no such file or folder", "a folder of rosbag2, or an MCAP file")
     if path.is_file() and _of_foxglove(path):
+        if remap:
+            raise ParameterError.only_for("--remap", "bags of ROS, and this file has the topics of `export --to mcap`")
         yield from _foxglove(path, scenario)
         return
     try:
@@ -154,6 +156,8 @@ def _topics(reader: AnyReader, scenario: Scenario, remap: Mapping[str, str]) -> 
     if scenario.law.depth.measured:
         kinds["depth"] = (IMAGE,)
     ours = {"image_raw": "/vstestbed_robot/image_raw", "depth": "/vstestbed_robot/depth", "twist": command_topic(scenario)}
+    if unknown := sorted(set(remap) - set(kinds)):
+        raise ParameterError.choice("--remap", kinds, unknown[0])
     there = {c.topic: c.msgtype for c in reader.connections}
     found: dict[str, str] = {}
     for role, those in kinds.items():

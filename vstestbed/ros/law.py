@@ -238,6 +238,7 @@ class LawNode:
             link.subscribe("/vstestbed_robot/depth", IMAGE, self._deep)
         for name, answer in (("start", self.start), ("stop", self.stop), ("reset", self.reset)):
             link.serve(f"~/{name}", answer)
+        link.publishes(command_topic(scenario), "~/status")
 
     def _sensed(self, topic: str, message: Message) -> None:
         self.servo.senses.hear(topic, message)

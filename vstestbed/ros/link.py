@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
+import logging
 import os
+import re
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import Any, Literal, Self
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal, NamedTuple, Self
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.foreign import foreign
 from vstestbed.ros.messages import TRIGGER, Message, from_cdr, made, to_cdr, types
 
 Heard = Callable[[Message], None]
@@ -25,19 +30,99 @@ LATCHED = "/tf_static", "status"
 """Topics whose last message late subscribers get, too (transient local), by their ends."""
 
 
+NODES = "vstestbed_law", "vstestbed_robot", "vstestbed_excite"
+"""The nodes that have names of their own."""
+NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+
+
+class Rule(NamedTuple):
+    """One name of topics or services for another, as ROS 2 has it (design.ros2.org, static remapping).
+
+    node: whose names alone it maps; "" for those of any. name, other: relative, absolute (`/cam/image`) or private (`~/stop`).
+    """
+
+    node: str
+    name: str
+    other: str
+
+    def maps(self, full: str, node: str) -> bool:
+        """Whether it is for a full name of a node. A relative name is also that of one in our nodes: in the law's node `image_raw` is
+        `/vstestbed_robot/image_raw`.
+        """
+        if self.node not in ("", node):
+            return False
+        ours = [f"/{one}/{self.name}" for one in NODES] if self.name[0] not in "~/" else []
+        return full in (expanded(self.name, node), *ours)
+
+
+def expanded(name: str, node: str) -> str:
+    """The full name of a relative or a private one of a node."""
+    return f"/{node}/{name[2:]}" if name.startswith("~/") else name if name.startswith("/") else f"/{name}"
+
+
+def rules_of(words: Iterable[str]) -> list[Rule]:
+    """The rules of `[NODE:]NAME:=OTHER` or `NAME=OTHER`. ParameterError: not of that form, or the node itself is to have another name."""
+    found = []
+    for word in words:
+        left, _, other = word.partition(":=" if ":=" in word else "=")
+        node, _, name = left.rpartition(":")
+        if name.startswith("__"):
+            raise ParameterError("--remap", f"does not know {name}; works: [NODE:]NAME:=OTHER for each topic and service", word)
+        if not (NAME.fullmatch(name) and NAME.fullmatch(other) and node in ("", *NODES)):
+            form = f"[NODE:]NAME:=OTHER, such as image_raw:=/camera/color/image_raw, NODE one of {', '.join(NODES)}"
+            raise ParameterError.form("--remap", form, word)
+        found.append(Rule(node, name, other))
+    return found
+
+
 class Link(ABC):
     """A node's way to the others. What is heard comes in threads of the backend's own.
 
-    node: its name, which stands for `~` in those of topics. domain: as ROS_DOMAIN_ID. remap: other names of topics.
+    node: its name, which stands for `~` in those of topics. domain: as ROS_DOMAIN_ID. rules: other names; the first one that fits counts.
     """
 
-    def __init__(self, node: str, domain: int, remap: dict[str, str]):
-        self.node, self.domain, self._remap = node, domain, remap
+    def __init__(self, node: str, domain: int, rules: Iterable[Rule] = ()):
+        self.node, self.domain, self._rules = node, domain, list(rules)
+        self._names: dict[str, Rule | None] = {}  # by full names: what maps each
+        self.passed_over: Counter[str] = Counter()  # by topics: how many messages could not be read
 
     def name(self, topic: str) -> str:
         """The full name of a topic or a service: `~/stop` is `/NODE/stop`, `imu` is `/imu`; or the one that it is mapped to."""
-        topic = self._remap.get(topic.removeprefix("~/").removeprefix("/"), topic)
-        return f"/{self.node}/{topic[2:]}" if topic.startswith("~/") else topic if topic.startswith("/") else f"/{topic}"
+        full = expanded(topic, self.node)
+        if full not in self._names:
+            self._names[full] = next((rule for rule in self._rules if rule.maps(full, self.node)), None)
+        rule = self._names[full]
+        return full if rule is None else expanded(rule.other, self.node)
+
+    def publishes(self, *topics: str) -> None:
+        """Say what will be published, after everything is subscribed and served: now all names are known.
+        ParameterError: a rule maps none of them.
+        """
+        for topic in topics:
+            self.name(topic)
+        for rule in self._rules:
+            if rule.node in ("", self.node) and rule not in self._names.values():
+                words = f"maps {rule.name}, which {self.node} does not have, or an earlier rule maps; it has {', '.join(self._names)}"
+                raise ParameterError("--remap", words)
+
+    def reader(self, topic: str, kind: str, heard: Heard) -> Callable[[bytes], None]:
+        """What calls `heard` with the message of the bytes that came. Those that are none are passed over, counted, and told."""
+
+        def read(data: bytes) -> None:
+            try:
+                heard(from_cdr(data, kind))
+            except ParameterError as error:
+                self.pass_over(topic, str(error))
+
+        return read
+
+    def pass_over(self, topic: str, why: str) -> None:
+        """Count a message that cannot be read; of ten, a hundred, ... one is told."""
+        name = self.name(topic)
+        self.passed_over[name] += 1
+        count = self.passed_over[name]
+        if str(count).strip("0") == "1":
+            logging.getLogger("vstestbed").warning("%s: messages passed over: %d; the last one: %s", name, count, why)
 
     @abstractmethod
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
@@ -67,21 +152,24 @@ class Link(ABC):
 
 
 class Zenoh(Link):
-    """A session of zenoh, a peer of those that it finds on the local network, or that it is told.
+    """A session of zenoh, a peer of those that it finds on the local network; with addresses it finds nobody, and speaks there alone.
 
-    connect, listen: endpoints, such as `tcp/192.168.1.5:7447`.
+    connect: endpoints, such as `tcp/192.168.1.5:7447`. listen: those at which it can be found; without, it can be found nowhere.
     """
 
-    def __init__(self, node: str, domain: int, remap: dict[str, str], connect: Sequence[str] = (), listen: Sequence[str] = ()):
-        super().__init__(node, domain, remap)
+    def __init__(self, node: str, domain: int, rules: Iterable[Rule], connect: Sequence[str] = (), listen: Sequence[str] = ()):
+        super().__init__(node, domain, rules)
         import zenoh
 
         settings = zenoh.Config()
-        for key, ends in (("connect/endpoints", connect), ("listen/endpoints", listen)):
-            if ends:
-                settings.insert_json5(key, f"[{', '.join(repr(end) for end in ends)}]")
-        if connect or listen:  # who names an address means that one alone
+        if connect or listen:
+            with foreign("--connect and --listen", "addresses such as tcp/192.168.1.5:7447"):
+                settings.insert_json5("connect/endpoints", json.dumps(list(connect)))
+                settings.insert_json5("listen/endpoints", json.dumps(list(listen)))  # empty: the default is a port of every interface
             settings.insert_json5("scouting/multicast/enabled", "false")
+            settings.insert_json5("scouting/gossip/enabled", "false")
+            # peers pass nothing on: a law and who stops it, both connected to the robot, would not hear each other
+            settings.insert_json5("mode", '"router"')
         try:
             self._session: Any = zenoh.open(settings)
         except zenoh.ZError as error:
@@ -104,8 +192,16 @@ class Zenoh(Link):
         self._publishers[key].put(to_cdr(message))
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        found = self._session.declare_subscriber(self.key(topic, kind), lambda sample: heard(from_cdr(sample.payload.to_bytes(), kind)))
-        self._held.append(found)
+        key, read = self.key(topic, kind), self.reader(topic, kind, heard)
+
+        def hear(sample: Any) -> None:
+            if str(sample.key_expr) == key:
+                read(sample.payload.to_bytes())
+            else:
+                self.pass_over(topic, f"it is none of {kind}, as this program knows it, but {sample.key_expr}")
+
+        others = key.rsplit("/", 2)[0] + "/*/*"  # of any type: one that nobody reads is told
+        self._held.append(self._session.declare_subscriber(others, hear))
 
     def _service(self, service: str) -> str:
         return f"{self.domain}/{self.name(service).strip('/')}/std_srvs::srv::dds_::Trigger_"
@@ -122,9 +218,11 @@ class Zenoh(Link):
     def call(self, service: str, timeout_s: float = 2.0) -> tuple[bool, str] | None:
         request = to_cdr(made("std_srvs/msg/Trigger_Request", structure_needs_at_least_one_member=0))
         for reply in self._session.get(self._service(service), payload=request, timeout=timeout_s):
+            answers: list[Message] = []
             if reply.ok is not None:
-                response = from_cdr(reply.ok.payload.to_bytes(), "std_srvs/msg/Trigger_Response")
-                return response.success, response.message
+                self.reader(service, "std_srvs/msg/Trigger_Response", answers.append)(reply.ok.payload.to_bytes())
+            if answers:
+                return answers[0].success, answers[0].message
         return None
 
     def close(self) -> None:
@@ -134,8 +232,8 @@ class Zenoh(Link):
 class Rclpy(Link):
     """A node of ROS 2's own client library, which runs in a thread. Messages cross as CDR: rosbags writes and reads them."""
 
-    def __init__(self, node: str, domain: int, remap: dict[str, str]):
-        super().__init__(node, domain, remap)
+    def __init__(self, node: str, domain: int, rules: Iterable[Rule]):
+        super().__init__(node, domain, rules)
         self._rclpy: Any = importlib.import_module("rclpy")
         context = self._context = self._rclpy.context.Context()
         self._rclpy.init(context=context, domain_id=domain, signal_handler_options=self._rclpy.signals.SignalHandlerOptions.NO)
@@ -182,7 +280,7 @@ class Rclpy(Link):
         if known is None:
             package = kind.split("/")[0]
             raise EnvironmentLackError(f"messages of {package} are not installed", f"install ros-DISTRO-{package.replace('_', '-')}")
-        self._node.create_subscription(known, self.name(topic), lambda data: heard(from_cdr(data, kind)), self._quality(topic), raw=True)
+        self._node.create_subscription(known, self.name(topic), self.reader(topic, kind, heard), self._quality(topic), raw=True)
 
     def serve(self, service: str, answer: Answer) -> None:
 
@@ -218,7 +316,7 @@ def domain_of() -> int:
 
 
 def connected(
-    node: str, backend: Backend = "auto", remap: dict[str, str] | None = None, connect: Sequence[str] = (), listen: Sequence[str] = ()
+    node: str, backend: Backend = "auto", rules: Iterable[Rule] = (), connect: Sequence[str] = (), listen: Sequence[str] = ()
 ) -> Link:
     """The link of a node; `auto`: by rclpy where it is, unless an address of zenoh is given.
     Raises EnvironmentLackError: neither rclpy nor zenoh, or not the one that is wanted. ParameterError: an address for rclpy.
@@ -232,5 +330,5 @@ def connected(
         remedy = "source the setup.bash of a ROS 2 installation" if backend == "rclpy" else "pip install 'vstestbed[ros]'"
         raise EnvironmentLackError(f"{backend} is not installed", remedy)
     if backend == "rclpy":
-        return Rclpy(node, domain_of(), remap or {})
-    return Zenoh(node, domain_of(), remap or {}, connect, listen)
+        return Rclpy(node, domain_of(), rules)
+    return Zenoh(node, domain_of(), rules, connect, listen)

@@ -16,6 +16,7 @@ import numpy as np
 from vstestbed.camera import Camera, DepthImage, Image
 from vstestbed.camera.intrinsics import as_ros
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.foreign import foreign
 from vstestbed.core.geometry import Array, quaternion_wxyz, rotation_from_quaternion, rotation_from_rpy, rpy_of
 from vstestbed.robots import Reading, Robot
 from vstestbed.robots.flight import RECOVER_RAD, FlightEstimate, FlightReading
@@ -52,6 +53,11 @@ def types() -> Any:
     return store
 
 
+@cache
+def _humble() -> Any:
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
 def made(kind: str, **fields: Any) -> Message:
     """A message of a kind, `sensor_msgs/msg/Image`."""
     return types().types[kind](**fields)
@@ -63,11 +69,15 @@ def to_cdr(message: Message) -> bytes:
 
 
 def from_cdr(data: bytes, kind: str) -> Message:
-    """The message of what was received; of a kind whose fields were fewer in Humble also such a one."""
-    try:
-        return types().deserialize_cdr(data, kind)
-    except SerdeError:
-        return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(data, kind)
+    """The message of what was received; of a range also one of Humble, which has a field less. ParameterError: it is none of that kind."""
+    works = f"the CDR of {kind}"
+    with foreign("message", works):
+        try:
+            return types().deserialize_cdr(data, kind)
+        except SerdeError:
+            if kind != RANGE:
+                raise
+            return _humble().deserialize_cdr(data, kind)
 
 
 def stamp(t: float) -> Message:

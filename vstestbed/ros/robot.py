@@ -35,6 +35,7 @@ from vstestbed.ros.messages import (
     image,
     pose,
     readings,
+    sensors_of,
     text,
     time_of,
     transforms,
@@ -62,6 +63,17 @@ class Voice:
         self._readings: list[tuple[float, Reading]] = []
         self.stamp = self.now = 0.0
         self.q = scenario.robot.start_joints()
+
+    def topics(self) -> list[str]:
+        """All that it tells."""
+        told = ["/clock", "/tf", *sensors_of(self._scenario.robot), "~/image_raw"]
+        if self._info is not None:
+            told.append("~/camera_info")
+        if self._scenario.camera.depth_sensor is not None:
+            told.append("~/depth")
+        if self._truth:
+            told += ["/truth/camera_pose", "/truth/target_pose"]
+        return told
 
     def readings(self) -> None:
         """Those of the last exposure and of now; again, as a robot's driver tells them: single ones may be lost beside a picture."""
@@ -103,7 +115,9 @@ class RobotNode:
             of it.
         truth: whether the poses of camera and target are told, under `/truth`.
         watchdog_s: wall time without a command after which the robot is told to rest [s]; by default for as long as an order lasts.
-        ended: when to end. record: a bag that keeps what is told and commanded; None for none.
+        ended: when to end.
+
+    Its `record` is a bag that keeps what is told and commanded; None for none. Raises ParameterError: see `Link.publishes`.
     """
 
     def __init__(
@@ -114,11 +128,11 @@ class RobotNode:
         truth: bool = False,
         watchdog_s: float | None = None,
         ended: threading.Event | None = None,
-        record: Link | None = None,
     ):
         check_scenario(scenario)
         self.scenario, self.link, self._pace, self._truth = scenario.resolved, link, pace, truth
-        self._voice, self._record = Voice(self.scenario, link, truth), record
+        self._voice = Voice(self.scenario, link, truth)
+        self.record: Link | None = None
         self.watchdog_s = watchdog_of(self.scenario, watchdog_s)
         self._news = threading.Condition()
         self._command: tuple[float, Array, float] | None = None  # stamp, twist of the camera, when it came
@@ -134,6 +148,7 @@ class RobotNode:
         link.subscribe(command_topic(scenario), TWIST, self._hear)
         link.serve("~/stop", self.stop)
         link.serve("~/start", self.start)
+        link.publishes(*self._voice.topics())
 
     def stop(self) -> tuple[bool, str]:
         """Rest, whatever is commanded, until `start`."""
@@ -203,7 +218,7 @@ class RobotNode:
             began, simulated = time.monotonic(), 0.0 if frame is None else frame.t
             offset = time.time() - simulated if self._pace == "wall" else 0.0
             self._voice = Voice(self.scenario, self.link, self._truth, offset)
-            recorded = self._record and Voice(self.scenario, self._record, True, offset)
+            recorded = self.record and Voice(self.scenario, self.record, True, offset)
             while frame is not None and episode.outcome is None and not self.ended.is_set():
                 if recorded is not None:
                     recorded.frame(episode, frame)
@@ -215,9 +230,9 @@ class RobotNode:
                 v = self._wait(began + frame.t - simulated + scenario.camera.period)
                 if v is not None:
                     self.answered_s.append(time.monotonic() - sent)
-                    if self._record is not None:
+                    if self.record is not None:
                         raw, frame_id = self._as_told
-                        self._record.publish(command_topic(scenario), twist(self._voice.now, raw, frame_id), self._voice.now)
+                        self.record.publish(command_topic(scenario), twist(self._voice.now, raw, frame_id), self._voice.now)
                 episode.changed_by_hand("commanded from outside")
                 frame = episode.advance(np.zeros(6) if v is None else v)
                 if frame is not None:

@@ -116,10 +116,15 @@ def _given(rng: np.random.Generator | None) -> np.random.Generator:
 
 def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
     """The compiled scene as MJCF, and the asset files that it names, by their paths relative to it.
-    Its keyframe `start` is the nominal start.
+
+    Its keyframe `start` is the whole state in which a run begins, with what the servos have integrated to carry the load; its numbers have
+    all digits. With the controls of the log MuJoCo alone does what the run did. Raises UnreachableError: motors that cannot hold the start.
     """
     from vstestbed.core.geometry import quaternion_wxyz
+    from vstestbed.sim.plant import MujocoPlant
     from vstestbed.sim.scene.compose import compose
+    from vstestbed.sim.scene.meshes import TARGET_GROUP
+    from vstestbed.sim.scene.model_files import exact_xml
     from vstestbed.sim.scene.scene import Scene
 
     robot = scene.robot
@@ -129,10 +134,14 @@ def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
         body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
     else:
         stage = Scene(scene)
-        spec = stage.spec
-        stage.place(0.0, scene.T_world_target, *scene.start)
-        stage.rest()
-        spec.add_key(name="start", qpos=stage.data.qpos.copy(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
-        stage.close()
+        spec, state = stage.spec, stage.data
+        path = scene.target.path(_given(None)) if scene.target.motion.by_itself else None
+        plant = MujocoPlant(stage, 1, None, False, _given(None), path)
+        own = {"qpos": state.qpos, "act": state.act, "ctrl": state.ctrl, "mpos": state.mocap_pos, "mquat": state.mocap_quat}
+        spec.add_key(name="start", **{name: values.flatten() for name, values in own.items()})
+        plant.close()
+    for geom in spec.geoms:
+        geom.group = 0 if geom.group == TARGET_GROUP else geom.group  # MuJoCo's viewer shows groups 0 to 2 by itself
     spec.compile()
-    return spec.to_xml(), dict(spec.assets)
+    return exact_xml(spec), dict(spec.assets)
+

@@ -53,9 +53,9 @@ def test_model_xml_loads_alone(name: str, nu: int, nq: int, tmp_path: Path):
         assert {model.camera(i).name for i in range(2)} == {"eye", "overview"}
     assert alone.opt.timestep == composed.opt.timestep
     data = at_start(alone)
-    # Text keeps six or more digits of angles and lengths of about 1; the start pose is the scenario's.
+    # The text has all digits; the start pose is the scenario's.
     eye = pose_of(data.site("eye").xpos, data.site("eye").xmat)
-    np.testing.assert_allclose(eye, s.robot.flange_pose(s.robot.configuration()) @ s.camera.mount.T, atol=5e-6)
+    np.testing.assert_allclose(eye, s.robot.flange_pose(s.robot.configuration()) @ s.camera.mount.T, atol=1e-12)
     expected = transform(s.target.pose.T, s.target.points)
     markers = [data.site(f"target/marker_{i}").xpos for i in range(4)]
     np.testing.assert_allclose(markers, expected, atol=5e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -54,6 +55,26 @@ def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
         if path.suffix.lower() in JPEG and path.is_file():
             texture.file = f"{number}_{path.stem}.png"
             model.assets = {**model.assets, str(Path(model.texturedir) / texture.file): as_png(path)}
+
+
+LIBRARY = re.compile(r"(lib)?mujoco\.(so|dll|dylib|\d)")
+LONG = re.compile(r"-?\d+\.\d{9,}(e[-+]\d+)?")
+
+
+def exact_xml(spec: mujoco.MjSpec) -> str:
+    """A compiled spec as MJCF with all digits of its numbers.
+
+    MuJoCo writes six: with a step of 1/510 s, or drawn masses, the file would be another system. Its library has a function for more, which
+    its Python does not have; without it, they are six.
+    """
+    folder = Path(mujoco.__file__).parent
+    library = ctypes.CDLL(str(next(path for path in folder.iterdir() if LIBRARY.match(path.name))))
+    digits = getattr(library, "_mjPRIVATE__set_xml_precision", lambda _: None)
+    digits(17)
+    try:
+        return LONG.sub(lambda number: repr(float(number[0])), spec.to_xml())
+    finally:
+        digits(6)
 
 
 def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix: str) -> str:

@@ -1,0 +1,77 @@
+"""Whatever lists outcomes knows each of them: a new one fails here, by name, until every table, letter and page has it."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.report import studies as figures
+from vstestbed.studies import batch
+
+TOP = Path(__file__).resolve().parents[2]
+FAILED = {outcome.name for outcome in vs.Outcome if not outcome.success}
+NAMES = {outcome.name for outcome in vs.Outcome}
+
+
+def words_of(text: str) -> set[str]:
+    return set(re.findall(r"`(\w+)`", text))
+
+
+def test_every_outcome_has_a_sentence_of_its_own() -> None:
+    """An `Enum` makes two names with one value aliases: the second would be no outcome at all."""
+    assert len(vs.Outcome.__members__) == len(list(vs.Outcome))
+    for outcome in vs.Outcome:
+        assert re.fullmatch(r"[a-z][^.]+", outcome.value), outcome.name
+
+
+def test_the_guide_says_who_decides_each_outcome() -> None:
+    text = (TOP / "docs/guides/running.md").read_text(encoding="utf-8")
+    table = text.partition("| outcome | who decides |")[2].partition("\n\n")[0]
+    listed = {word for row in table.splitlines()[2:] for word in words_of(row.split("|")[1].partition(" with ")[0])}
+    assert listed == NAMES
+
+
+def test_a_map_of_convergence_has_a_letter_for_each_failure() -> None:
+    assert set(figures.LETTERS) == FAILED
+    assert len(set(figures.LETTERS.values())) == len(FAILED)
+
+
+def test_the_letters_that_a_map_shows_are_those_that_its_caption_explains(tmp_path: Path) -> None:
+    others = np.array([["joint_limit", ""]], dtype=object)
+    maps = [("law", np.array([[0.5, 1.0]]), others, np.full((1, 2), np.nan))]
+    page = figures.write_sweep(tmp_path, maps, ("x", ["1", "2"]), ("y", ["1"]), 4, "", "")
+    assert "(J: joint limit)" in page.read_text(encoding="utf-8")
+
+
+def test_a_map_of_basins_names_each_outcome_that_occurs() -> None:
+    """Those without a colour of their own are black, with their name in the legend; so would be one that is not there yet."""
+    assert set(figures.ENDINGS) - {"plane_crossed"} <= FAILED  # the one word of the map that is half of an outcome
+    occurring = sorted({*FAILED, "plane_crossed", "petrified"})
+    endings = np.array([occurring], dtype=object)
+    drawn = figures.draw_basin([("law", endings, np.full(endings.shape, np.nan))], ("x", "m", -1, 1), ("y", "m", -1, 1))
+    shown = {text.get_text() for text in drawn.legends[0].get_texts()}
+    named = {figures.ENDINGS[word][1] if word in figures.ENDINGS else word.replace("_", " ") for word in occurring}
+    assert shown == named
+
+
+def test_a_batch_has_a_code_for_each_outcome() -> None:
+    assert {code.name for code in batch.CODES if code is not None} == NAMES and batch.CODES[batch.GOING] is None
+
+
+def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
+    pytest.importorskip("gymnasium")
+    from vstestbed.env import vector_env
+
+    assert {outcome.name for outcome in vector_env.CODES} <= NAMES and vector_env.OUTCOMES[0] is vector_env.GOING
+
+
+def test_an_outcome_is_a_word_of_the_package_where_one_is_written_as_text() -> None:
+    """Outcomes that are compared as texts, as those of a table are: a word that is none would never be equal."""
+    known = {*NAMES, "plane_crossed", "no outcome", "cut off", ""}
+    found = {}
+    for path in (TOP / "vstestbed").rglob("*.py"):
+        for word in re.findall(r"""\boutcome(?:"\)|"\]|\b) ?[!=]= "(\w*)\"""", path.read_text(encoding="utf-8")):
+            found.setdefault(word, path.name)
+    assert "unstable" in found and {word: name for word, name in found.items() if word not in known} == {}
