@@ -1,0 +1,175 @@
+"""Bags of others, element by element: what is broken is passed over and counted, and nothing unpacks without a bound."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shutil
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, BinaryIO, NamedTuple
+
+from lz4.frame import LZ4FrameDecompressor
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import reader as folders
+from rosbags.rosbag2 import storage_mcap as mcap
+
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
+from vstestbed.core.foreign import foreign, plain_file
+from vstestbed.ros.messages import NS, Message, PassedOver, from_cdr, stamp, time_of
+
+WORKS = "a folder of rosbag2, or its MCAP or .db3 file; `mcap recover` mends one that was cut off, `ros2 bag reindex` a folder"
+MOST_BAG, MOST_METADATA = 1 << 36, 1 << 20  # bytes of a bag's file, and of its metadata.yaml
+MOST_UNPACKED = 1 << 27  # bytes of an unpacked chunk or message, which is in memory as a whole
+LOOKED_AT = 2000  # messages in which stamps that stand still are looked for
+zstd = mcap.zstd  # Python's own, or its backport
+
+
+def refusal(path: object, why: str, works: str) -> RunFolderError:
+    """The error of a bag that cannot be read."""
+    return RunFolderError(path, f"cannot be read ({why})", works)
+
+
+@contextmanager
+def of_bag(path: Path) -> Iterator[None]:
+    """Turn what a library raises of a bag into RunFolderError: also for want of memory, of which a broken length asks any amount."""
+    try:
+        with foreign(path, WORKS, refusal):
+            yield
+    except EnvironmentLackError as error:
+        raise refusal(path, error.lack, WORKS) from error
+
+
+# Of some kilobytes a bomb unpacks to more than a memory or a disk holds, and rosbags and mcap unpack whatever there is.
+class _Unpacked(zstd.ZstdFile):
+    """A packed file that unpacks to at most half of what is free where rosbags puts it."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        if self.tell() > shutil.disk_usage(tempfile.gettempdir()).free // 2:
+            raise ValueError("it unpacks to more than half of the free space for temporary files")
+        return super().read(size)
+
+
+def _unpacked(data: bytes, decompressor: Any) -> bytes:
+    found: bytes = decompressor.decompress(data, MOST_UNPACKED)
+    if not decompressor.eof:
+        raise ValueError(f"a part is cut off, or unpacks to more than {MOST_UNPACKED >> 20} MiB")
+    return found
+
+
+def of_zstd(data: bytes, _size: int = 0) -> bytes:
+    """What was packed by zstd. ValueError: it is cut off, or more than MOST_UNPACKED."""
+    return _unpacked(data, zstd.ZstdDecompressor())
+
+
+def of_lz4(data: bytes, _size: int = 0) -> bytes:
+    """What was packed by LZ4; errors as of `of_zstd`."""
+    return _unpacked(data, LZ4FrameDecompressor())
+
+
+def _open(file: BinaryIO, _mode: str) -> _Unpacked:
+    return _Unpacked(file)
+
+
+mcap.DECOMPRESSORS.update(zstd=of_zstd, lz4=of_lz4)
+folders.zstd = SimpleNamespace(decompress=of_zstd, open=_open)  # type: ignore[assignment] - all that is called of it
+
+
+def checked(path: Path) -> Path:
+    """The path of a bag whose files are regular, and of a size that is read; RunFolderError for others, or where nothing is."""
+    if not path.exists():
+        raise RunFolderError(path, "no such file or folder", WORKS)
+    with of_bag(path):
+        files = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else [path]
+    for one in files:
+        plain_file(one, WORKS, MOST_METADATA if one.suffix == ".yaml" else MOST_BAG, refusal)
+    return path
+
+
+class Found(NamedTuple):
+    """A message of a bag: its topic, when it came [s], and the message."""
+
+    topic: str
+    arrived: float
+    message: Message
+
+
+class BagFile:
+    """An open bag of ROS 2. kinds: the message types of its topics. passed: where what cannot be used is counted.
+    Raises RunFolderError: it cannot be read.
+    """
+
+    def __init__(self, path: Path, passed: PassedOver):
+        self._path = path
+        self._passed = passed
+        self._at = 0.0  # when the last message came [s]
+        with of_bag(path):
+            self._reader = Reader(path)
+            self._reader.open()
+            # Types mean what they mean here, whatever definitions a bag has of them.
+            self.kinds = {c.topic: c.msgtype for c in self._reader.connections if c.ext.serialization_format == "cdr"}
+            whole = self._reader.storage
+            self._parts = [(one, part) for one in getattr(whole, "storages", [whole]) for part in _parts(one)]
+
+    def close(self) -> None:
+        """Close its files."""
+        self._reader.close()
+
+    def messages(self, topics: Collection[str]) -> Iterator[Found]:
+        """Messages of topics as they came. Where all stamps of a topic are the same, the times of receipt stand in for them."""
+        stamps: dict[str, set[float]] = {topic: set() for topic in topics}
+        counts = dict.fromkeys(topics, 0)
+        for one in itertools.islice(self._decoded(topics, PassedOver()), LOOKED_AT):
+            stamps[one.topic].add(time_of(one.message))
+            counts[one.topic] += 1
+        for one in self._decoded(topics, self._passed):
+            if counts[one.topic] > 1 and len(stamps[one.topic]) == 1:
+                words = "are all the same: the times at which the bag received them stand in"
+                self._passed.note(one.topic, one.arrived, ParameterError("stamps", words, time_of(one.message)))
+                one.message.header.stamp = stamp(one.arrived)
+            yield one
+
+    def _decoded(self, topics: Collection[str], passed: PassedOver) -> Iterator[Found]:
+        for topic, kind, at, data in self._raw(topics, passed):
+            try:
+                with foreign("message", f"{kind} in CDR"):
+                    self._at = at / NS
+                    message = from_cdr(data, kind)
+            except ParameterError as error:
+                passed.note(topic, self._at, error)
+            else:
+                yield Found(topic, self._at, message)
+
+    def _raw(self, topics: Collection[str], passed: PassedOver) -> Iterator[tuple[str, str, Any, Any]]:
+        """Topic, type, time [ns] and bytes; a part of the file that cannot be read costs no other."""
+        those = [c for c in self._reader.connections if c.topic in topics]
+        for storage, chunks in self._parts:
+            storage.chunks = chunks
+            if storage is not self._reader.storage:
+                self._reader.storage.storages = [storage]
+            messages = self._reader.messages(those)
+            while True:
+                try:
+                    with of_bag(self._path):
+                        connection, at, data = next(messages, (None, 0, b""))
+                except RunFolderError as error:
+                    passed.note(self._path.name, self._at, ParameterError("part", f"of the bag is lost: {error}"))
+                    break
+                if connection is None:
+                    break
+                yield connection.topic, connection.msgtype, at, data
+
+
+def _parts(storage: Any) -> list[list[Any]]:
+    """Chunks of an MCAP file by time, those together that overlap; one part of a file that has none."""
+    parts: list[list[Any]] = []
+    end = -math.inf
+    for chunk in sorted(getattr(storage, "chunks", []), key=lambda one: one.message_start_time):
+        if not parts or chunk.message_start_time >= end:
+            parts.append([])
+        parts[-1].append(chunk)
+        end = max(end, chunk.message_end_time)
+    return parts or [[]]
