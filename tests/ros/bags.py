@@ -233,7 +233,7 @@ def rows(rng: np.random.Generator, bag: Path) -> None:
         "UPDATE topics SET offered_qos_profiles = '[[[['",
         "UPDATE message_definitions SET encoding = 'klingon'",
         "UPDATE message_definitions SET encoded_message_definition = 'float64 ['",
-        "UPDATE schema SET schema_version = 'x'",
+        "UPDATE schema SET schema_version = 99",
         "DROP TABLE messages",
         "DROP TABLE schema",
         "DROP TABLE message_definitions",

@@ -7,7 +7,7 @@ import itertools
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ import polars as pl
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, short
-from vstestbed.core.files import whole_folder, write_whole
+from vstestbed.core.files import whole_folder, write_whole, writing
 from vstestbed.core.foreign import foreign
 from vstestbed.core.geometry import Array
 from vstestbed.loop.ego_motion import mount_at
@@ -61,20 +61,25 @@ SAME_RUN = 0.001  # largest difference of commands flown again from those of the
 
 
 class Bag(Link):
-    """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one."""
+    """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one.
+    Raises EnvironmentLackError, OutputError: see `writing`.
+    """
 
     def __init__(self, folder: Path, node: str = "vstestbed_robot"):
         super().__init__(node, 0, {})
+        self._folder = folder
         self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        self._writer.open()
+        with writing(folder):
+            self._writer.open()
         self._topics: dict[str, Any] = {}
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
         name, kind = self.name(topic), message.__msgtype__
-        if name not in self._topics:
-            self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
-        self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
+        with writing(self._folder):
+            if name not in self._topics:
+                self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
+            self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         """Nothing is heard from a bag that is written."""
@@ -86,7 +91,14 @@ class Bag(Link):
         return None
 
     def close(self) -> None:
-        self._writer.close()
+        with writing(self._folder):
+            self._writer.close()
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            return self.close()
+        with suppress(Exception):  # a full disk, which has been told
+            self._writer.abort()
 
 
 def write_rosbag2(run: RecordedRun, out: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None) -> Path:
@@ -312,12 +324,13 @@ class _Feeding:
         began = time.perf_counter()
         late = event.arrived - stamp  # by another clock it says nothing
         passes = 1.0 if servo.before is None else stamp - servo.before
-        if passes < -RESTART_S:
-            words = f"goes back by more than {RESTART_S:g} s: the task begins anew"
-            self.passed.note(event.topic, stamp, ParameterError("clock", words))
-            servo.reset()
         timely = 0 <= late < servo.scenario.timing.order_s(servo.scenario.camera)
         try:
+            if passes < -RESTART_S:
+                servo.senses.at(stamp)  # one wrong stamp alone, of which there are no readings, begins nothing
+                words = f"goes back by more than {RESTART_S:g} s: the task begins anew"
+                self.passed.note(event.topic, stamp, ParameterError("clock", words))
+                servo.reset()
             cycle = servo.step(event.message, event.arrived if timely else None)
         except ParameterError as error:
             if error.field == "detector":  # the scenario's, not the picture's
