@@ -348,9 +348,12 @@ def test_two_thousand_broken_bags(tmp_path):
         seeds = range(1000 + start, 1000 + min(start + 250, count))
         child = context.Process(target=_work, args=(seeds, folder, results))
         child.start()
-        found += [results.get(timeout=120) for _ in seeds]
+        for seed in seeds:
+            try:
+                found.append(results.get(timeout=60))
+            except queue.Empty:
+                pytest.fail(f"bag {seed} has not ended; its process: {child.exitcode}")
         child.join()
-        assert child.exitcode == 0
     counts = Counter(how if len(how) < 10 else "else" for _, how, _, _ in found)
     slowest, largest = max(took for _, _, took, _ in found), max(mib for *_, mib in found)
     print(f"{counts}; slowest {slowest:.2f} s, largest {largest:.0f} MiB")

@@ -62,7 +62,7 @@ def calibrate(
         truth, shots = room.shots_of_run(place)
     else:
         scenario = load_scenario(robot, None, plugin, None) if robot else None
-        shots = list(room.shots_of_folder(place, scenario.robot if scenario else None))
+        shots = room.shots_of_folder(place, scenario.robot if scenario else None)
     known = room.camera_of(intrinsics) if intrinsics else None
     made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
     with study_folder("calibrate", out) as folder:
