@@ -55,17 +55,19 @@ def header(t: float, frame: str = "x") -> Any:
 
 def image(t: float, picture: Any, **other: Any) -> Any:
     h, w = picture.shape[:2]
-    told = dict(height=h, width=w, encoding="bgr8", is_bigendian=0, step=3 * w, data=np.ascontiguousarray(picture[..., ::-1]).reshape(-1))
+    data = np.ascontiguousarray(picture[..., ::-1]).reshape(-1)
+    told = {"height": h, "width": w, "encoding": "bgr8", "is_bigendian": 0, "step": 3 * w, "data": data}
     return KINDS["sensor_msgs/msg/Image"](header=header(t), **{**told, **other})
 
 
 def compressed(t: float, picture: Any, **other: Any) -> Any:
-    told = dict(format="bgr8; png compressed bgr8", data=cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].ravel())
+    data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].ravel()
+    told = {"format": "bgr8; png compressed bgr8", "data": data}
     return KINDS["sensor_msgs/msg/CompressedImage"](header=header(t), **{**told, **other})
 
 
 def joints(t: float, q: Any, **other: Any) -> Any:
-    told = dict(name=NAMES, position=np.array([9.0, *q[::-1]]), velocity=np.zeros(0), effort=np.zeros(0))
+    told = {"name": NAMES, "position": np.array([9.0, *q[::-1]]), "velocity": np.zeros(0), "effort": np.zeros(0)}
     return KINDS["sensor_msgs/msg/JointState"](header=header(t), **{**told, **other})
 
 
@@ -279,7 +281,9 @@ def broken_message(rng: np.random.Generator, put: list[Put]) -> list[Put]:
             message.position = np.array([np.nan] * 7) if rng.random() < 0.5 else np.zeros(rng.integers(7))
             raw = STORE.serialize_cdr(message, kind)
         elif how == 6 and topic == "/cam/color":
-            name, value = [("encoding", "bayer_rggb8"), ("encoding", "16UC1"), ("step", 1), ("height", 100_000), ("width", 0)][rng.integers(5)]
+            name, value = [("encoding", "bayer_rggb8"), ("encoding", "16UC1"), ("step", 1), ("height", 100_000), ("width", 0)][
+                rng.integers(5)
+            ]
             if hasattr(message, name):
                 setattr(message, name, value)
             raw = STORE.serialize_cdr(message, kind)

@@ -1,10 +1,10 @@
 """Calibration from pictures of a board: of a folder, of a run, with what is wrong said in a sentence."""
 
 import csv
+import functools
 import os
 import shutil
 import time
-import functools
 
 import cv2
 import numpy as np
@@ -130,7 +130,17 @@ def test_a_board_is_bounded_before_it_is_made(command):
     for size in ("1000000x1000000", "1000000x3", "40x40", "99999999999999999999x3"):
         with pytest.raises(ParameterError, match="of at most 50 markers, which 4X4_50 has"):
             c.Board.of(f"{size}:0.04:0.03:4X4_50")
-    for words in ("0x0:1:.5", "1x1:1:.5", "-7x-5:1:.5", "7x5:-2:-3", "7x5:inf:1", "7x5:nan:nan", "7x5:1:0", "7x5:1e-300:1e-301", "7x5:1e300:1"):
+    for words in (
+        "0x0:1:.5",
+        "1x1:1:.5",
+        "-7x-5:1:.5",
+        "7x5:-2:-3",
+        "7x5:inf:1",
+        "7x5:nan:nan",
+        "7x5:1:0",
+        "7x5:1e-300:1e-301",
+        "7x5:1e300:1",
+    ):
         with pytest.raises(ParameterError, match="--board needs the form"):
             c.Board.of(f"{words}:4X4_50")
     began = time.monotonic()

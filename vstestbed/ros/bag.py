@@ -96,7 +96,8 @@ class Bag(Link):
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
-            return self.close()
+            self.close()
+            return
         with suppress(Exception):  # a full disk, which has been told
             self._writer.abort()
 

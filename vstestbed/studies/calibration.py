@@ -60,7 +60,9 @@ class Board:
             if made.columns < 3 or made.rows < 3 or not LEAST_M < made.marker_m < made.square_m < MOST_M:
                 raise ValueError(words)
         except (ValueError, AttributeError, cv2.error):
-            form = f"COLUMNSxROWS:SQUARE_M:MARKER_M:DICTIONARY, 3 or more each way, {LEAST_M:g} to {MOST_M:g} m, such as 7x5:0.04:0.03:4X4_50"
+            form = (
+                f"COLUMNSxROWS:SQUARE_M:MARKER_M:DICTIONARY, 3 or more each way, {LEAST_M:g} to {MOST_M:g} m, such as 7x5:0.04:0.03:4X4_50"
+            )
             raise ParameterError.form("--board", form, short(words)) from None
         if (needed := made.columns * made.rows // 2) > markers:  # before OpenCV makes them
             raise ParameterError.bound("--board", "of at most", f"{markers} markers, which {made.dictionary} has", needed)
@@ -156,7 +158,10 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
     works = "poses.csv has the columns picture, and x, y, z, qx, qy, qz, qw or the joints' names"
     if not path.exists():
         raise RunFolderError(folder, f"has no {POSES}", works)
-    with foreign(path, works, RunFolderError), plain_file(path, works, refusal=RunFolderError).open(newline="", encoding="utf-8-sig") as file:
+    with (
+        foreign(path, works, RunFolderError),
+        plain_file(path, works, refusal=RunFolderError).open(newline="", encoding="utf-8-sig") as file,
+    ):
         lines = list(csv.DictReader(file, skipinitialspace=True))
     shots: list[Shot] = []
     bad: list[VstestbedError] = []
@@ -167,8 +172,8 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
         except (ParameterError, RunFolderError) as error:
             bad.append(error)
     size = statistics.mode(shot.picture.shape for shot in shots) if shots else None
-    for shot in (one for one in shots if one.picture.shape != size):
-        bad.append(RunFolderError(folder / shot.name, "is not of the size of most pictures", "take all with one camera"))
+    other = [shot for shot in shots if shot.picture.shape != size]
+    bad += [RunFolderError(folder / shot.name, "is not of the size of most pictures", "take all with one camera") for shot in other]
     if not shots:
         raise RunFolderError(path, f"has no line that can be used{f': {bad[0]}' if bad else ''}", works)
     if bad:
