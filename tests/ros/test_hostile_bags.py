@@ -113,6 +113,19 @@ def test_stamps_that_stand_still_are_replaced_by_the_times_of_receipt(taken, sce
     assert all("the times at which the bag received them" in why for *_, why in told(found))
 
 
+def test_the_page_and_the_terminal_tell_what_was_passed_over(taken, tmp_path, command):
+    put = bags.usual(taken)
+    put[8] = ("/cam/color", put[8][1], bags.image(put[8][1], taken[1].picture, data=np.zeros(99, np.uint8)))
+    bag = bags.written(tmp_path / "bag", put)
+    given = [f"{name}={value}" for name, value in bags.GIVEN.items()]
+    sets = [word for one in given for word in ("--set", one)]
+    ended = command("replay", bag, "arm_ibvs", *sets)
+    assert ended.code == 0 and "/cam/color: 1 told or passed over, the first of 1000.040 s" in ended.err
+    assert "--remap image_raw=/TOPIC" in ended.err and f"{len(taken) - 1} pictures" in ended.err
+    page = (tmp_path / "bag_replay" / "report.html").read_text(encoding="utf-8")
+    assert "What was passed over" in page and "has 99 bytes" in page
+
+
 def test_a_picture_that_comes_again_is_told(taken, scenario, clean, tmp_path):
     put = bags.usual(taken)
     put.insert(24, put[23])

@@ -144,7 +144,7 @@ def identify(
 
     given = load_scenario(scenario, set_, plugin, None)
     show_notes(not quiet)
-    if (record / "metadata.yaml").is_file() or record.suffix == ".mcap":
+    if (record / "metadata.yaml").is_file() or record.suffix in (".mcap", ".db3"):
         from vstestbed.ros.bag import record_of
 
         table = record_of(record, given, remapped(remap))

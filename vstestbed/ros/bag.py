@@ -25,7 +25,7 @@ from vstestbed.loop.ego_motion import mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun, name_with_unit, unit_of_joint
 from vstestbed.robots import Mount, Reading
-from vstestbed.ros.bag_file import BagFile, checked, of_bag, of_lz4, of_zstd, refusal
+from vstestbed.ros.bag_file import BagFile, Event, checked, of_bag, of_lz4, of_zstd, refusal
 from vstestbed.ros.law import RESTART_S, Feed, command_frame, command_topic, sent
 from vstestbed.ros.link import Answer, Heard, Link
 from vstestbed.ros.messages import (
@@ -137,15 +137,6 @@ def write_rosbag2(run: RecordedRun, out: Path, start_s: float = 0.0, tick: Calla
 
 
 # Replay: what was recorded, in the order of its arrival, through the controller.
-class Event(NamedTuple):
-    """A message of a bag: what it is here (`image`, `depth`, `twist`, or a topic of `sensors_of`), its topic, and when it came [s]."""
-
-    role: str
-    topic: str
-    arrived: float
-    message: Message
-
-
 def events(path: Path, scenario: Scenario, remap: Mapping[str, str], passed: PassedOver) -> Iterator[Event]:
     """The messages of a bag that a controller needs, in their order. path: a folder of rosbag2, an MCAP or .db3 file of it, or a file of
     `export --to mcap`. remap: topics by `image_raw`, `depth`, `twist`, and those of the readings. passed: counts what cannot be used.
@@ -156,8 +147,7 @@ def events(path: Path, scenario: Scenario, remap: Mapping[str, str], passed: Pas
         return
     with closing(BagFile(path, passed)) as bag:
         roles = {topic: role for role, topic in _topics(bag.kinds, scenario, remap).items()}
-        for topic, arrived, message in bag.messages(roles):
-            yield Event(roles[topic], topic, arrived, message)
+        yield from bag.messages(roles)
 
 
 def _topics(there: Mapping[str, str], scenario: Scenario, remap: Mapping[str, str]) -> dict[str, str]:

@@ -6,7 +6,7 @@ import itertools
 import math
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -89,9 +89,10 @@ def checked(path: Path) -> Path:
     return path
 
 
-class Found(NamedTuple):
-    """A message of a bag: its topic, when it came [s], and the message."""
+class Event(NamedTuple):
+    """A message of a bag: what it is here (`image_raw`, `depth`, `twist`, or a topic of `sensors_of`), its topic, when it came [s]."""
 
+    role: str
     topic: str
     arrived: float
     message: Message
@@ -118,22 +119,21 @@ class BagFile:
         """Close its files."""
         self._reader.close()
 
-    def messages(self, topics: Collection[str]) -> Iterator[Found]:
-        """Messages of topics as they came. Where all stamps of a topic are the same, the times of receipt stand in for them."""
-        stamps: dict[str, set[float]] = {topic: set() for topic in topics}
-        counts = dict.fromkeys(topics, 0)
-        for one in itertools.islice(self._decoded(topics, PassedOver()), LOOKED_AT):
-            stamps[one.topic].add(time_of(one.message))
-            counts[one.topic] += 1
-        for one in self._decoded(topics, self._passed):
-            if counts[one.topic] > 1 and len(stamps[one.topic]) == 1:
+    def messages(self, roles: Mapping[str, str]) -> Iterator[Event]:
+        """Messages of topics, by their roles, as they came. Where all stamps of a topic are the same, the times of receipt stand in."""
+        stamps: dict[str, list[float]] = {topic: [] for topic in roles}
+        for one in itertools.islice(self._decoded(roles, PassedOver()), LOOKED_AT):
+            stamps[one.topic].append(time_of(one.message))
+        for one in self._decoded(roles, self._passed):
+            if len(stamps[one.topic]) > 1 and len({*stamps[one.topic]}) == 1:
                 words = "are all the same: the times at which the bag received them stand in"
                 self._passed.note(one.topic, one.arrived, ParameterError("stamps", words, time_of(one.message)))
                 one.message.header.stamp = stamp(one.arrived)
             yield one
 
-    def _decoded(self, topics: Collection[str], passed: PassedOver) -> Iterator[Found]:
-        for topic, kind, at, data in self._raw(topics, passed):
+    def _decoded(self, roles: Mapping[str, str], passed: PassedOver) -> Iterator[Event]:
+        for connection, at, data in self._raw(roles, passed):
+            topic, kind = connection.topic, connection.msgtype
             try:
                 with foreign("message", f"{kind} in CDR"):
                     self._at = at / NS
@@ -141,26 +141,21 @@ class BagFile:
             except ParameterError as error:
                 passed.note(topic, self._at, error)
             else:
-                yield Found(topic, self._at, message)
+                yield Event(roles[topic], topic, self._at, message)
 
-    def _raw(self, topics: Collection[str], passed: PassedOver) -> Iterator[tuple[str, str, Any, Any]]:
-        """Topic, type, time [ns] and bytes; a part of the file that cannot be read costs no other."""
+    def _raw(self, topics: Collection[str], passed: PassedOver) -> Iterator[tuple[Any, Any, Any]]:
+        """Connection, time [ns] and bytes; a part of the file that cannot be read costs no other."""
         those = [c for c in self._reader.connections if c.topic in topics]
         for storage, chunks in self._parts:
             storage.chunks = chunks
             if storage is not self._reader.storage:
                 self._reader.storage.storages = [storage]
             messages = self._reader.messages(those)
-            while True:
-                try:
-                    with of_bag(self._path):
-                        connection, at, data = next(messages, (None, 0, b""))
-                except RunFolderError as error:
-                    passed.note(self._path.name, self._at, ParameterError("part", f"of the bag is lost: {error}"))
-                    break
-                if connection is None:
-                    break
-                yield connection.topic, connection.msgtype, at, data
+            try:
+                with of_bag(self._path):
+                    yield from messages
+            except RunFolderError as error:
+                passed.note(self._path.name, self._at, ParameterError("part", f"of the bag is lost: {error}"))
 
 
 def _parts(storage: Any) -> list[list[Any]]:
