@@ -8,6 +8,7 @@ import os
 import queue
 import resource
 import shutil
+import sqlite3
 import struct
 import time
 import traceback
@@ -16,6 +17,7 @@ from collections import Counter
 from contextlib import closing
 from pathlib import Path
 
+import cv2
 import lz4.frame
 import numpy as np
 import pytest
@@ -251,6 +253,41 @@ def test_bombs_are_stopped_before_they_unpack():
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 600_000
 
 
+def test_a_packed_file_takes_half_of_the_free_space_at_most(taken, scenario, tmp_path, monkeypatch):
+    bag = bags.written(tmp_path / "bag", bags.usual(taken[:3]), StoragePlugin.SQLITE3, CompressionMode.FILE)
+    assert len(replay(bag, scenario).table) == 3
+    monkeypatch.setattr(bag_file.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**6, 10**6 - 1000, 1000))
+    with pytest.raises(RunFolderError, match="half of the free space"):
+        replay(bag, scenario)
+
+
+VIEW = """DROP TABLE message_definitions; CREATE VIEW message_definitions AS WITH RECURSIVE n(id) AS
+    (SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT id, 'a' AS topic_type, 'ros2msg' AS encoding, '' AS encoded_message_definition,
+    '' AS type_description_hash FROM n"""
+GROWN = """ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER,
+    data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL); INSERT INTO messages SELECT id, topic_id, timestamp FROM old"""
+NESTED = "UPDATE topics SET offered_qos_profiles = '" + "[" * 100_000 + "'"
+
+
+@pytest.mark.parametrize("change", [VIEW, GROWN, NESTED])
+def test_databases_that_never_end_or_make_up_rows_are_refused(taken, scenario, tmp_path, change):
+    bag = bags.written(tmp_path / "bag", bags.usual(taken[:2]), StoragePlugin.SQLITE3)
+    with sqlite3.connect(bag / "bag.db3") as base:
+        base.executescript(change)
+    base.close()
+    began = time.monotonic()
+    how = ended(bag, scenario)
+    assert how == ("whole" if change is NESTED else "refused")
+    assert time.monotonic() - began < 3
+
+
+def test_metadata_that_is_nested_deeply_is_refused(taken, scenario, tmp_path):
+    bag = bags.written(tmp_path / "bag", bags.usual(taken[:2]))
+    (bag / "metadata.yaml").write_text("[" * 1500)
+    with pytest.raises(RunFolderError):
+        replay(bag, scenario)
+
+
 def grey_png(side: int) -> np.ndarray:
     """A PNG of a black square of so many pixels a side, by hand: it is some kilobytes."""
 
@@ -263,8 +300,26 @@ def grey_png(side: int) -> np.ndarray:
     return np.frombuffer(b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", lines) + part(b"IEND", b""), np.uint8)
 
 
+def long_png(length: int) -> bytes:
+    """A whole PNG but that its pixels claim so many bytes."""
+    raw = bytearray(cv2.imencode(".png", np.zeros((240, 320, 3), np.uint8))[1].tobytes())
+    at = raw.index(b"IDAT") - 4
+    raw[at : at + 4] = struct.pack(">I", length)
+    return bytes(raw)
+
+
 @pytest.mark.parametrize(
-    "broken", [b"", b"no picture", b"\xff\xd8\xff", grey_png(100_000).tobytes(), grey_png(20_000).tobytes(), b"\x89PNG\r\n\x1a\n"]
+    "broken",
+    [
+        b"",
+        long_png(0xFFFF8000),
+        long_png(2**31 - 1),
+        b"no picture",
+        b"\xff\xd8\xff",
+        grey_png(100_000).tobytes(),
+        grey_png(20_000).tobytes(),
+        b"\x89PNG\r\n\x1a\n",
+    ],
 )
 def test_compressed_pictures_that_are_none_are_passed_over(taken, scenario, tmp_path, broken):
     put = bags.usual(taken[:4], bags.compressed)
@@ -306,7 +361,7 @@ def broken_bag(seed, whole, taken, path):
     rng = np.random.default_rng(seed)
     if rng.random() < 0.35:
         put = bags.usual(taken, bags.compressed if rng.random() < 0.5 else bags.image)
-        plugin = StoragePlugin.SQLITE3 if rng.random() < 0.5 else StoragePlugin.MCAP
+        plugin = StoragePlugin.SQLITE3 if rng.random() < 0.2 else StoragePlugin.MCAP
         return bags.written(path, bags.broken_message(rng, put), plugin)
     bag = bags.copied(whole[rng.integers(len(whole))], path)
     bags.BREAKS[rng.integers(len(bags.BREAKS))](rng, bag)

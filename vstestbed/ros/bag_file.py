@@ -12,17 +12,20 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO, NamedTuple
 
+import apsw
 from lz4.frame import LZ4FrameDecompressor
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, storage_sqlite3
 from rosbags.rosbag2 import reader as folders
 from rosbags.rosbag2 import storage_mcap as mcap
+from rosbags.rosbag2.metadata import parse_qos
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
 from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.ros.messages import NS, Message, PassedOver, from_cdr, stamp, time_of
 
 WORKS = "a folder of rosbag2, or its MCAP or .db3 file; `mcap recover` mends one that was cut off, `ros2 bag reindex` a folder"
-MOST_BAG, MOST_METADATA = 1 << 36, 1 << 20  # bytes of a bag's file, and of its metadata.yaml
+MOST_BAG, MOST_METADATA = 1 << 36, 1 << 19  # bytes of a bag's file, and of its metadata.yaml
+LONGEST_QOS = 1000  # characters that tell how a topic is transmitted
 MOST_UNPACKED = 1 << 27  # bytes of an unpacked chunk or message, which is in memory as a whole
 LOOKED_AT = 2000  # messages in which stamps that stand still are looked for
 zstd = mcap.zstd  # Python's own, or its backport
@@ -74,6 +77,20 @@ def _open(file: BinaryIO, _mode: str) -> _Unpacked:
     return _Unpacked(file)
 
 
+def _bounded(connection: Any) -> None:
+    """Of a database tables alone are read, and no row that it would make up without a bound."""
+    connection.limit(apsw.SQLITE_LIMIT_LENGTH, MOST_UNPACKED)
+    connection.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)
+
+
+def _qos(told: Any) -> Any:
+    """What rosbags makes of a topic's quality of service, of which nothing is used here; a long text could take hours."""
+    return parse_qos(told) if len(told) < LONGEST_QOS else []
+
+
+for module in (folders, mcap, storage_sqlite3):
+    module.parse_qos = _qos
+apsw.connection_hooks.append(_bounded)
 mcap.DECOMPRESSORS.update(zstd=of_zstd, lz4=of_lz4)
 folders.zstd = SimpleNamespace(decompress=of_zstd, open=_open)  # type: ignore[assignment] - all that is called of it
 

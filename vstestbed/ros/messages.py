@@ -22,6 +22,7 @@ from vstestbed.core.geometry import Array, quaternion_wxyz, rotation_from_quater
 from vstestbed.core.lazy import MOST_PIXELS
 from vstestbed.robots import Reading, Robot
 from vstestbed.robots.flight import RECOVER_RAD, FlightEstimate, FlightReading
+from vstestbed.targets.picture import whole
 
 try:
     from rosbags.serde import SerdeError
@@ -172,8 +173,9 @@ def picture_of(message: Message) -> Image:
     if message.__msgtype__ == COMPRESSED:
         from vstestbed.core.lazy import cv2
 
+        raw = np.asarray(message.data, np.uint8)
         with foreign("image", "JPEG or PNG"):
-            found = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_COLOR)
+            found = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
         if found is None:
             raise ParameterError("image", "is compressed, and neither JPEG nor PNG, or broken", short(message.format))
         return np.ascontiguousarray(np.asarray(found, np.uint8)[..., ::-1])
