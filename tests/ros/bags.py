@@ -172,6 +172,8 @@ STRANGE = [None, -1, 2**70, "", "x", [], {}, 1e308, float("nan"), True, "../../e
 def metadata(rng: np.random.Generator, bag: Path) -> None:
     """A key of metadata.yaml is dropped, or has another value."""
     file = bag / "metadata.yaml"
+    if not file.exists():
+        return flip(rng, bag)
     whole = yaml.safe_load(file.read_text())
     places: list[tuple[Any, Any]] = []
 
@@ -187,6 +189,7 @@ def metadata(rng: np.random.Generator, bag: Path) -> None:
     else:
         node[key] = STRANGE[rng.integers(len(STRANGE))]
     file.write_text(yaml.safe_dump(whole))
+    return None
 
 
 def swap_types(rng: np.random.Generator, bag: Path) -> None:
