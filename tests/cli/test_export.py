@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -145,3 +147,26 @@ def test_successes_alone_are_demonstrations(command, place):
     assert ended.code == 2 and "--task" in ended.err and "--to lerobot" in ended.err
     ended = command("export", place / "run", "--to", "csv", "--only", "successes", "--out", place / "c")
     assert ended.code == 2 and "--only" in ended.err and "a comparison's folder" in ended.err
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(("to", "most"), [(to, most) for to in ("rosbag2", "mcap", "lerobot", "csv") for most in (0, 3000)])
+def test_a_full_disk_is_told_and_nothing_is_left_half(place, vstestbed_process, to, most):
+    """Files that may not grow over so many bytes (EFBIG, as a full disk's ENOSPC): in mid-export, and at its first byte."""
+    words, environment = vstestbed_process
+    limit = (most, most)
+    line = [*words, "export", str(place / "run"), "--to", to]
+    before = names(place)
+    done = subprocess.run(
+        line,
+        env={**environment, "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit),
+    )
+    assert done.returncode == 4, done.stderr
+    assert done.stderr.count("\n") == 1
+    said = ("no room for", "free some, choose another place") if to == "lerobot" else ("no space left on the disk; free some, or",)
+    assert all(words in done.stderr for words in said)
+    assert names(place) == before and {p.name for p in place.iterdir()} == {"run", "comparison"}

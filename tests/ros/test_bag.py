@@ -143,8 +143,8 @@ def test_what_is_no_bag_is_refused(tmp_path, run):
     for path, words in (
         (tmp_path / "no", "no such file"),
         (tmp_path, "cannot be read"),
-        (tmp_path / "a.mcap", "is no MCAP file"),
-        (tmp_path / "b.mcap", "is no MCAP file"),
+        (tmp_path / "a.mcap", "cannot be read"),
+        (tmp_path / "b.mcap", "cannot be read"),
     ):
         with pytest.raises(RunFolderError, match=words):
             replay(path, scenario)

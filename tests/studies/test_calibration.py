@@ -2,6 +2,9 @@
 
 import csv
 import functools
+import os
+import shutil
+import time
 
 import cv2
 import numpy as np
@@ -11,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import vstestbed as vs
 from vstestbed.camera import Fisheye, Perspective
 from vstestbed.camera.intrinsics import Intrinsics, read_calibration
-from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.errors import ParameterError, RunFolderError, VstestbedError
 from vstestbed.core.geometry import Pose, inverse, rigid_error
 from vstestbed.studies import calibration as c
 from vstestbed.studies.run_folder import run_into
@@ -67,7 +70,7 @@ def folder(tmp_path_factory):
 
 
 def test_pictures_of_a_folder_give_lens_and_mount(folder, tmp_path):
-    made = c.calibrated(list(c.shots_of_folder(folder, None)), BOARD, True, "plumb_bob")
+    made = c.calibrated(c.shots_of_folder(folder, None), BOARD, True, "plumb_bob")
     mm, rad = rigid_error(made.found.X, MOUNT)
     assert mm < 1e-3 and np.degrees(rad) < 0.2 and made.unseen == ["empty.png"]
     np.testing.assert_allclose(np.diag(made.camera.K)[:2], (515, 512), rtol=0.005)
@@ -81,11 +84,11 @@ def test_pictures_of_a_folder_give_lens_and_mount(folder, tmp_path):
 
 
 def test_a_lens_that_is_known_is_kept(folder):
-    made = c.calibrated(list(c.shots_of_folder(folder, None)), BOARD, True, None, CAMERA)
+    made = c.calibrated(c.shots_of_folder(folder, None), BOARD, True, None, CAMERA)
     assert made.camera is CAMERA and np.isnan(made.rms_px)
     assert rigid_error(made.found.X, MOUNT)[0] < 5e-4
     with pytest.raises(ParameterError, match="must have the camera's 320 x 240 px"):
-        c.calibrated(list(c.shots_of_folder(folder, None)), BOARD, True, None, Perspective(width=320, height=240))
+        c.calibrated(c.shots_of_folder(folder, None), BOARD, True, None, Perspective(width=320, height=240))
 
 
 def test_a_fisheye_is_calibrated():
@@ -99,7 +102,7 @@ def test_a_fisheye_is_calibrated():
 
 
 def test_advice_names_what_is_missing(folder):
-    shots = list(c.shots_of_folder(folder, None))
+    shots = c.shots_of_folder(folder, None)
     made = c.calibrated(shots[:4], BOARD, True, None, CAMERA)
     words = " ".join(c.advice(made))
     assert "4 views are few" in words and "No corner was in these ninths" in words
@@ -111,15 +114,77 @@ def test_what_is_no_calibration_is_refused(folder, tmp_path):
             c.Board.of(words)
     assert c.Board.of("9x6:0.03:0.02:dict_5x5_100").board() is not None
     with pytest.raises(RunFolderError, match=r"has no poses\.csv"):
-        list(c.shots_of_folder(tmp_path, None))
+        c.shots_of_folder(tmp_path, None)
     (tmp_path / "poses.csv").write_text("picture,x\nno.png,1\n")
-    with pytest.raises(RunFolderError, match=r"poses\.csv:2: cannot be read"):
-        list(c.shots_of_folder(tmp_path, None))
+    with pytest.raises(RunFolderError, match=r"poses\.csv:2 cannot be read"):
+        c.shots_of_folder(tmp_path, None)
     with pytest.raises(ParameterError, match="show the board 9x6 in 0 of 11"):
-        c.calibrated(list(c.shots_of_folder(folder, None)), c.Board(9, 6), True, None)
+        c.calibrated(c.shots_of_folder(folder, None), c.Board(9, 6), True, None)
     run_into(tmp_path / "omni", vs.load("omni_ibvs", {"stop.duration_s": 0.1}), "none", report=False)
     with pytest.raises(RunFolderError, match="an arm: hand-eye calibration needs its joints"):
         c.shots_of_run(tmp_path / "omni")
+
+
+def test_a_board_is_bounded_before_it_is_made(command):
+    """A board of 1,000,000 x 1,000,000 squares would take all memory; markers that the dictionary has not would be drawn from nothing."""
+    for size in ("1000000x1000000", "1000000x3", "40x40", "99999999999999999999x3"):
+        with pytest.raises(ParameterError, match="of at most 50 markers, which 4X4_50 has"):
+            c.Board.of(f"{size}:0.04:0.03:4X4_50")
+    for words in (
+        "0x0:1:.5",
+        "1x1:1:.5",
+        "-7x-5:1:.5",
+        "7x5:-2:-3",
+        "7x5:inf:1",
+        "7x5:nan:nan",
+        "7x5:1:0",
+        "7x5:1e-300:1e-301",
+        "7x5:1e300:1",
+    ):
+        with pytest.raises(ParameterError, match="--board needs the form"):
+            c.Board.of(f"{words}:4X4_50")
+    began = time.monotonic()
+    ended = command("calibrate", ".", "--board", "1000000x1000000:0.04:0.03:4X4_50", "--print", "a.png")
+    assert ended.code == 2 and ended.err.count("\n") == 1 and time.monotonic() - began < 5
+
+
+BROKEN = {
+    "nan.png": ("nan",) * 7,
+    "zero.png": (0.8, 0.1, 0.3, 0, 0, 0, 0),
+    "words.png": ("a",) * 7,
+    "text.png": (0.8, 0.1, 0.3, 0, 0, 0, 1),
+    "pipe.png": (0.8, 0.1, 0.3, 0, 0, 0, 1),
+    "small.png": (0.8, 0.1, 0.3, 0, 0, 0, 1),
+    "missing.png": (0.8, 0.1, 0.3, 0, 0, 0, 1),
+    "huge.png": (0.8, 0.1, 0.3, 0, 0, 0, 1),
+    "..": (0.8, 0.1, 0.3, 0, 0, 0, 1),
+}
+"""Lines of poses.csv, of a picture that is a text, a pipe, of another size, missing, of 64 MiB; and a folder."""
+
+
+def test_lines_and_pictures_that_are_broken_are_passed_over_and_told(folder, tmp_path, caplog):
+    place = tmp_path / "pictures"
+    shutil.copytree(folder, place)
+    good = cv2.imread(str(place / "0.png"))
+    for name in ("nan.png", "zero.png", "words.png"):
+        cv2.imwrite(str(place / name), good)
+    (place / "text.png").write_text("no picture")
+    os.mkfifo(place / "pipe.png")
+    cv2.imwrite(str(place / "small.png"), good[::2, ::2])
+    (place / "huge.png").touch()
+    os.truncate(place / "huge.png", (64 << 20) + 1)
+    with (place / "poses.csv").open("a", newline="") as file:
+        csv.writer(file).writerows([name, *numbers] for name, numbers in BROKEN.items())
+    shots = c.shots_of_folder(place, None)
+    assert [shot.name for shot in shots] == [f"{i}.png" for i in range(10)] + ["empty.png"]
+    assert f"{len(BROKEN)} of {11 + len(BROKEN)} pictures are passed over, the first: " in caplog.text and "poses.csv:13" in caplog.text
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"picture,x\n" + b"a" * 200_000, b"picture\n", b"\0\0\0"])
+def test_poses_that_are_none_are_a_sentence(tmp_path, content):
+    (tmp_path / "poses.csv").write_bytes(content)
+    with pytest.raises(VstestbedError):
+        c.calibrated(c.shots_of_folder(tmp_path, None), BOARD, True, None)
 
 
 def test_a_calibration_is_less_exact_with_worse_joints(monkeypatch):

@@ -1,5 +1,7 @@
 """Identification: what was put into a simulated robot is found in its record, and what cannot be told apart is said."""
 
+import os
+
 import numpy as np
 import polars as pl
 import pytest
@@ -56,6 +58,59 @@ def test_without_joints_two_latencies_are_one(record):
     assert [(a, b) for a, b, _ in found.together] == [(LATENCY.field, STAMPS.field)]
     assert not np.isfinite(found.half).any()
     assert found.values.sum() == pytest.approx(0.032, abs=2.5e-3)
+
+
+def test_moments_that_cannot_be_used_are_passed_over_and_told(record, caplog):
+    """NaN, infinities, words, and times that go back, stand still, or run far ahead: each costs its own moment."""
+    n = len(record)
+    wrong = record.with_columns(
+        pl.when(pl.int_range(n) == 7).then(float("nan")).otherwise("t").alias("t"),
+        pl.when(pl.int_range(n) == 9).then(float("inf")).otherwise("u_0").alias("u_0"),
+        pl.when(pl.int_range(n) == 11).then(1e300).otherwise("u_1").alias("u_1"),
+        pl.when(pl.int_range(n) == 13).then(pl.lit("x")).otherwise(pl.col("arrived").cast(str)).alias("arrived"),
+        pl.when(pl.int_range(n) == 15).then(float("nan")).otherwise("q_wheel_1" if "q_wheel_1" in record.columns else "t_q").alias("t_q"),
+    )
+    t = wrong["t"].to_list()
+    t[20], t[30], t[40] = t[18], 1e9, t[39]
+    found = idn.cleaned(wrong.with_columns(pl.Series("t", t)))
+    assert len(found) == n - 8 and found["t"].is_sorted() and np.isfinite(found["t"].to_numpy()).all()
+    assert f"8 of {n} moments of the record are passed over, the first in line 8" in caplog.text
+    assert "5 with times or commands that are no numbers, 3 whose times go back" in caplog.text
+    assert idn.cleaned(record).equals(record.cast(pl.Float64)) or len(idn.cleaned(record)) == n
+
+
+def test_readings_that_are_none_change_little(record, caplog):
+    rng = np.random.default_rng(1)
+    name = next(name for name in record.columns if name.startswith("q_"))
+    q = record[name].to_numpy().copy()
+    q[rng.integers(len(q), size=8)] = [np.nan, np.inf, -np.inf, 1e300] * 2
+    scenario = vs.load("omni_ibvs", {**PLANAR, "robot.drive_lag_s": 0.08})
+    found = idn.identify(record.with_columns(pl.Series(name, q)), scenario, [LATENCY])
+    # as from the whole record: the interval of one parameter from 92 of 100 readings of one of the joints
+    assert found.values[0] == pytest.approx(0.032, abs=max(found.half[0], 1e-6)) and "readings of the record are no numbers" in caplog.text
+
+
+def test_records_without_enough_in_them_are_refused(record, tmp_path):
+    scenario = vs.load("omni_ibvs", PLANAR)
+    for few in (0, 1, 2, 19):
+        with pytest.raises(ParameterError, match=f"has {few} moments that can be used of {few}; at least 20"):
+            idn.identify(record[:few], scenario)
+    with pytest.raises(ParameterError, match="has 1 moments that can be used of 100"):
+        idn.identify(record.with_columns(pl.lit(1.0).alias("t")), scenario)
+    with pytest.raises(ParameterError, match="at most 600 s long"):
+        idn.identify(record.with_columns(pl.col("t") * 1e4), scenario)
+    still = record.select("t", "arrived", "u_0", "u_1", "u_2", *(pl.lit(0.0).alias(f"q_{name}") for name in scenario.robot.joints))
+    with pytest.raises(ParameterError, match="tells of no motion"):
+        idn.identify(still, scenario)
+    with pytest.raises(ParameterError, match="record cannot be read"):
+        idn.cleaned(pl.DataFrame({"t": [[1.0]], "u_0": [[2.0]]}))
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "a.parquet").write_bytes(b"PAR1" + bytes(40) + b"PAR1")
+    (tmp_path / "b.csv").write_bytes(bytes(range(256)))
+    (tmp_path / "c.csv").touch()
+    for name in ("pipe.csv", "a.parquet", "b.csv", "c.csv"):
+        with pytest.raises(RunFolderError):
+            idn.read_record(tmp_path / name)
 
 
 def test_what_is_no_record_or_no_parameter_is_refused(record, tmp_path):

@@ -62,7 +62,7 @@ def calibrate(
         truth, shots = room.shots_of_run(place)
     else:
         scenario = load_scenario(robot, None, plugin, None) if robot else None
-        shots = list(room.shots_of_folder(place, scenario.robot if scenario else None))
+        shots = room.shots_of_folder(place, scenario.robot if scenario else None)
     known = room.camera_of(intrinsics) if intrinsics else None
     made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
     with study_folder("calibrate", out) as folder:
@@ -144,7 +144,7 @@ def identify(
 
     given = load_scenario(scenario, set_, plugin, None)
     show_notes(not quiet)
-    if (record / "metadata.yaml").is_file() or record.suffix == ".mcap":
+    if (record / "metadata.yaml").is_file() or record.suffix in (".mcap", ".db3"):
         from vstestbed.ros.bag import record_of
 
         table = record_of(record, given, remapped(remap))

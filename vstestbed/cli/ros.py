@@ -71,6 +71,8 @@ def ros(
                 servo.spin(ended)
                 if not quiet:
                     typer.echo(f"{len(servo.took_s)} twists, each {median_ms(servo.took_s):.2f} ms after its picture (median)", err=True)
+                    for line in servo.servo.senses.passed.lines():
+                        typer.echo(line, err=True)
             elif role == "excite":
                 from vstestbed.ros.law import excite
                 from vstestbed.studies.identification import motion_of
@@ -138,7 +140,7 @@ def remapped(words: list[str] | None) -> dict[str, str]:
 
 
 def replay(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A folder of rosbag2, or an MCAP file of it or of `export --to mcap`.")],
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A folder of rosbag2, its MCAP or .db3 file, or one of `export --to mcap`.")],
     scenario: ScenarioName,
     set_: Settings = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="A new folder for page and table. [default: BAG_replay]")] = None,

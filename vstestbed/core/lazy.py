@@ -6,7 +6,11 @@ run's numbers do not depend on the machine's cores, and parallel runs do not fig
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
+
+MOST_PIXELS = 1 << 26
+"""Of a picture that is read: a file of some kilobytes may claim a thousand million, and OpenCV's own bound is as high."""
 
 if TYPE_CHECKING:
     import cv2
@@ -14,6 +18,7 @@ else:
 
     class _OpenCV:
         def __getattr__(self, name: str) -> Any:
+            os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))  # read when it is imported
             import cv2
 
             cv2.setNumThreads(1)
@@ -23,4 +28,4 @@ else:
 
     cv2 = _OpenCV()
 
-__all__ = ["cv2"]
+__all__ = ["MOST_PIXELS", "cv2"]

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import io
+import itertools
 import logging
-import struct
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import polars as pl
-from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, short
-from vstestbed.core.files import whole_folder, write_whole
+from vstestbed.core.files import whole_folder, write_whole, writing
+from vstestbed.core.foreign import foreign
 from vstestbed.core.geometry import Array
 from vstestbed.loop.ego_motion import mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun, name_with_unit, unit_of_joint
 from vstestbed.robots import Mount, Reading
-from vstestbed.ros.law import Feed, command_frame, command_topic, sent
+from vstestbed.ros.bag_file import BagFile, Event, checked, of_bag, of_lz4, of_zstd, refusal
+from vstestbed.ros.law import RESTART_S, Feed, command_frame, command_topic, sent
 from vstestbed.ros.link import Answer, Heard, Link
 from vstestbed.ros.messages import (
     COMPRESSED,
@@ -34,6 +36,8 @@ from vstestbed.ros.messages import (
     OPTICAL,
     TWIST,
     Message,
+    PassedOver,
+    depth_of,
     header,
     made,
     sensors_of,
@@ -52,24 +56,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SAME = 1e-9  # largest difference of a twist computed again from the recorded one that is called none [m/s, rad/s]
+SHOWN = 12  # topics that a message lists
 SAME_RUN = 0.001  # largest difference of commands flown again from those of the log that is not worth a word [m/s, rad/s]
 
 
 class Bag(Link):
-    """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one."""
+    """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one.
+    Raises EnvironmentLackError, OutputError: see `writing`.
+    """
 
     def __init__(self, folder: Path, node: str = "vstestbed_robot"):
         super().__init__(node, 0)
+        self._folder = folder
         self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        self._writer.open()
+        with writing(folder):
+            self._writer.open()
         self._topics: dict[str, Any] = {}
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
         name, kind = self.name(topic), message.__msgtype__
-        if name not in self._topics:
-            self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
-        self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
+        with writing(self._folder):
+            if name not in self._topics:
+                self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
+            self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         """Nothing is heard from a bag that is written."""
@@ -81,7 +91,15 @@ class Bag(Link):
         return None
 
     def close(self) -> None:
-        self._writer.close()
+        with writing(self._folder):
+            self._writer.close()
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.close()
+            return
+        with suppress(Exception):  # a full disk, which has been told
+            self._writer.abort()
 
 
 def write_rosbag2(run: RecordedRun, out: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None) -> Path:
@@ -119,38 +137,22 @@ def write_rosbag2(run: RecordedRun, out: Path, start_s: float = 0.0, tick: Calla
 
 
 # Replay: what was recorded, in the order of its arrival, through the controller.
-class Event(NamedTuple):
-    """A message of a bag: what it is here (`image`, `depth`, `twist`, or a topic of `sensors_of`), and when it came [s]."""
-
-    role: str
-    arrived: float
-    message: Message
-
-
-def events(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterator[Event]:
-    """The messages of a bag that a controller needs, in their order. path: a folder of rosbag2, an MCAP file of it, or of
-    `export --to mcap`. remap: topics by `image_raw`, `depth`, `twist`, and those of the readings.
+def events(path: Path, scenario: Scenario, remap: Mapping[str, str], passed: PassedOver) -> Iterator[Event]:
+    """The messages of a bag that a controller needs, in their order. path: a folder of rosbag2, an MCAP or .db3 file of it, or a file of
+    `export --to mcap`. remap: topics by `image_raw`, `depth`, `twist`, and those of the readings. passed: counts what cannot be used.
     Raises RunFolderError: no bag, or one that cannot be read. ParameterError: no topic, or more than one, for what is needed.
     """
-    if not path.exists():
-        raise RunFolderError(path, "no such file or folder", "a folder of rosbag2, or an MCAP file")
-    if path.is_file() and _of_foxglove(path):
+    if checked(path).is_file() and path.suffix != ".db3" and _of_foxglove(path):
         if remap:
             raise ParameterError.only_for("--remap", "bags of ROS, and this file has the topics of `export --to mcap`")
-        yield from _foxglove(path, scenario)
+        yield from _foxglove(path, scenario, passed)
         return
-    try:
-        reader = AnyReader([path], default_typestore=types())
-        reader.open()
-    except (AnyReaderError, OSError, ValueError) as error:
-        raise RunFolderError(path, f"cannot be read ({error})", "a folder of rosbag2, or an MCAP file") from None
-    with closing(reader):
-        roles = {topic: role for role, topic in _topics(reader, scenario, remap).items()}
-        for connection, timestamp, data in reader.messages([c for c in reader.connections if c.topic in roles]):
-            yield Event(roles[connection.topic], timestamp / NS, reader.deserialize(data, connection.msgtype))
+    with closing(BagFile(path, passed)) as bag:
+        roles = {topic: role for role, topic in _topics(bag.kinds, scenario, remap).items()}
+        yield from bag.messages(roles)
 
 
-def _topics(reader: AnyReader, scenario: Scenario, remap: Mapping[str, str]) -> dict[str, str]:
+def _topics(there: Mapping[str, str], scenario: Scenario, remap: Mapping[str, str]) -> dict[str, str]:
     """Topics by what they are here: as they are mapped, named as ours, or the only one of their kind."""
     kinds = {"image_raw": (IMAGE, COMPRESSED), "twist": (TWIST,)} | {name: (kind,) for name, kind in sensors_of(scenario.robot).items()}
     if scenario.law.depth.measured:
@@ -158,7 +160,6 @@ def _topics(reader: AnyReader, scenario: Scenario, remap: Mapping[str, str]) -> 
     ours = {"image_raw": "/vstestbed_robot/image_raw", "depth": "/vstestbed_robot/depth", "twist": command_topic(scenario)}
     if unknown := sorted(set(remap) - set(kinds)):
         raise ParameterError.choice("--remap", kinds, unknown[0])
-    there = {c.topic: c.msgtype for c in reader.connections}
     found: dict[str, str] = {}
     for role, those in kinds.items():
         named, of_kind = remap.get(role, ours.get(role, f"/{role}")), [topic for topic, kind in there.items() if kind in those]
@@ -167,7 +168,8 @@ def _topics(reader: AnyReader, scenario: Scenario, remap: Mapping[str, str]) -> 
         elif role not in remap and len(of_kind) == 1 and role != "depth":
             found[role] = of_kind[0]
         elif role != "twist" or role in remap:
-            listed = ", ".join(of_kind) or f"none; the bag has {', '.join(f'{t} ({k})' for t, k in there.items()) or 'nothing'}"
+            every = [f"{topic} ({kind})" for topic, kind in there.items()]
+            listed = ", ".join(of_kind[:SHOWN]) or f"none; the bag has {', '.join(every[:SHOWN]) or 'nothing'}"
             raise ParameterError("--remap", f"{role}=TOPIC must say which topic it is: of {' or '.join(those)} there are {listed}")
     return found
 
@@ -175,54 +177,68 @@ def _topics(reader: AnyReader, scenario: Scenario, remap: Mapping[str, str]) -> 
 def _of_foxglove(path: Path) -> bool:
     """Whether an MCAP file has messages in protobuf, as `export --to mcap` writes them."""
     try:
-        from mcap.exceptions import McapError
         from mcap.reader import make_reader
     except ImportError as error:
         raise EnvironmentLackError(f"MCAP files need {error.name}, which is not installed", "pip install 'vstestbed[export]'") from None
-    with path.open("rb") as file:
-        try:
-            summary = make_reader(file).get_summary()
-        except (McapError, struct.error) as error:
-            raise RunFolderError(path, f"is no MCAP file ({error})", "a folder of rosbag2, or an MCAP file") from None
+    with of_bag(path), path.open("rb") as file:
+        summary = make_reader(file).get_summary()
         return summary is not None and any(c.message_encoding == "protobuf" for c in summary.channels.values())
 
 
-def _foxglove(path: Path, scenario: Scenario) -> Iterator[Event]:
+def _foxglove(path: Path, scenario: Scenario, passed: PassedOver) -> Iterator[Event]:
     """The same of a file of `export --to mcap`, whose joints are the true ones."""
+    from mcap import stream_reader
     from mcap_protobuf.reader import read_protobuf_messages
 
+    stream_reader.zstandard = SimpleNamespace(decompress=of_zstd)  # bounded, as those of rosbags
+    stream_reader.lz4 = SimpleNamespace(decompress=of_lz4)
     joints = scenario.robot.joints
     units = {name: unit_of_joint(name, scenario) for name in joints}
-    named = {"/truth/joint_positions": {n: name_with_unit(n, u) for n, u in units.items()}}
-    named["/truth/joint_velocities"] = {n: name_with_unit(n, f"{u}/s") for n, u in units.items()}
+    named = {"/truth/joint_positions": [name_with_unit(n, u) for n, u in units.items()]}
+    named["/truth/joint_velocities"] = [name_with_unit(n, f"{u}/s") for n, u in units.items()]
     values = [name_with_unit(name, "m/s" if name.startswith("v") else "rad/s") for name in TWIST_NAMES]
+    order = {**dict.fromkeys(named, 0), "/camera/image": 1, "/robot/applied": 2}
     waiting: dict[str, Any] = {}
-    latency, last_image = scenario.camera.latency_s, None
-    order = {"/truth/joint_positions": 0, "/truth/joint_velocities": 1, "/camera/image": 2, "/robot/applied": 3}
-    for m in sorted(read_protobuf_messages(str(path), topics=list(order)), key=lambda m: (m.log_time_ns, order[m.topic])):
-        t, message = m.log_time_ns / NS, m.proto_msg
-        if m.topic in named:
-            waiting[m.topic] = np.array([getattr(message, named[m.topic][name]) for name in joints])
-            if len(waiting) == 2:
-                q, qd = (waiting.pop(topic) for topic in named)
-                yield Event(
-                    "joint_states", t, made(JOINTS, header=header(t, ""), name=list(joints), position=q, velocity=qd, effort=np.zeros(0))
-                )
-        elif m.topic == "/camera/image":
+
+    def event(topic: str, t: float, message: Any) -> Event | None:
+        if topic in named:
+            waiting[topic] = np.array([getattr(message, field) for field in named[topic]])
+            if len(waiting) < 2:
+                return None
+            q, qd = (waiting.pop(name) for name in named)
+            told = made(JOINTS, header=header(t, ""), name=list(joints), position=q, velocity=qd, effort=np.zeros(0))
+            return Event("joint_states", topic, t, told)
+        if topic == "/camera/image":
             data = np.frombuffer(message.data, np.uint8)
-            yield Event("image_raw", t + latency, made(COMPRESSED, header=header(t, "camera"), format=message.format, data=data))
-            last_image = t
-        elif last_image is not None:
-            yield Event("twist", t, twist(t, np.array([getattr(message, name) for name in values]), command_frame(scenario)))
+            picture = made(COMPRESSED, header=header(t, "camera"), format=message.format, data=data)
+            return Event("image_raw", topic, t + scenario.camera.latency_s, picture)
+        return Event("twist", topic, t, twist(t, np.array([getattr(message, name) for name in values]), command_frame(scenario)))
+
+    t = 0.0
+    try:
+        with of_bag(path):
+            messages = read_protobuf_messages(str(path), topics=list(order))
+            for _, same in itertools.groupby(messages, key=lambda m: m.log_time_ns):
+                for m in sorted(same, key=lambda m: order[m.topic]):
+                    t = m.log_time_ns / NS
+                    with foreign(path, "a file of `export --to mcap`", refusal):
+                        found = event(m.topic, t, m.proto_msg)
+                    if found is not None:
+                        yield found
+    except RunFolderError as error:
+        passed.note(path.name, t, ParameterError("part", f"of the bag is lost: {error}"))
 
 
 @dataclass(frozen=True)
 class Replayed:
-    """A bag that went through the controller. table: a line for each picture. recorded, computed: twists (n, 6), NaN where none is."""
+    """A bag that went through the controller. table: a line for each picture. recorded, computed: twists (n, 6), NaN where none is.
+    passed: what could not be used.
+    """
 
     table: pl.DataFrame
     recorded: Array
     computed: Array
+    passed: PassedOver
 
     @property
     def differs(self) -> Array:
@@ -245,56 +261,99 @@ class Fed(NamedTuple):
     recorded: Array
 
 
-def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> list[Fed]:
-    """Feed a bag through the controller of a scenario, offline; errors: as of `events`, and of `Controller.step` at a picture. A twist
-    belongs to the picture before it.
+def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> tuple[list[Fed], PassedOver]:
+    """Feed a bag through the controller of a scenario, offline; errors: as of `events`. A twist belongs to the picture before it. What
+    cannot be used is passed over, counted, and told as warnings. RunFolderError: no picture can be used.
     """
-    servo, waiting, done = Feed(scenario, live=False), list[Event](), list[Fed]()
+    fed = _Feeding(Feed(scenario, live=False))
+    for event in events(path, scenario, remap, fed.passed):
+        fed.hear(event)
+    while fed.waiting:
+        fed.step()
+    lines = fed.passed.lines()
+    if not fed.done:
+        words = f"has no picture that can be used{': ' if lines else ''}{'; '.join(lines)}"
+        raise RunFolderError(path, words, "is the topic the right one (--remap image_raw=/TOPIC)?")
+    for line in lines:
+        logging.getLogger("vstestbed").warning("%s", line)
+    return fed.done, fed.passed
 
-    def step() -> None:
-        event = waiting.pop(0)
-        began, stamp = time.perf_counter(), time_of(event.message)
+
+class _Feeding:
+    """A bag on its way through a controller: pictures wait for the readings of their exposure."""
+
+    def __init__(self, servo: Feed):
+        self.servo = servo
+        self.passed = servo.senses.passed
+        self.waiting: list[Event] = []
+        self.done: list[Fed] = []
+
+    def hear(self, event: Event) -> None:
+        """Take in a message, and step with the pictures whose readings are there."""
+        try:
+            if event.role == "image_raw":
+                self.waiting.append(event)
+            elif event.role == "depth":
+                depth_of(event.message)  # a broken one would cost each picture until the next
+                self.servo.depth = event.message
+            elif event.role == "twist":
+                self._recorded(twist_of(event.message))
+            else:
+                self.servo.senses.hear(event.role, event.message)
+        except ParameterError as error:
+            self.passed.note(event.topic, event.arrived, error)
+        while len(self.waiting) > 1 or (self.waiting and self.servo.senses.until(time_of(self.waiting[0].message))):
+            self.step()
+
+    def _recorded(self, v: Array) -> None:
+        if self.waiting:  # it was answered, whatever was heard since
+            self.step()
+        if self.done and np.isnan(self.done[-1].recorded).any():
+            self.done[-1] = self.done[-1]._replace(recorded=v)
+
+    def step(self) -> None:
+        """One control step for the picture that has waited longest."""
+        event = self.waiting.pop(0)
+        servo = self.servo
+        stamp = time_of(event.message)
+        began = time.perf_counter()
         late = event.arrived - stamp  # by another clock it says nothing
         servo.controller.clock = lambda: event.arrived  # the recorder's, so that a repeated picture is as old as it was
-        cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None)
+        passes = 1.0 if servo.before is None else stamp - servo.before
+        timely = 0 <= late < servo.scenario.timing.order_s(servo.scenario.camera)
+        try:
+            if passes < -RESTART_S:
+                servo.senses.at(stamp)  # one wrong stamp alone, of which there are no readings, begins nothing
+                words = f"goes back by more than {RESTART_S:g} s: the task begins anew"
+                self.passed.note(event.topic, stamp, ParameterError("clock", words))
+                servo.reset()
+            cycle = servo.step(event.message, event.arrived if timely else None)
+        except ParameterError as error:
+            if error.field == "detector":  # the scenario's, not the picture's
+                raise
+            self.passed.note(event.topic, stamp, error)
+            return
+        if -RESTART_S <= passes <= 0:
+            self.passed.note(event.topic, stamp, ParameterError("stamp", "is not later than the picture's before: it is not used"))
         took, reading = 1e3 * (time.perf_counter() - began), servo.senses.at(stamp)
-        done.append(Fed(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan)))
-
-    for event in events(path, scenario, remap):
-        if event.role == "image_raw":
-            waiting.append(event)
-        elif event.role == "depth":
-            servo.depth = event.message
-        elif event.role == "twist":
-            if waiting:  # it was answered, whatever was heard since
-                step()
-            if done and np.isnan(done[-1].recorded).any():
-                done[-1] = done[-1]._replace(recorded=twist_of(event.message))
-        elif event.role in sensors_of(scenario.robot):
-            servo.senses.hear(event.role, event.message)
-        while len(waiting) > 1 or (waiting and servo.senses.until(time_of(waiting[0].message))):
-            step()
-    while waiting:
-        step()
-    if not done:
-        raise RunFolderError(path, "has no picture", "is the topic the right one (--remap image_raw=/TOPIC)?")
-    return done
+        self.done.append(Fed(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan)))
 
 
 def replay(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None) -> Replayed:
     """What the controller of a scenario makes of a bag; errors: as of `stepped`."""
-    rows, steps = [], stepped(path, scenario, remap or {})
+    rows: list[dict[str, Any]] = []
+    steps, passed = stepped(path, scenario, remap or {})
     for one in steps:
         row = {"t": one.cycle.t, "stopped": one.cycle.stopped, "reason": one.cycle.reason, "notes": "; ".join(one.cycle.notes)}
         row |= {f"computed_{n}": v for n, v in zip(TWIST_NAMES, one.computed.tolist(), strict=True)}
         rows.append(row | {f"recorded_{n}": v for n, v in zip(TWIST_NAMES, one.recorded.tolist(), strict=True)} | {"took_ms": one.took_ms})
-    return Replayed(pl.DataFrame(rows), np.array([one.recorded for one in steps]), np.array([one.computed for one in steps]))
+    return Replayed(pl.DataFrame(rows), np.array([one.recorded for one in steps]), np.array([one.computed for one in steps]), passed)
 
 
 def record_of(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None) -> pl.DataFrame:
     """A bag as a record for `identify`: the commands along the robot's own motions, joints, and the markers that the detector finds."""
     mount, robot, rows = Mount.of(scenario.believed_camera.mount.T), scenario.robot, []
-    for one in stepped(path, scenario, remap or {}):
+    for one in stepped(path, scenario, remap or {})[0]:
         at, told = mount_at(scenario, mount, one.reading.q), np.nan_to_num(one.recorded)
         v = told if command_frame(scenario) == OPTICAL else at.to_camera @ told
         u = np.linalg.pinv(robot.motion_basis(at, one.reading.q)) @ v
@@ -309,7 +368,7 @@ def record_of(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = 
         for i, (a, b) in enumerate(one.cycle.observation.uv.tolist()):
             row |= {f"u_px_{i}": a, f"v_px_{i}": b}
         rows.append(row)
-    return pl.DataFrame(rows)
+    return pl.DataFrame(rows, infer_schema_length=None)
 
 
 def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Path:
@@ -338,6 +397,8 @@ def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Pa
     tables = (
         [("Why it stopped, or did not follow the law", ["Reason", "Pictures"], [[str(r), str(c)] for r, c in reasons])] if reasons else []
     )
+    if passed := found.passed.rows():
+        tables.append(("What was passed over", ["Topic", "Number", "First [s]", "Last [s]", "Why", "What helps"], passed))
     return write_page(
         folder, "study.html", f"Replay of {short(source)}", outcome=(head, state, sentences), plots=plots, tables=tables, command=command
     )

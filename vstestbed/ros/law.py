@@ -25,7 +25,9 @@ from vstestbed.ros.messages import (
     IMAGE,
     OPTICAL,
     Message,
+    PassedOver,
     body_frame,
+    check_finite,
     check_single,
     depth_of,
     joints_of,
@@ -95,18 +97,25 @@ class Senses:
         self._heard: dict[str, list[tuple[float, Message]]] = {name: [] for name in self._topics}
         self._joints: list[tuple[float, tuple[Array, Array]]] = []
         self._others = ""  # why joints that were heard are none of this robot's
+        self.passed = PassedOver()
         self._lock = threading.Lock()
 
     def hear(self, topic: str, message: Message) -> None:
-        """Remember a message of a topic of `sensors_of`; joints of another device, such as a gripper, are passed over."""
+        """Remember a message of a topic of `sensors_of`; joints of another device, such as a gripper, are passed over and counted, and so
+        is what has numbers that are none.
+        """
         t = time_of(message)
         with self._lock:
-            if topic == "joint_states":
-                try:
+            try:
+                if topic == "joint_states":
                     _remember(self._joints, t, joints_of(message, self._robot.joints))
-                except ParameterError as error:
+                else:
+                    check_finite(topic, message)
+            except ParameterError as error:
+                if topic == "joint_states":
                     self._others = str(error)
-                    return
+                self.passed.note(topic, t, error)
+                return
             _remember(self._heard[topic], t, message)
 
     def until(self, stamp: float) -> bool:
@@ -168,6 +177,12 @@ class Feed:
         """Begin the task anew with the next picture."""
         self.controller.reset()
         self.began, self.depth = None, None
+
+    @property
+    def before(self) -> float | None:
+        """The stamp of the last picture that was used [s]; None before the first."""
+        last = self.controller.before
+        return None if last is None or self.began is None else self.began + last.t
 
     def step(self, message: Message, arrived: float | None = None) -> Cycle:
         """One control step for a picture. arrived: when it came [s], by the clock of the stamps; None: after `camera.latency_s`.

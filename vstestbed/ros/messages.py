@@ -7,6 +7,7 @@ down, z forward). Units are SI. Joints go by their names, whatever their order.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
@@ -15,11 +16,13 @@ import numpy as np
 
 from vstestbed.camera import Camera, DepthImage, Image
 from vstestbed.camera.intrinsics import as_ros
-from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, short
 from vstestbed.core.foreign import foreign
 from vstestbed.core.geometry import Array, quaternion_wxyz, rotation_from_quaternion, rotation_from_rpy, rpy_of
+from vstestbed.core.lazy import MOST_PIXELS
 from vstestbed.robots import Reading, Robot
 from vstestbed.robots.flight import RECOVER_RAD, FlightEstimate, FlightReading
+from vstestbed.targets.picture import whole
 
 try:
     from rosbags.serde import SerdeError
@@ -107,6 +110,43 @@ def text(words: str) -> Message:
     return made(TEXT, data=words)
 
 
+HELPS = {
+    "image": "--remap image_raw=/TOPIC names another topic",
+    "picture": "--set camera.width=W --set camera.height=H fits the scenario to it",
+    "readings": "--remap joint_states=/TOPIC names another topic",
+    "joint_states": "--remap joint_states=/TOPIC names another topic",
+    "depth": "--remap depth=/TOPIC names another topic",
+}
+"""What helps, by what an element that cannot be used is wrong in."""
+
+
+class PassedOver:
+    """Elements that could not be used, by topic and by what is wrong in them: how many, when the first and the last, and why."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str], tuple[int, float, float, str]] = {}
+
+    def note(self, topic: str, t: float, why: ParameterError) -> None:
+        """Count an element of a time [s]."""
+        kind = re.split(r"\W", why.field)[0]
+        count, first, _, words = self._found.get((topic, kind), (0, t, t, str(why)))
+        self._found[topic, kind] = count + 1, first, t, words
+
+    def rows(self) -> list[list[str]]:
+        """Topic, number, time of the first and the last [s], why, and what helps."""
+        return [
+            [topic, str(count), f"{first:.3f}", f"{last:.3f}", words, HELPS.get(kind, "")]
+            for (topic, kind), (count, first, last, words) in self._found.items()
+        ]
+
+    def lines(self) -> list[str]:
+        """The same in sentences."""
+        return [
+            f"{topic}: {count} told or passed over, the first of {first} s, the last of {last} s: {words}{helps and '; '}{helps}"
+            for topic, count, first, last, words, helps in self.rows()
+        ]
+
+
 # Pictures.
 def image(t: float, picture: Image) -> Message:
     """A picture (H, W, 3), RGB."""
@@ -142,9 +182,11 @@ def picture_of(message: Message) -> Image:
     if message.__msgtype__ == COMPRESSED:
         from vstestbed.core.lazy import cv2
 
-        found = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_COLOR)
+        raw = np.asarray(message.data, np.uint8)
+        with foreign("image", "JPEG or PNG"):
+            found = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
         if found is None:
-            raise ParameterError("image", "is compressed, and neither JPEG nor PNG", message.format)
+            raise ParameterError("image", "is compressed, and neither JPEG nor PNG, or broken", short(message.format))
         return np.ascontiguousarray(np.asarray(found, np.uint8)[..., ::-1])
     if message.encoding not in CHANNELS:
         raise ParameterError.choice("image.encoding", CHANNELS, message.encoding)
@@ -163,6 +205,8 @@ def depth_of(message: Message) -> DepthImage:
 def _rows(message: Message, kind: np.dtype[Any], channels: int) -> Any:
     """The numbers (H, W, channels) of an Image, without what stands between its rows."""
     height, width, used = message.height, message.width, message.width * channels * kind.itemsize
+    if not 0 < height * width <= MOST_PIXELS:
+        raise ParameterError("image", f"must have between 1 and {MOST_PIXELS} pixels", f"{width} x {height}")
     data, step = np.asarray(message.data, np.uint8), message.step or used
     if step < used or data.size < step * height:
         words = f"has {data.size} bytes in rows of {step}; {width} x {height} pixels of {message.encoding} are {used * height}"
@@ -342,9 +386,21 @@ def reading_of(robot: Robot, found: Mapping[str, Message]) -> Reading:
     return FlightReading(q, qd, heading if oriented else None, tilt, range_m=float(found["range"].range), estimate=estimate)
 
 
+def check_finite(topic: str, message: Message) -> None:
+    """Refuse a message of an IMU, an odometry or a range with a number that is none; ParameterError. A range is infinite over nothing."""
+    if topic == "imu":
+        o = message.orientation
+        numbers = [o.w, o.x, o.y, o.z] if message.orientation_covariance[0] >= 0 else []
+        numbers += three(message.angular_velocity) if message.angular_velocity_covariance[0] >= 0 else []
+    else:
+        numbers = three(message.twist.twist.linear) if topic == "odom" else [math.atan(message.range)]
+    if not np.isfinite(numbers).all():
+        raise ParameterError.infinite(topic, numbers)
+
+
 def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
     """Positions and velocities (n,) [rad, m] of joints by their names; velocities that are not told are NaN.
-    ParameterError: one is not in the message.
+    ParameterError: one is not in the message, or has no position, or none that is finite.
     """
     there = {name: i for i, name in enumerate(message.name)}
     if missing := [name for name in names if name not in there]:
@@ -352,4 +408,8 @@ def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
         raise ParameterError("joint_states", words, list(message.name))
     order = [there[name] for name in names]
     q, qd = np.asarray(message.position, dtype=float), np.asarray(message.velocity, dtype=float)
+    if len(q) != len(message.name):
+        raise ParameterError("joint_states", f"have {len(q)} positions of {len(message.name)} joints")
+    if not np.isfinite(q[order]).all():
+        raise ParameterError.infinite("joint_states", q[order].tolist())
     return q[order], qd[order] if len(qd) == len(message.name) else np.full(len(order), np.nan)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import logging
 import math
+import statistics
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,8 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from vstestbed.camera import Camera, Fisheye, Image, Perspective
 from vstestbed.camera.intrinsics import Intrinsics, read_intrinsics, write_calibration
-from vstestbed.core.errors import ParameterError, RunFolderError, UnreachableError
+from vstestbed.core.errors import ParameterError, RunFolderError, UnreachableError, VstestbedError, short
 from vstestbed.core.files import write_whole
+from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.episode import BY_HAND, Episode
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
 
 Model = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 MOST_VIEWS = 30  # of a run; more pictures tell hardly more, and each costs
+LEAST_M, MOST_M = 1e-9, 1e9  # sides of a board, which OpenCV keeps in 32 bits [m]
 LEAST_CORNERS = 6  # corners in a picture with which it counts
 POSE_SIGMA = 1e-4  # error of poses that are not given by joints, along and about each axis [m, rad]
 
@@ -52,18 +56,24 @@ class Board:
             size, square, marker, name = words.split(":")
             columns, _, rows = size.partition("x")
             made = cls(int(columns), int(rows), float(square), float(marker), name.upper().removeprefix("DICT_"))
-            if made.columns < 3 or made.rows < 3 or not 0 < made.marker_m < made.square_m:
+            markers = len(made._markers().bytesList)
+            if made.columns < 3 or made.rows < 3 or not LEAST_M < made.marker_m < made.square_m < MOST_M:
                 raise ValueError(words)
-            made.board()
         except (ValueError, AttributeError, cv2.error):
-            form = "COLUMNSxROWS:SQUARE_M:MARKER_M:DICTIONARY, 3 or more each way, such as 7x5:0.04:0.03:4X4_50"
-            raise ParameterError.form("--board", form, words) from None
+            form = (
+                f"COLUMNSxROWS:SQUARE_M:MARKER_M:DICTIONARY, 3 or more each way, {LEAST_M:g} to {MOST_M:g} m, such as 7x5:0.04:0.03:4X4_50"
+            )
+            raise ParameterError.form("--board", form, short(words)) from None
+        if (needed := made.columns * made.rows // 2) > markers:  # before OpenCV makes them
+            raise ParameterError.bound("--board", "of at most", f"{markers} markers, which {made.dictionary} has", needed)
         return made
+
+    def _markers(self) -> Any:
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
 
     def board(self) -> Any:
         """OpenCV's board."""
-        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, words)
+        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, self._markers())
 
     def finder(self) -> Callable[[Image], tuple[Array, Array] | None]:
         """Finds the corners in a picture: in the board's frame (n, 3) [m], and in the picture (n, 2) [px]; None where there are too few."""
@@ -139,31 +149,52 @@ def _chosen(views: Array, poses: Array) -> set[int]:
 POSES = "poses.csv"
 
 
-def shots_of_folder(folder: Path, robot: Robot | None) -> Iterator[Shot]:
+def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
     """Pictures of a folder with `poses.csv`: a line for each picture, `picture`, and `x,y,z,qx,qy,qz,qw` of the flange in the base [m],
-    or the names of the joints of a scenario's robot [rad, m]. RunFolderError: no such file, a line that is none, a picture that is not
-    there.
+    or the names of the joints of a scenario's robot [rad, m]. Lines that are none, and pictures that are not there, are broken, or of
+    another size than most, are passed over and told. RunFolderError: no such file, or no line that can be used.
     """
     path = folder / POSES
     works = "poses.csv has the columns picture, and x, y, z, qx, qy, qz, qw or the joints' names"
-    if not path.is_file():
+    if not path.exists():
         raise RunFolderError(folder, f"has no {POSES}", works)
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with (
+        foreign(path, works, RunFolderError),
+        plain_file(path, works, refusal=RunFolderError).open(newline="", encoding="utf-8-sig") as file,
+    ):
         lines = list(csv.DictReader(file, skipinitialspace=True))
-    joints = robot.joints if robot is not None and robot.joints else ()
+    shots: list[Shot] = []
+    bad: list[VstestbedError] = []
     for number, line in enumerate(lines, start=2):
-        where = f"{path}:{number}"
         try:
-            picture = read_rgb(folder / line["picture"])
-            if joints and set(joints) <= set(line):
-                assert robot is not None
-                yield _shot(robot, line["picture"], picture, np.array([float(line[name]) for name in joints]))
-            else:
-                quat = np.array([float(line[f"q{name}"]) for name in "wxyz"])
-                T = pose_from(np.array([float(line[name]) for name in "xyz"]), quat / np.linalg.norm(quat))
-                yield Shot(line["picture"], picture, T, np.eye(6))
-        except (KeyError, TypeError, ValueError, OSError) as error:
-            raise RunFolderError(where, f"cannot be read ({error})", works) from None
+            with foreign(f"{path}:{number}", works):
+                shots.append(_shot_of_line(folder, line, robot))
+        except (ParameterError, RunFolderError) as error:
+            bad.append(error)
+    size = statistics.mode(shot.picture.shape for shot in shots) if shots else None
+    other = [shot for shot in shots if shot.picture.shape != size]
+    bad += [RunFolderError(folder / shot.name, "is not of the size of most pictures", "take all with one camera") for shot in other]
+    if not shots:
+        raise RunFolderError(path, f"has no line that can be used{f': {bad[0]}' if bad else ''}", works)
+    if bad:
+        logging.getLogger("vstestbed").warning("%d of %d pictures are passed over, the first: %s", len(bad), len(lines), bad[0])
+    return [shot for shot in shots if shot.picture.shape == size]
+
+
+def _shot_of_line(folder: Path, line: dict[str, Any], robot: Robot | None) -> Shot:
+    """The picture and the pose of a line. ParameterError, or what its numbers raise: it is none."""
+    by_joints = robot if robot is not None and robot.joints and set(robot.joints) <= set(line) else None
+    names = by_joints.joints if by_joints else ("x", "y", "z", "qw", "qx", "qy", "qz")
+    numbers = np.array([float(line[name]) for name in names])
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"{', '.join(names)} must be finite")
+    picture = read_rgb(plain_file(folder / line["picture"], "a PNG or JPEG file"))
+    if by_joints:
+        return _shot(by_joints, line["picture"], picture, numbers)
+    length = np.linalg.norm(numbers[3:])
+    if length == 0:
+        raise ValueError("the quaternion is zero")
+    return Shot(line["picture"], picture, pose_from(numbers[:3], numbers[3:] / length), np.eye(6))
 
 
 @dataclass(frozen=True)

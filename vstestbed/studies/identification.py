@@ -8,6 +8,8 @@ Reference: Ljung 1999, System Identification, 2nd ed., chapters 7 and 9 (predict
 
 from __future__ import annotations
 
+import bisect
+import logging
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -23,6 +25,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import to_mapping
 from vstestbed.loop.episode import Episode
@@ -39,6 +42,9 @@ COMMAND_LATENCY, STAMPS = "timing.command_latency_s", "stamps_late_s"
 """The two parameters that only shift what is predicted: from when on a command acts, and how much later than its exposure a picture is
 stamped, by the clock of the joints' readings."""
 LEAST_NOISE = {"joint": 1e-5, "pixel": 0.02}  # under which a sensor's noise is not believed [rad, px]
+LEAST_MOMENTS, LONGEST_S = 20, 600.0  # of a record, and for how long one is flown again
+LARGEST = 1e12  # a number beyond is none of a robot's, and its square not far from that of infinity
+MOST_RECORD = 1 << 28  # bytes of a record's file
 APART = 0.998  # cosine of what two parameters change in the predictions, from which on they are not told apart
 
 # The motion: of each of a robot's own motions a step to and fro, then sines of all at once.
@@ -109,15 +115,56 @@ def read_record(path: Path) -> pl.DataFrame:
         path / RECORD if path.is_dir() else path,
         "a file or folder of `vstestbed excite`, with columns t, arrived, u_0, ..., q_..., u_px_0, ...",
     )
-    if not file.is_file():
+    if not file.exists():
         raise RunFolderError(path, f"has no {RECORD}", works)
-    try:
-        found = pl.read_csv(file) if file.suffix == ".csv" else pl.read_parquet(file)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        raise RunFolderError(file, f"cannot be read ({error})", works) from None
+    plain_file(file, works, MOST_RECORD, RunFolderError)
+    with foreign(file, works, RunFolderError):
+        found = pl.read_csv(file, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(file)
     if not {"t", "u_0"} <= set(found.columns):
         raise RunFolderError(file, f"has the columns {', '.join(found.columns[:8])}", works)
     return found
+
+
+def cleaned(record: pl.DataFrame) -> pl.DataFrame:
+    """A record's moments whose times and commands are numbers and rise, NaN for readings that are none; the others are passed over, and
+    told with their times. ParameterError: columns of something else, too few moments, or too long a record.
+    """
+    known = [name for name in record.columns if re.fullmatch(r"t|t_q|arrived|u_\d+|qd?_.+|[uv]_px_\d+", name)]
+    with foreign("record", "columns of numbers"):
+        numbers = np.array(record.select(pl.col(known).cast(pl.Float64, strict=False)).to_numpy(), dtype=float)
+    numbers[~(np.abs(numbers) < LARGEST)] = np.nan
+    table = pl.DataFrame(numbers, known)
+    needed = table.select(pl.selectors.matches(r"^(t|t_q|arrived|u_\d+)$")).to_numpy()
+    used = np.flatnonzero(np.isfinite(needed).all(axis=1))
+    none, t = len(table) - len(used), table["t"].to_numpy()
+    for name in [name for name in ("t", "t_q") if name in known]:
+        used = used[_rising(table[name].to_numpy()[used])]
+    if len(used) < LEAST_MOMENTS:
+        raise ParameterError("record", f"has {len(used)} moments that can be used of {len(table)}; at least {LEAST_MOMENTS} are needed")
+    if (whole_s := t[used[-1]] - t[used[0]]) > LONGEST_S:
+        raise ParameterError.bound("record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3))
+    if left := sorted({*range(len(table))} - set(used.tolist())):
+        words = "%d of %d moments of the record are passed over, the first in line %d (t = %g), the last in line %d (t = %g): "
+        words += "%d with times or commands that are no numbers, %d whose times go back or stand still"
+        first, last = left[0], left[-1]
+        logging.getLogger("vstestbed").warning(words, len(left), len(table), first + 1, t[first], last + 1, t[last], none, len(left) - none)
+    if unread := int(np.isnan(numbers[used]).sum()):
+        logging.getLogger("vstestbed").warning("%d readings of the record are no numbers, and are passed over", unread)
+    return table[used.tolist()]
+
+
+def _rising(t: Array) -> list[int]:
+    """Indices of the longest part of some times (n,) that rises: one wrong time costs itself, wherever it lies."""
+    ends: list[int] = []  # of a part of each length, the index of its end that is the earliest
+    before: list[int] = []
+    for i, at in enumerate(t.tolist()):
+        length = bisect.bisect_left(ends, at, key=t.__getitem__)
+        before.append(ends[length - 1] if length else -1)
+        ends[length : length + 1] = [i]
+    part = ends[-1:]
+    while part and before[part[-1]] >= 0:
+        part.append(before[part[-1]])
+    return part[::-1]
 
 
 # What is fitted.
@@ -207,6 +254,7 @@ def identify(
     """Fit parameters to a record. say: told of each run of the simulator.
     Raises ParameterError: a parameter that the scenario has not, or a record of another robot. ScenarioError: a value is refused.
     """
+    record = cleaned(record)
     fit = tuple(parameters) or usual(scenario, record)
     commands, motions = sum(re.fullmatch(r"u_\d+", name) is not None for name in record.columns), _motions(scenario).shape[1]
     if commands != motions:
@@ -339,7 +387,9 @@ def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Arra
     if not joints and not pixels:
         words = f"has none of q_{', q_'.join(scenario.robot.joints)} and no u_px_0, ...: is it of another robot?"
         raise ParameterError("record", words, record.columns[:8])
-    moving = [name for name in joints if record[name].max() != record[name].min()]  # type: ignore[operator] - numbers
+    moving = [name for name in joints if len(np.unique(record[name].to_numpy()[np.isfinite(record[name].to_numpy())])) > 1]
+    if not moving and not pixels:
+        raise ParameterError("record", f"tells of no motion: {', '.join(joints)} do not change")
     t = record["t" if not joints or "t_q" not in record.columns else "t_q"].to_numpy()
     return moving + pixels, record.select(moving + pixels).to_numpy(), t
 

@@ -184,7 +184,7 @@ class VideoWriter:
             number = getattr(error, "errno", None)
             if number in NO_SPACE:
                 words = f"no room for {self.path} ({os.strerror(number or 0)})"
-                raise EnvironmentLackError(words, "free some space or use `--video none`") from error
+                raise EnvironmentLackError(words, "free some, choose another place, or make none (run, compare: `--video none`)") from error
             if isinstance(error, OSError):
                 words = os.strerror(number) if number else str(error)
                 raise OutputError(self.path, words, "give a folder that can be written with --out") from error
