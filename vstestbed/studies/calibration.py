@@ -17,7 +17,7 @@ from vstestbed.camera import Camera, Fisheye, Image, Perspective
 from vstestbed.camera.intrinsics import Intrinsics, read_intrinsics, write_calibration
 from vstestbed.core.errors import ParameterError, RunFolderError, UnreachableError
 from vstestbed.core.files import write_whole
-from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error
+from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error, unit_quaternion
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun
@@ -160,7 +160,7 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> Iterator[Shot]:
                 yield _shot(robot, line["picture"], picture, np.array([float(line[name]) for name in joints]))
             else:
                 quat = np.array([float(line[f"q{name}"]) for name in "wxyz"])
-                T = pose_from(np.array([float(line[name]) for name in "xyz"]), quat / np.linalg.norm(quat))
+                T = pose_from(np.array([float(line[name]) for name in "xyz"]), unit_quaternion(quat, "qx, qy, qz, qw"))
                 yield Shot(line["picture"], picture, T, np.eye(6))
         except (KeyError, TypeError, ValueError, OSError) as error:
             raise RunFolderError(where, f"cannot be read ({error})", works) from None

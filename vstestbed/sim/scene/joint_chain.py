@@ -197,6 +197,35 @@ def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[s
         raise ParameterError("file", f"must name each joint before {flange}; joint {found.index('') + 1} of them has no name")
     for i, name in zip(joints, found, strict=True):
         _check_numbers(model, i, name)
+    _check_free(model, joints)
+
+
+def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
+    """Refuse constraints of the file that couple the arm's joints, with one another or with what stands: each is moved by itself here.
+    Those of a gripper, beyond the flange or beside it, stay.
+    """
+    for i in np.flatnonzero(model.eq_active0).tolist():
+        if coupled := sorted(_coupled(model, i) & set(joints)):
+            kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
+            names = ", ".join(model.joint(j).name for j in coupled)
+            words = f"couples {names} (equality {kind}, of a URDF <mimic>), and each joint of an arm is moved by itself here"
+            raise ParameterError("file", f"{words}; works: the file without it, or a flange before these joints")
+
+
+def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
+    """The joints that an equality does not leave free: those that follow another one, and those of a closed loop."""
+    kind, ids = mujoco.mjtEq(model.eq_type[equality]), (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
+    if kind == mujoco.mjtEq.mjEQ_JOINT:
+        return {ids[0]}  # the other one moves it
+    if kind == mujoco.mjtEq.mjEQ_TENDON:
+        spans = [range(model.tendon_adr[one], model.tendon_adr[one] + model.tendon_num[one]) for one in ids if one >= 0]
+        wraps = [w for span in spans for w in span if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
+        return set(model.wrap_objid[wraps].tolist())
+    if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+        return set()
+    of_sites = model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE
+    one, other = (set(_joints_to(model, int(model.site_bodyid[at]) if of_sites else at)) for at in ids)
+    return one ^ other  # what moves both changes nothing between them
 
 
 def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
