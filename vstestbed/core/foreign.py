@@ -63,4 +63,5 @@ def only_known(found: Mapping[str, object], used: Iterable[str], harmless: Itera
     for key, value in found.items():
         if key not in passed:
             name = f"{field}.{key}" if field else str(key)
-            raise ParameterError(name, f"is not read here, and may change the meaning; {nearest(str(key), known)}", short(value))
+            shown = value if isinstance(value, int | float) else short(value)
+            raise ParameterError(name, f"is not read here, and may change the meaning; {nearest(str(key), known)}", shown)
