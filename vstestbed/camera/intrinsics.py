@@ -18,10 +18,9 @@ from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError, short
 from vstestbed.core.files import write_whole
-from vstestbed.core.foreign import foreign, only_known, plain_file
+from vstestbed.core.foreign import named_file, once, only_known, plain_documents
 from vstestbed.core.geometry import Array, pose_block, pose_from, quaternion_wxyz, unit_quaternion
 from vstestbed.core.lazy import cv2
-from vstestbed.core.named_files import absolute_file, place_of_file
 from vstestbed.core.quantity import Coefficient, Pixel, PositivePixels
 from vstestbed.core.spec import spec
 
@@ -205,40 +204,12 @@ NAMES = {_bare(name): name for name in ABOUT}
 NAMES |= {_bare(name): field for field, names in READ.items() for name in (field, *names)}
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML without aliases, of which a short file can hold millions of values, and without fields that come twice."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise ValueError("it has aliases; write their values out")
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        return _once(self.construct_pairs(node, deep))
-
-
-def _once(pairs: Sequence[tuple[Any, Any]]) -> dict[Any, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        raise ValueError("it has a field twice")
-    return found
-
-
 def _plain(file: str) -> dict[str, Any]:
     """The values of a calibration file by the fields of READ.
 
     Raises ParameterError: it is not there, holds none, several calibrations, or one field twice.
     """
-
-    def refusal(name: object, why: str, works: str) -> ParameterError:
-        return ParameterError.unreadable("", why, works, file)
-
-    try:
-        path = place_of_file(absolute_file(file, Path.cwd()))
-    except ParameterError as error:
-        raise ParameterError("", error.problem, file) from None
-    plain_file(path, WORKS, MOST_BYTES, refusal)
-    with foreign(path, WORKS, refusal):
+    with named_file("", file, WORKS, MOST_BYTES) as path:
         documents = _documents(path.read_text(encoding="utf-8-sig"), path.suffix.lower() == ".json")
         if not documents or not all(isinstance(document, dict) for document in documents):
             raise ValueError("it holds no fields")
@@ -246,7 +217,7 @@ def _plain(file: str) -> dict[str, Any]:
         # `ros2 topic echo` prints a message after another, of which only the stamps differ.
         if any({**other, "header": None} != {**first, "header": None} for other in others):
             raise ValueError("it holds several calibrations; keep one")
-        return _once([(NAMES.get(_bare(key), key), value) for key, value in first.items()])
+        return once([(NAMES.get(_bare(key), key), value) for key, value in first.items()])
 
 
 def _documents(text: str, is_json: bool) -> list[Any]:
@@ -255,9 +226,8 @@ def _documents(text: str, is_json: bool) -> list[Any]:
     if text.lstrip().startswith("<") or text.startswith("%YAML:1.0") or "opencv-matrix" in text:
         return _from_opencv(text)
     if is_json:
-        return [json.loads(text, object_pairs_hook=_once)]
-    documents = yaml.load_all(text, _Loader)
-    return [document for document in documents if document is not None]
+        return [json.loads(text, object_pairs_hook=once)]
+    return plain_documents(text)
 
 
 def _from_opencv(text: str) -> list[Any]:
@@ -272,7 +242,7 @@ def _from_opencv(text: str) -> list[Any]:
     for key in root.keys():  # noqa: SIM118 - a FileNode is no mapping
         read = NAMES.get(_bare(key)) in READ  # others, such as all corners of a board, may be long
         found.append((key, _node(root.getNode(key)) if read else None))
-    return [_once(found)]
+    return [once(found)]
 
 
 def _node(node: Any) -> Any:

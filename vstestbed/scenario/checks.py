@@ -326,11 +326,10 @@ def _check_told_apart(target: Target) -> None:
     for order in _alike(target.points, [hue % 360 for hue in target.hues_deg], []):
         exchanged = [f"{target.called(i)} for {target.called(j)}" for i, j in enumerate(order) if i != j]
         if exchanged:
-            words = f"leave it open which marker is which: turned, or from behind, the target shows {', '.join(exchanged)}"
-            works = (
-                "works: other hues of these, an arrangement without that symmetry, marker: tag, or no hues, which are then all different"
-            )
-            raise ParameterError("target.marker.hues", f"{words}; {works}", list(target.marker.hues))
+            words = "leave it open which marker is which: turned, or from behind, the target shows"
+            works = "other hues of these, none (all are then different), marker tag, an arrangement without symmetry"
+            words += f" {', '.join(exchanged)}; works: {works}"
+            raise ParameterError("target.marker.hues", words, list(target.marker.hues))
 
 
 def _alike(points: Array, hues: Sequence[float], order: list[int]) -> Iterator[list[int]]:

@@ -17,6 +17,7 @@ from vstestbed.camera import Camera, Fisheye, Image, Perspective
 from vstestbed.camera.intrinsics import Intrinsics, read_intrinsics, write_calibration
 from vstestbed.core.errors import ParameterError, RunFolderError, UnreachableError
 from vstestbed.core.files import write_whole
+from vstestbed.core.foreign import only_known
 from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error, unit_quaternion
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.episode import BY_HAND, Episode
@@ -137,6 +138,8 @@ def _chosen(views: Array, poses: Array) -> set[int]:
 
 
 POSES = "poses.csv"
+QUATERNION = "qw", "qx", "qy", "qz"
+COMMENTS = "number", "time", "t", "stamp", "comment"  # columns that say nothing of a pose
 
 
 def shots_of_folder(folder: Path, robot: Robot | None) -> Iterator[Shot]:
@@ -154,12 +157,13 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> Iterator[Shot]:
     for number, line in enumerate(lines, start=2):
         where = f"{path}:{number}"
         try:
+            only_known(line, ("picture", *"xyz", *QUATERNION, *joints), COMMENTS)
             picture = read_rgb(folder / line["picture"])
             if joints and set(joints) <= set(line):
                 assert robot is not None
                 yield _shot(robot, line["picture"], picture, np.array([float(line[name]) for name in joints]))
             else:
-                quat = np.array([float(line[f"q{name}"]) for name in "wxyz"])
+                quat = np.array([float(line[name]) for name in QUATERNION])
                 T = pose_from(np.array([float(line[name]) for name in "xyz"]), unit_quaternion(quat, "qx, qy, qz, qw"))
                 yield Shot(line["picture"], picture, T, np.eye(6))
         except (KeyError, TypeError, ValueError, OSError) as error:

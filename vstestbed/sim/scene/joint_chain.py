@@ -208,7 +208,8 @@ def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
         if coupled := sorted(_coupled(model, i) & set(joints)):
             kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
             names = ", ".join(model.joint(j).name for j in coupled)
-            words = f"couples {names} (equality {kind}, of a URDF <mimic>), and each joint of an arm is moved by itself here"
+            of = "joint, such as a URDF's <mimic>" if kind == "joint" else kind
+            words = f"couples {names} (equality {of}), and each joint of an arm is moved by itself here"
             raise ParameterError("file", f"{words}; works: the file without it, or a flange before these joints")
 
 
