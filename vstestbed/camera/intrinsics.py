@@ -272,7 +272,7 @@ def _numbers(value: Any, name: str) -> Array:
         found = np.array([np.nan])
     if not np.isfinite(found).all():
         raise ParameterError(name, "must be finite numbers", short(value))
-    if shape and _numbers(shape, f"{name}.rows").prod() != found.size:
+    if shape and math.prod(_numbers(shape, f"{name}.rows")) != found.size:
         raise ParameterError(name, f"must have the numbers of its rows and columns, {shape}, and has {found.size}")
     return found
 

@@ -68,9 +68,10 @@ def only_known(found: Mapping[str, object], used: Iterable[str], harmless: Itera
     passed = {*known, *harmless}
     for key, value in found.items():
         if key not in passed:
-            name = f"{field}.{key}" if field else str(key)
+            word = " ".join(str(key).split())[:60]
+            name = f"{field}.{word}" if field else word
             shown = value if isinstance(value, int | float) else short(value)
-            raise ParameterError(name, f"is not read here, and may change the meaning; {nearest(str(key), known)}", shown)
+            raise ParameterError(name, f"is not read here, and may change the meaning; {nearest(word, known)}", shown)
 
 
 @contextmanager

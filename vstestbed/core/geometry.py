@@ -323,7 +323,7 @@ def unit_quaternion(q: Array, field: str) -> Array:
     """A quaternion (4,) that a file gives, made exactly of norm 1. field: for messages.
     Raises ParameterError: it is zero or, by more than QUATERNION_NORM, of another norm.
     """
-    norm = float(np.linalg.norm(q))
+    norm = math.hypot(*q)
     if not abs(norm - 1) <= QUATERNION_NORM:  # not ">": NaN
         words = f"has the norm {norm:.4g}" if norm else "is zero, which is no rotation"
         raise ParameterError(field, f"is a quaternion that {words}; its norm must be 1", q.tolist())
