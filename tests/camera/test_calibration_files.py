@@ -66,7 +66,7 @@ def test_what_changes_a_cameras_pictures_is_refused_by_name(write):
         ("camera_matrix.cols", 4, "must have the numbers of its rows and columns, [3, 4], and has 9"),
         ("camera_matrix.data", [True, 0, 320, 0, 500, 240, 0, 0, 1], "camera_matrix must be finite numbers"),
         ("distortion_coefficients", {"k1": -0.1}, "distortion.k1 is not read here"),
-        ("distortion_coefficients", None, "distortion_coefficients is missing: distortion_model plumb_bob has some"),
+        ("distortion_coefficients", None, "distortion_coefficients is missing: a lens of distortion_model plumb_bob has some"),
         ("image_height", None, "image_size must be two whole numbers"),
         ("image_height", 480.5, "image_size must be two whole numbers"),
         ("K", [1, 0, 0, 0, 1, 0, 0, 0, 1], "it has a field twice"),

@@ -102,7 +102,7 @@ class Intrinsics:
             raise ParameterError(name, "has a skew, and pixels here are rectangles; calibrate without it", float(K[0, 1]))
         if np.abs([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1]).max() > exact:
             raise ParameterError(name, form, short(K.tolist()))
-        k, model = _modelled(_numbers(dist, "distortion").ravel().tolist(), model)
+        k, model = _modelled(_numbers(() if dist is None else dist, "distortion").ravel().tolist(), model)
         given: Any = {"model": model} if model else {}
         fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
         return cls(focal_px=(fx, fy), principal_px=(cx, cy), distortion=tuple(k), size=size, **given)
@@ -307,14 +307,14 @@ def _intrinsics_in(plain: Mapping[str, Any]) -> Intrinsics | None:
     _check_whole(plain, size)
     _check_raw(plain)
     model = str(plain.get("distortion_model") or "")
-    if model and "distortion_coefficients" not in plain:
-        raise ParameterError.missing("distortion_coefficients", f"distortion_model {model} has some")
+    k = plain.get("distortion_coefficients", None if model else ())
+    if k is None:
+        raise ParameterError.missing("distortion_coefficients", f"a lens of distortion_model {model or 'plumb_bob'} has some, or []")
     fisheye = plain.get("fisheye_model", 0)
     if fisheye not in (0, 1) or (fisheye and model not in ("", "equidistant", "fisheye")):
         words = f"must be 0 or 1, and 0 beside distortion_model {model or 'plumb_bob'}"
         raise ParameterError("fisheye_model", words, short(fisheye))
     model = "equidistant" if fisheye else model
-    k = plain.get("distortion_coefficients", ())
     return Intrinsics.of(plain["camera_matrix"], k, size, model, "camera_matrix")
 
 
@@ -424,8 +424,9 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
     said = {**_block(plain, "parameters", FRAMES, SETUP), **{name: plain[name] for name in FRAMES if name in plain}}
     for name, valid in (("eye_on_hand", (True, "true")), ("calibration_type", ("eye_in_hand",))):
         if said.get(name, valid[0]) not in valid:
-            words = "is of a camera that stands beside the robot, and this is its mount on the flange"
-            raise ParameterError(name, f"{words}; works: a calibration eye in hand", said[name])
+            words = "is of a camera that stands beside the robot, and this is read as the mount on the flange"
+            works = "works: a calibration eye in hand, or, for a camera with on: world, the pose in the scenario itself"
+            raise ParameterError(name, f"{words}; {works}", said[name])
     parent = str(_block(plain, "header", STAMP).get("frame_id", ""))
     if parent.rpartition("/")[2] in ("base", "base_link", "world", "map", "odom"):
         raise ParameterError("header.frame_id", "must be the flange's frame, and not one of a base or a room", parent)

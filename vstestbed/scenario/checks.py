@@ -317,12 +317,15 @@ def check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> No
         able = [kind for kind, member in of_markers.items() if not member.markers]
         why = f"a {shown} without markers shows it nothing to detect; use true, or detector {' or '.join(able)}"
         raise ParameterError.excluded("target.draw_markers", f"false with detector {detector.kind}", False, why=why)
-    if isinstance(detector, Blobs):
-        _check_told_apart(target)
+    _check_told_apart(target, detector)
 
 
-def _check_told_apart(target: Target) -> None:
-    """Refuse markers of one colour that a turn of the target puts in one another's places: which is which would be left to chance."""
+def _check_told_apart(target: Target, detector: Detector[Any]) -> None:
+    """Refuse markers of one colour that a turn of the target puts in one another's places, for a detector that tells
+    them by their colours: which is which would be left to chance.
+    """
+    if not isinstance(detector, Blobs):
+        return
     for order in _alike(target.points, [hue % 360 for hue in target.hues_deg], []):
         exchanged = [f"{target.called(i)} for {target.called(j)}" for i, j in enumerate(order) if i != j]
         if exchanged:
