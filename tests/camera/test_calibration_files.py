@@ -144,8 +144,8 @@ def test_a_mount_of_another_frame_is_refused_by_name(write):
         (STAMPED, "header.frame_id", "base_link", "header.frame_id must be the flange's frame"),
         (STAMPED, "transform.rotation.v", 0, "rotation.v is not read here"),
         (STAMPED, "transform.translation", [0, 0, 0.1], "translation must be a block of x, y, z"),
-        ({}, "T_cam2gripper", np.diag([2.0, 2, 2, 1]).tolist(), "T_cam2gripper must be a rotation and a translation"),
-        ({}, "T_cam2gripper", np.diag([1.0, 1, -1, 1]).tolist(), "T_cam2gripper must be a rotation and a translation"),
+        ({}, "T_cam2gripper", np.diag([2.0, 2, 2, 1]).tolist(), "mount must be a rotation and a translation"),
+        ({}, "T_cam2gripper", np.diag([1.0, 1, -1, 1]).tolist(), "mount must be a rotation and a translation"),
         ({}, "T_cam_gripper", np.eye(4).tolist(), "no pose of the camera among 'T_cam_gripper'"),
         ({"R_cam2gripper": np.eye(3).tolist()}, "t_cam2gripper", [0, 0], "t_cam2gripper must be 3 numbers"),
     ):

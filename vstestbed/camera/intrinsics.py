@@ -259,22 +259,27 @@ def _node(node: Any) -> Any:
 
 def _numbers(value: Any, name: str) -> Array:
     """An array of numbers, given as one, as lists, or as a mapping with `data`."""
-    shape: list[Any] = []
+    sides: list[Any] = []
     if isinstance(value, Mapping):
         only_known(value, ("data", "rows", "cols"), ("dt", "type_id"), name)
-        shape = [value[side] for side in ("rows", "cols") if side in value]
+        sides = [value[side] for side in ("rows", "cols") if side in value]
         value = value.get("data")
-    try:
-        if not all(isinstance(one, str | Real) and not isinstance(one, bool) for one in _flat(value)):
-            raise TypeError
-        found = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        found = np.array([np.nan])
+    found = _array(value)
     if not np.isfinite(found).all():
         raise ParameterError(name, "must be finite numbers", short(value))
-    if shape and math.prod(_numbers(shape, f"{name}.rows")) != found.size:
-        raise ParameterError(name, f"must have the numbers of its rows and columns, {shape}, and has {found.size}")
+    if sides and math.prod(_numbers(sides, f"{name}.rows")) != found.size:
+        raise ParameterError(name, f"must have the numbers of its rows and columns, {sides}, and has {found.size}")
     return found
+
+
+def _array(value: Any) -> Array:
+    """An array of numbers, or of lists of them; one NaN where it is neither."""
+    try:
+        if all(isinstance(one, str | Real) and not isinstance(one, bool) for one in _flat(value)):
+            return np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    return np.array([np.nan])
 
 
 def _flat(value: Any, depth: int = 3) -> Iterator[Any]:
@@ -306,16 +311,22 @@ def _intrinsics_in(plain: Mapping[str, Any]) -> Intrinsics | None:
     size = _size_in(plain)
     _check_whole(plain, size)
     _check_raw(plain)
+    model, k = _distortion_in(plain)
+    return Intrinsics.of(plain["camera_matrix"], k, size, model, "camera_matrix")
+
+
+def _distortion_in(plain: Mapping[str, Any]) -> tuple[str, Any]:
+    """The model's name, "" for none, and its coefficients."""
     model = str(plain.get("distortion_model") or "")
     k = plain.get("distortion_coefficients", None if model else ())
     if k is None:
-        raise ParameterError.missing("distortion_coefficients", f"a lens of distortion_model {model or 'plumb_bob'} has some, or []")
+        words = f"a lens of distortion_model {model or 'plumb_bob'} has some, or []"
+        raise ParameterError.missing("distortion_coefficients", words)
     fisheye = plain.get("fisheye_model", 0)
     if fisheye not in (0, 1) or (fisheye and model not in ("", "equidistant", "fisheye")):
         words = f"must be 0 or 1, and 0 beside distortion_model {model or 'plumb_bob'}"
         raise ParameterError("fisheye_model", words, short(fisheye))
-    model = "equidistant" if fisheye else model
-    return Intrinsics.of(plain["camera_matrix"], k, size, model, "camera_matrix")
+    return ("equidistant" if fisheye else model), k
 
 
 def _size_in(plain: Mapping[str, Any]) -> tuple[int, int] | None:
@@ -361,29 +372,31 @@ def _check_raw(plain: Mapping[str, Any]) -> None:
 
 
 def _mount_in(plain: Mapping[str, Any]) -> Array | None:
-    """T_flange_camera (4, 4) of a hand-eye calibration: R and t, a transformation, or a matrix; None without one."""
-    # R of a file with a camera matrix is ROS's rectification.
-    R = plain.get("R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix"))
-    t = plain.get("translation_vector", None if R is None else plain.get("T_cam2gripper"))
-    given = [name for name in ("transformation", "T_cam2gripper") if name in plain]
-    name = given[0] if given else "R_cam2gripper"
-    if R is not None and t is not None:
-        if name == "transformation":
-            raise ParameterError.conflict(name, "R_cam2gripper and t_cam2gripper")
-        T = np.eye(4)
-        T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))
-        T[:3, 3] = _sized(t, "t_cam2gripper", (3,))
-    elif len(given) == 2:
-        raise ParameterError.conflict(*given)
-    else:
-        T = _pose_in(plain[name], name) if given else _quaternion_in(plain, "")
+    """T_flange_camera (4, 4) of a hand-eye calibration; None without one."""
+    T = _mount_of(plain)
     if T is None:
         return None
     only_known(plain, READ, ABOUT)
     _check_frames(plain)
     turn = T[:3, :3]
     if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0 or (T[3] != (0, 0, 0, 1)).any():
-        raise ParameterError(name, "must be a rotation and a translation", short(T.tolist()))
+        raise ParameterError("mount", "must be a rotation and a translation", short(T.tolist()))
+    return T
+
+
+def _mount_of(plain: Mapping[str, Any]) -> Array | None:
+    """What R and t, a transformation, or a matrix says."""
+    given = [name for name in ("transformation", "T_cam2gripper", "translation_vector") if name in plain]
+    if len(given) > 1:
+        raise ParameterError.conflict(given[0], given[1])
+    name = given[0] if given else ""
+    # R of a file with a camera matrix is ROS's rectification.
+    R = plain.get("R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix"))
+    if R is None or name not in ("T_cam2gripper", "translation_vector"):
+        return _quaternion_in(plain, "") if name in ("", "translation_vector") else _pose_in(plain[name], name)
+    T = np.eye(4)
+    T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))
+    T[:3, 3] = _sized(plain[name], "t_cam2gripper", (3,))
     return T
 
 

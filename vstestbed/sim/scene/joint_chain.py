@@ -215,18 +215,24 @@ def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
 
 def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     """The joints that an equality does not leave free: those that follow another one, and those of a closed loop."""
-    kind, ids = mujoco.mjtEq(model.eq_type[equality]), (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
+    kind = mujoco.mjtEq(model.eq_type[equality])
+    one, other = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
     if kind == mujoco.mjtEq.mjEQ_JOINT:
-        return {ids[0]}  # the other one moves it
+        return {one}  # the other one moves it
     if kind == mujoco.mjtEq.mjEQ_TENDON:
-        spans = [range(model.tendon_adr[one], model.tendon_adr[one] + model.tendon_num[one]) for one in ids if one >= 0]
-        wraps = [w for span in spans for w in span if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
-        return set(model.wrap_objid[wraps].tolist())
+        return _wrapped(model, one) | (_wrapped(model, other) if other >= 0 else set())
     if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
         return set()
-    of_sites = model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE
-    one, other = (set(_joints_to(model, int(model.site_bodyid[at]) if of_sites else at)) for at in ids)
-    return one ^ other  # what moves both changes nothing between them
+    if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
+        one, other = int(model.site_bodyid[one]), int(model.site_bodyid[other])
+    return set(_joints_to(model, one)) ^ set(_joints_to(model, other))  # what moves both changes nothing between them
+
+
+def _wrapped(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """The joints that a fixed tendon combines."""
+    first = model.tendon_adr[tendon]
+    of = slice(first, first + model.tendon_num[tendon])
+    return set(model.wrap_objid[of][model.wrap_type[of] == mujoco.mjtWrap.mjWRAP_JOINT].tolist())
 
 
 def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
