@@ -60,7 +60,10 @@ def test_the_same_numbers_come_from_every_format(tmp_path):
     (tmp_path / "echo.yaml").write_text(f"header: {{frame_id: cam}}\n{yaml.safe_dump(message)}---\n")  # as `ros2 topic echo` prints it
     (tmp_path / "plain.json").write_text(json.dumps({"camera_matrix": K.tolist(), "dist_coeffs": [list(PLUMB)]}))
     files = [str(tmp_path / "echo.yaml"), str(tmp_path / "plain.json"), ros(tmp_path, "plumb_bob", PLUMB)]
-    files += [opencv(tmp_path / f"cv.{ending}", image_width=800, cameraMatrix=K, distCoeffs=k) for ending in ("yaml", "json", "xml")]
+    files += [
+        opencv(tmp_path / f"cv.{ending}", image_width=800, image_height=600, cameraMatrix=K, distCoeffs=k)
+        for ending in ("yaml", "json", "xml")
+    ]
     for file in files:
         found = read_intrinsics(file)
         assert (found.focal_px, found.principal_px, found.distortion) == ((712.5, 705.0), (390.25, 305.5), PLUMB), file

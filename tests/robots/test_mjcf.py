@@ -20,7 +20,7 @@ from vstestbed.robots.mjcf import servo_gains
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import seeded
 from vstestbed.sim.build import scene_files
-from vstestbed.sim.scene.joint_chain import compiled
+from vstestbed.sim.scene.joint_chain import compiled, joint_chain
 from vstestbed.sim.scene.model_report import examine_model
 
 JACO = "package:dm_control/third_party/kinova/jaco_arm.xml"
@@ -325,6 +325,47 @@ class TestUrdf:
         file.with_name("x.urdf").write_text('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="b"/></robot>')
         with pytest.raises(ParameterError, match=r"is a xacro, and no URDF yet; `xacro x\.urdf > arm\.urdf` writes one"):
             compiled(str(file.with_name("x.urdf")))
+
+
+class TestCoupledJoints:
+    """Joints that the file couples were taken as free: the law's twists did not come about. A gripper's beyond the arm stay."""
+
+    ARM = """<mujoco><worldbody>{world}<body name="one"><joint name="a" range="-90 90"/><geom size=".1" mass="1"/>
+        <body name="two" pos="0 0 .3"><joint name="b" axis="0 1 0" range="-90 90"/><geom size=".1" mass="1"/>
+        <body name="three" pos="0 0 .3"><joint name="c" axis="0 1 0" range="-90 90"/><geom size=".1" mass="1"/><site name="hand"/>
+        <body name="left"><joint name="l" type="slide"/><geom size=".1" mass="1"/></body>
+        <body name="right"><joint name="r" type="slide"/><geom size=".1" mass="1"/></body>
+        </body></body></body></worldbody><tendon><fixed name="t"><joint joint="b" coef="1"/><joint joint="c" coef="1"/></fixed></tendon>
+        <equality>{equality}</equality></mujoco>"""
+
+    @pytest.mark.parametrize(
+        ("equality", "coupled"),
+        [
+            ('<joint joint1="c" joint2="b" polycoef="0 -1 0 0 0"/>', "couples c (equality joint, such as a URDF's <mimic>)"),
+            ('<joint joint1="b"/>', "couples b (equality joint"),
+            ('<tendon tendon1="t"/>', "couples b, c (equality tendon)"),
+            ('<connect body1="three" body2="one" anchor="0 0 0"/>', "couples b, c (equality connect)"),
+            ('<weld body1="free" body2="three"/>', "couples a, b, c (equality weld)"),
+            ('<joint joint1="c" joint2="b" active="false"/>', ""),
+            ('<joint joint1="r" joint2="l"/><connect body1="left" body2="right" anchor="0 0 0"/>', ""),
+            ('<joint joint1="r" joint2="c"/>', ""),  # a finger that follows the wrist leaves it free
+        ],
+    )
+    def test_those_of_the_chain_are_refused_by_name(self, tmp_path: Path, equality: str, coupled: str) -> None:
+        (tmp_path / "arm.xml").write_text(self.ARM.format(equality=equality, world='<body name="free" mocap="true"/>'))
+        if not coupled:
+            assert joint_chain(str(tmp_path / "arm.xml"), "hand", ()).names == ("a", "b", "c")
+            return
+        with pytest.raises(ParameterError) as refused:
+            joint_chain(str(tmp_path / "arm.xml"), "hand", ())
+        assert coupled in str(refused.value)
+
+    def test_a_mimic_joint_of_a_urdf_is_one(self, tmp_path: Path) -> None:
+        file = TestUrdf().written(tmp_path, "one.dae")
+        head, second, rest = file.read_text().partition('<joint name="b"')
+        file.write_text(head + second + rest.replace("</joint>", '<mimic joint="a" multiplier="-1"/></joint>', 1))
+        with pytest.raises(ParameterError, match=r"couples b \(equality joint, such as a URDF's <mimic>\).*a flange before these joints"):
+            joint_chain(str(file), "tool0", ())
 
 
 class TestDoctor:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import json
-from collections.abc import Mapping, Sequence
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,9 +18,9 @@ from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError, short
 from vstestbed.core.files import write_whole
-from vstestbed.core.geometry import Array, pose_block, pose_from, quaternion_wxyz
+from vstestbed.core.foreign import named_file, once, only_known, plain_documents
+from vstestbed.core.geometry import Array, pose_block, pose_from, quaternion_wxyz, unit_quaternion
 from vstestbed.core.lazy import cv2
-from vstestbed.core.named_files import absolute_file, place_of_file
 from vstestbed.core.quantity import Coefficient, Pixel, PositivePixels
 from vstestbed.core.spec import spec
 
@@ -88,138 +93,397 @@ class Intrinsics:
         Raises ParameterError: a matrix that is none, a skew, coefficients of a model that is not known here.
         """
         K = _numbers(camera_matrix, name)
+        form = "must be a camera matrix (3, 3), [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
         if K.size != 9:
-            raise ParameterError(name, "must be a camera matrix (3, 3), [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", short(K.tolist()))
+            raise ParameterError(name, form, short(K.tolist()))
         K = K.reshape(3, 3)
-        if abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
+        exact = 1e-9 * abs(K[0, 0])  # rounding of files with ten digits
+        if abs(K[0, 1]) > exact:
             raise ParameterError(name, "has a skew, and pixels here are rectangles; calibrate without it", float(K[0, 1]))
-        k = _numbers(dist, "distortion").ravel().tolist()
-        model = {"fisheye": "equidistant", "radtan": "plumb_bob", "kannala_brandt": "equidistant"}.get(model, model)
-        most = max(COEFFICIENTS.get(model, (8,)))
-        while len(k) > most and k[-1] == 0:
-            k.pop()
-        if model == "plumb_bob" and len(k) == 8:  # OpenCV's rational model, by the name that a driver has given it
-            model = "rational_polynomial"
-        if model not in ("", *COEFFICIENTS) or len(k) > 8:
-            valid = f"{', '.join(COEFFICIENTS)} are known, of up to 8 coefficients"
-            raise ParameterError("distortion_model", f"cannot be drawn here; {valid}", model or f"{len(k)} coefficients")
+        if np.abs([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1]).max() > exact:
+            raise ParameterError(name, form, short(K.tolist()))
+        k, model = _modelled(_numbers(() if dist is None else dist, "distortion").ravel().tolist(), model)
         given: Any = {"model": model} if model else {}
-        return cls(focal_px=(K[0, 0], K[1, 1]), principal_px=(K[0, 2], K[1, 2]), distortion=tuple(k), size=size, **given)
+        fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return cls(focal_px=(fx, fy), principal_px=(cx, cy), distortion=tuple(k), size=size, **given)
+
+
+def _modelled(k: list[float], model: str) -> tuple[list[float], str]:
+    """OpenCV's coefficients without zeros at their end, and the model that they are of; "" where its name is not given.
+    Raises ParameterError: of a model that is not known here.
+    """
+    model = {"fisheye": "equidistant", "radtan": "plumb_bob", "kannala_brandt": "equidistant"}.get(model, model)
+    while len(k) > 8 and k[-1] == 0:
+        k = k[:-1]
+    most = max(COEFFICIENTS.get(model, (8,)))
+    if not any(k[most:]):
+        k = k[:most]
+    if model == "plumb_bob" and len(k) == 8:  # OpenCV's rational model, by the name that a driver has given it
+        model = "rational_polynomial"
+    if model == "rational_polynomial" and len(k) in (4, 5):
+        _tell(f"distortion_model rational_polynomial of {len(k)} coefficients is read as plumb_bob: k4, k5 and k6 are 0")
+        model = "plumb_bob"
+    if model not in ("", *COEFFICIENTS):
+        valid = f"{', '.join(COEFFICIENTS)} are known, of up to 8 coefficients"
+        raise ParameterError("distortion_model", f"cannot be drawn here; {valid}", model)
+    if len(k) > 8:
+        words = f"cannot be drawn here: {len(k)} coefficients are of a thin prism or a tilted sensor"
+        raise ParameterError("distortion_coefficients", f"{words}; works: up to 8 of plumb_bob or rational_polynomial", k)
+    return k, model
+
+
+@functools.cache
+def _tell(words: str) -> None:
+    """Say once what is read otherwise than it is called."""
+    logging.getLogger("vstestbed").warning("%s", words)
 
 
 # Reading. Each file is first a plain mapping, whichever of the formats it has.
+WORKS = "a camera_info of ROS, or OpenCV's YAML, XML or JSON"
+MOUNTS = "a transformation of x, y, z, qx, qy, qz, qw (easy_handeye), a matrix (4, 4), or R_cam2gripper and t_cam2gripper"
+MOST_BYTES = 1 << 20
+"""A calibration has some kilobytes, with all corners of its board 100."""
+MOST_PARTS = 4000
+"""Most brackets of a file for OpenCV's reader, which overflows the stack where 50,000 are one within the other."""
+MOST_NUMBERS = 64
+"""Most numbers of a row."""
+READ: Mapping[str, Sequence[str]] = {
+    "camera_matrix": ("K", "intrinsic_matrix", "M"),
+    "distortion_coefficients": ("dist_coeffs", "dist_coeff", "dist", "D", "distortion"),
+    "distortion_model": (),
+    "fisheye_model": (),
+    "image_width": ("width",),
+    "image_height": ("height",),
+    "image_size": ("resolution",),
+    "binning_x": (),
+    "binning_y": (),
+    "roi": (),
+    "rectification_matrix": ("R",),
+    "projection_matrix": ("P",),
+    "header": (),
+    "R_cam2gripper": ("rotation_matrix",),
+    "T_cam2gripper": ("T_gripper_camera", "T_flange_camera"),
+    "translation_vector": ("t",),
+    "transformation": ("transform", "hand_eye", "mount"),
+    "translation": (),
+    "rotation": (),
+    **dict.fromkeys(("x", "y", "z", "qw", "qx", "qy", "qz"), ()),
+    "parameters": (),
+    "eye_on_hand": (),
+    "calibration_type": (),
+    "tracking_base_frame": (),
+    "child_frame_id": (),
+}
+"""The fields that are read, with further names of each, in any spelling: `camera_matrix`, `cameraMatrix`, `Camera_Matrix`."""
+# fmt: off
+ABOUT = [
+    "camera_name", "name", "comment", "comments", "description", "serial", "serial_number", "date", "time",
+    "calibration_time", "calibration_date", "nframes", "nr_of_frames", "number_of_frames", "flags", "flag_value",
+    "board_width", "board_height", "square_size", "marker_size", "fix_aspect_ratio", "aspect_ratio", "rms",
+    "rms_error", "error", "reprojection_error", "mean_reprojection_error", "avg_reprojection_error",
+    "per_view_reprojection_errors", "per_view_errors", "extrinsic_parameters", "image_points", "grid_points",
+    "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
+]
+"""Fields that say how a calibration was made, and change nothing."""
+SETUP = [
+    "name", "namespace", "namespace_prefix", "move_group", "move_group_namespace", "freehand_robot_movement",
+    "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
+]
+# fmt: on
+"""The same of the block `parameters` of easy_handeye."""
+STAMP = "frame_id", "seq", "stamp"
+FRAMES = "eye_on_hand", "calibration_type", "tracking_base_frame", "child_frame_id"
+POSE = "x", "y", "z", "qw", "qx", "qy", "qz"
+
+
+def _bare(name: object) -> str:
+    return str(name).replace("_", "").lower()
+
+
+NAMES = {_bare(name): name for name in ABOUT}
+NAMES |= {_bare(name): field for field, names in READ.items() for name in (field, *names)}
+
+
 def _plain(file: str) -> dict[str, Any]:
-    """The values of a calibration file; ParameterError where it is not there, or holds none."""
-    try:
-        path = place_of_file(absolute_file(file, Path.cwd()))
-        text = path.read_text(encoding="utf-8")
-        if path.suffix.lower() == ".xml" or text.startswith("%YAML:1.0") or "opencv-matrix" in text:
-            return _from_opencv(text)
-        documents = [json.loads(text)] if path.suffix.lower() == ".json" else list(yaml.safe_load_all(text))
-    except ParameterError as error:
-        raise ParameterError("", error.problem, file) from None
-    except (OSError, ValueError, yaml.YAMLError, cv2.error) as error:
-        why = " ".join(str(error).split())
-        raise ParameterError.unreadable("", why, "a camera_info of ROS, or OpenCV's YAML, XML or JSON", file) from None
-    if not documents or not isinstance(documents[0], dict):
-        raise ParameterError.unreadable("", "it holds no fields", "a camera_info of ROS, or OpenCV's YAML, XML or JSON", file)
-    return documents[0]
+    """The values of a calibration file by the fields of READ.
+
+    Raises ParameterError: it is not there, holds none, several calibrations, or one field twice.
+    """
+    with named_file("", file, WORKS, MOST_BYTES) as path:
+        documents = _documents(path.read_text(encoding="utf-8-sig"), path.suffix.lower() == ".json")
+        if not documents or not all(isinstance(document, dict) for document in documents):
+            raise ValueError("it holds no fields")
+        first, *others = documents
+        # `ros2 topic echo` prints a message after another, of which only the stamps differ.
+        if any({**other, "header": None} != {**first, "header": None} for other in others):
+            raise ValueError("it holds several calibrations; keep one")
+        return once([(NAMES.get(_bare(key), key), value) for key, value in first.items()])
 
 
-def _from_opencv(text: str) -> dict[str, Any]:
+def _documents(text: str, is_json: bool) -> list[Any]:
+    if "\0" in text:
+        raise ValueError("it has bytes of zeros, as a file cut off by a crash")
+    if text.lstrip().startswith("<") or text.startswith("%YAML:1.0") or "opencv-matrix" in text:
+        return _from_opencv(text)
+    if is_json:
+        return [json.loads(text, object_pairs_hook=once)]
+    return plain_documents(text)
+
+
+def _from_opencv(text: str) -> list[Any]:
+    if text.lstrip().startswith("<") and "<opencv_storage" not in text:
+        raise ValueError("its XML is not OpenCV's, which begins with <opencv_storage>")
+    if sum(text.count(part) for part in ("<", "[", "{", "- ")) > MOST_PARTS:
+        raise ValueError("it has more parts than a calibration, or deeper ones")
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    found: dict[str, Any] = _node(storage.root())
-    storage.release()
-    return found
+    if not storage.root(1).empty():
+        raise ValueError("it holds several documents; keep one")
+    root, found = storage.root(), []
+    for key in root.keys():  # noqa: SIM118 - a FileNode is no mapping
+        read = NAMES.get(_bare(key)) in READ  # others, such as all corners of a board, may be long
+        found.append((key, _node(root.getNode(key)) if read else None))
+    return [once(found)]
 
 
 def _node(node: Any) -> Any:
     if node.isMap():
-        if "data" in node.keys() and "rows" in node.keys():  # noqa: SIM118 - a FileNode is no mapping
-            return node.mat()
-        return {name: _node(node.getNode(name)) for name in node.keys()}  # noqa: SIM118 - as above
+        return {name: _node(node.getNode(name)) for name in node.keys()}  # noqa: SIM118 - a FileNode is no mapping
     if node.isSeq():
+        if node.size() > MOST_NUMBERS:
+            raise ValueError(f"it has a row of {node.size()} numbers")
         return [_node(node.at(i)) for i in range(node.size())]
-    return node.string() if node.isString() else node.real()
+    if node.isString():
+        return node.string()
+    return None if node.isNone() else node.real()
 
 
 def _numbers(value: Any, name: str) -> Array:
     """An array of numbers, given as one, as lists, or as a mapping with `data`."""
-    value = value.get("data") if isinstance(value, Mapping) else value
-    try:
-        found = np.array([] if value is None else value, dtype=float)
-    except (TypeError, ValueError):
-        found = np.array([np.nan])
+    sides: list[Any] = []
+    if isinstance(value, Mapping):
+        only_known(value, ("data", "rows", "cols"), ("dt", "type_id"), name)
+        sides = [value[side] for side in ("rows", "cols") if side in value]
+        value = value.get("data")
+    found = _array(value)
     if not np.isfinite(found).all():
         raise ParameterError(name, "must be finite numbers", short(value))
+    if sides and math.prod(_numbers(sides, f"{name}.rows")) != found.size:
+        raise ParameterError(name, f"must have the numbers of its rows and columns, {sides}, and has {found.size}")
     return found
 
 
-def _first(plain: Mapping[str, Any], *names: str) -> Any:
-    """The value of the first of some names, in any spelling: `camera_matrix`, `cameraMatrix`, `Camera_Matrix`."""
-    spelled = {key.replace("_", "").lower(): value for key, value in plain.items() if isinstance(key, str)}
-    return next((spelled[name] for name in names if name in spelled), None)
+def _array(value: Any) -> Array:
+    """An array of numbers, or of lists of them; one NaN where it is neither."""
+    try:
+        if all(isinstance(one, str | Real) and not isinstance(one, bool) for one in _flat(value)):
+            return np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    return np.array([np.nan])
+
+
+def _flat(value: Any, depth: int = 3) -> Iterator[Any]:
+    """The items of lists in lists; TypeError where they are deeper, or longer, than a matrix."""
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(value, list | tuple):
+        yield value
+        return
+    if not depth or len(value) > MOST_NUMBERS:
+        raise TypeError
+    for item in value:
+        yield from _flat(item, depth - 1)
+
+
+def _block(plain: Mapping[str, Any], name: str, used: Sequence[str], harmless: Sequence[str] = ()) -> Mapping[str, Any]:
+    """A block whose fields are all known; an empty one where there is none."""
+    block = plain.get(name)
+    if not isinstance(block, Mapping | None):
+        raise ParameterError(name, f"must be a block of {', '.join(used)}", short(block))
+    only_known(block or {}, used, harmless, name)
+    return block or {}
 
 
 def _intrinsics_in(plain: Mapping[str, Any]) -> Intrinsics | None:
-    matrix = _first(plain, "cameramatrix", "k", "intrinsicmatrix", "m")
-    if matrix is None:
+    if "camera_matrix" not in plain:
         return None
-    width, height = _first(plain, "imagewidth", "width"), _first(plain, "imageheight", "height")
-    if width is None and (size := _first(plain, "imagesize", "resolution")) is not None:
-        width, height = np.ravel(size).tolist()
-    dist = _first(plain, "distortioncoefficients", "distcoeffs", "distcoeff", "dist", "d", "distortion")
-    size = None if width is None or height is None else (int(width), int(height))
-    return Intrinsics.of(matrix, () if dist is None else dist, size, str(_first(plain, "distortionmodel") or ""), "camera_matrix")
+    only_known(plain, READ, ABOUT)
+    _block(plain, "header", (), STAMP)
+    size = _size_in(plain)
+    _check_whole(plain, size)
+    _check_raw(plain)
+    model, k = _distortion_in(plain)
+    return Intrinsics.of(plain["camera_matrix"], k, size, model, "camera_matrix")
+
+
+def _distortion_in(plain: Mapping[str, Any]) -> tuple[str, Any]:
+    """The model's name, "" for none, and its coefficients."""
+    model = str(plain.get("distortion_model") or "")
+    k = plain.get("distortion_coefficients", None if model else ())
+    if k is None:
+        words = f"a lens of distortion_model {model or 'plumb_bob'} has some, or []"
+        raise ParameterError.missing("distortion_coefficients", words)
+    fisheye = plain.get("fisheye_model", 0)
+    if fisheye not in (0, 1) or (fisheye and model not in ("", "equidistant", "fisheye")):
+        words = f"must be 0 or 1, and 0 beside distortion_model {model or 'plumb_bob'}"
+        raise ParameterError("fisheye_model", words, short(fisheye))
+    return ("equidistant" if fisheye else model), k
+
+
+def _size_in(plain: Mapping[str, Any]) -> tuple[int, int] | None:
+    sides = [plain[name] for name in ("image_width", "image_height") if name in plain]
+    if sides and "image_size" in plain:
+        raise ParameterError.conflict("image_size", "image_width and image_height")
+    size = _numbers(sides or plain.get("image_size", ()), "image_size").ravel()
+    if size.size not in (0, 2) or (size % 1).any():
+        raise ParameterError("image_size", "must be two whole numbers, width and height [px]", size.tolist())
+    return (int(size[0]), int(size[1])) if size.size else None
+
+
+def _check_whole(plain: Mapping[str, Any], size: tuple[int, int] | None) -> None:
+    """Refuse pictures that are binned or cut out of those that were calibrated."""
+    words = "is not used, and pictures are not those that were calibrated; works: the camera matrix"
+    words += " and the size of the pictures as they come, without"
+    for name in ("binning_x", "binning_y"):
+        if plain.get(name, 0) not in (0, 1):
+            raise ParameterError(name, f"{words} {name}", short(plain[name]))
+    roi = _block(plain, "roi", ("x_offset", "y_offset", "width", "height"), ("do_rectify",))
+    offset = roi.get("x_offset", 0), roi.get("y_offset", 0)
+    extent = roi.get("width", 0), roi.get("height", 0)
+    if offset != (0, 0) or extent not in ((0, 0), size):
+        raise ParameterError("roi", f"{words} a roi", short(dict(roi)))
+
+
+def _check_raw(plain: Mapping[str, Any]) -> None:
+    """Refuse a camera of a stereo pair whose pictures are turned or shifted by rectification.
+
+    P and R describe the rectified picture. The raw one has K and D alone, so that a P of another focal length, with
+    R = 1 and no baseline, is of the same camera without its distortion, and changes nothing.
+    """
+    works = "works: for raw pictures (image_raw) neither R nor P; for rectified ones the first three columns of P as"
+    works += " camera_matrix, without distortion"
+    R = _numbers(plain.get("rectification_matrix", np.eye(3)), "rectification_matrix")
+    if R.size != 9 or np.abs(R.reshape(3, 3) - np.eye(3)).max() > 1e-6:  # as exact as files have it
+        words = f"must be the identity: it turns the camera of a stereo pair; {works}"
+        raise ParameterError("rectification_matrix", words, short(R.tolist()))
+    P = _numbers(plain.get("projection_matrix", np.eye(3, 4)), "projection_matrix")
+    if P.size != 12 or P.reshape(3, 4)[:, 3].any():
+        words = f"must have zeros as its fourth column: it has the baseline of a stereo pair; {works}"
+        raise ParameterError("projection_matrix", words, short(P.tolist()))
 
 
 def _mount_in(plain: Mapping[str, Any]) -> Array | None:
-    """T_flange_camera (4, 4) of a hand-eye calibration: R and t, a transformation with a quaternion, or a matrix; None without one."""
-    R, t = (_first(plain, *names) for names in (("rcam2gripper", "rotationmatrix", "r"), ("tcam2gripper", "translationvector", "t")))
-    if R is not None and t is not None:
-        R, t = _numbers(R, "R"), _numbers(t, "t")
-        return np.block([[R.reshape(3, 3), t.reshape(3, 1)], [np.zeros((1, 3)), 1.0]]) if (R.size, t.size) == (9, 3) else None
-    named = _first(plain, "transformation", "transform", "handeye", "mount", "tcam2gripper", "tgrippercamera", "tflangecamera")
-    named = plain if named is None else named
-    if not isinstance(named, Mapping) or "data" in named:
-        T = _numbers(named, "mount")
-        return T.reshape(4, 4) if T.size == 16 else None
-    place, turn = named.get("translation", named), named.get("rotation", named)
-    before = "q" if turn is named else ""  # easy_handeye has all seven numbers in one block
-    if not all(isinstance(part, Mapping) for part in (place, turn)):
+    """T_flange_camera (4, 4) of a hand-eye calibration; None without one."""
+    T = _mount_of(plain)
+    if T is None:
         return None
-    p, q = [place.get(name) for name in "xyz"], [turn.get(before + name) for name in "wxyz"]
+    only_known(plain, READ, ABOUT)
+    _check_frames(plain)
+    turn = T[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0 or (T[3] != (0, 0, 0, 1)).any():
+        raise ParameterError("mount", "must be a rotation and a translation", short(T.tolist()))
+    return T
+
+
+def _mount_of(plain: Mapping[str, Any]) -> Array | None:
+    """What R and t, a transformation, or a matrix says."""
+    given = [name for name in ("transformation", "T_cam2gripper", "translation_vector") if name in plain]
+    if len(given) > 1:
+        raise ParameterError.conflict(given[0], given[1])
+    name = given[0] if given else ""
+    # R of a file with a camera matrix is ROS's rectification.
+    R = plain.get("R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix"))
+    if R is None or name not in ("T_cam2gripper", "translation_vector"):
+        return _quaternion_in(plain, "") if name in ("", "translation_vector") else _pose_in(plain[name], name)
+    T = np.eye(4)
+    T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))
+    T[:3, 3] = _sized(plain[name], "t_cam2gripper", (3,))
+    return T
+
+
+def _sized(value: Any, name: str, shape: tuple[int, ...]) -> Array:
+    """Numbers of a matrix or a vector, in whatever shape."""
+    numbers = _numbers(value, name)
+    if numbers.size != math.prod(shape):
+        raise ParameterError.count(name, math.prod(shape), "numbers", short(numbers.tolist()))
+    return numbers.reshape(shape)
+
+
+def _pose_in(value: Any, name: str) -> Array:
+    if not isinstance(value, Mapping) or "data" in value:
+        return _sized(value, name, (4, 4))
+    only_known(value, ("translation", "rotation", *POSE), (), name)
+    T = _quaternion_in(value, f"{name}.")
+    if T is None:
+        raise ParameterError(name, f"needs {', '.join(POSE)}, or translation and rotation", short(value))
+    return T
+
+
+def _quaternion_in(plain: Mapping[str, Any], where: str) -> Array | None:
+    """The pose (4, 4) of x, y, z and a quaternion, in one block or in `translation` and `rotation`; None where it has
+    not all seven numbers.
+    """
+    place, turn, before = plain, plain, "q"
+    if "rotation" in plain or "translation" in plain:
+        place, turn, before = _block(plain, "translation", "xyz"), _block(plain, "rotation", "wxyz"), ""
+    p, q = [place.get(name) for name in "xyz"], [turn.get(f"{before}{name}") for name in "wxyz"]
     if None in p or None in q:
         return None
-    unit = _numbers(q, "rotation")
-    return pose_from(_numbers(p, "translation"), unit / np.linalg.norm(unit))
+    unit = unit_quaternion(_numbers(q, f"{where}rotation"), f"{where}rotation")
+    return pose_from(_numbers(p, f"{where}translation"), unit)
 
 
-def read_intrinsics(file: str) -> Intrinsics:
-    """The intrinsics in a calibration file; ParameterError where it has none."""
-    found = _intrinsics_in(_plain(file))
-    if found is None:
-        raise ParameterError.unreadable("", "it has no camera matrix", "a camera_info of ROS, or OpenCV's YAML, XML or JSON", file)
+def _check_frames(plain: Mapping[str, Any]) -> None:
+    """Refuse a pose of another camera than one on the flange, and of another frame of it than the optical one."""
+    said = {**_block(plain, "parameters", FRAMES, SETUP), **{name: plain[name] for name in FRAMES if name in plain}}
+    for name, valid in (("eye_on_hand", (True, "true")), ("calibration_type", ("eye_in_hand",))):
+        if said.get(name, valid[0]) not in valid:
+            words = "is of a camera that stands beside the robot, and this is read as the mount on the flange"
+            works = "works: a calibration eye in hand, or, for a camera with on: world, the pose in the scenario itself"
+            raise ParameterError(name, f"{words}; {works}", said[name])
+    parent = str(_block(plain, "header", STAMP).get("frame_id", ""))
+    if parent.rpartition("/")[2] in ("base", "base_link", "world", "map", "odom"):
+        raise ParameterError("header.frame_id", "must be the flange's frame, and not one of a base or a room", parent)
+    for name in ("tracking_base_frame", "child_frame_id"):
+        if "optical" not in str(said.get(name, "optical")):
+            words = "is not known as the camera's optical frame (x right, y down, z forward)"
+            works = "works: the pose of that frame, with a name such as camera_optical_frame"
+            raise ParameterError(name, f"{words}; {works}", said[name])
+
+
+@contextmanager
+def _named(file: str) -> Iterator[None]:
+    """Name the file in errors of what it holds."""
+    try:
+        yield
+    except ParameterError as error:
+        raise ParameterError(error.field, f"{error.problem} (in {file})", error.found) from None
+
+
+def _read(file: str, lacks: str, works: str, *parts: Callable[[Mapping[str, Any]], Any]) -> list[Any]:
+    """The parts of a calibration's file. lacks: what it lacks where all are None, for messages."""
+    plain = _plain(file)
+    with _named(file):
+        found = [part(plain) for part in parts]
+    if all(part is None for part in found):
+        raise ParameterError.unreadable("", f"it has {lacks} among {short(', '.join(map(str, plain)))}", works, file)
     return found
 
 
-MOUNTS = "a transformation of x, y, z, qx, qy, qz, qw (easy_handeye), a matrix (4, 4), or R_cam2gripper and t_cam2gripper"
+def read_intrinsics(file: str) -> Intrinsics:
+    """The intrinsics in a calibration file; ParameterError where it has none, or fields that are not read."""
+    (found,) = _read(file, "no camera matrix", WORKS, _intrinsics_in)
+    return found
 
 
 def read_mount(file: str) -> dict[str, Any]:
-    """The block of the mount, the camera's pose in the flange's frame, in a hand-eye calibration's file; ParameterError if none."""
-    found = _mount_in(_plain(file))
-    if found is None:
-        raise ParameterError.unreadable("", "it has no pose of the camera", MOUNTS, file)
+    """The block of the mount, the camera's pose in the flange's frame, in a hand-eye calibration's file; ParameterError as above."""
+    (found,) = _read(file, "no pose of the camera", MOUNTS, _mount_in)
     return pose_block(found)
 
 
 def read_calibration(file: str) -> dict[str, Any]:
-    """The block `calibration` of a file that has intrinsics, a mount, or both; ParameterError where it has neither."""
-    plain = _plain(file)
-    intrinsics, T = _intrinsics_in(plain), _mount_in(plain)
-    if intrinsics is None and T is None:
-        raise ParameterError.unreadable("", "it has neither a camera matrix nor a pose of the camera", "a calibration's file", file)
+    """The block `calibration` of a file that has intrinsics, a mount, or both; ParameterError where it has neither, and as above."""
+    intrinsics, T = _read(file, "neither a camera matrix nor a pose of the camera", "a calibration's file", _intrinsics_in, _mount_in)
     found: dict[str, Any] = {} if intrinsics is None else {"intrinsics": intrinsics}
     return found if T is None else {**found, "mount": pose_block(T)}
 

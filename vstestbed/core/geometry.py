@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spatial import Array, as_se3, is_matrix, pose_matrix, tidy, tidy_position
 from vstestbed.core.spec import spec
@@ -313,6 +314,20 @@ def pose_from(position: Array, q_wxyz: Array) -> Array:
     T[:3, :3] = rotation_from_quaternion(q_wxyz)
     T[:3, 3] = position
     return T
+
+
+QUATERNION_NORM = 1e-3  # what three digits of each of the four numbers leave
+
+
+def unit_quaternion(q: Array, field: str) -> Array:
+    """A quaternion (4,) that a file gives, made exactly of norm 1. field: for messages.
+    Raises ParameterError: it is zero or, by more than QUATERNION_NORM, of another norm.
+    """
+    norm = math.hypot(*q)
+    if not abs(norm - 1) <= QUATERNION_NORM:  # not ">": NaN
+        words = f"has the norm {norm:.4g}" if norm else "is zero, which is no rotation"
+        raise ParameterError(field, f"is a quaternion that {words}; its norm must be 1", q.tolist())
+    return q / norm
 
 
 def rigid_error(T_a: Array, T_b: Array) -> tuple[float, float]:

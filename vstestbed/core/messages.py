@@ -106,8 +106,8 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
         if named:
             try:
                 here = here[part]  # type: ignore[index] - named: it is a mapping or a list
-            except LookupError:  # a missing field
-                here = None
+            except LookupError:  # a missing field, or one of a preset's file
+                here = {}
     return place
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import dataclasses
 import typing
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-import yaml
 from pydantic import model_validator
 from pydantic_core import ArgsKwargs
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.named_files import absolute_file, place_of_file
+from vstestbed.core.foreign import named_file, plain_documents
 from vstestbed.core.registry import brief_mapping
 from vstestbed.core.spec import OrText, spec
 from vstestbed.effects.base import Further
@@ -21,20 +19,17 @@ from vstestbed.robots.base import Robot
 
 Level = Literal["none", "lab", "field"]
 LEVELS: tuple[Level, ...] = typing.get_args(Level)
+MOST_PRESET = 100_000  # bytes of a preset's file, as of a scenario
 
 
 def _preset_in(file: str) -> dict[str, Any]:
     """The fields of a robot in a file. ParameterError: it is not there, or holds no mapping."""
     works = "fields of the robot, such as drive_lag_s: 0.05"
-    try:
-        plain = yaml.safe_load(place_of_file(absolute_file(file, Path.cwd())).read_text(encoding="utf-8"))
-    except ParameterError as error:
-        raise ParameterError("realism", error.problem, file) from None
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ParameterError.unreadable("realism", " ".join(str(error).split()), works, file) from None
-    if not isinstance(plain, dict) or "kind" in plain:
-        raise ParameterError.unreadable("realism", "it is no block of imperfections", works, file)
-    return plain
+    with named_file("realism", file, works, MOST_PRESET) as path:
+        documents = plain_documents(path.read_text(encoding="utf-8-sig"))
+        if len(documents) != 1 or not isinstance(documents[0], dict) or "kind" in documents[0]:
+            raise ValueError("it is no block of imperfections")
+    return documents[0]
 
 
 @spec

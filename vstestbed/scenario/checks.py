@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from vstestbed.tasks.base import Task
 from vstestbed.tasks.stop import Stop
 from vstestbed.timing.plan import Timing
 from vstestbed.vision import DETECTORS, Detector
+from vstestbed.vision.blobs import Blobs
 
 MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures in transit."""
@@ -187,6 +188,7 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
 # Checks of what is measured against what the law and the task need: markers, a detector's own points, depths.
 BY_ESTIMATE = ("position_m", "rotation_deg")  # conditions of convergence by the robot's own estimate
 FIRST_POSE = 4  # fewest points that tell a pose by themselves
+ALIKE = 0.01  # a pixel of a target of 100 px, far more than blobs scatter, and less than `assign_blobs` allows
 ON_ONE_LINE = 1e-6  # ratio of the second to the first singular value of marker positions under which they count as collinear
 
 
@@ -315,6 +317,38 @@ def check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> No
         able = [kind for kind, member in of_markers.items() if not member.markers]
         why = f"a {shown} without markers shows it nothing to detect; use true, or detector {' or '.join(able)}"
         raise ParameterError.excluded("target.draw_markers", f"false with detector {detector.kind}", False, why=why)
+    _check_told_apart(target, detector)
+
+
+def _check_told_apart(target: Target, detector: Detector[Any]) -> None:
+    """Refuse markers of one colour that a turn of the target puts in one another's places, for a detector that tells
+    them by their colours: which is which would be left to chance.
+    """
+    if not isinstance(detector, Blobs):
+        return
+    for order in _alike(target.points, [hue % 360 for hue in target.hues_deg], []):
+        exchanged = [f"{target.called(i)} for {target.called(j)}" for i, j in enumerate(order) if i != j]
+        if exchanged:
+            words = "leave it open which marker is which: turned, or from behind, the target shows"
+            works = "other hues of these, none (all are then different), marker tag, an arrangement without symmetry"
+            words += f" {', '.join(exchanged)}; works: {works}"
+            raise ParameterError("target.marker.hues", words, list(target.marker.hues))
+
+
+def _alike(points: Array, hues: Sequence[float], order: list[int]) -> Iterator[list[int]]:
+    """The orders of markers that continue one, have the same colours and, within a share ALIKE of the largest, the same distances, and so
+    follow from a motion of the target. Of a flat one a mirror image, too, is seen: from behind.
+    """
+    i, n = len(order), len(points)
+    if i == n:
+        centred = points - points.mean(axis=0)
+        if np.linalg.det(centred.T @ centred[order]) > -ON_ONE_LINE * np.ptp(points) ** 6:  # else a mirror image of a solid
+            yield order
+        return
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    for j in range(n):
+        if j not in order and hues[j] == hues[i] and np.abs(apart[i, :i] - apart[j, order]).max(initial=0.0) <= ALIKE * apart.max():
+            yield from _alike(points, hues, [*order, j])
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:

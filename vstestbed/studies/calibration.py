@@ -19,8 +19,8 @@ from vstestbed.camera import Camera, Fisheye, Image, Perspective
 from vstestbed.camera.intrinsics import Intrinsics, read_intrinsics, write_calibration
 from vstestbed.core.errors import ParameterError, RunFolderError, UnreachableError, VstestbedError, short
 from vstestbed.core.files import write_whole
-from vstestbed.core.foreign import foreign, plain_file
-from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error
+from vstestbed.core.foreign import foreign, only_known, plain_file
+from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error, unit_quaternion
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun
@@ -147,6 +147,8 @@ def _chosen(views: Array, poses: Array) -> set[int]:
 
 
 POSES = "poses.csv"
+QUATERNION = "qw", "qx", "qy", "qz"
+COMMENTS = "number", "time", "t", "stamp", "comment"  # columns that say nothing of a pose
 
 
 def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
@@ -183,18 +185,18 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
 
 def _shot_of_line(folder: Path, line: dict[str, Any], robot: Robot | None) -> Shot:
     """The picture and the pose of a line. ParameterError, or what its numbers raise: it is none."""
-    by_joints = robot if robot is not None and robot.joints and set(robot.joints) <= set(line) else None
-    names = by_joints.joints if by_joints else ("x", "y", "z", "qw", "qx", "qy", "qz")
+    joints = robot.joints if robot is not None and robot.joints else ()
+    only_known(line, ("picture", *"xyz", *QUATERNION, *joints), COMMENTS)
+    by_joints = robot if joints and set(joints) <= set(line) else None
+    names = by_joints.joints if by_joints else (*"xyz", *QUATERNION)
     numbers = np.array([float(line[name]) for name in names])
     if not np.isfinite(numbers).all():
         raise ValueError(f"{', '.join(names)} must be finite")
     picture = read_rgb(plain_file(folder / line["picture"], "a PNG or JPEG file"))
     if by_joints:
         return _shot(by_joints, line["picture"], picture, numbers)
-    length = np.linalg.norm(numbers[3:])
-    if length == 0:
-        raise ValueError("the quaternion is zero")
-    return Shot(line["picture"], picture, pose_from(numbers[:3], numbers[3:] / length), np.eye(6))
+    T = pose_from(numbers[:3], unit_quaternion(numbers[3:], "qw, qx, qy, qz"))
+    return Shot(line["picture"], picture, T, np.eye(6))
 
 
 @dataclass(frozen=True)

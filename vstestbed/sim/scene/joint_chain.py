@@ -197,6 +197,42 @@ def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[s
         raise ParameterError("file", f"must name each joint before {flange}; joint {found.index('') + 1} of them has no name")
     for i, name in zip(joints, found, strict=True):
         _check_numbers(model, i, name)
+    _check_free(model, joints)
+
+
+def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
+    """Refuse constraints of the file that couple the arm's joints, with one another or with what stands: each is moved by itself here.
+    Those of a gripper, beyond the flange or beside it, stay.
+    """
+    for i in np.flatnonzero(model.eq_active0).tolist():
+        if coupled := sorted(_coupled(model, i) & set(joints)):
+            kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
+            names = ", ".join(model.joint(j).name for j in coupled)
+            of = "joint, such as a URDF's <mimic>" if kind == "joint" else kind
+            words = f"couples {names} (equality {of}), and each joint of an arm is moved by itself here"
+            raise ParameterError("file", f"{words}; works: the file without it, or a flange before these joints")
+
+
+def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
+    """The joints that an equality does not leave free: those that follow another one, and those of a closed loop."""
+    kind = mujoco.mjtEq(model.eq_type[equality])
+    one, other = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+    if kind == mujoco.mjtEq.mjEQ_JOINT:
+        return {one}  # the other one moves it
+    if kind == mujoco.mjtEq.mjEQ_TENDON:
+        return _wrapped(model, one) | (_wrapped(model, other) if other >= 0 else set())
+    if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+        return set()
+    if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
+        one, other = int(model.site_bodyid[one]), int(model.site_bodyid[other])
+    return set(_joints_to(model, one)) ^ set(_joints_to(model, other))  # what moves both changes nothing between them
+
+
+def _wrapped(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """The joints that a fixed tendon combines."""
+    first = model.tendon_adr[tendon]
+    of = slice(first, first + model.tendon_num[tendon])
+    return set(model.wrap_objid[of][model.wrap_type[of] == mujoco.mjtWrap.mjWRAP_JOINT].tolist())
 
 
 def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
