@@ -127,15 +127,33 @@ def law_of_file(file: str) -> tuple[str, SuiteLaw, tuple[str, ...]]:
     """
     path = Path(file)
     if path.suffix in (".yaml", ".yml"):
-        plain, marks = plain_mapping(text_of(path), file, "a law's file needs law")
-        plugins = plain.pop("plugins", None) or ()
-        return path.stem, build(SuiteLaw, plain, marks, file), tuple(str(path.parent / name) for name in plugins)
+        return path.stem, *_law_of_yaml(path)
     before = set(LAWS.members)
     (plugin,) = load_plugins([file])
     own = [kind for kind in LAWS.members if kind not in before or LAWS.members[kind].__module__ == path.stem]
     if len(own) != 1:
         raise ParameterError("LAW_FILE", "must add one law; of several, name one in a YAML file with law and plugins", own or file)
     return path.stem, SuiteLaw(law={"kind": own[0]}), (plugin,)
+
+
+def _law_of_yaml(path: Path) -> tuple[SuiteLaw, tuple[str, ...]]:
+    plain, marks = plain_mapping(text_of(path), str(path), "a law's file needs law")
+    plugins = plain.pop("plugins", None) or ()
+    return build(SuiteLaw, plain, marks, str(path)), tuple(str(path.parent / name) for name in plugins)
+
+
+def law_apart(file: str) -> tuple[str, SuiteLaw, tuple[str, ...]]:
+    """The same of a law that is flown in a process of its own (`loop.isolated`): no code of its files is loaded here."""
+    from vstestbed.loop.isolated import MODULE  # here: the import adds a kind
+
+    path = Path(file).absolute()
+    law, files = _law_of_yaml(path) if path.suffix in (".yaml", ".yml") else (SuiteLaw(law={}), (str(path),))
+    tasks = {
+        task: other if isinstance(other, str) else {"block": other if "kind" in other else {**law.law, **other}}
+        for task, other in law.tasks.items()
+    }
+    block = {"kind": "isolated", "files": list(files), "reads": str(path.parent), "block": law.law}
+    return path.stem, SuiteLaw(law=block, tasks=tasks), (MODULE,)
 
 
 @dataclass(frozen=True)
@@ -297,12 +315,16 @@ class SuiteEntry:
         return write_scores(out, shown, tasks, self.blank, f"Suite {self.path.stem}", about, self.command)
 
 
-def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | None = None, alone: bool = False) -> SuiteEntry:
-    """A suite with its own laws, and with that of a file beside them, or `alone`. Errors as of `read_suite` and `law_of_file`."""
+def opened(
+    file: str | None, name: str = NAME, quick: bool = False, word: str | None = None, alone: bool = False, apart: bool = False
+) -> SuiteEntry:
+    """A suite with its own laws, and with that of a file beside them, or `alone`. apart: in a process of its own. Errors as of `read_suite`
+    and `law_of_file`.
+    """
     suite, path = read_suite(name)
     laws, plugins = dict(suite.laws), tuple[str, ...]()
     if file is not None:
-        own, law, plugins = law_of_file(file)
+        own, law, plugins = law_apart(file) if apart else law_of_file(file)
         if own in laws:
             raise ParameterError.twice("LAW_FILE", "a law of the suite", own)
         laws = {own: law} if alone else laws | {own: law}
