@@ -1,8 +1,8 @@
 """A law in a process of its own, for judges: observations go in, commands come out as plain numbers, and nothing else.
 
 What judges a run (simulation, metrics, marks) never loads the law. The law's process is a fresh Python, `testing/child.py`, whose words,
-environment and folder hold neither seeds nor plans. To it go pickled observations; from it comes JSON of a capped size, whose every value is
-checked: what a hostile process sends is at most a bad command. It has limits of time and memory, and is killed with its group.
+environment and folder hold neither seeds nor plans. To it go pickled observations. From it comes JSON of a capped size, whose values
+are checked: what a hostile process sends is at most a bad command. Its time and memory are limited, and it is killed with its group.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
@@ -32,22 +31,21 @@ from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LAWS, Command, Law
-from vstestbed.laws.base import OBSERVATION_FIELDS, LawFailedError, TwistLimits
+from vstestbed.laws.base import LawFailedError, TwistLimits
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.points import Visibility
 
-MODULE = __name__  # the plugin that adds this kind
-START_S = 60.0  # for Python, the package and the law's file
+MODULE = __name__  # the plugin that adds the kind
+START_S = 60.0  # for Python, the package and the law's files
 MOST_BYTES = 1 << 20  # of an answer
-MOST_NUMBERS = 10_000  # of an array in it
-LAST_WORDS = 2000  # bytes of what the process printed that are shown
+SHOWN = 2000  # bytes of what the process printed, and of its sentences
 INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @spec
 class Declared:
-    """What a law says of itself, as far as the loop reads it (`Law`); its feature stays in its process.
+    """What the loop reads of a law (`Law`); its feature stays in its process.
 
     Args:
         tasks: the kinds of goals that it takes.
@@ -66,7 +64,7 @@ class Declared:
     """
 
     tasks: tuple[str, ...]
-    inputs: tuple[Literal[(*OBSERVATION_FIELDS, "xyw")], ...]  # pyright: ignore[reportInvalidTypeForm] - of names that are known here alone
+    inputs: tuple[str, ...]
     depth: Depth
     limits: TwistLimits
     visibility: Visibility
@@ -81,78 +79,59 @@ class Declared:
 
 
 class Child:
-    """The process of one law.
+    """The process of one law. Class attribute lost: how many ended, or were ended, before they had answered."""
 
-    Class attributes, of all in this process: waited: time for which answers were waited for [s]. lost: how many ended, or were ended, before
-    they had answered.
-    """
-
-    waited = 0.0
     lost = 0
 
     def __init__(self, *law: Any):
-        self.ended, self.run_s, self.forgotten = False, 0.0, list[int]()
+        self.ended, self.spent_s = False, 0.0
         self._goal: Goal | None = None
         self._place = tempfile.TemporaryDirectory(prefix="law_", ignore_cleanup_errors=True)
-        self._said = tempfile.TemporaryFile()
+        self._printed = tempfile.TemporaryFile()  # noqa: SIM115 - until the process ends
         self._channel, theirs = socket.socketpair()
         theirs.set_inheritable(True)
         place, number = self._place.name, theirs.fileno()
-        known = {name: os.environ[name] for name in INHERITED if name in os.environ}
+        passed: Any = {"pass_fds": [number]} if os.name == "posix" else {"close_fds": False}
         self._process = subprocess.Popen(
             [sys.executable, "-Pu", "-m", "vstestbed.testing.child", str(number)],
             cwd=place,
-            env=known | ONE_CORE | {"HOME": place, "TMPDIR": place},
+            env={name: os.environ[name] for name in INHERITED if name in os.environ} | ONE_CORE | {"HOME": place, "TMPDIR": place},
             stdin=subprocess.DEVNULL,
-            stdout=self._said,
-            stderr=self._said,
+            stdout=self._printed,
+            stderr=self._printed,
             start_new_session=True,
-            **({"pass_fds": (number,)} if os.name == "posix" else {"close_fds": False}),
+            **passed,
         )
         theirs.close()
-        self.declared = Declared(**self.ask("declared", START_S, "make", *law))
+        self.declared = Declared(**self.ask(START_S, "make", *law))
 
-    def ask(self, wanted: str, seconds: float, method: str, *given: Any) -> Any:
-        """What the law's process answers, within some seconds.
-        Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or gave no answer of the form that is wanted.
+    def ask(self, seconds: float, method: str, *given: Any) -> Any:
+        """What the process answers within some seconds, in plain values.
+        Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or its process gave no answer.
         """
-        began, forgotten = time.monotonic(), self.forgotten
-        self.forgotten = []
+        began = time.monotonic()
         try:
-            message = pickle.dumps((forgotten, method, given))
-            answer = self._answer(len(message).to_bytes(8, "big") + message, began + seconds)
-            ((word, said),) = answer.items()
-            if word == "refused":
-                name, problem = map(str, said)
-        except Exception as error:  # the system's, of a process that is gone, and whatever a forged answer brings about
+            message = pickle.dumps((method, given))
+            self._channel.settimeout(seconds)
+            self._channel.sendall(len(message).to_bytes(8, "big") + message)
+            size = int.from_bytes(self._read(8, began + seconds), "big")
+            if size > MOST_BYTES:
+                raise ValueError("it is too long")
+            word, said = json.loads(self._read(size, began + seconds))
+            name, problem = map(str, said) if word == "refused" else ("", "")
+        except Exception as error:  # a process that is gone, and whatever a forged answer brings about
             self.close()
             Child.lost += 1
             late = isinstance(error, TimeoutError)
             why = f"gave no answer within {seconds:.3g} s" if late else f"ended without an answer ({type(error).__name__})"
             raise LawFailedError(f"the law's process {why}") from error
         finally:
-            Child.waited += time.monotonic() - began
-            self.run_s += time.monotonic() - began
-        if word == "refused":
+            self.spent_s += time.monotonic() - began
+        if name:
             raise ParameterError(name, problem)
-        if word != wanted:
-            raise LawFailedError(str(said)[:LAST_WORDS])
+        if word == "failed":
+            raise LawFailedError(str(said)[:SHOWN])
         return said
-
-    def step(self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array) -> tuple[int, dict[str, Any]]:
-        """Number of the next state, and the command as it came. The goal is sent when it is another one."""
-        sent = None if goal is self._goal else goal
-        self._goal = goal
-        number, command = self.ask("step", seconds, "step", state, seen, sent, basis)
-        return int(number), command
-
-    def _answer(self, message: bytes, until: float) -> dict[str, Any]:
-        self._channel.settimeout(max(until - time.monotonic(), 1e-3))
-        self._channel.sendall(message)
-        size = int.from_bytes(self._read(8, until), "big")
-        if size > MOST_BYTES:
-            raise ValueError("too long")
-        return json.loads(self._read(size, until))
 
     def _read(self, size: int, until: float) -> bytes:
         found = b""
@@ -164,8 +143,14 @@ class Child:
             found += more
         return found
 
+    def step(self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array) -> Any:
+        """Number of the next state, and the command as it came. A goal is sent once."""
+        sent = None if goal is self._goal else goal
+        self._goal = goal
+        return self.ask(seconds, "step", state, seen, sent, basis)
+
     def close(self) -> None:
-        """Kill the process and its group; print the end of what it printed, each line marked as its own."""
+        """Kill the process and its group, and print the end of what it printed, each line marked as its own."""
         if self.ended:
             return
         self.ended = True
@@ -173,14 +158,14 @@ class Child:
             os.killpg(self._process.pid, signal.SIGKILL) if os.name == "posix" else self._process.kill()
         self._process.wait()
         self._channel.close()
-        self._said.seek(max(0, self._said.seek(0, os.SEEK_END) - LAST_WORDS))
-        for line in self._said.read(LAST_WORDS).decode(errors="replace").splitlines():
-            print("  law |", "".join(filter(str.isprintable, line)), file=sys.stderr)
-        self._said.close()
+        with self._printed as printed:
+            printed.seek(max(0, printed.seek(0, os.SEEK_END) - SHOWN))
+            for line in printed.read(SHOWN).decode(errors="replace").splitlines():
+                print("  law |", "".join(filter(str.isprintable, line)), file=sys.stderr)
         self._place.cleanup()
 
 
-_live = dict[str, Child]()  # the last one that was used; by what was asked for
+_live = dict[str, Child]()  # the one that was used last, by what was asked for
 
 
 @atexit.register
@@ -190,21 +175,10 @@ def close() -> None:
         _live.popitem()[1].close()
 
 
-class State:
-    """The state of a law, which is in its process under a number."""
-
-    def __init__(self, child: Child, number: int):
-        self.child, self.number = child, number
-
-    def __del__(self) -> None:
-        """The process need not keep it any more."""
-        self.child.forgotten.append(self.number)
-
-
 @LAWS.add
 @spec
-class Isolated(Law[State]):
-    """Another law, in a process of its own.
+class Isolated(Law[int]):
+    """Another law, in a process of its own, which keeps its last states; here they are numbers.
 
     Args:
         files: plugins that are loaded there.
@@ -221,7 +195,7 @@ class Isolated(Law[State]):
     block: dict[str, Any] = field(default_factory=dict)
     reads: str = ""
     answer_s: PositiveTime = 10.0
-    run_s: Annotated[float, Ge(0), Le(1e6)] = 300.0
+    run_s: PositiveTime = 300.0
 
     def __post_init__(self) -> None:
         """Start the process, and take over what the law declares."""
@@ -237,63 +211,50 @@ class Isolated(Law[State]):
             try:
                 _live[key] = Child(*law)
             except LawFailedError as error:
-                raise ParameterError("files", str(error)) from error
+                raise ParameterError("files", f"cannot be loaded: {error}") from error
         return _live[key]
 
     def prepare(self) -> None:
         """Nothing: the process has done so."""
 
     def markers_needed(self, basis: Array) -> int:
-        return min(max(int(self._child.ask("number", self.answer_s, "markers_needed", basis)), 0), MOST_NUMBERS)
+        return int(self._child.ask(self.answer_s, "markers_needed", basis))
 
     def check(self, points: Array, goal: Goal) -> None:
-        self._child.ask("done", self.answer_s, "check", points, goal)
+        self._child.ask(self.answer_s, "check", points, goal)
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
-        self._child.ask("done", self.answer_s, "check_view", goal, marker_radius_m)
+        self._child.ask(self.answer_s, "check_view", goal, marker_radius_m)
 
-    def init(self, goal: Goal) -> State:
+    def init(self, goal: Goal) -> int:
         child = self._child
-        child.run_s = 0.0
-        return State(child, int(child.ask("number", self.answer_s, "init", goal)))
+        child.spent_s = 0.0
+        return int(child.ask(self.answer_s, "init", goal))
 
-    def step(self, state: State, observation: Observation, goal: Goal, basis: Array) -> tuple[State, Command]:
-        child, left = state.child, self.run_s - state.child.run_s
+    def step(self, state: int, observation: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
+        child = self._child
+        left = self.run_s - child.spent_s
         if left <= 0:
             raise LawFailedError(f"the law took more than {self.run_s:.3g} s in a run")
-        if child.ended:
-            raise LawFailedError("the law's process has ended")
-        number, plain = child.step(min(self.answer_s, left), state.number, observation, goal, basis)
+        said = child.step(min(self.answer_s, left), state, observation, goal, basis)
         try:
-            command = command_of(plain, basis.shape[1], len(self.modes))
+            number, plain = said
+            return int(number), command_of(plain, basis.shape[1])
         except Exception as error:  # of a forged answer whatever its types bring about
             raise LawFailedError(f"the law's process gave no command ({error})") from error
-        return State(child, number), command
 
 
-def command_of(plain: dict[str, Any], motions: int, modes: int) -> Command:
+def command_of(plain: dict[str, Any], motions: int) -> Command:
     """A command from plain values. Its error in grey levels is not taken over: it would judge the run.
-    Raises whatever values of other types bring about; ValueError: there are too many numbers, or another number than the robot has motions.
+    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions.
     """
-    array = {name: _array(plain[name]) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
-    if array["u"].shape != (motions,) or array["twist"].shape != (6,):
-        raise ValueError("u or twist has another shape")
-    mode = int(plain["mode"])
-    if not 0 <= mode < max(modes, 1):
-        raise ValueError("there is no such mode")
-    free = tuple((float(share), _array(twists)) for share, twists in plain["free"])
-    if any(twists.ndim != 2 or len(twists) != 6 for _, twists in free):
-        raise ValueError("free motions have another shape")
-    row = tuple(_array(plain["row"]).tolist())
-    scale, why = float(plain["scale"]), str(plain["rest_reason"])[:LAST_WORDS]
-    return Command(**array, rest_reason=why, scale=scale, free=free, mode=mode, row=row)
-
-
-def _array(values: Any) -> Array:
-    made = np.array(values, dtype=float)
-    if made.size > MOST_NUMBERS or made.ndim > 2:
-        raise ValueError("too many numbers")
-    return made
+    arrays = {name: np.array(plain[name], float) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
+    if arrays["u"].shape != (motions,):
+        raise ValueError("u has another shape")
+    free = tuple((float(share), np.array(twists, float)) for share, twists in plain["free"])
+    row = tuple(map(float, plain["row"]))
+    why = str(plain["rest_reason"])[:SHOWN]
+    return Command(**arrays, rest_reason=why, scale=float(plain["scale"]), free=free, mode=int(plain["mode"]), row=row)
 
 
 @contextmanager

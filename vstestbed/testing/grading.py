@@ -16,14 +16,14 @@ from vstestbed.core.errors import ParameterError, ScenarioError, VstestbedError
 from vstestbed.core.files import write_json, write_whole
 from vstestbed.core.foreign import reason
 from vstestbed.core.quantity import PositiveTime
+from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.comparison.results import ComparisonResults, pairs
 from vstestbed.report.marks import counted, number
-from vstestbed.scenario.load import find, load
-from vstestbed.scenario.plugins import absolute_files
-from vstestbed.scenario.yaml_marks import build, plain_mapping, put_over, text_of
+from vstestbed.scenario.load import load
+from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.tasks.metrics import comparable
 from vstestbed.testing.laws import check_law
 
@@ -62,7 +62,7 @@ class LabTask:
         scenario: a bundled one, or a file beside the lab's; e.g. `ibvs_book`.
         set: values by dotted path, put over it and over the student's kind.
         seeds: number of random starts; 0: the nominal one alone.
-        limit_s: time for all answers of the student's code in it [s].
+        limit_s: time for all answers of the student's code in it, of which each run has its share [s].
         reached: from how many of them the goal has to be reached; null: from all, or from any number with `better_than`.
         median: limits of medians over the runs that reached it, by the names in `summary.json`; e.g. `{path_ratio: {at_most: 1.2}}`.
         better_than: another kind, in place of the student's, than which it has to be better by the verdict of a comparison from these
@@ -205,26 +205,25 @@ def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), o
     return Mark(lab.title, student.name, tuple(results))
 
 
-def _block(lab: Lab, student: Path, law: Any, limit_s: float) -> dict[str, Any]:
-    """The block of a law in a process of its own that loads the student's file."""
-    block = {"kind": law} if isinstance(law, str) else law
+def _apart(lab: Lab, student: Path, block: Any, **limit: float) -> dict[str, Any]:
+    """The block of a law in a process of its own, which loads the student's file."""
     place = {"files": [str(student)], "adds": lab.kind, "reads": str(student.parent)}
-    return {"kind": "isolated", "block": block, "run_s": limit_s, **place}
+    return {"kind": "isolated", "block": block, **place, **limit}
 
 
 def _refused(lab: Lab, student: Path) -> str:
     """Why the file is not marked at all; "" where it can be loaded, and adds the lab's kind."""
     try:
-        LAWS.members["isolated"](**_block(lab, student, "ibvs", 1.0))
+        LAWS.members["isolated"](**_apart(lab, student, {"kind": lab.kind if lab.field == "law" else "ibvs"}))
     except ParameterError as error:
-        return f"The file {error.problem}"
+        return f"The file {error.problem}" if error.field == "files" else ""
     return ""
 
 
 def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     """Why a law does not pass its suite; nothing where it does."""
     try:
-        check_law(LAWS.members["isolated"](**_block(lab, student, lab.kind, LabTask.limit_s)))
+        check_law(LAWS.members["isolated"](**_apart(lab, student, {"kind": lab.kind})))
     except (AssertionError, VstestbedError) as error:
         yield str(error).replace("isolated", lab.kind)
     except Exception as error:  # whatever the numbers of a law bring about in the loop
@@ -261,19 +260,16 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
 
 def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path) -> list[dict[str, Any]]:
     """Summaries of a task's runs, of the student's kind or (None) of the one that it has to be better than."""
-    from vstestbed.loop.isolated import MODULE, Child
+    from vstestbed.loop.isolated import MODULE
 
-    place = find(_place(task.scenario, beside))
-    changes: dict[str, Any] = {lab.field: task.better_than if student is None else {"kind": lab.kind}} | task.set
-    plain, marks = plain_mapping(text_of(place), str(place), "")
-    of_law = {path: changes.pop(path) for path in list(changes) if path.partition(".")[0] == "law"}
-    put_over(plain, absolute_files(of_law, Path.cwd()), marks, {})
-    law, began, found = absolute_files(plain["law"], place.absolute().parent), Child.waited, []
-    for seed in range(first_seed, first_seed + task.seeds) if task.seeds else (None,):
-        left = max(task.limit_s - (Child.waited - began), 0.0)
-        block = law if student is None else _block(lab, student, law, left)
-        found.append(uninterrupted(run(load(place, changes | {"law": block}, seed=seed, plugins=[MODULE]))).summary())
-    return found
+    place = _place(task.scenario, beside)
+    seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
+    changes: dict[str, Any] = {lab.field: {"kind": lab.kind} if student else task.better_than} | task.set
+    if student:  # what is said of the law goes to the one inside
+        law = _apart(lab, student, to_mapping(load(place).law), run_s=task.limit_s / len(seeds))
+        inside = {path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"}
+        changes = {"law": law} | {inside.get(path, path): value for path, value in changes.items()}
+    return [uninterrupted(run(load(place, changes, seed=seed, plugins=[MODULE]))).summary() for seed in seeds]
 
 
 def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str) -> Iterator[str]:
