@@ -20,11 +20,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.foreign import reason
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
@@ -35,9 +36,10 @@ from vstestbed.laws.base import LawFailedError, TwistLimits
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.points import Visibility
 
+Answer = TypeVar("Answer")
 MODULE = __name__  # the plugin that adds the kind
 START_S = 60.0  # for Python, the package and the law's files
-MOST_BYTES = 1 << 20  # of an answer
+MOST_BYTES = 1 << 16  # of an answer
 SHOWN = 2000  # bytes of what the process printed, and of its sentences
 INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -103,10 +105,10 @@ class Child:
             **passed,
         )
         theirs.close()
-        self.declared = Declared(**self.ask(START_S, "make", *law))
+        self.declared = self.ask(lambda said: Declared(**said), START_S, "make", *law)
 
-    def ask(self, seconds: float, method: str, *given: Any) -> Any:
-        """What the process answers within some seconds, in plain values.
+    def ask(self, of: Callable[[Any], Answer], seconds: float, method: str, *given: Any) -> Answer:
+        """What the process answers within some seconds. of: makes it of plain values, and may raise whatever it wants to.
         Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or its process gave no answer.
         """
         began = time.monotonic()
@@ -117,21 +119,18 @@ class Child:
             size = int.from_bytes(self._read(8, began + seconds), "big")
             if size > MOST_BYTES:
                 raise ValueError("it is too long")
-            word, said = json.loads(self._read(size, began + seconds))
-            name, problem = map(str, said) if word == "refused" else ("", "")
+            refused, said = json.loads(self._read(size, began + seconds))
+            if not refused:
+                return of(said)
+            name, problem = map(str, said)
         except Exception as error:  # a process that is gone, and whatever a forged answer brings about
             self.close()
             Child.lost += 1
-            late = isinstance(error, TimeoutError)
-            why = f"gave no answer within {seconds:.3g} s" if late else f"ended without an answer ({type(error).__name__})"
-            raise LawFailedError(f"the law's process {why}") from error
+            why = f"none within {seconds:.3g} s" if isinstance(error, TimeoutError) else reason(error)
+            raise LawFailedError(f"the law's process gave no answer ({why})") from error
         finally:
             self.spent_s += time.monotonic() - began
-        if name:
-            raise ParameterError(name, problem)
-        if word == "failed":
-            raise LawFailedError(str(said)[:SHOWN])
-        return said
+        raise ParameterError(name, problem[:SHOWN]) if name else LawFailedError(problem[:SHOWN])
 
     def _read(self, size: int, until: float) -> bytes:
         found = b""
@@ -143,11 +142,11 @@ class Child:
             found += more
         return found
 
-    def step(self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array) -> Any:
-        """Number of the next state, and the command as it came. A goal is sent once."""
+    def step(self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
+        """Number of the next state, and the command. A goal is sent once."""
         sent = None if goal is self._goal else goal
         self._goal = goal
-        return self.ask(seconds, "step", state, seen, sent, basis)
+        return self.ask(lambda said: (int(said[0]), command_of(said[1], basis.shape[1])), seconds, "step", state, seen, sent, basis)
 
     def close(self) -> None:
         """Kill the process and its group, and print the end of what it printed, each line marked as its own."""
@@ -218,30 +217,25 @@ class Isolated(Law[int]):
         """Nothing: the process has done so."""
 
     def markers_needed(self, basis: Array) -> int:
-        return int(self._child.ask(self.answer_s, "markers_needed", basis))
+        return self._child.ask(int, self.answer_s, "markers_needed", basis)
 
     def check(self, points: Array, goal: Goal) -> None:
-        self._child.ask(self.answer_s, "check", points, goal)
+        self._child.ask(bool, self.answer_s, "check", points, goal)
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
-        self._child.ask(self.answer_s, "check_view", goal, marker_radius_m)
+        self._child.ask(bool, self.answer_s, "check_view", goal, marker_radius_m)
 
     def init(self, goal: Goal) -> int:
         child = self._child
         child.spent_s = 0.0
-        return int(child.ask(self.answer_s, "init", goal))
+        return child.ask(int, self.answer_s, "init", goal)
 
     def step(self, state: int, observation: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
         child = self._child
         left = self.run_s - child.spent_s
         if left <= 0:
             raise LawFailedError(f"the law took more than {self.run_s:.3g} s in a run")
-        said = child.step(min(self.answer_s, left), state, observation, goal, basis)
-        try:
-            number, plain = said
-            return int(number), command_of(plain, basis.shape[1])
-        except Exception as error:  # of a forged answer whatever its types bring about
-            raise LawFailedError(f"the law's process gave no command ({error})") from error
+        return child.step(min(self.answer_s, left), state, observation, goal, basis)
 
 
 def command_of(plain: dict[str, Any], motions: int) -> Command:

@@ -85,17 +85,17 @@ class _Held:
         self.states.pop(self.last - KEPT, None)
         return self.last
 
-    def answer(self, method: str, given: Any) -> tuple[str, Any]:
-        """A word, and what the law says."""
+    def answer(self, method: str, given: Any) -> tuple[bool, Any]:
+        """Whether the law refuses it, and what it says: of a refusal the field, which is "" of a failure, and the sentence."""
         asked = self if hasattr(self, method) else self.law
         try:
-            return "said", getattr(asked, method)(*given)
+            return False, getattr(asked, method)(*given)
         except ParameterError as error:
-            return "refused", (error.field, str(error).removeprefix(f"{error.field} "))
+            return True, (error.field, str(error).removeprefix(f"{error.field} "))
         except LawFailedError as error:
-            return "failed", str(error)
+            return True, ("", str(error))
         except BaseException as error:  # whatever a law raises; also sys.exit
-            return "failed", f"the law raised {type(error).__name__}: {error}"
+            return True, ("", f"the law raised {type(error).__name__}: {error}")
 
 
 def _plain(value: Any) -> Any:
@@ -109,6 +109,11 @@ READ_FILE, READ = 0b101, 0b1101  # read and execute; of a folder list it, too
 SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom"
 
 
+def landlock() -> int:
+    """Its version here; under 1 where there is none."""
+    return ctypes.CDLL(None).syscall(CREATE, None, 0, 1) if sys.platform == "linux" else 0
+
+
 def confine(reads: str) -> None:
     """Limit this process: its memory, files and time; on Linux 5.13 and newer also to reading Python, this package and `reads`, and to
     writing into its own empty folder.
@@ -118,13 +123,10 @@ def confine(reads: str) -> None:
 
         for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_AS, MEMORY)):
             resource.setrlimit(kind, (most, most))
-    if sys.platform != "linux":
+    if (version := landlock()) < 1:
         return
     libc = ctypes.CDLL(None)
     libc.prctl(1, signal.SIGKILL)  # end with the parent
-    version = libc.syscall(CREATE, None, 0, 1)
-    if version < 1:
-        return
     every = (1 << RIGHTS[min(version, 5) - 1]) - 1
     handled = struct.pack("QQQ", every, 3 * (version >= 4), 3 * (version >= 6))
     rules = libc.syscall(CREATE, handled, len(handled), 0)

@@ -155,7 +155,9 @@ class Mark:
     def markdown(self) -> str:
         """A table for people."""
         given, all_of = self.points
-        rows = [f"| {r.title} | {r.given:g} of {r.points:g} | {' '.join(r.reasons) or 'passed'} |" for r in self.results]
+        # in one line: what a student's exception says begins no row of its own
+        why = {r: " ".join(" ".join(r.reasons).split()).replace("|", "/") or "passed" for r in self.results}
+        rows = [f"| {r.title} | {r.given:g} of {r.points:g} | {words} |" for r, words in why.items()]
         head = [f"# {self.lab}", "", f"**{given:g} of {all_of:g} points** ({self.file})", "", "| task | points | why |", "|---|---|---|"]
         return "\n".join([*head, *rows, ""])
 
