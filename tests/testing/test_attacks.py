@@ -7,7 +7,6 @@ and its file attacks beside. A file that leaves no result at all ends the comman
 from __future__ import annotations
 
 import json
-import os
 import random
 import socket
 import time
@@ -218,13 +217,13 @@ raise ValueError("done: " + "".join([
 
 
 def test_a_lab_marks_laws_alone_since_other_kinds_would_be_part_of_the_judge(quick: Path) -> None:
-    task = {"title": "It arrives.", "points": 2, "scenario": quick.name}
+    task: Any = {"title": "It arrives.", "points": 2, "scenario": quick.name}
     for field, right in (("law", True), ("law.feature", True), ("detector", False), ("lawn", False), ("robot", False)):
         if right:
-            assert Lab(title="A lab", kind="student", field=field, tasks=[task]).field == field
+            assert Lab(title="A lab", kind="student", field=field, tasks=(task,)).field == field
         else:
             with pytest.raises(ParameterError, match="field must be law"):
-                Lab(title="A lab", kind="student", field=field, tasks=[task])
+                Lab(title="A lab", kind="student", field=field, tasks=(task,))
 
 
 class _Wire:
@@ -281,4 +280,4 @@ def test_the_process_gets_neither_the_words_nor_the_environment_of_the_one_that_
         isolated.Isolated(files=("mine.py",))
     assert set(started["env"]) <= {*isolated.INHERITED, *isolated.ONE_CORE, "HOME", "TMPDIR"}
     assert started["words"][1:4] == ["-Pu", "-m", "vstestbed.testing.child"] and len(started["words"]) == 5
-    assert started["cwd"] != os.getcwd() and os.getcwd() not in (started["env"]["HOME"], started["env"]["TMPDIR"])
+    assert started["cwd"] == started["env"]["HOME"] == started["env"]["TMPDIR"] != str(Path.cwd())

@@ -38,7 +38,8 @@ from vstestbed.laws.points import Visibility
 
 Answer = TypeVar("Answer")
 MODULE = __name__  # the plugin that adds the kind
-START_S = 60.0  # for Python, the package and the law's files
+START_S = 60.0  # time for Python, the package and the law's files [s]
+ANSWER_S = 10.0  # for one answer [s]
 MOST_BYTES = 1 << 16  # of an answer
 SHOWN = 2000  # bytes of what the process printed, and of its sentences
 INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
@@ -184,7 +185,6 @@ class Isolated(Law[int]):
         adds: a kind that they must add; "": any.
         block: the law; {}: the only one that they add.
         reads: file or folder that the process may read, besides Python and this package.
-        answer_s: time for one answer [s].
         run_s: time for all answers in a run [s].
     """
 
@@ -193,7 +193,6 @@ class Isolated(Law[int]):
     adds: str = ""
     block: dict[str, Any] = field(default_factory=dict)
     reads: str = ""
-    answer_s: PositiveTime = 10.0
     run_s: PositiveTime = 300.0
 
     def __post_init__(self) -> None:
@@ -217,32 +216,32 @@ class Isolated(Law[int]):
         """Nothing: the process has done so."""
 
     def markers_needed(self, basis: Array) -> int:
-        return self._child.ask(int, self.answer_s, "markers_needed", basis)
+        return self._child.ask(int, ANSWER_S, "markers_needed", basis)
 
     def check(self, points: Array, goal: Goal) -> None:
-        self._child.ask(bool, self.answer_s, "check", points, goal)
+        self._child.ask(bool, ANSWER_S, "check", points, goal)
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
-        self._child.ask(bool, self.answer_s, "check_view", goal, marker_radius_m)
+        self._child.ask(bool, ANSWER_S, "check_view", goal, marker_radius_m)
 
     def init(self, goal: Goal) -> int:
         child = self._child
         child.spent_s = 0.0
-        return child.ask(int, self.answer_s, "init", goal)
+        return child.ask(int, ANSWER_S, "init", goal)
 
     def step(self, state: int, observation: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
         child = self._child
         left = self.run_s - child.spent_s
         if left <= 0:
             raise LawFailedError(f"the law took more than {self.run_s:.3g} s in a run")
-        return child.step(min(self.answer_s, left), state, observation, goal, basis)
+        return child.step(min(ANSWER_S, left), state, observation, goal, basis)
 
 
 def command_of(plain: dict[str, Any], motions: int) -> Command:
     """A command from plain values. Its error in grey levels is not taken over: it would judge the run.
     Raises whatever values of other types bring about; ValueError: it is not of the robot's motions.
     """
-    arrays = {name: np.array(plain[name], float) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
+    arrays: dict[str, Any] = {name: np.array(plain[name], float) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
     if arrays["u"].shape != (motions,):
         raise ValueError("u has another shape")
     free = tuple((float(share), np.array(twists, float)) for share, twists in plain["free"])

@@ -17,8 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
-import vstestbed
-from vstestbed.core.errors import ParameterError, PluginError
+from vstestbed.core.errors import ParameterError, PluginError, VstestbedError
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
@@ -90,12 +89,10 @@ class _Held:
         asked = self if hasattr(self, method) else self.law
         try:
             return False, getattr(asked, method)(*given)
-        except ParameterError as error:
-            return True, (error.field, str(error).removeprefix(f"{error.field} "))
-        except LawFailedError as error:
-            return True, ("", str(error))
         except BaseException as error:  # whatever a law raises; also sys.exit
-            return True, ("", f"the law raised {type(error).__name__}: {error}")
+            field = error.field if isinstance(error, ParameterError) else ""
+            what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
+            return True, (field, what + str(error).removeprefix(f"{field} "))
 
 
 def _plain(value: Any) -> Any:
@@ -132,7 +129,7 @@ def confine(reads: str) -> None:
     rules = libc.syscall(CREATE, handled, len(handled), 0)
     own = Path.cwd()
     libraries = [path for path in sys.path if path.endswith("-packages")]
-    for path in map(Path, (vstestbed.__path__[0], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own)):
+    for path in map(Path, (Path(__file__).parents[1], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own)):
         if path.exists():
             place = os.open(path, os.O_PATH)
             rights = every if path == own else READ if path.is_dir() else READ_FILE

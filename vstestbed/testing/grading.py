@@ -12,9 +12,8 @@ from typing import Annotated, Any
 import polars as pl
 from annotated_types import Ge, Le, Len
 
-from vstestbed.core.errors import ParameterError, ScenarioError, VstestbedError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.files import write_json, write_whole
-from vstestbed.core.foreign import reason
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
@@ -115,12 +114,11 @@ class Lab:
 
 @dataclass(frozen=True)
 class Result:
-    """A task with the points for it, and why they were not given; no reason: they were. missing: the code gave no result at all."""
+    """A task with the points for it, and why they were not given; no reason: they were."""
 
     title: str
     points: float
     reasons: tuple[str, ...]
-    missing: bool = False
 
     @property
     def given(self) -> float:
@@ -130,21 +128,17 @@ class Result:
 
 @dataclass(frozen=True)
 class Mark:
-    """The marks of one file."""
+    """The marks of one file. missing: a result is, since the code could not be loaded, ended its process, or took too long."""
 
     lab: str
     file: str
     results: tuple[Result, ...]
+    missing: bool = False
 
     @property
     def points(self) -> tuple[float, float]:
         """Those given, and all."""
         return sum(result.given for result in self.results), sum(result.points for result in self.results)
-
-    @property
-    def missing(self) -> bool:
-        """Whether a task has no result: the code could not be loaded, ended its process, or took too long."""
-        return any(result.missing for result in self.results)
 
     def plain(self) -> dict[str, Any]:
         """For JSON."""
@@ -190,21 +184,18 @@ def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), o
     """
     from vstestbed.loop.isolated import Child, offered  # here: the import adds a kind
 
-    def result(title: str, points: float, reasons: Callable[[], Iterator[str]]) -> Result:
-        lost = Child.lost
-        found = (refused,) if refused else tuple(reasons())
-        return Result(title, points, found, bool(refused) or Child.lost > lost)
-
     with offered():
-        place, results = student.absolute(), list[Result]()
+        place, results, lost = student.absolute(), list[Result](), Child.lost
         refused = _refused(lab, place)
         if lab.check:
             on_task("check")
-            results.append(result("It passes the suite of its room.", lab.check, lambda: _unchecked(lab, place)))
+            results.append(Result("It passes the suite of its room.", lab.check, (refused,) if refused else tuple(_unchecked(lab, place))))
         for task in lab.tasks:
             on_task(task.title)
-            results.append(result(task.title, task.points, lambda task=task: _reasons(lab, task, place, first_seed, beside)))
-    return Mark(lab.title, student.name, tuple(results))
+            reasons = (refused,) if refused else tuple(_reasons(lab, task, place, first_seed, beside))
+            results.append(Result(task.title, task.points, reasons))
+        missing = bool(refused) or Child.lost > lost
+    return Mark(lab.title, student.name, tuple(results), missing)
 
 
 def _apart(lab: Lab, student: Path, block: Any, **limit: float) -> dict[str, Any]:
@@ -226,21 +217,16 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     """Why a law does not pass its suite; nothing where it does."""
     try:
         check_law(LAWS.members["isolated"](**_apart(lab, student, {"kind": lab.kind})))
-    except (AssertionError, VstestbedError) as error:
+    except Exception as error:  # an assertion's; and whatever the numbers of a law bring about in the loop
         yield str(error).replace("isolated", lab.kind)
-    except Exception as error:  # whatever the numbers of a law bring about in the loop
-        yield f"It cannot be run: {reason(error)}"
 
 
 def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path) -> Iterator[str]:
     """Why the points of a task are not given."""
     try:
         own = _runs(lab, task, student, first_seed, beside)
-    except VstestbedError as error:
+    except Exception as error:  # a refusal's; and whatever the numbers of a law bring about in the loop
         yield f"It cannot be run: {error}"
-        return
-    except Exception as error:  # whatever the numbers of a law bring about in the loop
-        yield f"It cannot be run: {reason(error)}"
         return
     good = [row for row in own if row["success"]]
     needed = task.reached if task.reached is not None else 0 if task.better_than is not None else len(own)
