@@ -150,6 +150,7 @@ WRITERS = {  # beside core/files.py: where, which call, and why it may
     ("loop/log_file.py", "open"): "log.part has a fixed name and grows; opened with x",
     ("report/video/writer.py", "open"): "the encoder writes into the open file of a PartFile",
     ("cli/ending.py", "open"): "opens the null device in place of a closed pipe",
+    ("testing/child.py", "os.open"): "names folders to the system, without rights to them",
 }
 
 

@@ -6,7 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sized
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -338,7 +338,9 @@ def _tune_comparison(
 def grade(
     lab: Annotated[str, typer.Argument(metavar="LAB", help="What is asked: lab_1, lab_2 or lab_3 of the course, or a file.")],
     student: Annotated[Path, typer.Argument(metavar="STUDENT.py", help="A student's plugin. Its code is run.")],
-    first_seed: Annotated[int, typer.Option(min=0, help="Of the random starts; students need not know it.")] = 0,
+    first_seed: Annotated[
+        int, typer.Option(min=0, envvar="VSTESTBED_FIRST_SEED", help="Of the random starts; students need not know it.")
+    ] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write mark.json and mark.md there.")] = None,
     least: Annotated[float | None, typer.Option("--pass", min=0, metavar="POINTS", help="Exit with 3 below so many points.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print mark.json and nothing else on standard output.")] = False,
@@ -357,13 +359,12 @@ def grade(
         if not (quiet or as_json):
             typer.echo(f"{title} ...", err=True)
 
-    with redirect_stdout(sys.stderr):  # a student's prints are no part of the mark
-        mark = mark_of(read, student, first_seed, place.parent, told)
+    mark = mark_of(read, student, first_seed, place.parent, told)
     if out is not None:
         make_folder(out)
         mark.write(out)
     typer.echo(json.dumps(mark.plain(), indent=1) if as_json else mark.markdown())
-    if least is not None and mark.points[0] < least:
+    if mark.missing or (least is not None and mark.points[0] < least):
         raise typer.Exit(NOT_REACHED)
 
 

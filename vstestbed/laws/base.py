@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from vstestbed.core.errors import VstestbedError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveGain, PositiveRate, PositiveSpeed, check_ordered
 from vstestbed.core.registry import Contract, Registry
@@ -239,6 +240,10 @@ class Law(Generic[M]):
     def step(self, state: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
         """One frame: the next state and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
         ...
+
+
+class LawFailedError(VstestbedError):
+    """A law failed that cannot raise its own exception, since it is in another process: what it did, in a sentence."""
 
 
 LawBase = Law  # the name from which plugins derive

@@ -21,7 +21,7 @@ from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
-from vstestbed.laws.base import inputs_of
+from vstestbed.laws.base import LawFailedError, inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.perception import STILL, OtherCameras, Perception, Stillness, observer_of
@@ -65,6 +65,8 @@ class GuardedLaw:
             return method(*given)
         except KeyboardInterrupt:
             raise
+        except LawFailedError as error:
+            self.failure = str(error)
         except BaseException as error:  # also sys.exit: a law must not end the program
             # File and line where it came from: of the law's module or a file of others, else the innermost ones.
             frames = list(traceback.walk_tb(error.__traceback__))

@@ -8,6 +8,7 @@ import secrets
 import zipfile
 from contextlib import closing
 from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,7 @@ def pack(folder: Path, out: Path) -> Path:
 
 
 def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, pl.DataFrame]:
-    """The suite of a submission with its law alone, and its runs as they were handed in. Its code is run.
+    """The suite of a submission with its law alone, and its runs as they were handed in. Its code is not run here.
     Raises RunFolderError: it is no submission, or of another suite than this one.
     """
     try:
@@ -74,7 +75,7 @@ def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, pl.DataFrame]:
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pl.exceptions.PolarsError) as error:
         raise RunFolderError(file, f"is no submission ({error})", "`vstestbed submit DIR` makes one") from error
     main, suite, quick, word, sha256 = named
-    entry = opened(str(into / main), suite, quick, word, alone=True)
+    entry = opened(str(into / main), suite, quick, word, alone=True, apart=True)
     if entry.about["sha256"] != sha256:
         raise RunFolderError(file, f"is of another {suite} than this version has", "check it with the version that it names")
     return entry, given.filter(pl.col("law").is_in(list(entry.laws)))
@@ -84,9 +85,16 @@ def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = 
     """Fly a drawn tenth of a submission's runs again, at least one of each task, and compare them: outcome, and the task's number. Writes
     the page of the runs as they were handed in.
 
-    folder: where they are flown. seed: of what is drawn; None: nobody knows it before. Errors: as of `unpacked` and `compare`.
+    folder: where they are flown; the law's files are elsewhere, and its code runs in processes of its own. seed: of what is drawn; None:
+    nobody knows it before. Errors: as of `unpacked` and `compare`.
     """
-    entry, given = unpacked(file, folder / LAW_FOLDER)
+    from vstestbed.loop.isolated import offered  # here: the import adds a kind
+
+    with offered(), TemporaryDirectory(prefix="law_") as place:
+        return _checked(*unpacked(file, Path(place)), folder, jobs, seed)
+
+
+def _checked(entry: SuiteEntry, given: pl.DataFrame, folder: Path, jobs: int | None, seed: int | None) -> Checked:
     rng, otherwise, n = np.random.default_rng(secrets.randbits(63) if seed is None else seed), list[str](), 0
     for task, plan in entry.plans.items():
         every = list(Jobs(controllers(plan), plan.seeds, plan.first_seed))

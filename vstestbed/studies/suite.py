@@ -120,9 +120,9 @@ def kept_runs(suite: TaskSuite, path: Path) -> pl.DataFrame | None:
     return pl.read_csv(place, comment_prefix="#", schema_overrides={"start": pl.String, "value": pl.Float64})
 
 
-def law_of_file(file: str) -> tuple[str, SuiteLaw, tuple[str, ...]]:
+def law_of_file(file: str, apart: bool = False) -> tuple[str, SuiteLaw, tuple[str, ...]]:
     """Name, law and plugins of a law of one's own: a YAML file with `law` (and `tasks`, `plugins`), or a plugin with one law, as it is by
-    default.
+    default. apart: a plugin is not loaded here, and which law it has is left open.
     Raises ParameterError: it has none, or several. PluginError, ScenarioError: it cannot be read.
     """
     path = Path(file)
@@ -130,6 +130,8 @@ def law_of_file(file: str) -> tuple[str, SuiteLaw, tuple[str, ...]]:
         plain, marks = plain_mapping(text_of(path), file, "a law's file needs law")
         plugins = plain.pop("plugins", None) or ()
         return path.stem, build(SuiteLaw, plain, marks, file), tuple(str(path.parent / name) for name in plugins)
+    if apart:
+        return path.stem, SuiteLaw(law={}), (str(path.absolute()),)
     before = set(LAWS.members)
     (plugin,) = load_plugins([file])
     own = [kind for kind in LAWS.members if kind not in before or LAWS.members[kind].__module__ == path.stem]
@@ -143,7 +145,8 @@ class SuiteEntry:
     """A suite that is to be flown.
 
     laws: by name. plugins: that they need. quick: few starts of each task. word: draws the random starts, None for the plans' own.
-    file: of the law of one's own, None without one.
+    file: of the law of one's own, None without one. apart: files of laws that fly in a process of their own (`loop.isolated`); None: they
+    fly in this one.
     """
 
     suite: TaskSuite
@@ -153,6 +156,7 @@ class SuiteEntry:
     quick: bool = False
     word: str | None = None
     file: str | None = None
+    apart: tuple[str, ...] | None = None
     blank: dict[tuple[str, str], str] = field(default_factory=dict)  # why a law takes no part in a task, by law and task
 
     def block(self, name: str, task: str) -> dict[str, Any] | str:
@@ -161,7 +165,11 @@ class SuiteEntry:
         if isinstance(other := law.tasks.get(task, {}), str):
             return other
         place = self.path if name in self.suite.laws else Path(self.file or "")
-        return absolute_files({**({} if "kind" in other else law.law), **other}, place.absolute().parent)
+        beside = place.absolute().parent
+        block = absolute_files({**({} if "kind" in other else law.law), **other}, beside)
+        if self.apart is None:
+            return block
+        return {"kind": "isolated", "files": [*self.apart], "reads": str(beside), "block": block}
 
     def plan(self, task: str) -> Comparison | None:
         """The comparison of a task, of the laws that take part in it; None where none does. Those that do not are noted in `blank`."""
@@ -297,12 +305,16 @@ class SuiteEntry:
         return write_scores(out, shown, tasks, self.blank, f"Suite {self.path.stem}", about, self.command)
 
 
-def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | None = None, alone: bool = False) -> SuiteEntry:
-    """A suite with its own laws, and with that of a file beside them, or `alone`. Errors as of `read_suite` and `law_of_file`."""
+def opened(
+    file: str | None, name: str = NAME, quick: bool = False, word: str | None = None, alone: bool = False, apart: bool = False
+) -> SuiteEntry:
+    """A suite with its own laws, and with that of a file beside them, or `alone`; then `apart`, if wished: no code of its files is loaded
+    here. Errors as of `read_suite` and `law_of_file`.
+    """
     suite, path = read_suite(name)
     laws, plugins = dict(suite.laws), tuple[str, ...]()
     if file is not None:
-        own, law, plugins = law_of_file(file)
+        own, law, plugins = law_of_file(file, apart)
         if own in laws:
             raise ParameterError.twice("LAW_FILE", "a law of the suite", own)
         laws = {own: law} if alone else laws | {own: law}
@@ -311,4 +323,8 @@ def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | 
     if unknown := [(law, task) for law, one in laws.items() for task in one.tasks if task not in suite.tasks]:
         law, task = unknown[0]
         raise ParameterError(f"{law}: tasks", f"must be tasks of the suite; {nearest(task, suite.tasks)}", task)
-    return SuiteEntry(suite, path, laws, plugins, quick, word, file)
+    if not apart:
+        return SuiteEntry(suite, path, laws, plugins, quick, word, file)
+    from vstestbed.loop.isolated import MODULE  # here: the import adds a kind
+
+    return SuiteEntry(suite, path, laws, (MODULE,), quick, word, file, plugins)

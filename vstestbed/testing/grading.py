@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,14 +12,16 @@ from typing import Annotated, Any
 import polars as pl
 from annotated_types import Ge, Le, Len
 
-from vstestbed.core.errors import ParameterError, PluginError, ScenarioError, UnreachableError, VstestbedError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.files import write_json, write_whole
+from vstestbed.core.quantity import PositiveTime
+from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
+from vstestbed.laws import LAWS
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.comparison.results import ComparisonResults, pairs
 from vstestbed.report.marks import counted, number
 from vstestbed.scenario.load import load
-from vstestbed.scenario.plugins import load_plugins, registries
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.tasks.metrics import comparable
 from vstestbed.testing.laws import check_law
@@ -59,6 +61,7 @@ class LabTask:
         scenario: a bundled one, or a file beside the lab's; e.g. `ibvs_book`.
         set: values by dotted path, put over it and over the student's kind.
         seeds: number of random starts; 0: the nominal one alone.
+        limit_s: time for all answers of the student's code in it, of which each run has its share [s].
         reached: from how many of them the goal has to be reached; null: from all, or from any number with `better_than`.
         median: limits of medians over the runs that reached it, by the names in `summary.json`; e.g. `{path_ratio: {at_most: 1.2}}`.
         better_than: another kind, in place of the student's, than which it has to be better by the verdict of a comparison from these
@@ -71,6 +74,7 @@ class LabTask:
     scenario: str
     set: dict[str, Any] = field(default_factory=dict)
     seeds: Annotated[int, Ge(0), Le(1000)] = 10
+    limit_s: PositiveTime = 300.0
     reached: Annotated[int, Ge(0)] | None = None
     median: dict[str, Needs] = field(default_factory=dict)
     better_than: Block | None = None
@@ -91,7 +95,7 @@ class Lab:
     Args:
         title: of the sheet of marks.
         kind: the word of the student's kind; e.g. `my_law`.
-        field: where it stands in a scenario.
+        field: where it stands in a scenario: `law`, or within it, such as `law.feature`. Other kinds would be part of what judges them.
         check: points for passing `vstestbed.testing.check_law`; 0: it is not asked for.
         tasks: what it has to do.
     """
@@ -101,6 +105,11 @@ class Lab:
     field: str = "law"
     check: Points = 0.0
     tasks: Annotated[tuple[LabTask, ...], Len(1, 50)]
+
+    def __post_init__(self) -> None:
+        if self.field.partition(".")[0] != "law":
+            why = "a robot, a detector or a goal would be part of what judges it"
+            raise ParameterError.fixed("field", "law, or within it, such as law.feature", self.field, why=why)
 
 
 @dataclass(frozen=True)
@@ -119,11 +128,12 @@ class Result:
 
 @dataclass(frozen=True)
 class Mark:
-    """The marks of one file."""
+    """The marks of one file. missing: a result is, since the code could not be loaded, ended its process, or took too long."""
 
     lab: str
     file: str
     results: tuple[Result, ...]
+    missing: bool = False
 
     @property
     def points(self) -> tuple[float, float]:
@@ -139,7 +149,9 @@ class Mark:
     def markdown(self) -> str:
         """A table for people."""
         given, all_of = self.points
-        rows = [f"| {r.title} | {r.given:g} of {r.points:g} | {' '.join(r.reasons) or 'passed'} |" for r in self.results]
+        # in one line: what a student's exception says begins no row of its own
+        why = {r: " ".join(" ".join(r.reasons).split()).replace("|", "/") or "passed" for r in self.results}
+        rows = [f"| {r.title} | {r.given:g} of {r.points:g} | {words} |" for r, words in why.items()]
         head = [f"# {self.lab}", "", f"**{given:g} of {all_of:g} points** ({self.file})", "", "| task | points | why |", "|---|---|---|"]
         return "\n".join([*head, *rows, ""])
 
@@ -165,40 +177,55 @@ def read_lab(path: Path) -> Lab:
 
 
 def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), on_task: Callable[[str], None] = lambda title: None) -> Mark:
-    """Mark a student's file. This runs its code, which may do whatever Python can.
+    """Mark a student's file. Its code is run in processes of their own (`loop.isolated`), which get observations alone.
 
     first_seed: of the random starts; one that students do not know keeps them from fitting to these starts. beside: folder of the lab's
     file, in which scenarios are searched first. on_task: is told the title of each task as it begins.
     """
-    results = []
+    from vstestbed.loop.isolated import Child, offered  # here: the import adds a kind
+
+    with offered():
+        place, results, lost = student.absolute(), list[Result](), Child.lost
+        refused = _refused(lab, place)
+        if lab.check:
+            on_task("check")
+            results.append(Result("It passes the suite of its room.", lab.check, (refused,) if refused else tuple(_unchecked(lab, place))))
+        for task in lab.tasks:
+            on_task(task.title)
+            reasons = (refused,) if refused else tuple(_reasons(lab, task, place, first_seed, beside))
+            results.append(Result(task.title, task.points, reasons))
+        missing = bool(refused) or Child.lost > lost
+    return Mark(lab.title, student.name, tuple(results), missing)
+
+
+def _apart(lab: Lab, student: Path, block: Any, **limit: float) -> dict[str, Any]:
+    """The block of a law in a process of its own, which loads the student's file."""
+    place = {"files": [str(student)], "adds": lab.kind, "reads": str(student.parent)}
+    return {"kind": "isolated", "block": block, **place, **limit}
+
+
+def _refused(lab: Lab, student: Path) -> str:
+    """Why the file is not marked at all; "" where it can be loaded, and adds the lab's kind."""
     try:
-        load_plugins([str(student)])
-        refused = "" if any(lab.kind in registry.members for registry in registries().values()) else f"The file adds no kind {lab.kind!r}."
-    except PluginError as error:
-        refused = f"The file cannot be loaded: {error}"
-    if lab.check:
-        on_task("check")
-        results.append(Result("It passes the suite of its room.", lab.check, (refused,) if refused else tuple(_unchecked(lab.kind))))
-    for task in lab.tasks:
-        on_task(task.title)
-        reasons = (refused,) if refused else tuple(_reasons(lab, task, first_seed, beside))
-        results.append(Result(task.title, task.points, reasons))
-    return Mark(lab.title, student.name, tuple(results))
+        LAWS.members["isolated"](**_apart(lab, student, {"kind": lab.kind if lab.field == "law" else "ibvs"}))
+    except ParameterError as error:
+        return f"The file {error.problem}" if error.field == "files" else ""
+    return ""
 
 
-def _unchecked(kind: str) -> Iterator[str]:
+def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     """Why a law does not pass its suite; nothing where it does."""
     try:
-        check_law(registries()["laws"].members[kind]())
-    except (AssertionError, KeyError, VstestbedError) as error:
-        yield str(error) if not isinstance(error, KeyError) else f"{kind!r} is no law."
+        check_law(LAWS.members["isolated"](**_apart(lab, student, {"kind": lab.kind})))
+    except Exception as error:  # an assertion's; and whatever the numbers of a law bring about in the loop
+        yield str(error).replace("isolated", lab.kind)
 
 
-def _reasons(lab: Lab, task: LabTask, first_seed: int, beside: Path) -> Iterator[str]:
+def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path) -> Iterator[str]:
     """Why the points of a task are not given."""
     try:
-        own = _runs(lab, task, lab.kind, first_seed, beside)
-    except (ScenarioError, ParameterError, UnreachableError) as error:
+        own = _runs(lab, task, student, first_seed, beside)
+    except Exception as error:  # a refusal's; and whatever the numbers of a law bring about in the loop
         yield f"It cannot be run: {error}"
         return
     good = [row for row in own if row["success"]]
@@ -216,13 +243,21 @@ def _reasons(lab: Lab, task: LabTask, first_seed: int, beside: Path) -> Iterator
         if missed:
             yield f"The median of {name} {missed}."
     if task.better_than is not None:
-        yield from _not_better(own, _runs(lab, task, task.better_than, first_seed, beside), task.by)
+        yield from _not_better(own, _runs(lab, task, None, first_seed, beside), task.by)
 
 
-def _runs(lab: Lab, task: LabTask, kind: Block, first_seed: int, beside: Path) -> list[dict[str, Any]]:
+def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path) -> list[dict[str, Any]]:
+    """Summaries of a task's runs, of the student's kind or (None) of the one that it has to be better than."""
+    from vstestbed.loop.isolated import MODULE
+
+    place = _place(task.scenario, beside)
     seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
-    changes: Mapping[str, Any] = {lab.field: kind} | task.set
-    return [uninterrupted(run(load(_place(task.scenario, beside), changes, seed=seed))).summary() for seed in seeds]
+    changes: dict[str, Any] = {lab.field: {"kind": lab.kind} if student else task.better_than} | task.set
+    if student:  # what is said of the law goes to the one inside
+        law = _apart(lab, student, to_mapping(load(place).law), run_s=task.limit_s / len(seeds))
+        inside = {path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"}
+        changes = {"law": law} | {inside.get(path, path): value for path, value in changes.items()}
+    return [uninterrupted(run(load(place, changes, seed=seed, plugins=[MODULE]))).summary() for seed in seeds]
 
 
 def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str) -> Iterator[str]:

@@ -130,7 +130,7 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
     frames = _Frames()
     recording = uninterrupted(run(loop, watch=[frames]))
     words = f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"
-    assert recording.outcome.success, words + (_unnamed_in_source(law) if recording.outcome is Outcome.law_failed else "")
+    assert recording.outcome.success, words + (unnamed_in_source(law) if recording.outcome is Outcome.law_failed else "")
     _check_commands(law, loop, frames.kept)
     # Without a marker in sight the law orders something finite, and says why if it orders rest.
     first = frames.kept[0]
@@ -196,7 +196,7 @@ def _differs(law: Law[Any], state: Any, frame: Frame, basis: Array, command: Com
     return not np.array_equal(again.twist, command.twist)
 
 
-def _unnamed_in_source(law: Law[Any]) -> str:
+def unnamed_in_source(law: Law[Any]) -> str:
     """Which fields a law that failed reads without naming them in `inputs`, as far as its text tells; "" where it tells nothing."""
     observation = list(inspect.signature(type(law).step).parameters)[2]
     view = list(inspect.signature(type(law).equations).parameters)[1] if isinstance(law, ErrorLaw) else observation

@@ -1,0 +1,119 @@
+"""Attacks of a submission's law on those who fly it again: its code does not reach what compares its runs with those handed in.
+
+The world: a suite of one task with an ideal camera and the oracle, and a law of points whose rows are handed in with half their times. Each
+attack stands in a plugin beside the law, and is there to have the forged rows agree, or to have none of them compared.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from vstestbed.laws import LAWS
+from vstestbed.loop.isolated import offered
+from vstestbed.studies.submission import Checked, _checked
+from vstestbed.studies.suite import opened
+
+SUITE = "description: one\nlaws: {}\ntasks: {only: {plan: plan.yaml}}\n"
+PLAN = """base: [ibvs_book]
+set: {detector: {kind: oracle, field_of_view: unlimited}, stop.duration_s: 20, camera.rate_hz: 10}
+cases: {gain of the camera: {one: {}}}
+seeds: 1
+"""
+PLUGIN = """\
+import atexit, json, os, sys, time
+from typing import Literal
+
+import vstestbed as vs
+
+POINT = vs.features.Point()
+
+
+@vs.LAWS.add
+@vs.spec
+class Mine(vs.ErrorLaw):
+    kind: Literal["mine"] = "mine"
+
+    def equations(self, view, goal):
+        return POINT.measure(view.xy) - POINT.measure(goal.xy), POINT.interaction(view.xy, view.depth)
+
+
+"""
+ATTACKS = {
+    "replaces what compares, tables and metrics": """
+import polars as pl
+import vstestbed.studies.submission as s
+from vstestbed.loop import metrics
+from vstestbed.tasks.metrics import METRICS
+s._agrees = lambda *row: True
+s._checked = s.check = lambda *given, **named: s.Checked(1, (), [])
+pl.DataFrame.join = lambda self, other, **how: other.with_columns(success_given="success", value_given="value")
+for name in dir(metrics): setattr(metrics, name, lambda *given, **named: {})
+METRICS._members.clear()
+""",
+    "ends its process": "os._exit(0)",
+    "ends its process in a run": "Mine.step = lambda *given: os._exit(0)",
+    "registers an end": "atexit.register(os._exit, 0)",
+    "prints that all agree": "print('1 of 1 runs that were flown again agree')\nMine.equations = lambda *given: sys.exit(0)",
+    "takes the word of the judge's law": "vs.LAWS._members['isolated'] = Mine",
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, own_kinds: None) -> Path:
+    (tmp_path / "own.yaml").write_text(SUITE)
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    (tmp_path / "mine.yaml").write_text("law: {kind: mine, gain: 1.2}\nplugins: [mine.py]\n")
+    return tmp_path
+
+
+def flown(folder: Path, attack: str, out: str, given: pl.DataFrame) -> Checked:
+    """The submission as it is checked; given: what was handed in."""
+    (folder / "mine.py").write_text(PLUGIN + attack)
+    (folder / out).mkdir()
+    with offered():
+        entry = opened(str(folder / "mine.yaml"), str(folder / "own.yaml"), alone=True, apart=True)
+        return _checked(entry, given, folder / out, 1, 0)
+
+
+def in_this_process(folder: Path) -> pl.DataFrame:
+    (folder / "mine.py").write_text(PLUGIN)
+    entry = opened(str(folder / "mine.yaml"), str(folder / "own.yaml"), alone=True)
+    return entry.fly(folder / "flown", jobs=1)
+
+
+@pytest.mark.process
+def test_an_honest_law_agrees_apart_and_no_attack_makes_forged_rows_agree(folder: Path) -> None:
+    honest = in_this_process(folder)
+    assert honest["success"].all()
+    for out, off in (("same", 0.0), ("near", 1e-6)):  # a machine of another kind may differ in the last digits
+        found = flown(folder, "", out, honest.with_columns(pl.col("value") * (1 + off)))
+        assert found.runs == 1 and not found.otherwise
+    forged = honest.with_columns(pl.col("value") / 2)
+    for number, (name, attack) in enumerate({"only forges": "", **ATTACKS}.items()):
+        found = flown(folder, attack, f"forged{number}", forged)
+        assert found.otherwise or not found.runs, name  # a law that takes part in no task has no run, and its rows are of no plan
+        assert "isolated" not in LAWS.members
+
+
+@pytest.mark.process
+def test_the_code_of_a_submission_is_not_loaded_by_who_checks_it(folder: Path) -> None:
+    (folder / "mine.py").write_text(PLUGIN + "open('loaded', 'w').close()\nraise RuntimeError(os.getcwd())\n")
+    with offered():
+        entry = opened(str(folder / "mine.yaml"), str(folder / "own.yaml"), alone=True, apart=True)
+        assert not entry.plans and "RuntimeError" in entry.blank["mine", "only"]
+    assert "mine" not in LAWS.members and not (folder / "loaded").exists() and not Path("loaded").exists()
+
+
+@pytest.mark.process
+def test_a_plugin_of_one_law_flies_apart_as_it_is_by_default(folder: Path) -> None:
+    (folder / "mine.py").write_text(PLUGIN)
+    with offered():
+        entry = opened(str(folder / "mine.py"), str(folder / "own.yaml"), alone=True, apart=True)
+        assert list(entry.plans) == ["only"]
+    (folder / "mine.py").write_text(PLUGIN + PLUGIN[PLUGIN.index("@vs") :].replace("Mine", "Other").replace("mine", "other"))
+    with offered():
+        entry = opened(str(folder / "mine.py"), str(folder / "own.yaml"), alone=True, apart=True)
+        assert not entry.plans and "must add one law" in entry.blank["mine", "only"]

@@ -1,0 +1,283 @@
+"""Attacks of a student's file on its marks: none changes what the process that marks concludes, and each ends.
+
+The world: the ideal camera with the oracle, one start, two points for reaching the goal. The student's law rests, which is worth nothing,
+and its file attacks beside. A file that leaves no result at all ends the command with 3, even where no mark is asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.laws import LAWS
+from vstestbed.laws.base import LawFailedError
+from vstestbed.loop import isolated
+from vstestbed.testing import child
+from vstestbed.testing.grading import Lab, Mark, Result, grade, read_lab
+
+SEED = 52317
+RESTING = """\
+import atexit, builtins, gc, json, os, socket, sys, threading, time
+from typing import Literal
+
+import numpy as np
+
+import vstestbed as vs
+
+
+@vs.LAWS.add
+@vs.spec
+class Student(vs.LawBase):
+    kind: Literal["student"] = "student"
+
+    def step(self, state, observation, goal, basis):
+        return state, attack(basis)
+
+
+def attack(basis):
+    return vs.Command.rest(basis, "it rests")
+
+
+"""
+OF_COMMANDS = """
+def attack(basis):
+    n = basis.shape[1]
+    return vs.Command({values})
+"""
+FORGED = """
+import vstestbed.testing.child as child
+dumps, asked = json.dumps, []
+json.dumps = lambda answer, **how: dumps({answer}) if asked.append(1) or len(asked) > {first} else dumps(answer, **how)
+"""
+LEAVES_NOTHING = {
+    "ends its process as it is loaded": "os._exit(0)",
+    "ends Python as it is loaded": "sys.exit(0)",
+    "ends its process in a step": "def attack(basis): os._exit(0)",
+    "ends its process by a thread": "threading.Timer(0.3, os._exit, [0]).start()\ndef attack(basis): time.sleep(9)",
+    "never ends": "def attack(basis):\n    while True: pass",
+    "sleeps": "def attack(basis): time.sleep(1e6)",
+    "stops itself": "import signal\ndef attack(basis): os.kill(os.getpid(), signal.SIGSTOP)",
+    "crashes the interpreter": "import ctypes\ndef attack(basis): ctypes.string_at(0)",
+    "writes on every open file": """
+for number in range(3, 30):
+    try: os.write(number, b'\\0' * 7 + b'\\x30' + b'[false, [1, {"u": [0,0,0,0,0,0]}]]' * 9)
+    except OSError: pass
+""",
+    "closes every open file": "def attack(basis): os.closerange(0, 99)",
+    "answers without an end": FORGED.format(answer='"x" * (1 << 22)', first=4),
+    "answers a deep list": FORGED.format(answer="1", first=4) + "json.dumps = lambda *a, **k: '[' * 60000",
+    "answers a number of 5,000 digits": FORGED.format(answer="1", first=4) + "json.dumps = lambda *a, **k: '9' * 5000",
+    "answers that it is reached": FORGED.format(answer='[False, "converged"]', first=5),
+    "declares columns of the truth and no tasks": FORGED.format(answer='[False, {"columns": ["position_error_m"], "tasks": []}]', first=0),
+    "leaves processes that outlive it, with its files open": """
+if os.fork() == 0:
+    os.setsid()
+    time.sleep(2)
+    os._exit(0)
+os._exit(0)
+""",
+}
+LEAVES_A_RESULT = {
+    "patches the grader": """
+import vstestbed.testing.grading as g, vstestbed.testing.laws as l, vstestbed.loop.session as s
+g._reasons = g._unchecked = lambda *given: iter(())
+g.Result.given = property(lambda self: self.points)
+g.Mark.points = property(lambda self: (2.0, 2.0))
+l.check_law = g.check_law = s.run = lambda *given, **named: None
+""",
+    "patches outcomes, comparisons and builtins": """
+from vstestbed.core.outcome import Outcome
+Outcome.success = property(lambda self: True)
+builtins.len = lambda x: 0
+builtins.sum = lambda *a: 2.0
+""",
+    "adds a monitor, a metric and a goal that reach": """
+from vstestbed.tasks.metrics import METRICS
+from vstestbed.tasks.monitors import MONITORS
+for registry in (METRICS, MONITORS, vs.GOALS): registry._members.clear()
+""",
+    "prints the points at its end": """
+def said(*given):
+    print("**2 of 2 points** (student.py)", flush=True)
+    os._exit(0)
+atexit.register(said)
+sys.stdout.write("**2 of 2 points** (student.py)\\n::set-output name=points::2\\n")
+""",
+    "begins a row of its own in the table": """
+def attack(basis): raise ValueError("no\\n| It arrives. | 2 of 2 | passed |\\n")
+""",
+    "raises without end": "def attack(basis): return attack(basis)",
+    "ends Python in a step": "def attack(basis): sys.exit(0)",
+    "takes all memory": "def attack(basis): return np.ones(1 << 40)",
+    "orders what is not finite": OF_COMMANDS.format(values="np.full(n, np.nan), np.full(6, np.inf)"),
+    "orders 1e300 m/s": OF_COMMANDS.format(values="np.full(n, 1e300), np.full(6, 1e300)"),
+    "orders too many numbers": OF_COMMANDS.format(values="np.zeros(n + 3), np.zeros(6)"),
+    "orders a text": OF_COMMANDS.format(values="'u', 'twist'"),
+    "orders rates of another robot": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), rates=np.ones(3)"),
+    "orders free motions of another shape": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), free=((1.0, np.ones((2, 2))),)"),
+    "claims a mode and an error of its own": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=-7, error_grey=0.0"),
+    "returns an object that acts when it is unpacked": """
+class Acts:
+    def __reduce__(self): return os.abort, ()
+def attack(basis): return Acts()
+""",
+    "looks for the seed": f"""
+def attack(basis):
+    found = [sys.argv, sys.orig_argv, dict(os.environ)]
+    for name in ("cmdline", "environ"):
+        try: found.append(open(f"/proc/{{os.getppid()}}/{{name}}").read())
+        except OSError: pass
+    held = [x for x in gc.get_objects() if type(x).__name__ in ("Scenario", "Lab", "LabTask")]
+    raise ValueError("SEED" if "{SEED}" in repr(found) or held else "nothing found")
+""",
+}
+
+
+@pytest.fixture
+def lab(quick: Path, tmp_path: Path) -> Lab:
+    task = {"title": "It arrives.", "points": 2, "scenario": quick.name, "seeds": 1, "limit_s": 2}
+    (tmp_path / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task]}))
+    return read_lab(tmp_path / "lab.yaml")
+
+
+def marked(lab: Lab, folder: Path, attack: str) -> Mark:
+    file = folder / "student.py"
+    file.write_text(RESTING + attack)
+    return grade(lab, file, first_seed=SEED, beside=folder)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("attack", LEAVES_NOTHING.values(), ids=LEAVES_NOTHING)
+def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, lab: Lab, own_kinds: None, tmp_path: Path) -> None:
+    began = time.monotonic()
+    mark = marked(lab, tmp_path, attack)
+    assert mark.points == (0, 2) and mark.missing, mark.markdown()
+    assert time.monotonic() - began < 60  # s: the task has 2, Python and the package take some to start on a loaded machine
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("attack", LEAVES_A_RESULT.values(), ids=LEAVES_A_RESULT)
+def test_no_attack_beside_a_law_that_rests_gives_a_point(attack: str, lab: Lab, own_kinds: None, tmp_path: Path) -> None:
+    mark = marked(lab, tmp_path, attack)
+    assert mark.points == (0, 2), mark.markdown()
+    assert "SEED" not in mark.markdown() and mark.markdown().count("\n| It arrives.") == 1
+    assert Result.given.fget is not None and "isolated" not in LAWS.members
+
+
+@pytest.mark.process
+def test_without_a_result_the_command_ends_with_3_and_nothing_of_it_is_on_standard_output(command, lab, own_kinds, tmp_path) -> None:
+    (tmp_path / "student.py").write_text(RESTING + "sys.stdout.write('2 of 2 points')\nsys.stdout.flush()\nos._exit(0)")
+    ended = command("grade", tmp_path / "lab.yaml", tmp_path / "student.py", "--quiet", "--out", "marks")
+    assert ended.code == 3 and "**0 of 2 points**" in ended.out and "2 of 2 points" in ended.err and "2 of 2" not in ended.out
+    assert json.loads(Path("marks/mark.json").read_text())["points"] == 0
+
+
+@pytest.mark.process
+def test_a_seed_in_the_environment_is_taken_and_not_handed_on(command, lab, own_kinds, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("VSTESTBED_FIRST_SEED", str(SEED))
+    (tmp_path / "student.py").write_text(RESTING + LEAVES_A_RESULT["looks for the seed"])
+    ended = command("grade", tmp_path / "lab.yaml", tmp_path / "student.py", "--quiet", "--pass", 1)
+    assert ended.code == 3 and "nothing found" in ended.out and "SEED" not in ended.out
+
+
+@pytest.mark.process
+@pytest.mark.skipif(not child.landlock(), reason="this system has no Landlock, by which the process gives its rights up")
+def test_where_linux_can_the_process_reads_writes_signals_and_connects_to_nothing_else(lab, own_kinds, tmp_path) -> None:
+    listening = socket.create_server(("127.0.0.1", 0))
+    (tmp_path / "marks.json").write_text("{}")
+    tries = f"""
+import vstestbed
+def tried(name, act):
+    try: act()
+    except OSError: return ""
+    return name + ", "
+raise ValueError("done: " + "".join([
+    tried("package", lambda: open(vstestbed.__file__, "r+")),
+    tried("marks", lambda: open({str(tmp_path / "marks.json")!r}, "r+")),
+    tried("new file", lambda: open({str(tmp_path / "new.json")!r}, "w")),
+    tried("memory", lambda: open(f"/proc/{{os.getppid()}}/mem", "rb")),
+    tried("words", lambda: open(f"/proc/{{os.getppid()}}/cmdline")),
+    tried("home", lambda: os.listdir({str(Path.home())!r})),
+    tried("signal", lambda: os.kill(os.getppid(), 0)),
+    tried("network", lambda: socket.create_connection(("127.0.0.1", {listening.getsockname()[1]}))),
+]) + ".")
+"""
+    mark = marked(lab, tmp_path, tries)
+    listening.close()
+    assert "done: ." in mark.markdown(), mark.markdown()
+
+
+def test_a_lab_marks_laws_alone_since_other_kinds_would_be_part_of_the_judge(quick: Path) -> None:
+    task: Any = {"title": "It arrives.", "points": 2, "scenario": quick.name}
+    for field, right in (("law", True), ("law.feature", True), ("detector", False), ("lawn", False), ("robot", False)):
+        if right:
+            assert Lab(title="A lab", kind="student", field=field, tasks=(task,)).field == field
+        else:
+            with pytest.raises(ParameterError, match="field must be law"):
+                Lab(title="A lab", kind="student", field=field, tasks=(task,))
+
+
+class _Wire:
+    """The channel of a law's process that has been taken over: each answer is the next of a list."""
+
+    def __init__(self, answers: list[bytes]):
+        self.answers, self.left = answers, b""
+
+    def settimeout(self, seconds: float) -> None: ...
+    def close(self) -> None: ...
+
+    def sendall(self, message: bytes) -> None:
+        said = self.answers.pop(0)
+        self.left = len(said).to_bytes(8, "big") + said
+
+    def recv(self, size: int) -> bytes:
+        given, self.left = self.left[:size], self.left[size:]
+        return given
+
+
+def test_whatever_bytes_answer_a_step_it_is_a_command_or_a_failure_of_the_law() -> None:
+    right = {"u": [0.1] * 6, "twist": [0.1] * 6, "rates": None, "wrench": None, "rest_reason": "", "scale": 1.0, "free": [], "mode": 0}
+    whole = json.dumps([False, [1, right | {"row": []}]]).encode()
+    rng, others = random.Random(5), [b"", b"0", b'"x"', b"null", b"[]", b"{}", b"1e999", b"NaN", b"[[[[]]]]", b"9" * 400, b"\xff", b"true"]
+    seen: Any = None
+    given = failed = 0
+    for _ in range(2000):
+        at, to = sorted(rng.sample(range(len(whole) + 1), 2))
+        said = whole[:at] + rng.choice(others) + whole[min(to, at + rng.choice((1, 6, 40))) :]
+        child = object.__new__(isolated.Child)
+        child.ended, child.spent_s, child._goal, child._channel = True, 0.0, None, _Wire([said])  # pyright: ignore[reportAttributeAccessIssue] - in its place
+        try:
+            number, command = child.step(1.0, 1, seen, seen, np.eye(6))
+        except (LawFailedError, ParameterError):
+            failed += 1
+        else:
+            given += 1
+            assert isinstance(number, int) and command.u.shape == (6,) and np.isnan(command.error_grey)
+    assert given > 20 and failed > 1000  # of these seeds 5 % and more are still a command
+
+
+def test_the_process_gets_neither_the_words_nor_the_environment_of_the_one_that_marks(own_kinds, monkeypatch) -> None:
+    started: dict[str, Any] = {}
+
+    class NeverStartedError(Exception): ...
+
+    def popen(words: list[str], **how: Any) -> None:
+        started.update(how, words=words)
+        raise NeverStartedError
+
+    monkeypatch.setattr(isolated.subprocess, "Popen", popen)
+    monkeypatch.setenv("TOKEN", "secret")
+    with isolated.offered(), pytest.raises(NeverStartedError):
+        isolated.Isolated(files=("mine.py",))
+    assert set(started["env"]) <= {*isolated.INHERITED, *isolated.ONE_CORE, "HOME", "TMPDIR"}
+    assert started["words"][1:4] == ["-Pu", "-m", "vstestbed.testing.child"] and len(started["words"]) == 5
+    assert started["cwd"] == started["env"]["HOME"] == started["env"]["TMPDIR"] != str(Path.cwd())

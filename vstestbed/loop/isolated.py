@@ -1,0 +1,261 @@
+"""A law in a process of its own, for judges: observations go in, commands come out as plain numbers, and nothing else.
+
+What judges a run (simulation, metrics, marks) never loads the law. The law's process is a fresh Python, `testing/child.py`, whose words,
+environment and folder hold neither seeds nor plans. To it go pickled observations. From it comes JSON of a capped size, whose values
+are checked: what a hostile process sends is at most a bad command. Its time and memory are limited, and it is killed with its group.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import field
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.foreign import reason
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositiveTime
+from vstestbed.core.spec import spec
+from vstestbed.features.depth import Depth
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws import LAWS, Command, Law
+from vstestbed.laws.base import LawFailedError, TwistLimits
+from vstestbed.laws.feedforward import Feedforward
+from vstestbed.laws.points import Visibility
+
+Answer = TypeVar("Answer")
+MODULE = __name__  # the plugin that adds the kind
+START_S = 60.0  # time for Python, the package and the law's files [s]
+ANSWER_S = 10.0  # for one answer [s]
+MOST_BYTES = 1 << 16  # of an answer
+SHOWN = 2000  # bytes of what the process printed, and of its sentences
+INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
+ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+@spec
+class Declared:
+    """What the loop reads of a law (`Law`); its feature stays in its process.
+
+    Args:
+        tasks: the kinds of goals that it takes.
+        inputs: the fields of an observation that it reads.
+        depth: the source of the markers' depth.
+        limits: of its twist.
+        visibility: its field at the border.
+        feedforward: its term for a moving target.
+        cruise_mps: its speed along a line [m/s].
+        rest_m: distance under which it stands still [m].
+        modes: words for what it may do.
+        columns: its own in the log.
+        cameras: further ones that it stacks.
+        stacks: whether it can.
+        needs_same_markers: whether rows keep their markers.
+    """
+
+    tasks: tuple[str, ...]
+    inputs: tuple[str, ...]
+    depth: Depth
+    limits: TwistLimits
+    visibility: Visibility
+    feedforward: Feedforward
+    cruise_mps: float | None
+    rest_m: float
+    modes: tuple[str, ...]
+    columns: tuple[str, ...]
+    cameras: dict[str, float]
+    stacks: bool
+    needs_same_markers: bool
+
+
+class Child:
+    """The process of one law. Class attribute lost: how many ended, or were ended, before they had answered."""
+
+    lost = 0
+
+    def __init__(self, *law: Any):
+        self.ended, self.spent_s = False, 0.0
+        self._goal: Goal | None = None
+        self._place = tempfile.TemporaryDirectory(prefix="law_", ignore_cleanup_errors=True)
+        self._printed = tempfile.TemporaryFile()  # noqa: SIM115 - until the process ends
+        self._channel, theirs = socket.socketpair()
+        theirs.set_inheritable(True)
+        place, number = self._place.name, theirs.fileno()
+        passed: Any = {"pass_fds": [number]} if os.name == "posix" else {"close_fds": False}
+        self._process = subprocess.Popen(
+            [sys.executable, "-Pu", "-m", "vstestbed.testing.child", str(number)],
+            cwd=place,
+            env={name: os.environ[name] for name in INHERITED if name in os.environ} | ONE_CORE | {"HOME": place, "TMPDIR": place},
+            stdin=subprocess.DEVNULL,
+            stdout=self._printed,
+            stderr=self._printed,
+            start_new_session=True,
+            **passed,
+        )
+        theirs.close()
+        self.declared = self.ask(lambda said: Declared(**said), START_S, "make", *law)
+
+    def ask(self, of: Callable[[Any], Answer], seconds: float, method: str, *given: Any) -> Answer:
+        """What the process answers within some seconds. of: makes it of plain values, and may raise whatever it wants to.
+        Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or its process gave no answer.
+        """
+        began = time.monotonic()
+        try:
+            message = pickle.dumps((method, given))
+            self._channel.settimeout(seconds)
+            self._channel.sendall(len(message).to_bytes(8, "big") + message)
+            size = int.from_bytes(self._read(8, began + seconds), "big")
+            if size > MOST_BYTES:
+                raise ValueError("it is too long")
+            refused, said = json.loads(self._read(size, began + seconds))
+            if not refused:
+                return of(said)
+            name, problem = map(str, said)
+        except Exception as error:  # a process that is gone, and whatever a forged answer brings about
+            self.close()
+            Child.lost += 1
+            why = f"none within {seconds:.3g} s" if isinstance(error, TimeoutError) else reason(error)
+            raise LawFailedError(f"the law's process gave no answer ({why})") from error
+        finally:
+            self.spent_s += time.monotonic() - began
+        raise ParameterError(name, problem[:SHOWN]) if name else LawFailedError(problem[:SHOWN])
+
+    def _read(self, size: int, until: float) -> bytes:
+        found = b""
+        while len(found) < size:
+            self._channel.settimeout(max(until - time.monotonic(), 1e-3))
+            more = self._channel.recv(size - len(found))
+            if not more:
+                raise EOFError
+            found += more
+        return found
+
+    def step(self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
+        """Number of the next state, and the command. A goal is sent once."""
+        sent = None if goal is self._goal else goal
+        self._goal = goal
+        return self.ask(lambda said: (int(said[0]), command_of(said[1], basis.shape[1])), seconds, "step", state, seen, sent, basis)
+
+    def close(self) -> None:
+        """Kill the process and its group, and print the end of what it printed, each line marked as its own."""
+        if self.ended:
+            return
+        self.ended = True
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL) if os.name == "posix" else self._process.kill()
+        self._process.wait()
+        self._channel.close()
+        with self._printed as printed:
+            printed.seek(max(0, printed.seek(0, os.SEEK_END) - SHOWN))
+            for line in printed.read(SHOWN).decode(errors="replace").splitlines():
+                print("  law |", "".join(filter(str.isprintable, line)), file=sys.stderr)
+        self._place.cleanup()
+
+
+_live = dict[str, Child]()  # the one that was used last, by what was asked for
+
+
+@atexit.register
+def close() -> None:
+    """End the law's process."""
+    while _live:
+        _live.popitem()[1].close()
+
+
+@LAWS.add
+@spec
+class Isolated(Law[int]):
+    """Another law, in a process of its own, which keeps its last states; here they are numbers.
+
+    Args:
+        files: plugins that are loaded there.
+        adds: a kind that they must add; "": any.
+        block: the law; {}: the only one that they add.
+        reads: file or folder that the process may read, besides Python and this package.
+        run_s: time for all answers in a run [s].
+    """
+
+    kind: Literal["isolated"] = "isolated"
+    files: tuple[str, ...] = ()
+    adds: str = ""
+    block: dict[str, Any] = field(default_factory=dict)
+    reads: str = ""
+    run_s: PositiveTime = 300.0
+
+    def __post_init__(self) -> None:
+        """Start the process, and take over what the law declares."""
+        for name, value in vars(self._child.declared).items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def _child(self) -> Child:
+        law = self.files, self.adds, self.block, self.reads
+        key = json.dumps(law)
+        if key not in _live or _live[key].ended:
+            close()
+            try:
+                _live[key] = Child(*law)
+            except LawFailedError as error:
+                raise ParameterError("files", f"cannot be loaded: {error}") from error
+        return _live[key]
+
+    def prepare(self) -> None:
+        """Nothing: the process has done so."""
+
+    def markers_needed(self, basis: Array) -> int:
+        return self._child.ask(int, ANSWER_S, "markers_needed", basis)
+
+    def check(self, points: Array, goal: Goal) -> None:
+        self._child.ask(bool, ANSWER_S, "check", points, goal)
+
+    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
+        self._child.ask(bool, ANSWER_S, "check_view", goal, marker_radius_m)
+
+    def init(self, goal: Goal) -> int:
+        child = self._child
+        child.spent_s = 0.0
+        return child.ask(int, ANSWER_S, "init", goal)
+
+    def step(self, state: int, observation: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
+        child = self._child
+        left = self.run_s - child.spent_s
+        if left <= 0:
+            raise LawFailedError(f"the law took more than {self.run_s:.3g} s in a run")
+        return child.step(min(ANSWER_S, left), state, observation, goal, basis)
+
+
+def command_of(plain: dict[str, Any], motions: int) -> Command:
+    """A command from plain values. Its error in grey levels is not taken over: it would judge the run.
+    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions.
+    """
+    arrays: dict[str, Any] = {name: np.array(plain[name], float) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
+    if arrays["u"].shape != (motions,):
+        raise ValueError("u has another shape")
+    free = tuple((float(share), np.array(twists, float)) for share, twists in plain["free"])
+    row = tuple(map(float, plain["row"]))
+    why = str(plain["rest_reason"])[:SHOWN]
+    return Command(**arrays, rest_reason=why, scale=float(plain["scale"]), free=free, mode=int(plain["mode"]), row=row)
+
+
+@contextmanager
+def offered() -> Iterator[None]:
+    """The kind is there meanwhile, and no process of a law is left afterwards."""
+    LAWS.add(Isolated)
+    try:
+        yield
+    finally:
+        close()
+        LAWS.members.pop("isolated", None)

@@ -1,0 +1,153 @@
+"""The process of a law that is judged: it holds the law alone. `loop/isolated.py` starts it, and says what for.
+
+python -m vstestbed.testing.child NUMBER_OF_A_SOCKET
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import pickle
+import signal
+import socket
+import struct
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+from vstestbed.core.errors import ParameterError, PluginError, VstestbedError
+from vstestbed.core.geometry import Array
+from vstestbed.core.registry import to_mapping
+from vstestbed.core.spec import spec
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws import LAWS, Law
+from vstestbed.laws.base import LawFailedError
+from vstestbed.loop.controller import GuardedLaw
+from vstestbed.loop.isolated import Declared
+from vstestbed.scenario.plugins import load_plugins, registries
+from vstestbed.testing.laws import unnamed_in_source
+
+MEMORY, FILE, CPU_S = 8 << 30, 64 << 20, 3600  # most bytes of memory and of a file; most processor time [s]
+KEPT = 64  # states: a judge asks for one again only soon
+COMMAND = "u", "twist", "rates", "wrench", "rest_reason", "scale", "free", "mode", "row"  # what is told of one
+
+
+@spec
+class _Holder:
+    law: Annotated[Law[Any], LAWS]
+
+
+class _Held:
+    """The law, its last states by number, and the goal that was sent last."""
+
+    law: Law[Any]
+    goal: Any = None
+
+    def __init__(self) -> None:
+        self.states, self.last = dict[int, Any](), 0
+
+    def make(self, files: list[str], adds: str, block: dict[str, Any], reads: str) -> dict[str, Any]:
+        """Load the law's files, and make it: what it declares."""
+        confine(reads)
+        before = set(LAWS.members)
+        try:
+            load_plugins(files)
+        except PluginError as error:
+            raise ParameterError("files", f"cannot be loaded: {error}") from error
+        if adds and not any(adds in registry.members for registry in registries().values()):
+            raise ParameterError("files", f"adds no kind {adds!r}.")
+        own = [kind for kind in LAWS.members if kind not in before]
+        if not block and len(own) != 1:
+            raise ParameterError("files", "must add one law; of several, name one in a YAML file with law and plugins", own)
+        self.law = _Holder(law=block or {"kind": own[0]}).law  # pyright: ignore[reportArgumentType] - a block
+        self.law.prepare()
+        return {name: to_mapping(getattr(self.law, name)) for name in Declared.__annotations__}
+
+    def step(self, state: int, seen: Observation, goal: Goal | None, basis: Array) -> Any:
+        """One frame, by a guard of its own: a law is asked again after a failure, for another state."""
+        self.goal = goal or self.goal
+        guarded = GuardedLaw(self.law)
+        following, command = guarded.step(self.states[state], seen, self.goal, basis)
+        if guarded.failure:
+            raise LawFailedError(guarded.failure + unnamed_in_source(self.law))
+        return self.kept(following), {name: getattr(command, name) for name in COMMAND}
+
+    def init(self, goal: Goal) -> int:
+        return self.kept(self.law.init(goal))
+
+    def kept(self, state: Any) -> int:
+        """The number of a state."""
+        self.last += 1
+        self.states[self.last] = state
+        self.states.pop(self.last - KEPT, None)
+        return self.last
+
+    def answer(self, method: str, given: Any) -> tuple[bool, Any]:
+        """Whether the law refuses it, and what it says: of a refusal the field, which is "" of a failure, and the sentence."""
+        asked = self if hasattr(self, method) else self.law
+        try:
+            return False, getattr(asked, method)(*given)
+        except BaseException as error:  # whatever a law raises; also sys.exit
+            field = error.field if isinstance(error, ParameterError) else ""
+            what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
+            return True, (field, what + str(error).removeprefix(f"{field} "))
+
+
+def _plain(value: Any) -> Any:
+    return dict(value) if hasattr(value, "keys") else value.tolist()
+
+
+# Landlock, by which a process gives up rights for good, root's too: to files, to connect, to signal and trace other processes.
+CREATE, ADD, RESTRICT = 444, 445, 446  # its system calls, on all architectures
+RIGHTS = 13, 14, 15, 15, 16  # how many rights to files its versions know
+READ_FILE, READ = 0b101, 0b1101  # read and execute; of a folder list it, too
+SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom"
+
+
+def landlock() -> int:
+    """Its version here; under 1 where there is none."""
+    return ctypes.CDLL(None).syscall(CREATE, None, 0, 1) if sys.platform == "linux" else 0
+
+
+def confine(reads: str) -> None:
+    """Limit this process: its memory, files and time; on Linux 5.13 and newer also to reading Python, this package and `reads`, and to
+    writing into its own empty folder.
+    """
+    with suppress(ImportError, ValueError):  # Windows; a lower limit is in force
+        import resource
+
+        for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_AS, MEMORY)):
+            resource.setrlimit(kind, (most, most))
+    if (version := landlock()) < 1:
+        return
+    libc = ctypes.CDLL(None)
+    libc.prctl(1, signal.SIGKILL)  # end with the parent
+    every = (1 << RIGHTS[min(version, 5) - 1]) - 1
+    handled = struct.pack("QQQ", every, 3 * (version >= 4), 3 * (version >= 6))
+    rules = libc.syscall(CREATE, handled, len(handled), 0)
+    own = Path.cwd()
+    libraries = [path for path in sys.path if path.endswith("-packages")]
+    for path in map(Path, (Path(__file__).parents[1], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own)):
+        if path.exists():
+            place = os.open(path, os.O_PATH)
+            rights = every if path == own else READ if path.is_dir() else READ_FILE
+            libc.syscall(ADD, rules, 1, struct.pack("=Qi", rights, place), 0)
+            os.close(place)
+    libc.prctl(38, 1, 0, 0, 0)  # no new privileges, which it asks for
+    libc.syscall(RESTRICT, rules, 0)
+
+
+def main(number: int) -> None:
+    """Answer until the parent is gone."""
+    channel, held = socket.socket(fileno=number).makefile("rwb"), _Held()
+    while size := channel.read(8):
+        said = json.dumps(held.answer(*pickle.loads(channel.read(int.from_bytes(size, "big")))), default=_plain).encode()
+        channel.write(len(said).to_bytes(8, "big") + said)
+        channel.flush()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))
+    os._exit(0)
