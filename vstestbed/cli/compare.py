@@ -226,8 +226,8 @@ def suite(
 def _ranking(found: Sequence[Score]) -> Iterator[str]:
     from vstestbed.report.scores import overall
 
-    for place, (law, rank, tasks) in enumerate(overall(found), 1):
-        yield f"{place}. {law}: mean rank {rank:.2f} over {tasks} tasks"
+    for one in overall(found):
+        yield f"{one.law}: mean rank {one.rank:.2f} over {one.tasks} tasks, place {one.place} of the {one.of} laws that flew them"
 
 
 def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, str | None]) -> None:
