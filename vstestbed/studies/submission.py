@@ -30,6 +30,7 @@ from vstestbed.studies.suite import NAME, SuiteEntry, fingerprint, opened, read_
 from vstestbed.tasks.metrics import Metric
 
 ABOUT, RUNS, SCORES, RECORD, LAW_FOLDER = "suite.json", "runs.csv", "scores.csv", "environment.json", "law"
+BESIDE = (ABOUT, RUNS, SCORES, RECORD)
 KEYS = ["task", "law", "start"]
 COLUMNS = [*KEYS, "success", "value"]
 ONE_OF, MISSED = 10, 0.05
@@ -74,14 +75,12 @@ def pack(folder: Path, out: Path) -> Path:
     if not law:
         raise RunFolderError(folder, "has the suite's own laws alone", "fly a law of your own: `vstestbed suite LAW_FILE --out DIR`")
     with foreign(folder, "`vstestbed suite LAW_FILE --out DIR` makes one", RunFolderError):
-        about, runs = json.loads((folder / ABOUT).read_text(encoding="utf-8")), pl.read_csv(folder / RUNS, infer_schema=False)
-        own = Path(about["file"]).stem  # what is handed in is the law alone: those beside it are in the suite
-        about["laws"] = {own: about["laws"][own]}
+        own = Path(json.loads((folder / ABOUT).read_bytes())["file"]).stem
+        runs = pl.read_csv(folder / RUNS, infer_schema=False).filter(pl.col("law") == own)  # those beside it are in the suite
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:
-        packed.writestr(ABOUT, json.dumps(about, indent=1) + "\n")
-        packed.writestr(RUNS, runs.filter(pl.col("law") == own).write_csv())
-        for path in (folder / SCORES, *(path for path in law if path.is_file())):
+        packed.writestr(RUNS, runs.write_csv())
+        for path in (folder / ABOUT, folder / SCORES, *(path for path in law if path.is_file())):
             packed.write(path, path.relative_to(folder).as_posix())
         packed.writestr(RECORD, json.dumps(environment(), indent=1) + "\n")
     write_whole(out, content.getvalue())
@@ -124,25 +123,35 @@ def _unfit(members: list[zipfile.ZipInfo]) -> str:
         most = f"at most {MOST_MEMBERS} and {MOST_UNPACKED >> 20} MiB are unpacked"
         return f"it has {len(members)} files of {total / 2**20:.0f} MiB, {most}"
     for one in members:
-        beside = one.filename in (ABOUT, RUNS, SCORES, RECORD)
-        plain = stat.S_IFMT(one.external_attr >> 16) in (0, stat.S_IFREG) and not one.flag_bits & ~_FLAGS
-        if not beside and not (one.filename.startswith(f"{LAW_FOLDER}/") and all(map(_portable, one.filename.split("/")))):
-            return f"{short(one.orig_filename)} is no file of one"
-        if one.orig_filename != one.filename or not plain or one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            return f"{short(one.orig_filename)} is a link, encrypted, or packed in a way that is not read"
-        if beside and one.file_size > MOST_TEXT:
-            return f"its {one.filename} has {one.file_size / 2**20:.0f} MiB, at most {MOST_TEXT >> 20} are read"
+        name = short(one.orig_filename)
+        if not _belongs(one.filename):
+            return f"{name} is no file of one"
+        if not _readable(one):
+            return f"{name} is a link, encrypted, or packed in a way that is not read"
+        if one.filename in BESIDE and one.file_size > MOST_TEXT:
+            return f"{name} has {one.file_size / 2**20:.0f} MiB, at most {MOST_TEXT >> 20} are read"
     names = Counter(unicodedata.normalize("NFKC", one.filename).casefold() for one in members)
-    folders = {str(above) for name in names for above in PurePosixPath(name).parents}
-    twice = [name for name, times in names.items() if times > 1 or name in folders]
-    lacking = [name for name in (ABOUT, RUNS) if name not in names]
-    return f"it holds {twice[0]} twice" if twice else f"it has no {lacking[0]}" if lacking else ""
+    names.update({str(above) for name in names for above in PurePosixPath(name).parents})
+    if twice := [name for name, times in names.items() if times > 1]:
+        return f"it holds {short(twice[0])} twice"
+    return next((f"it has no {name}" for name in (ABOUT, RUNS) if name not in names), "")
+
+
+def _belongs(name: str) -> bool:
+    """Whether a submission has a file of this name, which is the same on every system."""
+    return name in BESIDE or (name.startswith(f"{LAW_FOLDER}/") and all(map(_portable, name.split("/"))))
 
 
 def _portable(part: str) -> bool:
-    """Whether a part of a path is the same name on every system: nothing hidden, no device, no letter that could be written otherwise."""
+    """Whether a part of a path is: nothing hidden, no device, no letter that can be written otherwise."""
     plain = part.isprintable() and not set(part) & set('<>:"|?*\\') and part.strip(". ") == part
     return bool(part) and plain and unicodedata.normalize("NFC", part) == part and allowed(part) == part
+
+
+def _readable(one: zipfile.ZipInfo) -> bool:
+    """Whether a member is a regular file, not encrypted, packed in one of two ways, with a name that ends where it says."""
+    plain = stat.S_IFMT(one.external_attr >> 16) in (0, stat.S_IFREG) and not one.flag_bits & ~_FLAGS
+    return plain and one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) and one.orig_filename == one.filename
 
 
 def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEntry, pl.DataFrame]:
