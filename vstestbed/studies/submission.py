@@ -106,7 +106,8 @@ def contents(file: Path) -> dict[str, bytes]:
         raise _refused(file, "it is no plain zip file, from its first byte to its last")
     with foreign(file, WORKS, _refused), zipfile.ZipFile(io.BytesIO(packed)) as archive:
         members = archive.infolist()
-        if wrong := _unfit(members):
+        counted = int.from_bytes(end[10:12], "little")
+        if wrong := _unfit(members) or ("" if counted == len(members) else f"it has {len(members)} files and counts {counted}"):
             raise _refused(file, wrong)
         # to a number of bytes: without one the whole of what is packed would be unpacked at once, whatever its stated size
         return {one.filename: archive.open(one).read(one.file_size + 1) for one in members}
