@@ -37,7 +37,7 @@ class Suite:
         beside = pl.read_csv(PLACE / "cns.csv", schema_overrides={"start": pl.String})  # CNS's network, by its own weights
         self.all = pl.concat([found, beside.cast({"value": pl.Float64})])
         self.tasks = list(dict.fromkeys(s.task for s in self.scores))
-        self.laws = [law for law, _, _ in overall(self.scores)]
+        self.laws = [s.law for s in overall(self.scores)]
         self.overall = overall(self.scores)
         self.sha256 = fingerprint(*read_suite())
 

@@ -36,7 +36,35 @@ def test_scores_are_successes_restricted_means_and_ranks_with_intervals() -> Non
     )
     # paired starts: 5 s between them are beyond doubt though times spread as much
     assert {law: s.rank[:3] for law, s in found.items()} == {"slow": (2, 2, 2), "fast": (1, 1, 1), "fails": (3, 3, 3)}
-    assert overall(list(found.values())) == [("fast", 1.0, 1), ("slow", 2.0, 1), ("fails", 3.0, 1)]
+    assert overall(list(found.values())) == [("fast", 1.0, 1, 1, 3), ("slow", 2.0, 1, 2, 3), ("fails", 3.0, 1, 3, 3)]
+
+
+def test_a_law_that_declines_tasks_is_placed_over_none_that_flew_them() -> None:
+    """`easy` flies the one task in which it is the best; `wide` is the best of all in the other, and a little behind in that one."""
+    first = rows({"wide": [2.0, 3, 4], "easy": [1.0, 2, 3], "slow": [8.0, 9, 10]})
+    second = rows({"wide": [2.0, 3, 4], "slow": [8.0, 9, 10]}).with_columns(task=pl.lit("hard"))
+    third = rows({"wide": [2.0, 3, 4], "odd": [1.0, 2, 3]}).with_columns(task=pl.lit("third"))
+    found = overall(scores(pl.concat([first, second, third])))
+    # before: easy (1.0 over 1 task) and odd (1.0 over 1) above wide (5/3 over 3)
+    assert [one.law for one in found] == ["wide", "slow", "easy", "odd"]
+    places = {one.law: (one.place, one.of) for one in found}
+    assert places == {"wide": (1, 1), "slow": (2, 2), "easy": (1, 3), "odd": (1, 2)}
+
+
+def test_no_place_is_claimed_over_a_law_that_flew_fewer_tasks() -> None:
+    """For any laws and tasks: a place counts only laws that flew at least the same tasks, and fewer tasks never stand above more."""
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        flown = {law: [task for task in "abcd" if rng.random() < 0.6] or ["a"] for law in ("p", "q", "r", "s")}
+        tables = [
+            rows({law: list(rng.uniform(1, 9, 3)) for law in flown if task in flown[law]}).with_columns(task=pl.lit(task))
+            for task in "abcd"
+            if any(task in own for own in flown.values())
+        ]
+        found = overall(scores(pl.concat(tables)))
+        assert [one.tasks for one in found] == sorted((one.tasks for one in found), reverse=True)
+        for one in found:
+            assert one.of == sum(set(flown[one.law]) <= set(other) for other in flown.values()) >= one.place >= 1
 
 
 def test_a_run_that_crashed_counts_as_the_longest_and_a_start_that_is_missing_for_none() -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.shortcuts import one_quick
+from vstestbed.cli.tools import text_of
 from vstestbed.core.errors import ScenarioError
 from vstestbed.testing.grading import Needs, grade, read_lab
 
@@ -76,6 +78,45 @@ def test_each_missing_point_has_its_reason(own_kinds, tmp_path: Path) -> None:
     assert arrives.startswith("0 of 3 runs reached the goal, 3 are needed (")
     assert "The median of time_to_converge_s is unknown, since no run reached the goal." in soon
     assert better == "It is not better: the other is better (it reached the goal from 0 of 8 starts, the other from 8)."
+
+
+def template(folder: Path, kind: str) -> Path:
+    """What `vstestbed new law` writes, untouched."""
+    path = folder / f"{kind}.py"
+    path.write_text(text_of("law", kind, str(path)))
+    return path
+
+
+@pytest.mark.parametrize("number", one_quick(1, 2, 3))
+def test_the_untouched_file_of_new_law_has_no_point_in_any_lab(number: int, own_kinds, tmp_path: Path) -> None:
+    """What a sheet asks to be written is not in it: each task of each lab, and the suite of the room with them."""
+    read = read_lab(LABS / f"lab_{number}.yaml")
+    mark = grade(read, template(tmp_path, read.kind), beside=LABS)
+    assert {result.title: result.points for result in mark.results if not result.reasons} == {}
+
+
+@pytest.mark.parametrize("number", one_quick(1, 2, 3))
+def test_a_model_solution_of_each_lab_keeps_all_points(number: int, own_kinds) -> None:
+    read = read_lab(LABS / f"lab_{number}.yaml")
+    mark = grade(read, Path(__file__).parent / "labs" / f"{read.kind}.py", first_seed=52317, beside=LABS)
+    assert mark.points == (10, 10), [result.reasons for result in mark.results]
+
+
+def test_a_field_that_changes_nothing_has_no_point_of_part_a(own_kinds, tmp_path: Path) -> None:
+    """The points are for what a law does: with a field that it does not use it moves as the file of `new law` does."""
+    file = template(tmp_path, "my_ibvs")
+    file.write_text(
+        file.read_text().replace("    depth: Depth", '    jacobian: Literal["present", "goal", "mean"] = "present"\n    depth: Depth')
+    )
+    mark = grade(read_lab(LABS / "lab_1.yaml"), file, beside=LABS)
+    goal, mean = (" ".join(result.reasons) for result in mark.results[1:3])
+    assert mark.points == (0, 10) and "max_feature_excursion_px is" in goal and "path_length_m is" in mean
+
+
+def test_the_suite_of_the_room_is_worth_nothing_without_a_task(own_kinds, tmp_path: Path) -> None:
+    never = [LAB["tasks"][0] | {"median": {"time_to_converge_s": {"at_most": 0.1}}}]  # pyright: ignore[reportIndexIssue, reportOperatorIssue]
+    mark = grade(read_lab(lab(tmp_path, tasks=never)), student(tmp_path))
+    assert mark.points == (0, 3) and mark.results[0].reasons == ("It does none of the tasks.",)
 
 
 def test_a_file_that_cannot_be_loaded_or_adds_another_kind_has_no_point(own_kinds, tmp_path: Path) -> None:

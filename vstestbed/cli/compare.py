@@ -179,7 +179,7 @@ def suite(
         bool, typer.Option("--alone", help="Fly LAW_FILE alone; the suite's own laws stand beside it with the runs that are kept.")
     ] = False,
     word: Annotated[str | None, typer.Option(metavar="WORD", help="Draw the random starts by a word that was not known before.")] = None,
-    check: Annotated[Path | None, typer.Option(metavar="FILE", help="Fly a drawn tenth of a submission again: do they agree?")] = None,
+    check: Annotated[Path | None, typer.Option(metavar="FILE", help="Fly drawn runs of a submission again: do they agree?")] = None,
     shard: Annotated[str | None, typer.Option(metavar="I/N", help="Fly the share I of N of each task, into its own DIR.")] = None,
     merge: Annotated[
         list[Path] | None, typer.Option("--merge", metavar="DIR", help="Put shards together: the folder of one; repeat it for each.")
@@ -197,7 +197,7 @@ def suite(
 
     must_be_known(executor)
     if check is not None:
-        _check(check, new_folder(Path("runs") / "suite", out, "give a new one"), jobs)
+        _check(check, new_folder(Path("runs") / "suite", out, "give a new one"), jobs, (name, quick, word))
         return
     entry, share = opened(law, name, quick, word, alone), None if shard is None else Shard.read(shard)
     show_notes(not quiet)
@@ -226,15 +226,15 @@ def suite(
 def _ranking(found: Sequence[Score]) -> Iterator[str]:
     from vstestbed.report.scores import overall
 
-    for place, (law, rank, tasks) in enumerate(overall(found), 1):
-        yield f"{place}. {law}: mean rank {rank:.2f} over {tasks} tasks"
+    for one in overall(found):
+        yield f"{one.law}: mean rank {one.rank:.2f} over {one.tasks} tasks, place {one.place} of the {one.of} laws that flew them"
 
 
-def _check(file: Path, folder: Path, jobs: int | None) -> None:
+def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, str | None]) -> None:
     """Say whether a submission agrees with what is flown here; exit 3 where it does not."""
-    from vstestbed.studies.submission import check
+    from vstestbed.studies.submission import Asked, check
 
-    found = check(file, folder, jobs)
+    found = check(file, folder, jobs, asked=Asked(*asked))
     agree = found.runs - len(found.otherwise)
     lines = [*found.otherwise, f"{agree} of {found.runs} runs that were flown again agree", *_ranking(found.scores)]
     typer.echo("\n".join([*lines, f"  results   {folder} (open report.html: the runs as they were handed in)"]), err=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -111,12 +111,31 @@ def _ranks(values: Array) -> tuple[Array, Array, Array]:
     return rankdata(values.mean(axis=1)), *_ends(rankdata(means, axis=1))
 
 
-def overall(found: Sequence[Score]) -> list[tuple[str, float, int]]:
-    """Law, mean of its ranks, and in how many tasks it took part; the best first. It stands beside its parts, never for them."""
-    by_law: dict[str, list[float]] = {}
+class Standing(NamedTuple):
+    """Where a law stands over the tasks that it flew, among the `of` laws that flew all of these, by the mean of the ranks in them."""
+
+    law: str
+    rank: float
+    tasks: int
+    place: int
+    of: int
+
+
+def overall(found: Sequence[Score]) -> list[Standing]:
+    """Where each law stands; those that flew the most tasks first, then by the mean rank. It stands beside its parts, never for them.
+
+    Laws are compared on the same tasks alone: who declines a hard task does not pass a law that flew it, which keeps its place among those
+    that flew it, too; and no law is placed over one that flew fewer tasks than itself.
+    """
+    ranks: dict[str, dict[str, float]] = {}
     for score in found:
-        by_law.setdefault(score.law, []).append(score.rank.mean)
-    return sorted(((law, float(np.mean(ranks)), len(ranks)) for law, ranks in by_law.items()), key=lambda row: row[1])
+        ranks.setdefault(score.law, {})[score.task] = score.rank.mean
+    standings: list[Standing] = []
+    for law, own in ranks.items():
+        means = {other: float(np.mean([of[task] for task in own])) for other, of in ranks.items() if own.keys() <= of.keys()}
+        better = sum(mean < means[law] for mean in means.values())
+        standings.append(Standing(law, means[law], len(own), 1 + better, len(means)))
+    return sorted(standings, key=lambda one: (-one.tasks, one.rank))
 
 
 def profile(runs: pl.DataFrame) -> dict[str, Array]:
@@ -148,10 +167,16 @@ def write_scores(
     write_whole(out / "scores.tex", latex(found, tasks))
     ranked, by = overall(found), {(s.law, s.task): s for s in found}
     lines = [
-        [law, f"{rank:.2f} of {n} tasks", *(_cell(by.get((law, task)), one) for task, one in tasks.items())] for law, rank, n in ranked
+        [
+            s.law,
+            f"{s.rank:.2f} of {s.tasks} tasks",
+            f"{s.place} of {s.of}",
+            *(_cell(by.get((s.law, task)), one) for task, one in tasks.items()),
+        ]
+        for s in ranked
     ]
     tables = [
-        ("Scores", ["law", "mean rank", *tasks], lines),
+        ("Scores", ["law", "mean rank", "place among the laws that flew these tasks", *tasks], lines),
         ("Beyond chance", ["task", "best mean", "not behind beyond chance", "behind"], _chances(found, tasks)),
         ("Tasks", ["task", "what it asks of a law", "ranked by", "laws"], _asked(found, tasks)),
     ]
@@ -162,7 +187,7 @@ def write_scores(
     place = make_folder(out / FIGURES)
     plots = [
         ("Ranks", _drawn_ranks(found, place), of_ranks),
-        ("Profile", _drawn_profile(runs, [law for law, _, _ in ranked], place), of_profile),
+        ("Profile", _drawn_profile(runs, [s.law for s in ranked], place), of_profile),
     ]
     write_page(out, "study.html", heading, about=about, plots=plots, tables=tables, command=command)
     return found
@@ -207,7 +232,7 @@ def _cell(score: Score | None, task: TaskOfSuite) -> list[str]:
 
 
 def _drawn_ranks(found: Sequence[Score], place: Path) -> str:
-    tasks, order = list(dict.fromkeys(s.task for s in found)), [law for law, _, _ in overall(found)]
+    tasks, order = list(dict.fromkeys(s.task for s in found)), [s.law for s in overall(found)]
     down = -(-len(tasks) // 6)
     across = -(-len(tasks) // down)
     with style():
@@ -254,7 +279,7 @@ def latex(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> str:
     """The table of a paper: laws by tasks, successes and the mean of each task's number."""
     by = {(s.law, s.task): s for s in found}
     lines = [r"\begin{tabular}{l" + "r" * len(tasks) + "}", " & ".join(["law", *tasks]) + r" \\ \hline"]
-    for law, _, _ in overall(found):
+    for law in (one.law for one in overall(found)):
         words = [
             f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.value.mean:.3g} {one.metric.unit}" if (s := by.get((law, t))) else "--"
             for t, one in tasks.items()

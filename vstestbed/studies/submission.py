@@ -4,28 +4,55 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import secrets
+import stat
+import unicodedata
 import zipfile
+from collections import Counter
 from contextlib import closing
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
-from vstestbed.core.errors import RunFolderError
-from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.errors import RunFolderError, short
+from vstestbed.core.files import allowed, make_folder, write_whole
+from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.report.scores import Score
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.plan import Job, Jobs, controllers
+from vstestbed.studies.comparison.plan import Job
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
 from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.pools import pool_of, workers
-from vstestbed.studies.suite import SuiteEntry, opened
+from vstestbed.studies.suite import NAME, SuiteEntry, fingerprint, opened, read_suite
+from vstestbed.tasks.metrics import Metric
 
-ABOUT, RUNS, LAW_FOLDER = "suite.json", "runs.csv", "law"
-SHARE = 0.1  # of the runs of the law that is checked
+ABOUT, RUNS, SCORES, RECORD, LAW_FOLDER = "suite.json", "runs.csv", "scores.csv", "environment.json", "law"
+BESIDE = (ABOUT, RUNS, SCORES, RECORD)
+KEYS = ["task", "law", "start"]
+COLUMNS = [*KEYS, "success", "value"]
+ONE_OF, MISSED = 10, 0.05
+"""A task of whose runs one of so many is forged passes the drawing with this probability at most."""
+MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
+MOST_TEXT, MOST_UNPACKED = 1 << 20, 128 << 20
+"""Largest sizes [B] of a file beside the law, and of all that a submission holds."""
+WORKS = "`vstestbed submit DIR` makes one"
+_END, _FIRST, _ZIP64 = b"PK\5\6", b"PK\3\4", b"PK\6\7"  # of an archive: its last record, its first, and a record of larger archives
+_FLAGS = 0x80E  # of a member: how hard it is packed, sizes behind it, name in UTF-8; others mean that it is encrypted
+
+
+class Asked(NamedTuple):
+    """What a submission has to be of, as who checks it says: the archive decides none of it. See `suite.opened`."""
+
+    suite: str = NAME
+    quick: bool = False
+    word: str | None = None
+
+
+ALL_STARTS = Asked()
 
 
 class Checked(NamedTuple):
@@ -39,72 +66,178 @@ class Checked(NamedTuple):
 
 
 def pack(folder: Path, out: Path) -> Path:
-    """Pack a suite's folder into one file: what was flown, the law's files, each run, the scores, versions and machine.
-    Raises RunFolderError: the folder has no finished suite, or the law's file is not a law of one's own.
+    """Pack a suite's folder into one file: what was flown, the law's files, its runs, the scores, versions and machine.
+    Raises RunFolderError: the folder has no finished suite, the law's file is not a law of one's own, or it is too large to be checked.
     """
-    for name in (ABOUT, RUNS, "scores.csv"):
+    for name in (ABOUT, RUNS, SCORES):
         if not (folder / name).is_file():
             raise RunFolderError(folder, f"has no {name}", "`vstestbed suite LAW_FILE --out DIR` makes one")
     law = sorted((folder / LAW_FOLDER).rglob("*")) if (folder / LAW_FOLDER).is_dir() else []
     if not law:
         raise RunFolderError(folder, "has the suite's own laws alone", "fly a law of your own: `vstestbed suite LAW_FILE --out DIR`")
-    files = [folder / ABOUT, folder / RUNS, folder / "scores.csv", *(path for path in law if path.is_file())]
+    with foreign(folder, "`vstestbed suite LAW_FILE --out DIR` makes one", RunFolderError):
+        own = Path(json.loads((folder / ABOUT).read_bytes())["file"]).stem
+        runs = pl.read_csv(folder / RUNS, infer_schema=False).filter(pl.col("law") == own)  # those beside it are in the suite
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:
-        for path in files:
+        packed.writestr(RUNS, runs.write_csv())
+        for path in (folder / ABOUT, folder / SCORES, *(path for path in law if path.is_file())):
             packed.write(path, path.relative_to(folder).as_posix())
-        packed.writestr("environment.json", json.dumps(environment(), indent=1) + "\n")
+        packed.writestr(RECORD, json.dumps(environment(), indent=1) + "\n")
     write_whole(out, content.getvalue())
+    try:
+        contents(out)
+    except RunFolderError:
+        out.unlink()
+        raise
     return out
 
 
-def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, pl.DataFrame]:
-    """The suite of a submission with its law alone, and its runs as they were handed in. Its code is not run here.
-    Raises RunFolderError: it is no submission, or of another suite than this one.
+def contents(file: Path) -> dict[str, bytes]:
+    """What a submission holds, by the names of its members, all of which are validated before any is unpacked.
+
+    Raises RunFolderError: it is not a plain archive within the limits above, of files that a submission has, with names that mean the same
+    on every system. Sizes that the archive states are limits of what is unpacked, so that those that lie gain nothing.
     """
-    try:
-        with zipfile.ZipFile(file) as packed:
-            names = [PurePosixPath(name) for name in packed.namelist() if name.startswith(f"{LAW_FOLDER}/")]
-            if away := [name for name in names if ".." in name.parts or not name.name or "\\" in str(name)]:
-                raise ValueError(f"{away[0]} leads out of its folder")
-            about, given = json.loads(packed.read(ABOUT)), pl.read_csv(packed.read(RUNS))
-            named = Path(about["file"]).name, about["suite"], about["quick"], about["word"], about["sha256"]
-            for name in names:
-                place = into / name.relative_to(LAW_FOLDER)
-                write_whole(make_folder(place.parent) / place.name, packed.read(str(name)))
-    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pl.exceptions.PolarsError) as error:
-        raise RunFolderError(file, f"is no submission ({error})", "`vstestbed submit DIR` makes one") from error
-    main, suite, quick, word, sha256 = named
-    entry = opened(str(into / main), suite, quick, word, alone=True, apart=True)
-    if entry.about["sha256"] != sha256:
-        raise RunFolderError(file, f"is of another {suite} than this version has", "check it with the version that it names")
-    return entry, given.filter(pl.col("law").is_in(list(entry.laws)))
+    packed = plain_file(file, WORKS, refusal=_refused).read_bytes()
+    end = packed[-22:]
+    size, start = (int.from_bytes(end[i : i + 4], "little") for i in (12, 16))
+    whole = packed.startswith(_FIRST) and end.startswith(_END) and start + size + len(end) == len(packed)
+    if not whole or size > MOST_DIRECTORY or packed[-42:].startswith(_ZIP64):
+        raise _refused(file, "it is no plain zip file, from its first byte to its last")
+    with foreign(file, WORKS, _refused), zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        members = archive.infolist()
+        counted = int.from_bytes(end[10:12], "little")
+        if wrong := _unfit(members) or ("" if counted == len(members) else f"it has {len(members)} files and counts {counted}"):
+            raise _refused(file, wrong)
+        # to a number of bytes: without one the whole of what is packed would be unpacked at once, whatever its stated size
+        return {one.filename: archive.open(one).read(one.file_size + 1) for one in members}
 
 
-def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = None) -> Checked:
-    """Fly a drawn tenth of a submission's runs again, at least one of each task, and compare them: outcome, and the task's number. Writes
-    the page of the runs as they were handed in.
+def _refused(file: object, why: str, works: str = WORKS) -> RunFolderError:
+    return RunFolderError(file, f"is no submission ({why})", works)
+
+
+def _unfit(members: list[zipfile.ZipInfo]) -> str:
+    """Why an archive of these members is no submission, in words; "" where it may be one."""
+    total = sum(one.file_size for one in members)
+    if len(members) > MOST_MEMBERS or total > MOST_UNPACKED:
+        most = f"at most {MOST_MEMBERS} and {MOST_UNPACKED >> 20} MiB are unpacked"
+        return f"it has {len(members)} files of {total / 2**20:.0f} MiB, {most}"
+    for one in members:
+        name = short(one.orig_filename)
+        if not _belongs(one.filename):
+            return f"{name} is no file of one"
+        if not _readable(one):
+            return f"{name} is a link, encrypted, or packed in a way that is not read"
+        if one.filename in BESIDE and one.file_size > MOST_TEXT:
+            return f"{name} has {one.file_size / 2**20:.0f} MiB, at most {MOST_TEXT >> 20} are read"
+    names = Counter(unicodedata.normalize("NFKC", one.filename).casefold() for one in members)
+    names.update({str(above) for name in names for above in PurePosixPath(name).parents})
+    if twice := [name for name, times in names.items() if times > 1]:
+        return f"it holds {short(twice[0])} twice"
+    return next((f"it has no {name}" for name in (ABOUT, RUNS) if name not in names), "")
+
+
+def _belongs(name: str) -> bool:
+    """Whether a submission has a file of this name, which is the same on every system."""
+    return name in BESIDE or (name.startswith(f"{LAW_FOLDER}/") and all(map(_portable, name.split("/"))))
+
+
+def _portable(part: str) -> bool:
+    """Whether a part of a path is: nothing hidden, no device, no letter that can be written otherwise."""
+    plain = part.isprintable() and not set(part) & set('<>:"|?*\\') and part.strip(". ") == part
+    return bool(part) and plain and unicodedata.normalize("NFC", part) == part and allowed(part) == part
+
+
+def _readable(one: zipfile.ZipInfo) -> bool:
+    """Whether a member is a regular file, not encrypted, packed in one of two ways, with a name that ends where it says."""
+    plain = stat.S_IFMT(one.external_attr >> 16) in (0, stat.S_IFREG) and not one.flag_bits & ~_FLAGS
+    return plain and one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) and one.orig_filename == one.filename
+
+
+def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEntry, pl.DataFrame]:
+    """The suite of a submission with its law alone, and its runs as they were handed in: those of the plan. Its code is not run
+    here.
+    Raises RunFolderError: it is no submission, of another suite or of other starts than what is asked, or its runs are not the plan's.
+    """
+    found = contents(file)
+    with foreign(file, WORKS, _refused):
+        about = json.loads(found[ABOUT])
+    main = about.get("file") if isinstance(about, dict) else None
+    if not isinstance(main, str) or f"{LAW_FOLDER}/{main}" not in found or not main.endswith((".py", ".yaml", ".yml")):
+        raise _refused(file, f"its {ABOUT} names no file of a law that it holds")
+    if about.get("sha256") != fingerprint(*read_suite(asked.suite)):
+        raise RunFolderError(file, f"is of another suite than {asked.suite} of this version", "check it with the version that it names")
+    for name in found:
+        if name.startswith(f"{LAW_FOLDER}/"):
+            place = into / PurePosixPath(name).relative_to(LAW_FOLDER)
+            write_whole(make_folder(place.parent) / place.name, found[name])
+    entry = opened(str(into / main), *asked, alone=True, apart=True)
+    here = entry.about | {"laws": about.get("laws")}  # what the law is, its files say
+    if other := [name for name in (*here, *about) if name not in here or about.get(name) != here[name]]:
+        said = f"{short(other[0])} in its {ABOUT} is not what is asked for, {short(here.get(other[0]))}"
+        raise _refused(file, said, "say --suite, --quick and --word as it was to be flown")
+    return entry, _handed_in(file, found[RUNS], entry)
+
+
+def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
+    """The runs of a submission, which must be those of the plan: each once, and no other, with a result that a run can have."""
+    planned = Counter((task, law, start) for task in entry.plans for law in entry.laws for start in entry.jobs(task))
+    works = f"{RUNS} holds each run of the plan once: {WORKS}"
+    if not planned:
+        raise _refused(file, "its law takes part in no task")
+    with foreign(file, works, _refused):
+        cells = pl.read_csv(text, infer_schema=False, n_rows=planned.total() + 1)  # one more tells that there are more
+        if cells.columns != COLUMNS:
+            raise _refused(file, f"its {RUNS} has the columns {short(cells.columns)}, not {COLUMNS}", works)
+        success = pl.col("success").replace_strict({"true": True, "false": False}, return_dtype=pl.Boolean)
+        runs = cells.with_columns(success, pl.col("value").cast(pl.Float64))
+    there = Counter(runs.select(KEYS).rows())
+    if lacking := planned - there:
+        raise _refused(file, f"its {RUNS} lacks {short(next(iter(lacking)))}, of {len(lacking)} runs", works)
+    if other := there - planned:
+        raise _refused(file, f"its {RUNS} holds {short(next(iter(other)))}, which is not of the plan, or there twice", works)
+    for task, _, start, reached, value in runs.iter_rows():
+        crashed = value is None and reached is False and entry.suite.tasks[task].worst is None  # alone has no number
+        if reached is None or not (crashed or (value is not None and math.isfinite(value))):
+            raise _refused(file, f"its {RUNS} says success {reached} and value {value} of {task} {start}", works)
+    return runs
+
+
+def draws(n: int) -> int:
+    """How many of n runs are drawn, without replacement, so that of K = ceil(n / ONE_OF) forged ones one is among them but for a
+    probability of MISSED: the least k with C(n - K, k) / C(n, k) <= MISSED, the hypergeometric distribution at 0.
+    """
+    true = n - math.ceil(n / ONE_OF)
+    return next(k for k in range(n + 1) if math.comb(true, k) <= MISSED * math.comb(n, k))
+
+
+def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = None, asked: Asked = ALL_STARTS) -> Checked:
+    """Fly drawn runs of each task of a submission again, as many as `draws` says, and compare them: outcome, and the task's number.
+    Writes the page of the runs as they were handed in, with scores computed here.
 
     folder: where they are flown; the law's files are elsewhere, and its code runs in processes of its own. seed: of what is drawn; None:
-    nobody knows it before. Errors: as of `unpacked` and `compare`.
+    nobody knows it before. asked: see there. Errors: as of `unpacked` and `compare`.
     """
     from vstestbed.loop.isolated import offered  # here: the import adds a kind
 
     with offered(), TemporaryDirectory(prefix="law_") as place:
-        return _checked(*unpacked(file, Path(place)), folder, jobs, seed)
+        return _checked(*unpacked(file, Path(place), asked), folder, jobs, seed)
 
 
 def _checked(entry: SuiteEntry, given: pl.DataFrame, folder: Path, jobs: int | None, seed: int | None) -> Checked:
     rng, otherwise, n = np.random.default_rng(secrets.randbits(63) if seed is None else seed), list[str](), 0
     for task, plan in entry.plans.items():
-        every = list(Jobs(controllers(plan), plan.seeds, plan.first_seed))
-        drawn = [every[i] for i in sorted(rng.choice(len(every), max(1, round(SHARE * len(every))), replace=False).tolist())]
-        again = entry.rows_of(_flown(make_folder(folder / task), drawn, jobs), plan, task)
-        n += len(again)
-        both = again.join(given.cast({"start": pl.String}), on=["task", "start"], how="left", suffix="_given")
-        otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row)]
-    shown = given.cast({"start": pl.String, "value": pl.Float64})
-    return Checked(n, tuple(otherwise), entry.write(folder, shown) if len(shown) else [])
+        every = list(entry.jobs(task).items())
+        drawn = [every[i] for i in sorted(rng.choice(len(every), draws(len(every)), replace=False).tolist())]
+        again = entry.rows_of(_flown(make_folder(folder / task), [job for _, job in drawn], jobs), plan, task)
+        n += len(drawn)
+        asked_for = given.filter((pl.col("task") == task) & pl.col("start").is_in([start for start, _ in drawn]))
+        both = asked_for.join(again, on=["task", "start"], how="left", suffix="_again")  # one that leaves no run here is otherwise, too
+        least = LEAST if Metric.named(entry.suite.tasks[task].metric).unit == "s" else 0.0
+        otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row, least)]
+    return Checked(n, tuple(otherwise), entry.write(folder, given))
 
 
 def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:
@@ -113,19 +246,22 @@ def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:
     return table_of(folder, drawn)
 
 
-def _agrees(row: dict[str, object]) -> bool:
-    """Whether a run that was flown again has the outcome and, within the tolerance of `compare --again`, the number that was handed in."""
-    given, again = row["value_given"], row["value"]
-    if row["success_given"] is None or row["success"] != row["success_given"]:
+def _agrees(row: dict[str, Any], least: float) -> bool:
+    """Whether a run that was flown again has the outcome and, within the tolerance of `compare --again`, the number that was handed in.
+
+    least: that tolerance in the number's unit, of times; distances and pixels of a task have it by their share alone.
+    """
+    given, again = row["value"], row["value_again"]
+    if row["success"] != row["success_again"]:
         return False
-    if not isinstance(given, float) or not isinstance(again, float):
-        return given == again
-    return abs(given - again) <= max(LEAST, TOLERANCE * max(abs(given), abs(again)))
+    if given is None or again is None:
+        return given is again
+    return abs(given - again) <= max(least, TOLERANCE * max(abs(given), abs(again)))
 
 
-def _words(row: dict[str, object]) -> str:
+def _words(row: dict[str, Any]) -> str:
     def said(success: object, value: object) -> str:
-        return "is not there" if success is None else f"{'reached' if success else 'failed'} ({value})"
+        return "left no run" if success is None else f"{'reached' if success else 'failed'} ({value})"
 
-    given, again = said(row["success_given"], row["value_given"]), said(row["success"], row["value"])
+    given, again = said(row["success"], row["value"]), said(row["success_again"], row["value_again"])
     return f"{row['task']} {row['start']}: handed in {given}, flown again {again}"

@@ -29,7 +29,7 @@ from vstestbed.scenario.plugins import absolute_files, load_plugins
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.studies.comparison import carry_out, merge, prepared
 from vstestbed.studies.comparison.folder import ComparisonTable
-from vstestbed.studies.comparison.plan import TASK, Comparison, Jobs, Variants, changed, controllers, read_comparison
+from vstestbed.studies.comparison.plan import TASK, Comparison, Job, Jobs, Variants, changed, controllers, read_comparison
 from vstestbed.studies.comparison.record import needed_files
 from vstestbed.studies.comparison.runs import OnDone
 from vstestbed.studies.comparison.shards import Shard
@@ -95,8 +95,9 @@ class TaskSuite:
 
 
 def read_suite(name: str = NAME) -> tuple[TaskSuite, Path]:
-    """A suite by its bundled name or its file, and that file. ScenarioError: its mistakes."""
-    path = Path(name) if is_there(Path(name)) else folder("scenarios") / "suite" / f"{name}.yaml"
+    """A suite by its bundled name, which no file in the current folder takes, or its file; and that file. ScenarioError: its mistakes."""
+    bundled = folder("scenarios") / "suite" / f"{name}.yaml"
+    path = Path(name) if is_there(Path(name)) and not is_there(bundled) else bundled
     plain, marks = plain_mapping(text_of(path), str(path), "a suite needs laws and tasks")
     return build(TaskSuite, plain, marks, str(path)), path
 
@@ -195,6 +196,15 @@ class SuiteEntry:
     def plans(self) -> dict[str, Comparison]:
         """The comparisons of all tasks that a law takes part in; `blank` says of the others why not."""
         return {task: plan for task in self.suite.tasks if (plan := self.plan(task)) is not None}
+
+    def jobs(self, task: str) -> dict[str, Job]:
+        """The runs of a task by their starts, as `rows_of` names them; of one law."""
+        plan, found = self.plans[task], dict[str, Job]()
+        for job in Jobs(controllers(plan), plan.seeds, plan.first_seed):
+            parts = [str(job.controller.values[name]) for name in (*plan.cases, TASK) if name in job.controller.values and name != LAW]
+            seed = job.controller.scenario.seed if job.seed is None else job.seed
+            found[" ".join([*parts, str(seed)])] = job
+        return found
 
     @property
     def total(self) -> int:

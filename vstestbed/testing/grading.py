@@ -96,7 +96,8 @@ class Lab:
         title: of the sheet of marks.
         kind: the word of the student's kind; e.g. `my_law`.
         field: where it stands in a scenario: `law`, or within it, such as `law.feature`. Other kinds would be part of what judges them.
-        check: points for passing `vstestbed.testing.check_law`; 0: it is not asked for.
+        check: points for passing `vstestbed.testing.check_law`, and at least one of the tasks: a file as `vstestbed new` writes it passes
+            the former; 0: it is not asked for.
         tasks: what it has to do.
     """
 
@@ -195,6 +196,8 @@ def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), o
             reasons = (refused,) if refused else tuple(_reasons(lab, task, place, first_seed, beside))
             results.append(Result(task.title, task.points, reasons))
         missing = bool(refused) or Child.lost > lost
+    if lab.check and not any(result.given for result in results[1:]):
+        results[0] = replace(results[0], reasons=results[0].reasons or ("It does none of the tasks.",))
     return Mark(lab.title, student.name, tuple(results), missing)
 
 
