@@ -29,22 +29,22 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     It ends at its point nearest to the goal. None for other laws and vehicles.
     """
     from vstestbed.laws import PoseController
-    from vstestbed.laws.pose_controller import direction_to, polar_law
     from vstestbed.robots.car import BicycleLimits, Car, drive
 
     law, robot, goal = scenario.law, scenario.robot, scenario.goal_view.place
     # the ideal bicycle is the ideal car: no other robot has its wheelbase and steering
     if not (isinstance(law, PoseController) and isinstance(robot, Car)) or goal is None:
         return None
-    start = robot.configuration()
-    chosen = {"auto": int(direction_to(start, goal)), "forward": 1, "reverse": -1}[law.direction]
     limits = BicycleLimits(robot.limits.speed_mps, robot.limits.steering_rad)
-    gains = law.k_rho, law.k_alpha, law.k_beta
+    state = law.init(scenario.goal_view)
 
     def command(place: Array) -> tuple[Array, Array]:
-        return polar_law(place, goal, np.array(chosen), gains, law.speed_mps, law.rest_m)
+        nonlocal state
+        state, v, w = law.toward(state, place, goal)
+        return np.array(v), np.array(w)
 
-    way = drive(command, start, robot.parameters.wheelbase_m, limits, scenario.stop.duration_s, scenario.camera.period).place[:, :2]
+    wheelbase, duration_s = robot.parameters.wheelbase_m, scenario.stop.duration_s
+    way = drive(command, robot.configuration(), wheelbase, limits, duration_s, scenario.camera.period).place[:, :2]
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
 
 
