@@ -19,7 +19,7 @@ import numpy as np
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.core.geometry import Array
-from vstestbed.loop.columns import Kept, Layout, kept
+from vstestbed.loop.columns import LOSS, Kept, Layout, kept
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
@@ -109,10 +109,13 @@ class LogWriter:
                 self._file.flush()
 
     def log(self) -> Log:
-        """The rows so far; later ones are not in it."""
+        """The rows so far, later ones are not in it; without the columns of a loss where there was none."""
         if len(self._parts) > 1:
             self._parts = [np.concatenate(self._parts)]
-        return Log(self._layout.columns, self._parts[0])
+        table, n = self._parts[0], len(self._layout.columns)
+        if not table[:, n - len(LOSS) :].any():
+            n -= len(LOSS)
+        return Log(self._layout.columns[:n], table[:, :n])
 
     def close(self) -> None:
         """Close the file; an error in writing its last rows is ignored, since it has ended the run already."""
@@ -161,7 +164,7 @@ def _of_parquet(path: Path, names: Sequence[str] | None) -> Log:
 
 def _complete(log: Log, path: Path, columns: Sequence[str]) -> Log:
     """The log, which has all these columns; those of torques, which logs of before do not have, are added without values."""
-    lacking = [name for name in columns if name not in log.columns]
+    lacking = [name for name in columns if name not in (*log.columns, *LOSS)]
     if lacking and all(name.startswith("tau_") for name in lacking):
         log, lacking = Log((*log.columns, *lacking), np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan)), []
     if lacking:

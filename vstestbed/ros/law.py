@@ -308,7 +308,8 @@ class LawNode:
         if cycle.latched:
             self.stop(cycle.reason)
         else:
-            self._tell(f"rests: {cycle.reason}" if cycle.stopped else "servoing")
+            doing = "rests" if cycle.stopped else "servoing"
+            self._tell(f"{doing}: {cycle.reason}" if cycle.reason else doing)
         return time.monotonic()
 
     def _wait_for_reading(self, stamp: float) -> None:

@@ -110,6 +110,7 @@ class Setting:
     changing: bool = False  # whether a row of the log may come to show another point
     threshold_grey: float | None = None  # RMS difference of picture and goal picture that counts as converged [grey levels]
     own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
+    slides: tuple[str, ...] = ()  # joints whose positions are in metres
     told_speeds: bool = True  # whether the joints' inputs are speeds: of inner loops they are torques
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])  # further cameras' width and height [px]
 
@@ -123,6 +124,7 @@ class Setting:
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
         """The setting of a loaded scenario; goal view and thresholds are None for tasks that have none."""
+        from vstestbed.report.export.source import unit_of_joint
         from vstestbed.scenario.dump import changes  # here: the figures themselves need no scenario
 
         goal, converged, planar = scenario.goal, scenario.stop.converged, scenario.robot.base == "planar"
@@ -130,6 +132,7 @@ class Setting:
         goals = [view.place for view in scenario.goal_views if view.place is not None]
         return cls(
             told_speeds=scenario.robot.onboard is None,
+            slides=tuple(name for name in scenario.robot.joints if unit_of_joint(name, scenario) == "m"),
             cameras={name: (eye.camera.width, eye.camera.height) for name, eye in scenario.eyes.items()},
             width=scenario.camera.width,
             height=scenario.camera.height,
