@@ -109,19 +109,22 @@ class LogWriter:
                 self._file.flush()
 
     def log(self) -> Log:
-        """The rows so far, later ones are not in it; without the columns of a loss where there was none."""
+        """The rows so far; later ones are not in it."""
         if len(self._parts) > 1:
             self._parts = [np.concatenate(self._parts)]
-        table, n = self._parts[0], len(self._layout.columns)
-        if not table[:, n - len(LOSS) :].any():
-            n -= len(LOSS)
-        return Log(self._layout.columns[:n], table[:, :n])
+        return _shown(self._layout.columns, self._parts[0])
 
     def close(self) -> None:
         """Close the file; an error in writing its last rows is ignored, since it has ended the run already."""
         if self._file is not None:
             with contextlib.suppress(OSError):
                 self._file.close()
+
+
+def _shown(columns: tuple[str, ...], table: Array) -> Log:
+    """A log, without the columns of a loss where there was none."""
+    n = len(columns) - len(LOSS)
+    return Log(columns, table) if columns[n:] != LOSS or table[:, n:].any() else Log(columns[:n], table[:, :n])
 
 
 def finish(folder: Path, log: Log) -> None:
@@ -187,4 +190,4 @@ def _of_part(path: Path, names: Sequence[str] | None) -> Log:
     columns = tuple(text.removeprefix(HEAD).split(","))
     row = 8 * len(columns)  # what follows the last whole row is not complete yet, or was cut off
     table = np.frombuffer(content[: len(content) // row * row], "<f8").reshape(-1, len(columns)).astype(float)
-    return Log(columns, table) if names is None else Log(tuple(names), table[:, [columns.index(name) for name in names]])
+    return _shown(columns, table) if names is None else Log(tuple(names), table[:, [columns.index(name) for name in names]])
