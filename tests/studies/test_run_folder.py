@@ -274,12 +274,12 @@ class TestLogPart:
         """Cut at every 41st byte of its last row, beside the end of each, and through its first line."""
         whole = part.read_bytes()
         head = whole.index(b"\n") + 1
-        size = (len(whole) - head) // 5  # of a row, which has the columns of a loss; there was none, and the log has them not
+        size = (len(whole) - head) // 5  # of a row; a log without rows has no columns of a loss
         ends = [head + i * size + beside for i in range(1, 6) for beside in (-8, -1, 0, 1) if i < 5 or beside <= 0]
         for length in [*range(len(whole) - size, len(whole) + 1, 41), *ends, head]:
             part.write_bytes(whole[:length])
             log = open_log(part.parent, scenario).frame()
-            assert log.height == (length - head) // size and log.width == size // 8 - len(LOSS)
+            assert log.height == (length - head) // size
             assert log["frame"].to_list() == list(range(log.height))
         for length in (0, 1, head - 1):
             part.write_bytes(whole[:length])
