@@ -31,7 +31,7 @@ def test_it_arrives_forwards_and_stays(start, there):
     ways, speeds = arrive(PoseController(k_alpha=4, k_beta=-2.5), start, there)
     off = relative(np.array(there, dtype=float), ways[-1])
     assert np.hypot(*off[:2]) < 0.021  # rest_m is 2 cm
-    assert abs(off[2]) < np.radians(1)
+    assert abs(off[2]) < np.radians(1.5)  # without noise the mean curvature of the last 30 cm costs up to 1.1 degrees
     assert speeds.min() >= 0 and speeds.max() <= 1
     assert (speeds[-100:] == 0).all()
 
@@ -119,3 +119,42 @@ class TestArrival:
     def test_three_landmarks_or_two_on_the_floor(self):
         assert PoseController().markers_needed(BASIS) == 3
         assert PoseController(depth=OnFloor()).markers_needed(BASIS) == 2
+
+
+class TestNoiseNearTheGoal:
+    """The vehicle's place is measured with an error across its way, at 5 cm from the goal multiplied by 2600 rad/m."""
+
+    def curvatures(self, law, rho, errors):
+        want, state = goal(place=np.zeros(3)), law.init(goal(place=np.zeros(3)))
+        found = []
+        for k, error in enumerate(errors):
+            place = np.array([-rho, error, 0.0])
+            state, command = law.step(state, observe(k * DT, place, place), want, BASIS)
+            found.append(command.u[-1] / command.u[0])
+        return np.array(found)
+
+    def test_what_the_singularity_makes_of_it(self):
+        law = PoseController(k_alpha=4, k_beta=-2.5, average_m=0)
+        found = self.curvatures(law, 0.05, [0.0, 1e-3])
+        # the equation at the head of the law, of first order in n / rho = .02
+        assert found[1] - found[0] == pytest.approx(-6.5 * 1e-3 / 0.05**2, rel=1e-3)
+
+    def test_what_is_left_of_it(self):
+        law, rng = PoseController(k_alpha=4, k_beta=-2.5), np.random.default_rng(0)
+        want, state, found = goal(place=np.zeros(3)), law.init(goal(place=np.zeros(3))), []
+        for k, rho in enumerate(0.6 * np.exp(-DT * np.arange(70))):  # as v = rho drives it, to 3.8 cm
+            place = np.array([-rho, 1e-3 * rng.standard_normal(), 0.0])
+            state, command = law.step(state, observe(k * DT, place, place), want, BASIS)
+            found.append((rho, command.u[-1] / command.u[0]))
+        rho, curvature = np.array(found).T
+        # A frame's own noise of 1 mm makes .072 at .3 m, where the mean begins, and 4.5 at the end; each later frame weighs less.
+        assert np.abs(curvature).max() < 0.3
+        assert np.abs(np.diff(curvature[rho < 0.2])).max() < 0.02
+
+    def test_a_vehicle_that_leaves_begins_a_new_mean(self):
+        law = PoseController(k_alpha=4, k_beta=-2.5)
+        want, state = goal(place=np.zeros(3)), law.init(goal(place=np.zeros(3)))
+        for k, at in enumerate(((-0.25, 0.02), (-0.4, 0.0), (-0.25, 0.0))):
+            place = np.array([*at, 0.0])
+            state, command = law.step(state, observe(k * DT, place, place), want, BASIS)
+        assert command.u[-1] == pytest.approx(0, abs=1e-12)

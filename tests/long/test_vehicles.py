@@ -1,5 +1,6 @@
 """Vehicles from 20 random starts each, rendered; one line a start (-s shows them)."""
 
+import numpy as np
 import pytest
 
 import vstestbed as vs
@@ -29,3 +30,14 @@ def test_the_omnidirectional_base_arrives(name):
 @pytest.mark.parametrize("name", ["car_pbvs", "car_parking", "car_catadioptric"])
 def test_the_car_arrives(name):
     assert arrivals(name, 0.10, 5.0) >= 18
+
+
+@pytest.mark.parametrize("name", ["car_pbvs", "car_parking", "car_catadioptric"])
+def test_the_steering_does_not_hunt_at_the_goal(name):
+    """Its travel over the last 20 cm: 2 to 5 rad where each frame's curvature counts by itself, at most .6 as a mean."""
+    for seed in range(1, 11):
+        r = vs.run(vs.load(name, seed=seed))
+        near = r["position_error_m"] < 0.2
+        travel = float(np.abs(np.diff(r["q_steering"][near])).sum())
+        print(name, seed, r.outcome.name, f"{travel:.2f} rad", flush=True)
+        assert travel < 1.0

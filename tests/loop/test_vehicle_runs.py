@@ -9,6 +9,8 @@ import vstestbed as vs
 from vstestbed.cli.progress import summary_text
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.outcome import Outcome
+from vstestbed.report.run.page import events
+from vstestbed.report.run.tracks import LogArrays, Setting
 
 QUICK = {"camera.width": 500, "camera.height": 500, "robot.wheels": "planar"}
 """The omni base with half the pixels, on wheels that do not slip: what is tested here is the loop."""
@@ -29,6 +31,18 @@ class TestCar:
         m = parked.summary()
         assert m["final_position_error_m"] < 0.1 and m["final_rotation_error_deg"] < 5 and m["sim_time_s"] < 20
         assert "by its own estimate" in parked.reason
+
+    def test_its_steering_does_not_hunt_where_it_ends(self, parked):
+        near = parked["position_error_m"] < 0.2
+        # .06 to .3 rad from seed to seed; with noise times 6.5 / rho^2 it was 2 to 3
+        assert np.abs(np.diff(parked["q_steering"][near])).sum() < 0.5
+        assert np.ptp(parked["q_steering"][parked["t"] > parked["t"][-1] - 1]) < 0.1
+
+    def test_its_page_tells_of_a_steering_that_hunts(self):
+        end = {"stop__converged": {"position_m": 0.2, "rotation_deg": 10, "hold_s": 0.2}}
+        hunts = run("car_pbvs", law__average_m=0, **end)
+        assert hunts.outcome is Outcome.converged
+        assert any("steering by" in words for words in events(LogArrays.of(hunts.rows, Setting.of(hunts.scenario))))
 
     def test_it_knows_where_it_is(self, parked):
         off = np.hypot(parked["est_x"] - parked["base_x"], parked["est_y"] - parked["base_y"])

@@ -8,6 +8,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.robots.allocation import LIMITS
 from vstestbed.ros import link as links
 from vstestbed.ros import messages as m
 from vstestbed.ros.law import LawNode, Senses, command_frame, command_topic
@@ -93,6 +94,14 @@ def test_over_zenoh_it_is_the_same_run_and_services_answer():
         assert law.took_s
         assert a.call("/vstestbed_law/stop") == (True, "asked to stop")
         assert a.call("/nobody/stop", 0.2) is None
+
+
+def test_the_status_says_what_limits_the_motion():
+    """An aligned wrist cannot make all of the first twists."""
+    wire = Wire("vstestbed_robot")
+    flown("arm_wrist", {"stop.duration_s": 0.2}, wire, Wire("vstestbed_law", wire))
+    said = [message.data for topic, message in wire.shared["said"] if topic == "/vstestbed_law/status"]
+    assert any(words.startswith(f"servoing: {LIMITS['singular']}") for words in said), said
 
 
 def test_the_truth_is_told_only_if_it_is_asked_for():

@@ -32,8 +32,17 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 # -k_beta >= k_alpha - 2 k_rho. The textbook's gains 1, 5, -2 (root -.59) violate this and suit starts that face the goal. From
 # anywhere in 10 m by 10 m, with any heading, a car with 1 rad of steering arrives in a third of the cases; with 1, 4, -2.5 in 93 %.
 #
-# Reference: Astolfi 1999, doi:10.1115/1.2802429; Corke 2017, Robotics, Vision & Control, eqs 4.10 to 4.13,
-# doi:10.1007/978-3-319-54413-7; Brockett 1983, in Differential Geometric Control Theory, pp. 181-191.
+# The singularity multiplies the noise of a measured place. An error n across the line to the goal turns the bearing by n / rho; beta has
+# the opposite, and v is k_rho rho, so that curvature and steering are off by
+#
+#     (k_alpha - k_beta) n / (k_rho rho^2),     tan(gamma) of a car with the wheelbase L by L times that,
+#
+# with 1, 4, -2.5 and L = 1 m by 2.6 for n = 1 mm at rho = 5 cm. Near the goal the curvature is therefore the mean of those of the frames,
+# weighed by the inverse variance of their noise, rho^4; the last ones count for little, and the car arrives on an arc.
+#
+# Reference: Aicardi, Casalino, Bicchi & Balestrino 1995, doi:10.1109/100.388294 (the coordinates); Astolfi 1999, doi:10.1115/1.2802429;
+# Corke 2017, Robotics, Vision & Control, section 4.1.4, eqs 4.10 to 4.13, doi:10.1007/978-3-319-54413-7; Brockett 1983, in Differential
+# Geometric Control Theory, pp. 181-191.
 
 
 Gains = tuple[float, float, float]  # gains k_rho, k_alpha, k_beta of distance, bearing and heading at the goal [1/s]
@@ -74,8 +83,9 @@ def polar_law(place: Array, goal: Array, direction: Array, gains: Gains, speed_l
     return direction * v * scale, (k_alpha * alpha + k_beta * beta) * scale
 
 
-PoseState = tuple[int, bool]
-"""Forward (1) or reverse (-1), chosen at the first known place (0 before), and whether the goal has been reached."""
+PoseState = tuple[int, bool, float, float]
+"""Forward (1) or reverse (-1), chosen at the first known place (0 before); whether the goal has been reached; the mean curvature within
+`average_m` [1/m] and the sum of its weights [m^4], 0 farther off."""
 
 
 @spec
@@ -84,18 +94,22 @@ class PoseController(Law[PoseState]):
 
     The equations and their stability are at the head of `laws.pose_controller`. With `direction: auto` the vehicle drives forward or in
     reverse, depending on which end faces the goal at the start. Nearer than `rest_m` it stands still for good; also within
-    `pass_m` once the goal is abeam or behind, where it has just been missed and the law would drive round for another attempt.
+    `pass_m` once the goal is abeam or behind, where it has just been missed and the law would drive round for another attempt. Within
+    `average_m` the curvature is sum(rho^4 w / v) / sum(rho^4) over the frames there, since the law multiplies the noise of the place by
+    (k_alpha - k_beta) / (k_rho rho^2).
 
     Args:
         k_rho, k_alpha, k_beta: gains [1/s]; the textbook's by default. 1, 4, -2.5 suit starts from anywhere better.
         direction: `auto`, `forward` or `reverse`.
         rest_m: distance from the goal at which the vehicle stops [m]; must be under `stop.converged.position_m`.
         pass_m: distance within which a goal that is not ahead counts as reached [m].
+        average_m: distance from the goal within which the curvature is averaged [m]; 0: it never is.
         speed_mps: largest speed [m/s].
         depth: source of the vehicle's place: `pnp` of three or more landmarks, or `floor`, for which two suffice.
         limits: largest speed and rate of the commanded camera twist.
 
-    References: Astolfi 1999, doi:10.1115/1.2802429; Corke 2017, Robotics, Vision & Control, eqs 4.10-4.13 and section 16.4.2.
+    References: Aicardi et al. 1995, doi:10.1109/100.388294; Astolfi 1999, doi:10.1115/1.2802429; Corke 2017, Robotics, Vision & Control,
+    eqs 4.10-4.13 and section 16.4.2.
     """
 
     kind: Literal["pose_controller"] = "pose_controller"
@@ -107,6 +121,7 @@ class PoseController(Law[PoseState]):
     direction: Literal["auto", "forward", "reverse"] = "auto"
     rest_m: PositiveLength = 0.02
     pass_m: Distance = 0.1
+    average_m: Distance = 0.3
     speed_mps: PositiveSpeed = 1.0
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
@@ -125,20 +140,29 @@ class PoseController(Law[PoseState]):
         return 3 if isinstance(self.depth, PnP) else 2
 
     def init(self, goal: Goal) -> PoseState:
-        return 0, False
+        return 0, False, 0.0, 0.0
 
     def step(self, state: PoseState, observation: Observation, goal: Goal, basis: Array) -> tuple[PoseState, Command]:
         """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
         place, there = observation.place, goal.place
         if place is None or there is None:
             return state, Command.rest(basis, "the vehicle's place cannot be estimated")
+        u = np.zeros(basis.shape[1])
+        state, u[0], u[-1] = self.toward(state, place, there)
+        return state, self.limits.command(u, basis)
+
+    def toward(self, state: PoseState, place: Array, there: Array) -> tuple[PoseState, float, float]:
+        """The next state, speed [m/s] and yaw rate [rad/s], of a vehicle at a place (3,) with the goal `there` (3,) [m, m, rad]."""
         directions = {"auto": int(direction_to(place, there)), "forward": 1, "reverse": -1}
         direction = state[0] or directions[self.direction]  # kept: a new choice near the goal could alternate
         rho, alpha, _ = polar(place, there, np.array(direction))
         # |alpha| > 90 degrees: the goal is no longer ahead in the driving direction.
-        arrived = state[1] or bool(rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2))
-        u = np.zeros(basis.shape[1])
-        if not arrived:
-            gains = (self.k_rho, self.k_alpha, self.k_beta)
-            u[0], u[-1] = polar_law(place, there, np.array(direction), gains, self.speed_mps, self.rest_m)
-        return (direction, arrived), self.limits.command(u, basis)
+        if state[1] or rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2):
+            return (direction, True, 0.0, 0.0), 0.0, 0.0
+        gains = (self.k_rho, self.k_alpha, self.k_beta)
+        v, w = (float(x) for x in polar_law(place, there, np.array(direction), gains, self.speed_mps, self.rest_m))
+        if rho >= self.average_m:
+            return (direction, False, 0.0, 0.0), v, w
+        curvature, weight = state[2], state[3] + float(rho) ** 4
+        curvature += float(rho) ** 4 / weight * (w / v - curvature)
+        return (direction, False, curvature, weight), v, v * curvature

@@ -14,6 +14,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
 from vstestbed.core.planar import place_of, relative
+from vstestbed.robots.allocation import LIMITS
 from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
@@ -21,6 +22,8 @@ from vstestbed.tasks.metrics import TWIST
 
 PER_MARKER = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+LOSS = ("limit", "turned_rad")  # which limit of the robot changed the command; only of runs in which one did
+WORDS = tuple(LIMITS)  # of `limit`, by its number
 Kept = Mapping[str, Any]  # the numbers and arrays of a frame that enter the log, by name; no picture
 Stacked = Mapping[str, Array]  # the same for n frames, stacked along the first axis
 Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
@@ -29,7 +32,7 @@ Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
 def kept(frame: Frame) -> Kept:
     """The numbers and arrays of a frame from which `Layout.rows` makes a row."""
     seen, truth, goal = frame.observation, frame.truth, frame.goal
-    numbers = {
+    numbers: dict[str, Any] = {
         "t": frame.timing.t,
         "frame": frame.timing.number,
         "lost": frame.error.lost,
@@ -53,6 +56,7 @@ def kept(frame: Frame) -> Kept:
         "ctrl": truth.ctrl,
         "mode": frame.command.mode,
         "tau": truth.tau,
+        "loss": (WORDS.index(frame.allocation.limit), frame.allocation.turned_rad),
     }
     if frame.command.row:
         numbers["law"] = frame.command.row
@@ -69,7 +73,7 @@ class Layout:
     force from t_cmd on. applied_ is the twist after the robot's joint limits and singularity damping; scale is the product of the law's
     scale factor and the robot's. Of a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and
     about it. The robot's and the task's columns follow, the number of the law's mode, time stamps and losses, those of the exposure, and
-    those of further cameras with their names before them, of the last picture of each.
+    those of further cameras with their names before them, of the last picture of each, and `LOSS`.
     """
 
     def __init__(self, scenario: Scenario):
@@ -112,6 +116,7 @@ class Layout:
             *(((self._of_law, lambda k: k["law"]),) if self._of_law else ()),
             *(((columns, lambda k: np.column_stack([k[name] for name in columns])),) if columns else ()),
             *(self._of_camera(eye) for eye in scenario.eyes.values()),
+            (LOSS, lambda k: k["loss"]),
         )
 
     def _of_camera(self, eye: OtherCamera) -> Block:

@@ -502,12 +502,12 @@ class Controller:
             for share, free in command.free:
                 twist = twist + share * robot.secondary_task(free, reading, mount)
         period = self.scenario.camera.period
-        if command.rates is None or twist is not command.twist:
-            allocation = robot.allocate(twist, reading, mount, period)
-        elif isinstance(robot, Arm):
+        if command.rates is not None and twist is command.twist and isinstance(robot, Arm):
             allocation = robot.allocate_rates(command.rates, reading, mount, period)
         else:
-            allocation = robot.allocate(robot.motion_basis(mount, reading.q) @ command.rates, reading, mount, period)
+            if command.rates is not None and twist is command.twist:
+                twist = robot.motion_basis(mount, reading.q) @ command.rates
+            allocation = robot.allocate(twist, reading, mount, period).told(twist)
         if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
             allocation = robot.pressed(allocation, command.wrench, mount)
         elif command.wrench is not None:

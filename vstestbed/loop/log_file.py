@@ -19,7 +19,7 @@ import numpy as np
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.core.geometry import Array
-from vstestbed.loop.columns import Kept, Layout, kept
+from vstestbed.loop.columns import LOSS, Kept, Layout, kept
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
@@ -112,13 +112,19 @@ class LogWriter:
         """The rows so far; later ones are not in it."""
         if len(self._parts) > 1:
             self._parts = [np.concatenate(self._parts)]
-        return Log(self._layout.columns, self._parts[0])
+        return _shown(self._layout.columns, self._parts[0])
 
     def close(self) -> None:
         """Close the file; an error in writing its last rows is ignored, since it has ended the run already."""
         if self._file is not None:
             with contextlib.suppress(OSError):
                 self._file.close()
+
+
+def _shown(columns: tuple[str, ...], table: Array) -> Log:
+    """A log, without the columns of a loss where there was none."""
+    n = len(columns) - len(LOSS)
+    return Log(columns, table) if columns[n:] != LOSS or table[:, n:].any() else Log(columns[:n], table[:, :n])
 
 
 def finish(folder: Path, log: Log) -> None:
@@ -161,7 +167,7 @@ def _of_parquet(path: Path, names: Sequence[str] | None) -> Log:
 
 def _complete(log: Log, path: Path, columns: Sequence[str]) -> Log:
     """The log, which has all these columns; those of torques, which logs of before do not have, are added without values."""
-    lacking = [name for name in columns if name not in log.columns]
+    lacking = [name for name in columns if name not in (*log.columns, *LOSS)]
     if lacking and all(name.startswith("tau_") for name in lacking):
         log, lacking = Log((*log.columns, *lacking), np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan)), []
     if lacking:
@@ -184,4 +190,4 @@ def _of_part(path: Path, names: Sequence[str] | None) -> Log:
     columns = tuple(text.removeprefix(HEAD).split(","))
     row = 8 * len(columns)  # what follows the last whole row is not complete yet, or was cut off
     table = np.frombuffer(content[: len(content) // row * row], "<f8").reshape(-1, len(columns)).astype(float)
-    return Log(columns, table) if names is None else Log(tuple(names), table[:, [columns.index(name) for name in names]])
+    return _shown(columns, table) if names is None else Log(tuple(names), table[:, [columns.index(name) for name in names]])

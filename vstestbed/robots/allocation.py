@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -10,7 +11,16 @@ import numpy as np
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.timing.setpoints import Stop
 
-Limit = Literal["", "speed", "joint_limit", "singular"]
+Limit = Literal["", "speed", "joint_limit", "singular", "motion"]
+LIMITS: dict[Limit, str] = {
+    "": "",
+    "speed": "a speed limit shortens the twist",
+    "joint_limit": "a joint near its limit shortens the twist",
+    "singular": "the robot is near a singular configuration, and leaves out a part of the twist",
+    "motion": "the robot has no motion for a part of the twist, and leaves it out",
+}
+"""What each limit does to a commanded twist, in words; their order gives the numbers of the log's column `limit`."""
+ROUNDING = 1e-6  # a twist that differs by less than this share of it, or by 1e-9 m/s or rad/s, is the one that was commanded
 ALL_SIX = np.eye(6)  # The motion basis of a robot that can make any camera twist; read-only, since all frames share it
 ALL_SIX.flags.writeable = False
 
@@ -22,7 +32,9 @@ class Allocation:
     Attributes:
         setpoint: of the actuators or the onboard controller (joint velocities [rad/s], or a twist).
         twist: the camera twist (6,) that the setpoint realises by the robot's own model.
-        scale: factor in [0, 1] by which the whole command was scaled to stay within limits. limit: the limit that scaled it ("" for none).
+        scale: factor in [0, 1] by which the whole command was scaled to stay within limits, or the share of it that is realised.
+        limit: what makes `twist` another one than was commanded; "" where it is that one. turned_rad: the angle between both as vectors
+            of six numbers in m/s and rad/s, pi for one against the command [rad].
         rates: the robot's own velocities (n,) that the setpoint orders (`OwnModel`); None: those of `twist`.
     """
 
@@ -31,6 +43,21 @@ class Allocation:
     scale: float = 1.0
     limit: Limit = ""
     rates: Array | None = None
+    turned_rad: float = 0.0
+
+    def told(self, wanted: Array) -> Allocation:
+        """The same, with what makes it differ from the commanded twist (6,), whatever the robot says of it."""
+        if not differs(self.twist, wanted):
+            return self
+        sizes = float(np.linalg.norm(self.twist) * np.linalg.norm(wanted))
+        cosine = float(self.twist @ wanted) / sizes if sizes > 0 else 1.0
+        turned = math.acos(max(-1.0, min(1.0, cosine)))
+        return replace(self, limit=self.limit or "motion", turned_rad=turned if turned > ROUNDING else 0.0)
+
+
+def differs(made: Array, wanted: Array) -> bool:
+    """Whether a twist (6,) is another one than was wanted, by more than rounding."""
+    return float(np.abs(made - wanted).max()) > 1e-9 + ROUNDING * float(np.abs(wanted).max())
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +167,11 @@ class Order(NamedTuple):
 
     @classmethod
     def of(cls, allocation: Allocation) -> Order:
-        """The law's own, within the robot's limits."""
-        return cls(allocation.setpoint, allocation.twist, allocation.rates)
+        """The law's own, within the robot's limits; `reason` names the one that changes it."""
+        words = LIMITS[allocation.limit]
+        if allocation.turned_rad:
+            words += "; it moves another way than was commanded"
+        return cls(allocation.setpoint, allocation.twist, allocation.rates, reason=words)
 
     def halted(self, reason: str, latched: bool = False, stop: Stop = "stop") -> Order:
         """A stop in its place."""

@@ -24,7 +24,7 @@ from vstestbed.effects.base import Effect
 from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, StrainWave, each, quickest
 from vstestbed.effects.links import GeometryError, Payload
 from vstestbed.effects.tool import FORCE, PLUG, TORQUE, Plug, Tool, WristSensor
-from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount, Servo
+from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount, Servo, differs
 from vstestbed.robots.base import LARGEST_STEP_S, STOP_S, BodyFile, Reading, RobotLog, RobotState, SensorModel, Supervisor, random_of
 from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.inner_loops import WRENCH, ArmModel, Impedance, Inner, TorqueControl, VelocityServos
@@ -529,10 +529,11 @@ class Arm(Realistic):
         dq = resolved_rate(J, commanded, self.unit_m)
         if J.shape[1] > 6:
             away = self._away_from_limits(reading.q)
-            dq = dq + away - resolved_rate(J, J @ away, self.unit_m)
+            # undamped, but for 0 / 0: what damping leaves of a motion in the null space would move the flange
+            dq = dq + away - resolved_rate(J, J @ away, self.unit_m, threshold=1e-9)
         realised = J @ dq
         along = share(realised, commanded, self.unit_m)
-        limit: Limit = "singular" if along < 0.5 else ""
+        limit: Limit = "singular" if differs(realised, commanded) else ""
         speed, position = self._allowed(dq, reading.q, max(LIMIT_HORIZON_S, period))
         scale = min(1.0, speed, position)
         if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both

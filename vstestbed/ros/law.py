@@ -379,10 +379,10 @@ class LawNode:
         self.took_s.append(took_s)
         if cycle.latched:
             self.stop("; ".join((cycle.reason, *cycle.notes)))
-        elif cycle.stopped:
-            self._tell(f"rests: {cycle.reason}")
         else:
-            self._tell(": ".join(("servoing", *({FROZEN} & {*cycle.notes}))))
+            doing = "rests" if cycle.stopped else "servoing"
+            frozen = FROZEN if FROZEN in cycle.notes else ""
+            self._tell(": ".join(filter(None, (doing, cycle.reason, frozen))))
         return ""
 
     def _wait_for_reading(self, stamp: float) -> None:

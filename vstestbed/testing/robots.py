@@ -11,6 +11,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.registry import Contract
 from vstestbed.features import ThetaU
 from vstestbed.robots import Mount, Robot
+from vstestbed.robots.allocation import differs
 from vstestbed.robots.base import Reading
 
 STEP = 1e-6  # difference by which a configuration is moved [rad or m]: the quotient then has 9 digits
@@ -113,6 +114,8 @@ def _check_allocation(robot: Robot, mount: Mount, rng: np.random.Generator) -> N
         assert -1e-12 <= made.scale <= 1 + 1e-12, f"{robot.kind}: scale must be in [0, 1], got {made.scale}"
         left = made.twist - basis @ np.linalg.lstsq(basis, made.twist, rcond=None)[0]
         assert np.abs(left).max() < 1e-6, f"{robot.kind}: allocate says that it makes a twist which motion_basis does not have"
+        named = made.limit or not differs(made.twist, twist)
+        assert named, f"{robot.kind}: a command that is shortened or turned must name its limit, {twist} became {made.twist}"
         many = robot.allocate(HUGE * twist, reading, mount, 0.04)
         assert bool(many.limit) == (many.scale < 1 - 1e-9), f"{robot.kind}: a command that is scaled must name its limit"
         if many.limit:

@@ -183,7 +183,8 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
 def test_failure_is_told_and_coloured_as_such() -> None:
     text = render_page(log(), summary(outcome="target_lost", success=False, reason="gone", time_to_converge_s=None), TEXTS, {})
     assert "outcome good" not in text
-    assert "Target lost Gone. Task error by measured pixels: 0.123 px, limit 0.200 px. Time to converge –" in checked(text).text
+    said = checked(text).text
+    assert "Target lost Gone. Task error by measured pixels: 0.123 px, limit 0.200 px." in said and "Time to converge –" in said
 
 
 def test_a_law_that_measures_no_markers_has_its_error_in_grey_levels() -> None:
@@ -197,10 +198,37 @@ def test_limits_and_joints_that_friction_held_are_told() -> None:
     made = pl.DataFrame({"t": t, "scale": np.where(t < 0.5, 0.4, 1.0), "qd_joint_1": speed, "ctrl_joint_1": 0.1 + 0 * t})
     made = made.with_columns(qd_joint_2=pl.lit(0.0), ctrl_joint_2=pl.lit(0.0))  # it stands since it is told to
     assert page.events(LogArrays.of(made, Setting())) == [
-        "Limits of law or robot shortened 13 % of its commands, the last at 0.48 s.",
+        "Limits of law or robot shortened or turned 13 of its 100 commands, the last at 0.48 s.",
         "Friction held joint_1 for up to 0.92 s although it was told to move, first at 1.04 s (stick-slip).",
     ]
     assert page.events(LogArrays.of(made.with_columns(scale=pl.lit(1.0), qd_joint_1=pl.lit(0.1)), Setting())) == []
+
+
+def test_a_loss_has_its_name_also_in_one_frame_and_without_a_shorter_command() -> None:
+    t = np.arange(0, 4, 0.04)
+    one = pl.DataFrame({"t": t, "scale": 1.0 + 0 * t, "limit": np.where(t == t[7], 3.0, 0.0), "turned_rad": np.where(t == t[7], 0.4, 0.0)})
+    assert page.events(LogArrays.of(one, Setting())) == [
+        "Limits of law or robot shortened or turned 1 of its 100 commands, the last at 0.28 s.",
+        "The robot's limits were: singular 1 frame; its motion was turned by up to 23 degrees.",
+    ]
+
+
+def test_what_still_moves_in_the_last_second_is_told() -> None:
+    """A steering that swings, a slide, a joint that stands, wheels that are not driven, a camera that is told to move on."""
+    t = np.arange(0, 4, 0.04)
+    swings = {"q_steering": 0.4 * np.sin(9 * t), "ctrl_steering": 0 * t, "q_rear_left": t, "q_slide": 0.03 * t, "ctrl_slide": 0 * t}
+    still = {"q_joint": 5e-3 * t, "ctrl_joint": 0 * t}  # 5 mrad in the last second
+    twist = {f"cmd_{axis}": 0 * t for axis in ("vx", "vy", "wx", "wy", "wz")} | {"cmd_vz": 0.05 + 0 * t}
+    log = pl.DataFrame({"t": t, "scale": 1.0 + 0 * t, **swings, **still, **twist})
+    assert page.still_moving(LogArrays.of(log, Setting(slides=("slide",)))) == [
+        "steering by 0.796 rad from end to end",  # of .8, between pictures
+        "slide by 28.8 mm from end to end",  # .03 m/s over the 24 steps of .04 s between 25 frames
+        "the camera by 50.0 mm as commanded",
+    ]
+    assert page.still_moving(LogArrays.of(log, Setting(band_m=0.25))) == []  # its task is to move
+    assert page.still_moving(LogArrays.of(log.head(0), Setting())) == []
+    (words,) = page.events(LogArrays.of(log.head(60), Setting(slides=("slide",))))
+    assert words.startswith("In its last second it still moved, by more than the 0.02 rad or m of a robot that stands: steering by")
 
 
 def test_text_is_escaped() -> None:

@@ -33,6 +33,7 @@ from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.files import PartFile, writing
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.core.provenance import vstestbed_version
+from vstestbed.loop.columns import LOSS
 from vstestbed.report.export.source import Bodies, RecordedRun, Taken, meaning, name_with_unit
 from vstestbed.report.video.writer import jpeg_of, png_of
 from vstestbed.scenario.scenario import Scenario
@@ -125,7 +126,7 @@ def _messages(frame: Taken, run: RecordedRun, start_ns: int, series: Series, goa
 # Topics of columns: by what stands before the first "_" in their name, and of single ones.
 GROUPS = {"cmd": "/robot/command", "applied": "/robot/applied", "act": "/truth/camera_twist", "ctrl": "/robot/controls"}
 GROUPS |= {"q": "/truth/joint_positions", "qd": "/truth/joint_velocities", "depth": "/camera/depths"}
-SINGLE = {"scale": "/robot/applied"} | dict.fromkeys(("error_px", "error_grey", "lost"), "/camera/error")
+SINGLE = dict.fromkeys(("scale", *LOSS), "/robot/applied") | dict.fromkeys(("error_px", "error_grey", "lost"), "/camera/error")
 SINGLE |= dict.fromkeys(("position_error_m", "rotation_error_rad"), "/truth/error")
 
 

@@ -13,16 +13,18 @@ import polars as pl
 
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.files import write_whole
+from vstestbed.loop.columns import WORDS
 from vstestbed.loop.log_file import Log, open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.loop.stability import reversal
 from vstestbed.report.chart import Chart
-from vstestbed.report.marks import line_color, listed, number, with_unit
+from vstestbed.report.marks import counted, line_color, listed, number, with_unit
 from vstestbed.report.pages import Film, cell, data_url, film_of, page
 from vstestbed.report.run import figures, space
 from vstestbed.report.run.tracks import LogArrays, Setting
+from vstestbed.robots.base import STANDS_RADPS
 from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
-from vstestbed.tasks.metrics import EVERY_RUN, KNOWN, OF_A_RUN, SOME_RUNS, Metric, own_metrics
+from vstestbed.tasks.metrics import EVERY_RUN, KNOWN, OF_A_RUN, SOME_RUNS, TWIST, Metric, own_metrics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +40,8 @@ NOTEBOOK_PX: Final = 720  # Height of the report in a notebook [px]
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
 TITLES: Final = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
 ROW_METRICS: Final = tuple(metric for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RUNS) if not metric.tile and metric.name != "judged_error")
-UNLIMITED, SOME = 0.999, 0.01  # a command scaled under this is limited; share of such ones that is told
+UNLIMITED = 0.999  # a command scaled under this is limited
+LAST_S = 1.0  # what moves by more than a robot that stands does in it, STANDS_RADPS, still moves at the end
 STUCK, LEAST_TOLD, STUCK_FRAMES = 0.02, 1e-4, 4
 """A joint is held by friction that moves by less than this share of its command, which is at least so large [rad/s, m/s], for so many
 frames."""
@@ -189,16 +192,40 @@ def sentences(summary: Summary) -> str:
 
 def events(tracks: LogArrays) -> list[str]:
     """What happened on the way that a figure shows and a reader may miss: commands that limits shortened, joints that friction held."""
-    found, t, scale = [], tracks.t, tracks.column("scale")
-    if (limited := scale < UNLIMITED).sum() > SOME * len(t):
+    found, t, limit = [], tracks.t, tracks.column("limit")
+    if (limited := (tracks.column("scale") < UNLIMITED) | (limit > 0)).any():
         last = float(t[np.flatnonzero(limited)[-1]])
-        found.append(f"Limits of law or robot shortened {100 * limited.mean():.0f} % of its commands, the last at {last:.3g} s.")
+        found.append(f"Limits of law or robot shortened or turned {limited.sum()} of its {len(t)} commands, the last at {last:.3g} s.")
+    if (limit > 0).any():
+        by = [f"{word.replace('_', ' ')} {counted(n, 'frame')}" for i, word in enumerate(WORDS) if word and (n := int((limit == i).sum()))]
+        turned = np.degrees(np.nanmax(tracks.column("turned_rad")))
+        found.append(f"The robot's limits were: {listed(by)}{f'; its motion was turned by up to {turned:.2g} degrees' if turned else ''}.")
     joints = tracks.named("qd") if tracks.setting.told_speeds and not tracks.setting.planar else []
     held = {name: stood for name in joints if (stood := _held(tracks, name)) is not None}
     if held:
         longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
         words = "although it was told to move" if len(held) == 1 else "although they were told to move"
         found.append(f"Friction held {listed(list(held))} for up to {longest:.2g} s {words}, first at {first:.3g} s (stick-slip).")
+    if moving := still_moving(tracks):
+        bound = f"more than the {STANDS_RADPS:g} rad or m of a robot that stands"
+        found.append(f"In its last second it still moved, by {bound}: {listed(moving)}.")
+    return found
+
+
+def still_moving(tracks: LogArrays) -> list[str]:
+    """What moved in the last second of a run whose task is to arrive: driven joints, from end to end, and the way that was commanded."""
+    t, found = tracks.t, list[str]()
+    if tracks.setting.band_m is not None or not len(t):
+        return found
+    last, driven = t > t[-1] - LAST_S, tracks.named("ctrl")
+    for name in [joint for joint in tracks.named("q") if joint in driven]:  # a car's wheels are not: they roll on with it
+        span, unit = float(np.ptp(tracks.column(f"q_{name}")[last])), "m" if name in tracks.setting.slides else "rad"
+        if span > STANDS_RADPS:
+            found.append(f"{name} by {' '.join(with_unit(span, unit))} from end to end")
+    for what, unit, axes in (("camera", "m", TWIST[:3]), ("camera's direction", "rad", TWIST[3:])):
+        way = LAST_S * float(np.linalg.norm(tracks.columns(*(f"cmd_{axis}" for axis in axes))[last], axis=1).mean())
+        if way > STANDS_RADPS:
+            found.append(f"the {what} by {' '.join(with_unit(way, unit))} as commanded")
     return found
 
 

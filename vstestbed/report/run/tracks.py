@@ -29,22 +29,22 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     It ends at its point nearest to the goal. None for other laws and vehicles.
     """
     from vstestbed.laws import PoseController
-    from vstestbed.laws.pose_controller import direction_to, polar_law
     from vstestbed.robots.car import BicycleLimits, Car, drive
 
     law, robot, goal = scenario.law, scenario.robot, scenario.goal_view.place
     # the ideal bicycle is the ideal car: no other robot has its wheelbase and steering
     if not (isinstance(law, PoseController) and isinstance(robot, Car)) or goal is None:
         return None
-    start = robot.configuration()
-    chosen = {"auto": int(direction_to(start, goal)), "forward": 1, "reverse": -1}[law.direction]
     limits = BicycleLimits(robot.limits.speed_mps, robot.limits.steering_rad)
-    gains = law.k_rho, law.k_alpha, law.k_beta
+    state = law.init(scenario.goal_view)
 
     def command(place: Array) -> tuple[Array, Array]:
-        return polar_law(place, goal, np.array(chosen), gains, law.speed_mps, law.rest_m)
+        nonlocal state
+        state, v, w = law.toward(state, place, goal)
+        return np.array(v), np.array(w)
 
-    way = drive(command, start, robot.parameters.wheelbase_m, limits, scenario.stop.duration_s, scenario.camera.period).place[:, :2]
+    wheelbase, duration_s = robot.parameters.wheelbase_m, scenario.stop.duration_s
+    way = drive(command, robot.configuration(), wheelbase, limits, duration_s, scenario.camera.period).place[:, :2]
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
 
 
@@ -110,6 +110,7 @@ class Setting:
     changing: bool = False  # whether a row of the log may come to show another point
     threshold_grey: float | None = None  # RMS difference of picture and goal picture that counts as converged [grey levels]
     own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
+    slides: tuple[str, ...] = ()  # joints whose positions are in metres
     told_speeds: bool = True  # whether the joints' inputs are speeds: of inner loops they are torques
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])  # further cameras' width and height [px]
 
@@ -123,6 +124,7 @@ class Setting:
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
         """The setting of a loaded scenario; goal view and thresholds are None for tasks that have none."""
+        from vstestbed.report.export.source import unit_of_joint
         from vstestbed.scenario.dump import changes  # here: the figures themselves need no scenario
 
         goal, converged, planar = scenario.goal, scenario.stop.converged, scenario.robot.base == "planar"
@@ -130,6 +132,7 @@ class Setting:
         goals = [view.place for view in scenario.goal_views if view.place is not None]
         return cls(
             told_speeds=scenario.robot.onboard is None,
+            slides=tuple(name for name in scenario.robot.joints if unit_of_joint(name, scenario) == "m"),
             cameras={name: (eye.camera.width, eye.camera.height) for name, eye in scenario.eyes.items()},
             width=scenario.camera.width,
             height=scenario.camera.height,
