@@ -17,7 +17,7 @@ from pydantic_core import ArgsKwargs
 
 from vstestbed.camera.intrinsics import Intrinsics, read_intrinsics, read_mount
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, DepthImage, Image, Pose
+from vstestbed.core.geometry import Array, DepthImage, Image, Pose, lengths, unit_of
 from vstestbed.core.quantity import Frequency, Pixel, PositiveGain, TighterBounds, Time
 from vstestbed.core.spec import FromFile, spec
 from vstestbed.imaging.chain import Imaging
@@ -388,11 +388,14 @@ class Calibration:
         return cls(intrinsics=lens, mount=mount)  # type: ignore[arg-type] - a Pose is also made of a matrix
 
 
-STEP = 1e-6  # of the finite differences by which a lens is differentiated [m, rad]
+STEP = 1e-6  # of the finite differences by which a lens is differentiated [unit, rad]
 
 
 def pixel_interaction(camera: Camera, p: Array) -> Array:
     """L (N, 2, 6) of the pixels of points p (N, 3) [m] in any lens, uv_dot = L v, by central differences along p_dot = -v - w x p."""
+    unit = unit_of(float(np.fmin.reduce(lengths(p), axis=None, initial=np.inf)))
+    p = p / unit
     flow = np.concatenate([np.broadcast_to(-np.eye(3)[:, None], (3, len(p), 3)), -np.cross(np.eye(3)[:, None], p)])
     L = (camera.project(p + STEP * flow) - camera.project(p - STEP * flow)) / (2 * STEP)
+    L[:3] /= unit
     return np.nan_to_num(np.moveaxis(L, 0, -1))  # NaN: at the rim of the field of view, where a step leaves it

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -99,7 +100,7 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
             lines.append(f"  error     {_error_text(recording)}")
             since, ratio = s["time_to_converge_s"], "" if s["path_ratio"] is None else f"; {s['path_ratio']:.2f} times the straight line"
             reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
-            lines.append(f"  path      {reached}{ratio}; largest retreat {_number(s, 'max_retreat_m')}")
+            lines.append(f"  path      {reached}{ratio}; largest retreat {_number(s, 'max_retreat_m', digits=_digits(s))}")
     speed = _number(s, "real_time_factor", " real time", digits=1) + (" with films and log" if filmed else " with its log")
     lines.append(f"  time      {_number(s, 'sim_time_s')} simulated in {_number(s, 'wall_time_s')}: {speed}")
     lines.append(f"  results   {folder} (open report.html)")
@@ -120,7 +121,7 @@ def _error_text(recording: Recording) -> str:
     error = _number(s, "final_error_px", " in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
     if "error_grey" in recording.columns and np.isfinite(recording["error_grey"][-1]):
         error = f"{recording['error_grey'][-1]:.3f} grey levels in the picture"
-    pose = f"{_number(s, 'final_position_error_m')} and {_number(s, 'final_rotation_error_deg', digits=3)} from the goal"
+    pose = f"{_number(s, 'final_position_error_m', digits=_digits(s))} and {_number(s, 'final_rotation_error_deg', digits=3)} from the goal"
     free = recording.scenario.free_motions
     if free:
         pose += f", where {free} motion{'s are' if free > 1 else ' is'} free (law.redundant)"
@@ -134,6 +135,12 @@ def _why_no_error(recording: Recording) -> str:
     if recording.scenario.detector.rows == 0 or any(np.isfinite(recording[name][-1]) for name in seen):
         return "not known, since the law could not work with what was in sight"
     return "target not in sight"
+
+
+def _digits(summary: Mapping[str, Any]) -> int:
+    """Decimals with which lengths of a run are told: two, of a camera whose way was under 10 cm more."""
+    way = summary["path_length_m"] or 1.0
+    return max(2, 1 - math.floor(math.log10(way)))
 
 
 def _number(summary: Mapping[str, Any], name: str, more: str = "", digits: int = 2) -> str:

@@ -139,6 +139,17 @@ def lengths(p: Array) -> Array:
     return np.sqrt(np.add.reduce(p * p, axis=-1, keepdims=True))
 
 
+ORDINARY_M = 1 / 32, 32.0  # lengths that are computed with in metres [m]
+
+
+def unit_of(length: float) -> float:
+    """The unit [m] in which something of a length [m] is computed, so that no tolerance and no rank depends on its scale.
+
+    The metre for what is of the size of a hand or a room, else a power of two, which costs no digit.
+    """
+    return 1.0 if not length or ORDINARY_M[0] <= length <= ORDINARY_M[1] else math.ldexp(1.0, math.frexp(length)[1] - 1)
+
+
 def clip(x: float, lowest: float, highest: float) -> float:
     """A number within its bounds; NaN becomes the highest. A third of the time of `max(lowest, min(highest, x))`."""
     return x if lowest <= x <= highest else lowest if x < lowest else highest

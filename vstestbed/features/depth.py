@@ -15,8 +15,9 @@ from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 
-# Least depth of a visible marker by an estimated pose: propagated by the camera's motion, a pose may drift through the target.
-NEAREST_M = 0.01
+# Least depth of a visible marker by an estimated pose, as a share of the distance in the goal view: propagated by the camera's motion, a
+# pose may drift through the target.
+NEAREST = 0.01
 
 
 class DepthCues(NamedTuple):
@@ -62,11 +63,11 @@ class DepthSource:
         return cues.p_estimated
 
     def depths(self, cues: DepthCues) -> Array:
-        """Depth of each marker, shape (N,) [m], NaN where unknown; by default that of `points`, at least NEAREST_M for those seen."""
+        """Depth of each marker, shape (N,) [m], NaN where unknown; by default that of `points`, of those seen at least NEAREST."""
         p = self.points(cues)
         if p is None:
             return np.full(len(cues.xy), np.nan)
-        return np.where(np.isfinite(cues.xy[:, 0]), np.maximum(p[:, 2], NEAREST_M), p[:, 2])
+        return np.where(np.isfinite(cues.xy[:, 0]), np.maximum(p[:, 2], NEAREST * cues.goal.reach_m), p[:, 2])
 
     def ranges(self, cues: DepthCues) -> Array:
         """Range of each marker, shape (N,) [m], NaN where unknown; by default that of `points`."""

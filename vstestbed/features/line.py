@@ -101,13 +101,14 @@ def _plane(start: Array, end: Array) -> Array:
     """The plane (..., 4) through two points (..., 3) [m] that is farthest from the camera's centre, scaled to D = -1.
 
     Its normal is the foot m of the perpendicular from the centre to the line through both: m X/|m|^2 - 1 = 0. A line through the
-    centre is a point in the image and has no such plane; nearer than 1 mm the normal goes to 0 continuously.
+    centre is a point in the image and has no such plane; nearer than a thousandth of `start`, the normal goes to 0 continuously.
     """
     way = end - start
     way = way / np.maximum(np.sqrt(_dot(way, way)), np.finfo(float).tiny)
     # Of the planes through both points, which all give the same L, the one farthest from the centre is the best conditioned.
     foot = start - _dot(start, way) * way
-    normal = foot * bounded_inverse(np.sqrt(_dot(foot, foot))) ** 2
+    unit = np.exp2(np.ceil(np.log2(np.sqrt(_dot(start, start)))))  # a power of two, which costs no digit
+    normal = foot * (bounded_inverse(np.sqrt(_dot(foot, foot)) / unit) / unit) ** 2
     return np.concatenate([normal, np.full_like(normal[..., :1], -1)], axis=-1)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
-from vstestbed.core.geometry import Array, transform
+from vstestbed.core.geometry import Array, transform, unit_of
 from vstestbed.robots.own_model import OwnModel
 
 COLUMNS = ("uv", "depth", "ray", "range")  # fields with a row for each marker, of an observation and of a goal view
@@ -168,6 +168,17 @@ class Goal:
     view: int = 0
     moves: bool = False
     image: Sight | None = None
+
+    @cached_property
+    def reach_m(self) -> float:
+        """Mean distance of the markers [m], by which it is judged what is near and what is small; 1 without any."""
+        known = self.range[np.isfinite(self.range)]
+        return float(known.mean()) if len(known) else 1.0
+
+    @cached_property
+    def unit_m(self) -> float:
+        """The unit of length in which a law's equations are solved (`unit_of`) [m]."""
+        return unit_of(self.reach_m)
 
     @cached_property
     def xy(self) -> Array:

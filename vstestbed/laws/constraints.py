@@ -76,26 +76,27 @@ def program_modes(words: tuple[str, ...]) -> tuple[str, ...]:
     return "free", "constrained", *(f"{word} gave way" for word in words), "not solved"
 
 
-def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, ...]) -> Solution:
+def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, ...], units: Array | float = 1.0) -> Solution:
     """The x (n,) that minimises |A x - b|^2 with low <= x <= high and the inequalities of the groups.
 
     Where these contradict each other, groups give way in their order, the first one first: its inequalities are violated as little as the
     others allow. The bounds never do. The dual active-set method starts at the unconstrained minimum; most frames need no step from there.
 
-    A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high. groups: the softest first.
+    A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high. groups: the softest first. units: in which x is sought (n,).
 
     References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP); for the order in which constraints give
     way Escande, Mansard & Wieber 2014, doi:10.1177/0278364914521306.
     """
     if not all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low)))):
         return Solution(None, failure="the quadratic program was not solved: it has numbers that are not finite")
+    A, low, high = A * units, low / units, high / units
+    groups = tuple(replace(group, A=group.A * units) for group in groups if len(group.A))
     H = A.T @ A
     mean = float(np.trace(H)) / len(H)
     if mean <= 0:
-        return Solution(np.clip(np.zeros(len(H)), low, high))
+        return Solution(np.clip(np.zeros(len(H)), low, high) * units)
     H, f = H / mean, -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += 1e-9  # of many solutions the smallest is taken
-    groups = tuple(group for group in groups if len(group.A))
     rows = np.concatenate([np.zeros((0, len(H))), *(group.A for group in groups)])
     floor = np.concatenate([np.zeros(0), *(group.low for group in groups)])
     size = np.linalg.norm(rows, axis=1)
@@ -114,7 +115,7 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         if code in (1, 2):  # solved, and solved with soft constraints violated
             rounding = [1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12) for group in groups]
             gave_way = tuple(g.word for g, share in zip(groups[:level], rounding, strict=False) if (g.A @ x - g.low < -share).any())
-            return Solution(np.clip(x, low, high), gave_way, bool(np.any(info["lam"])))
+            return Solution(np.clip(x, low, high) * units, gave_way, bool(np.any(info["lam"])))
         if code != infeasible:
             break
     why = "its bounds contradict each other" if code == infeasible else f"the solver stopped with code {code}"

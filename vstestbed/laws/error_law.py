@@ -19,7 +19,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, Law, Motions, TwistLimits, Views, held
 from vstestbed.laws.feedforward import Estimator, Feedforward, Integral, NoFeedforward, TargetEstimate, follow, look_ahead
 from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, reckoned_markers, usable_rows
-from vstestbed.laws.solve import Solve, least_squares
+from vstestbed.laws.solve import Solve, least_squares, units_of
 
 StackWeight = Annotated[float, Gt(0), Le(1e3)]
 DEAD_RECKON_S = 0.3
@@ -133,9 +133,10 @@ class ErrorLaw(Law[ErrorState], ABC):
         basis: the robot's motions (6, n); None: all six of the camera. shift: the predicted change of x (n,)
         until the horizon of the feedforward, None without one.
         """
-        x = self.solve.least_squares(J if basis is None else J @ basis, e)
-        ahead = x if shift is None else x + shift
-        return extra, -self.gain.at(ahead) * ahead, x
+        units = units_of(goal, basis)
+        x = self.solve.least_squares((J if basis is None else J @ basis) * units, e)
+        ahead = x if shift is None else x + shift / units
+        return extra, -self.gain.at(ahead) * ahead * units, x * units
 
     def markers_needed(self, basis: Array) -> int:
         """As many as the robot's motions, basis (6, n), need with two equations each; three for a pose.

@@ -19,7 +19,7 @@ from vstestbed.features.observation import Goal
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
 from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.points import NO_AREA, check_goal, moved_markers, points
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import least_squares, units_of
 
 COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}  # column of the twist of each motion that a single feature can command
 Axis = Literal["x", "y", "z", "wz"]
@@ -152,10 +152,12 @@ class Partitioned(ErrorLaw):
                 e[..., i::2] -= e[..., i::2].mean(axis=-1, keepdims=True)
                 L[..., i::2, :] -= L[..., i::2, :].mean(axis=-2, keepdims=True)
         given, rest = self._columns
-        by_points = self.solve.least_squares(L[..., rest], e)
+        units = np.broadcast_to(units_of(goal, None), 6)[rest]
+        A = L[..., rest] * units
+        by_points = self.solve.least_squares(A, e)
         # The motion along and about the axis moves the points, too; the gain must not multiply this part (see the errata).
         carried = (L[..., given] @ twist[..., given, None])[..., 0]
-        twist[..., rest] = -self.gain.at(by_points) * by_points - self.solve.least_squares(L[..., rest], carried)
+        twist[..., rest] = -units * (self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried))
         return twist
 
     @cached_property

@@ -15,7 +15,7 @@ from vstestbed.core.quantity import Pixels, PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.base import Feature
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import least_squares, units_of
 
 Rows = slice | NDArray[np.bool_]  # selection of markers along the first axis of an array
 TOO_FEW, NO_DEPTH, NO_POSE = "too few markers in sight", "the depth of the markers in sight is unknown", "the pose cannot be estimated"
@@ -181,7 +181,8 @@ class Visibility:
         if not near.any():
             return nothing
         L = pixel_interaction(goal.camera, points(observation)[rows][near])
-        return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
+        units = units_of(goal, basis)
+        return units * least_squares(L.reshape(-1, 6) @ basis * units, speed[near].ravel())
 
 
 def check_margin(field: str, margin_px: float, goal: Goal, marker_radius_m: float, called: Callable[[int], str]) -> None:

@@ -26,6 +26,7 @@ from vstestbed.laws.error_law import ErrorState, StackWeight
 from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.points import Rows, check_margin, points, usable_rows
+from vstestbed.laws.solve import units_of
 from vstestbed.robots.own_model import OwnModel
 
 STILL = np.zeros(6)
@@ -126,7 +127,7 @@ def predict(p: Array, robot: OwnModel, block: NDArray[np.intp], plan: Array, rel
 GIVE_WAY = ("border", "positions", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; bounds of the next command by joint limits and speeds never do."""
 TRUST = 0.1  # most motion in a period for which the prediction is linearised, in distances of the nearest marker and in rad
-LEAST_DEPTH_M = 1e-3  # depth under which no feature is computed
+LEAST_DEPTH = 1e-3  # depth under which no feature is computed, in distances at the goal
 PlanState = tuple[Array | None, ErrorState | None]
 """The velocities planned in the last frame (B, n), and the state of the target's estimated motion; None before the first frame."""
 
@@ -249,10 +250,10 @@ class Predictive(Law[PlanState]):
         """The plan as one vector."""
         p, relinearise = points(seen)[rows], self.model == "global"
         ahead = predict(p, robot, self._block, plan, relinearise, target)
-        if not _in_front(ahead.p, self.feature):  # of a plan that flies through the target nothing can be predicted
+        if not _in_front(ahead.p, self.feature, goal):  # of a plan that flies through the target nothing can be predicted
             plan = np.zeros_like(plan)
             ahead = predict(p, robot, self._block, plan, relinearise, target)
-            if not _in_front(ahead.p, self.feature):
+            if not _in_front(ahead.p, self.feature, goal):
                 return Solution(None, failure="a marker is predicted behind the camera")
         u = plan.ravel()
         A, b = self._objective(ahead, seen, goal, rows, robot, u)
@@ -268,7 +269,7 @@ class Predictive(Law[PlanState]):
         groups = [self._positions(ahead, robot, u), twist, Group("shared", repeated, np.tile(shared.low, len(plan))), self._slopes(robot)]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
-        return minimise(A, b, low, high, tuple(groups)).and_accelerations(too_quick)
+        return minimise(A, b, low, high, tuple(groups), self._units(goal, robot)).and_accelerations(too_quick)
 
     def _trusted(self, p: Array, period_s: float) -> tuple[float, float]:
         """Largest speed [m/s] and rate [rad/s] within the law's limits and those within which the linearisation holds (TRUST)."""
@@ -286,12 +287,18 @@ class Predictive(Law[PlanState]):
                 continue
             back = inverse(view.T_camera_this)
             moved = replace(ahead, p_begin=transform(back, ahead.p_begin), p=transform(back, ahead.p), D=adjoint(back) @ ahead.D)
-            if _in_front(moved.p, self.feature):
+            if _in_front(moved.p, self.feature, goal):
                 A, b = self._wanted(moved, view.goal, rows, robot, u)
                 parts.append((math.sqrt(weight) * A, math.sqrt(weight) * b))
         A, b = np.vstack([A for A, _ in parts]), np.concatenate([b for _, b in parts])
-        weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", A, A)) / len(u))
-        return np.vstack([A, weight * np.eye(len(u))]), np.concatenate([b, np.zeros(len(u))])
+        units = self._units(goal, robot)
+        scaled = A * units
+        weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", scaled, scaled)) / len(u))
+        return np.vstack([A, weight * np.eye(len(u)) / units]), np.concatenate([b, np.zeros(len(u))])
+
+    def _units(self, goal: Goal, robot: OwnModel) -> Array:
+        """Units (B n,) of the plan's velocities."""
+        return np.tile(np.broadcast_to(units_of(goal, robot.J), len(robot.names)), self._block[-1] + 1)
 
     def _wanted(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
         """A and b of the wanted A u = b of one camera."""
@@ -341,9 +348,10 @@ class Predictive(Law[PlanState]):
         return Group("border", A[known], low[known])
 
 
-def _in_front(p: Array, feature: Feature) -> bool:
+def _in_front(p: Array, feature: Feature, goal: Goal) -> bool:
     """Whether the feature is defined for points p (K, N, 3) [m]."""
-    return bool((p[..., 2] > LEAST_DEPTH_M).all()) if feature.inputs[0] != "ray" else bool(np.linalg.norm(p, axis=-1).min() > LEAST_DEPTH_M)
+    near = np.linalg.norm(p, axis=-1) if feature.inputs[0] == "ray" else p[..., 2]
+    return bool(near.min() > LEAST_DEPTH * goal.reach_m)
 
 
 def _inputs(p: Array, names: tuple[str, ...]) -> tuple[Array, Array]:

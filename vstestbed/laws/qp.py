@@ -38,7 +38,7 @@ from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.points import check_margin, usable_rows
-from vstestbed.laws.solve import PINV_RCOND
+from vstestbed.laws.solve import PINV_RCOND, units_of
 from vstestbed.robots.arm import singularity_damping2
 from vstestbed.robots.own_model import OwnModel
 
@@ -94,7 +94,7 @@ class StraightPath:
         T = seen.T_camera_target
         t = np.zeros(3) if T is None else (T @ inverse(goal.T_camera_target))[:3, 3]
         distance = float(np.linalg.norm(t))
-        if distance < 1e-3:
+        if distance < 1e-3 * goal.reach_m:
             return np.zeros((0, len(robot.names))), np.zeros(0)
         along = t / distance
         return (np.eye(3) - np.outer(along, along)) @ robot.J[:3], np.zeros(3)
@@ -347,7 +347,7 @@ class QP(Law[ErrorState]):
         A, b = added(main, W @ wanted, self.secondary, seen, goal, robot)
         if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:  # as that of `resolved_rate`, by the weight of a twist
             A, b = np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)]), np.concatenate([b, np.zeros(n)])
-        solution = minimise(A, b, low, high, groups)
+        solution = minimise(A, b, low, high, groups, units_of(goal, robot.J))
         if solution.x is not None:
             solution = among_solutions(solution, main, self.secondary, seen, goal, robot, low, high, groups)
         return solution.and_accelerations(too_quick)

@@ -21,6 +21,13 @@ PINV_RCOND = 1e-6
 not move in directions that the features do not observe."""
 
 
+def units_of(goal: Any, basis: Array | None) -> Array | float:
+    """Units (n,) of velocities along a basis (6, n), by default the camera's six: 1 for turns, `goal.unit_m` for what turns nothing."""
+    if goal.unit_m == 1.0:
+        return 1.0
+    return np.where((np.eye(6) if basis is None else basis)[3:].any(axis=0), 1.0, goal.unit_m)
+
+
 def least_squares(A: Array, b: Array) -> Array:
     """The x (..., n) of least norm that minimises |A x - b|, for A (..., m, n) and b (..., m).
 

@@ -17,7 +17,7 @@ from vstestbed.features.depth import AtGoal
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, Law
 from vstestbed.laws.points import TOO_FEW
-from vstestbed.laws.solve import Solve
+from vstestbed.laws.solve import Solve, units_of
 from vstestbed.robots.own_model import OwnModel
 
 
@@ -113,7 +113,7 @@ class MotionSums(NamedTuple):
 
 
 # Excitation: each velocity of a robot in turn to one side, to the other and back, by which the image Jacobian is measured.
-FIRST = 0.01  # the speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture
+FIRST = 0.01  # the speed that is tried first [rad/s, goal's unit/s], or less where the limits ask for it: slow for any robot and picture
 RETURNED_PX = 2.0  # the way back is over at this distance from its start [px]
 OUT, OVER, BACK = range(3)  # the legs of a velocity: to one side, over to the other (twice as long), and back
 
@@ -126,7 +126,7 @@ class Excited:
         uv: markers (N, 2) [px] at its start; with a target that moves, in the last picture.
         x: displacement since its start (m,), of the robot and, with a target that moves, of time.
         samples: all that was measured. turn: of the velocity that moves, with time (2 columns), where the target may move, too.
-        known: motion of the markers per unit of each velocity (m,) [px], 0 where it is unknown.
+        known: motion of the markers per unit of each velocity (m,) [px], 0 where it is unknown. units: of the velocities (m,).
         uv_before, x_before: markers and displacement of the velocity that moves when its turn began.
         which: its number. leg: out, over or back. side: sign of the way out. speed: its magnitude. pixels: motion of the markers per
             unit of it [px], 0 where it is not known yet. elapsed_s: since the leg began.
@@ -137,6 +137,7 @@ class Excited:
     samples: MotionSums
     turn: MotionSums
     known: Array
+    units: Array
     uv_before: Array
     x_before: float = 0.0
     which: int = 0
@@ -182,7 +183,7 @@ class Excitation:
             elif state.which + 1 == len(state.x):
                 state = replace(state, which=state.which + 1)  # all have moved
             else:
-                i, slow = state.which + 1, state.speed / 4
+                i, slow = state.which + 1, state.speed / 4 * float(state.units[state.which + 1] / state.units[state.which])
                 state = replace(state, which=i, leg=OUT, side=0.0, speed=slow, pixels=float(state.known[i]), elapsed_s=0.0)
                 state = replace(state, uv_before=uv, x_before=float(state.x[i]))
         if state.which == n:
@@ -226,7 +227,7 @@ class Excitation:
     def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:
         i, side = state.which, _side(state, robot)
         most = self.speed_share * float(robot.speed[i])
-        speed = max(state.speed, min(FIRST, most))
+        speed = max(state.speed, min(FIRST * float(state.units[i]), most))
         if state.pixels:
             speed = 2 * self.amplitude_px / (self.time_s * state.pixels)
         elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
@@ -287,7 +288,7 @@ class UncalibratedState:
     Attributes:
         excited: None while the law servoes. estimate: None before the end of the first excitation.
         least_px: least error since the last excitation. t: when it was found [s]. patience_s: how long no progress is borne now.
-        excitations: how many there were.
+        excitations: how many there were. units: of the velocities (m,) (`units_of`).
     """
 
     excited: Excited | None = None
@@ -296,6 +297,7 @@ class UncalibratedState:
     t: float = 0.0
     patience_s: float = math.nan
     excitations: int = 0
+    units: Array = field(default_factory=lambda: np.ones(0))
 
 
 @spec
@@ -370,6 +372,7 @@ class Uncalibrated(Law[UncalibratedState]):
         if robot.turning_radius_m or robot.tilt is not None:
             return state, Command.rest(basis, NO_CIRCLE if robot.turning_radius_m else TILTS)
         moved = np.append(robot.moved, robot.since_s * np.ones(int(self.dynamic)))
+        state = replace(state, units=np.append(units_of(goal, robot.J) * np.ones(len(robot.names)), np.ones(int(self.dynamic))))
         if np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._blind(state, moved, robot, basis)
         if state.excited is None and state.estimate is None:
@@ -396,7 +399,7 @@ class Uncalibrated(Law[UncalibratedState]):
         """The state with an excitation before its first motion, for markers uv (N, 2) [px]."""
         known = np.zeros(columns) if state.estimate is None else state.estimate.scale
         samples, turn = MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2)
-        excited = Excited(uv, np.zeros(columns), samples, turn, known, uv, pixels=float(known[0]))
+        excited = Excited(uv, np.zeros(columns), samples, turn, known, state.units, uv, pixels=float(known[0]))
         return replace(state, excited=excited, excitations=state.excitations + 1)
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
@@ -405,7 +408,8 @@ class Uncalibrated(Law[UncalibratedState]):
             scale = np.sqrt(np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0]))))
         if self.dynamic:
             scale[-1] = 50.0  # of the column of time: a target's motion in the picture that counts as much as the robot's [px/s]
-        scale = np.maximum(scale, 1e-3 * max(scale.max(), np.finfo(float).tiny))  # of a velocity that hardly moves the markers
+        most = float((scale * excited.units).max())
+        scale = np.maximum(scale, 1e-3 * max(most, np.finfo(float).tiny) / excited.units)  # of a velocity that hardly moves the markers
         P = np.repeat(np.eye(len(scale))[None] / self.step_px**2, len(uv), axis=0)
         return ImageJacobian(J / scale, P, scale, uv, np.zeros(len(scale)))
 

@@ -70,9 +70,9 @@ def _camera_path(s: Scenario, log: Log) -> Figures:
     at_goal = float(np.linalg.norm(s.goal_poses[-1][:3, 3]))
     return {
         "path_length_m": length,
-        # Under 1 mm the ratio says nothing: a run that starts at its goal has no straight way to compare with. Nor has one whose goal
-        # is no single pose.
-        "path_ratio": length / straight if straight > 1e-3 and not s.free_motions else None,
+        # Under a thousandth of the goal's distance the ratio says nothing: a run that starts at its goal has no straight way to compare
+        # with. Nor has one whose goal is no single pose.
+        "path_ratio": length / straight if straight > 1e-3 * at_goal and not s.free_motions else None,
         "max_retreat_m": max(0.0, float(distance.max()) - max(float(distance[0]), at_goal)),
         "max_rotation_deg": math.degrees(max(0.0, float(rotation_angle(R[0].T @ R).max()))),
     }

@@ -273,4 +273,4 @@ def _check_pair(scenario: Scenario, eye: OtherCamera) -> None:
         raise ParameterError("law.depth.camera", "must name a camera at another place", eye.name)
 
 
-LEAST_BASELINE_M = 1e-3  # least distance between the lenses of a pair [m]
+LEAST_BASELINE_M = 1e-6  # least distance between the lenses of a pair [m]: nearer they are in one place but for rounding

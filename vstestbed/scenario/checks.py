@@ -30,7 +30,7 @@ from vstestbed.vision.blobs import Blobs
 MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures in transit."""
 
-MOST_MOUNT_M, MOST_VIEW_M, MOST_PLACE_M = 10.0, 50.0, 100.0
+MOST_MOUNT_M, MOST_VIEW_M, MOST_PLACE_M = 10.0, 100.0, 100.0
 """Farthest that a camera is from its flange, a goal view from the target, and the target and the ideal camera from the origin:
 several times what any experiment here needs [m]. What lies beyond was meant in millimetres."""
 
@@ -151,7 +151,7 @@ def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any],
 
 
 # Outlines that run along a body as the camera moves, those of a ball and of a disc: what they tell.
-STEP = 1e-4  # motions to both sides by which an outline's directions are differentiated [m, rad]
+STEP = 1e-4  # motions to both sides by which an outline's directions are differentiated [distances, rad]
 LEAST_TOLD = 1e-6  # share of the largest singular value from which a motion counts as told: the differences are exact to some 1e-8
 
 
@@ -178,7 +178,8 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
     """
     if not runs_along(target):
         return basis.shape[1]
-    before, after = (target.points_at(exp(way * STEP * basis.T) @ T_camera_target) for way in (1, -1))  # the camera moves the other way
+    steps = STEP * basis.T * np.repeat([np.linalg.norm(T_camera_target[:3, 3]), 1.0], 3)
+    before, after = (target.points_at(exp(way * steps) @ T_camera_target) for way in (1, -1))  # the camera moves the other way
     rates = (after / lengths(after) - before / lengths(before)) / (2 * STEP)
     if not np.isfinite(rates).all():  # from inside a ball; the goal view is refused elsewhere
         return basis.shape[1]

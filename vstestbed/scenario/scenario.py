@@ -36,7 +36,6 @@ from vstestbed.scenario.noise import Noise
 from vstestbed.sim.base import SceneDescription, camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS, Target
-from vstestbed.targets.markers import HIDDEN_M
 from vstestbed.tasks import GOALS, Setup, Task
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
@@ -62,7 +61,7 @@ def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any
     faces = turned > 0.17 or not target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
     whole = camera.whole(p, target.marker.radius, VIEW_MARGIN_PX) & ~target.hides(inverse(T))
     if world.scenery is not None and whole.any():
-        names = world.scenery_before(T_world_camera, p, target.marker.height_m + HIDDEN_M)
+        names = world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
         whole &= np.array([not name for name in names])
     return bool(faces and (whole if goal.counted is None else whole[goal.counted]).all())
 

@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Ge, Le, Len, Lt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import PositiveLength, TighterBounds
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
@@ -27,13 +27,20 @@ Family = Literal[
 APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 587)}  # bits along a side and number of tags
 HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
-HIDDEN_M = 0.002  # what comes between camera and marker nearer to the marker than this, besides its own height, does not hide it [m]
+THIN = 0.02  # most of any thickness or gap, as a share of what is thin
+HIDDEN_M, HIDDEN = 0.002, 0.01
+"""What comes between camera and marker nearer to the marker than this [m], or this share of its distance, does not hide it."""
 Share = Annotated[float, Ge(0), Le(1)]
 HueName = Literal["red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta"]
 HUES_DEG = dict(zip(get_args(HueName), (0.0, 30.0, 60.0, 120.0, 180.0, 240.0, 270.0, 300.0), strict=True))
 Hue = HueName | Annotated[float, Ge(0), Lt(360)]
 Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
 """Shape of a marker and its half sizes [m], in MuJoCo's order: (radius, half height, 0), (radius, 0, 0), (x, y, z)."""
+
+
+def thin(size: float, most: float = HALF_THICKNESS_M) -> float:
+    """Half the thickness of what is flat and of some size [m], or a gap behind it: `most`, of small things less."""
+    return min(most, THIN * size)
 
 
 class Marker:
@@ -57,6 +64,11 @@ class Marker:
     hues: Any = ()
     height_m: Any = 0.0
     textured: ClassVar[bool] = False
+
+    def clearance_m(self, ways: Array) -> float:
+        """How far before markers at `ways` from the camera, (N, 3) [m], a thing must be to hide one."""
+        nearest = float(np.fmin.reduce(lengths(ways), axis=None, initial=np.inf))
+        return float(self.height_m) + min(HIDDEN_M, HIDDEN * nearest)
 
     def looks(self, count: int) -> str:
         """What `count` of them are in a picture, in words."""
@@ -101,7 +113,7 @@ class Disc(RoundMarker):
     @property
     def solid(self) -> Solid:
         """A thin cylinder."""
-        return "cylinder", (self.radius, HALF_THICKNESS_M, 0.0)
+        return "cylinder", (self.radius, thin(self.radius), 0.0)
 
 
 @spec
@@ -169,7 +181,7 @@ class Tag(Marker):
     @property
     def solid(self) -> Solid:
         """A thin box, the quiet zone included."""
-        return "box", (self.tile / 2, self.tile / 2, HALF_THICKNESS_M)
+        return "box", (self.tile / 2, self.tile / 2, thin(self.tile))
 
     def looks(self, count: int) -> str:
         return f"tags of family {self.family}, number {self.first_id} to {self.first_id + count - 1}"

@@ -18,7 +18,7 @@ from vstestbed.core.quantity import Coefficient, PositiveLength
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Body, Target
-from vstestbed.targets.markers import HIDDEN_M, Disc, Marker, Sphere
+from vstestbed.targets.markers import Disc, Marker, Sphere
 
 MOST_FACES = 200_000  # MuJoCo reads no more from a file
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  # a triangle in a binary STL file
@@ -204,7 +204,8 @@ class MeshTarget(Target):
 
         Reference: Moeller & Trumbore 1997, Fast, minimum storage ray/triangle intersection, doi:10.1080/10867651.1997.10487468.
         """
-        triangles, eye, slack = self._triangles, T_target_camera[:3, 3], self.marker.height_m + HIDDEN_M
+        triangles, eye = self._triangles, T_target_camera[:3, 3]
+        slack = self.marker.clearance_m(self.points - eye)
         a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
         off = eye - a
         q = np.cross(off, e1)

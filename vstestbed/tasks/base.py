@@ -29,7 +29,6 @@ from vstestbed.laws import Law
 from vstestbed.robots import Robot
 from vstestbed.robots.base import Base, Supervisor
 from vstestbed.targets import Target
-from vstestbed.targets.markers import HIDDEN_M
 from vstestbed.targets.picture import read_rgb
 from vstestbed.tasks.frame import ImageError
 from vstestbed.tasks.judged import JudgedError, by_convergence
@@ -71,7 +70,7 @@ def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDA
     if target.moves and not target.on_gripper:  # where the goal view is in the room is not known before the run
         return
     T_world_camera = camera.mount.T if target.on_gripper else target.T_world_start @ T_target_camera
-    names = setup.world.scenery_before(T_world_camera, p, target.marker.height_m + HIDDEN_M)
+    names = setup.world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
     if (hidden := np.array([bool(name) for name in names]) & counted).any():
         what = ", ".join(dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts))
         remedy = "move the goal, or the scenery by world.scenery.pose, or let goal.markers name the markers that are to be seen"

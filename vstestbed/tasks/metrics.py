@@ -20,7 +20,7 @@ from vstestbed.tasks.monitor import Setup
 ERRORS = ("position_error_m", "rotation_error_rad")
 Figures = dict[str, object]
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
-LEAST = 1e-6  # a start nearer to its goal than this has no share [m, rad]
+LEAST = 1e-9  # a start nearer to its goal than this has no share [m, rad]: rounding
 
 
 @spec

@@ -22,7 +22,7 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 
-REST = 1e-6  # a commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small
+REST = 1e-6  # a commanded twist under this (goal distances/s and rad/s) is rest; with any pixel noise, commands never are so small
 
 
 # eq=False: compared by identity, since the comparison of its arrays has no single truth value.
@@ -132,7 +132,9 @@ class TaskMonitor:
     def missed(self, frame: Frame) -> Verdict | None:
         """A local minimum, or the end of the duration."""
         # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
-        at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
+        twist, reach = frame.command.twist.tolist(), frame.goal.reach_m
+        rests = max(map(abs, twist[:3])) < REST * reach and max(map(abs, twist[3:])) < REST
+        at_rest = rests and not frame.error.lost and not self._near
         self._rest_since = held_since(self._rest_since, at_rest, frame.t)
         if has_held(self._rest_since, frame.t, self.setup.stop.rest_after):
             goal, (distance, angle), said = self.setup.stop.converged, self.estimate, list[str]()

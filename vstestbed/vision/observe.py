@@ -24,7 +24,7 @@ from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt
 from vstestbed.vision.floor_pose import corrections, fused_place, pose_on_floor
 from vstestbed.vision.homography import relative_view
 from vstestbed.vision.perturb import Perturbed
-from vstestbed.vision.pnp import solve_pose_from_rays
+from vstestbed.vision.pnp import solve_pose_from_rays, unit_for
 
 # Depth from motion: recursive least squares for each marker's inverse range from the flow of its ray, for any lens.
 FLOW_NOISE = 3e-4  # standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
@@ -407,7 +407,7 @@ class Observer:
 
 # The target's pose by the pictures of several cameras at once.
 ROUNDS, SETTLED = 10, 1e-9
-"""Most steps of Gauss and Newton, and the step [m, rad] at which they end: from a pose of one picture it takes three or four."""
+"""Most steps of Gauss and Newton, and the step [unit, rad] at which they end: from a pose of one picture it takes three or four."""
 LEAST_MARKERS, LEAST_SHARE = 3, 1e-6
 """Fewest markers in all pictures together that tell a pose, and the least singular value of L, as a share of the largest, with which they
 do."""
@@ -441,6 +441,7 @@ def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[A
     rows = [np.isfinite(one.uv[:, 0]) for one in seen]
     if sum(int(np.count_nonzero(of_one)) for of_one in rows) < LEAST_MARKERS:
         return None
+    units = np.repeat([unit_for(points), 1.0], 3)  # of steps
     for _ in range(ROUNDS):
         information, gradient = np.zeros((6, 6)), np.zeros(6)
         for one, known in zip(seen, rows, strict=True):
@@ -448,16 +449,16 @@ def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[A
             error = one.uv[known] - one.camera.project(p)
             if not np.isfinite(error).all():  # beside the lens: the pose to begin with was a wrong one
                 return None
-            L = (pixel_interaction(one.camera, p) @ adjoint(one.T_this_reference)).reshape(-1, 6)
+            L = (pixel_interaction(one.camera, p) @ adjoint(one.T_this_reference)).reshape(-1, 6) * units
             information += one.weight * L.T @ L
             gradient += one.weight * L.T @ error.ravel()
         values = np.linalg.eigvalsh(information)
         if not values[0] > LEAST_SHARE**2 * values[-1]:
             return None
         step = np.linalg.solve(information, gradient).astype(float)
-        T = exp(-step) @ T
+        T = exp(-step * units) @ T
         if np.abs(step).max() < SETTLED:
-            return T, information
+            return T, information / np.outer(units, units)
     return None
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, exp, inverse, skew, turn_between
+from vstestbed.core.geometry import Array, exp, inverse, lengths, skew, turn_between, unit_of
 from vstestbed.core.lazy import cv2
 from vstestbed.vision.homography import homography
 
@@ -79,9 +79,21 @@ def _plane(points: bytes) -> tuple[Array, Array]:
 
 # Pose of markers in all directions around the camera, which no pinhole image holds: from rays alone.
 ROUNDS = 20  # most Gauss-Newton steps; five suffice from the pose a frame ago
-SETTLED = 1e-11  # converged when a step is smaller than this [m, rad]
-AT_THE_LENS = 1e-9  # least distance of a marker from the camera [m]: a guess may put one at the camera's centre, where it has no direction
+SETTLED = 1e-11  # converged when a step is smaller than this [unit, rad]
+AT_THE_LENS = 1e-9  # least distance of a marker from the camera [unit]: a guess may put one at its centre, where it has no direction
 RAYS_FIT = 0.05  # a pose whose angular errors have a larger root mean square than this [rad] is no solution
+
+
+def unit_for(points: Array) -> float:
+    """The unit of length [m] for points (N, 3) [m] (`unit_of`): OpenCV's solvers have tolerances of their own."""
+    return unit_of(float(lengths(points - points.mean(axis=0)).max()))
+
+
+def resized(T: Array, factor: float) -> Array:
+    """A pose (4, 4) with its translation times a factor."""
+    T = T.copy()
+    T[:3, 3] *= factor
+    return T
 
 
 def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -90,6 +102,9 @@ def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = No
     Iterated from the previous pose; without one (N >= 4), from each of the 24 rotations R of a cube, with the translation that
     solves sum (I - d d^T) (R p + t) = 0 (Lu, Hager & Mjolsness 2000, doi:10.1109/34.862199).
     """
+    if (unit := unit_for(points)) != 1.0:
+        found = solve_pose_all_round(rays, points / unit, previous if previous is None else resized(previous, 1 / unit))
+        return None if found is None else resized(found, unit)
     if previous is not None:
         T, error = _refined(rays, points, previous)
         if error < RAYS_FIT:
@@ -133,7 +148,7 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
         # Least squares of minimum norm: directions that the markers leave open do not move.
         x = np.linalg.lstsq((across @ dunit).reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
         size = float(np.abs(x).max())
-        T = exp(x / max(1.0, size)) @ T  # steps are limited to 1 m and 1 rad, beyond which the linearisation is void
+        T = exp(x / max(1.0, size)) @ T  # steps are limited to a unit and 1 rad, beyond which the linearisation is void
         if size < SETTLED:
             break
     return T, error
@@ -185,6 +200,9 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     shape = _layout(points.tobytes())
     if shape == "line":
         return None
+    if (unit := unit_for(points)) != 1.0:
+        found = solve_pose(xy, points / unit, previous if previous is None else resized(previous, 1 / unit))
+        return None if found is None else resized(found, unit)
     if len(points) == 3:
         if previous is None:
             return None

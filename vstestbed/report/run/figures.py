@@ -15,7 +15,7 @@ from vstestbed.report.marks import AXIS_COLORS, BAND, GOAL, INK, LINE, LINE_COLO
 from vstestbed.report.run.tracks import LogArrays, MeasuredError
 
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
-"""Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
+"""Least span of the axis of twists [distances at the goal/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
 JOINT_PANELS = {"q": "position [rad, m]", "qd": "velocity [rad/s, m/s]", "ctrl": "input [own unit]", "tau": "torque [Nm, N]"}
 MOST_OWN = 8  # panels of columns of one's own
 ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone", LINE_COLORS[3]))
@@ -108,9 +108,11 @@ def twist(tracks: LogArrays) -> Chart:
     """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
     chart = over_time(tracks, 4.3, "translation [m/s]", "rotation [rad/s]")
     t_command = tracks.column("t_cmd")  # a command takes effect when its image has arrived
+    goal = tracks.setting.T_camera_target
+    reach = 1.0 if goal is None else float(np.linalg.norm(goal[:3, 3]))
     for panel, part, colors in zip(chart.panels, "vw", (AXIS_COLORS, LINE_COLORS[3:6]), strict=True):
         panel.rule(0)
-        panel.least = LEAST_TWIST
+        panel.least = LEAST_TWIST * (reach if part == "v" else 1)
         for axis, color in zip("xyz", colors, strict=True):
             panel.plot(tracks.t, tracks.column(f"act_{part}{axis}"), color=color, **BAND)
             panel.plot(t_command, tracks.column(f"cmd_{part}{axis}"), color=color, linewidth=1.1, label=f"{part}{axis}")

@@ -29,7 +29,7 @@ from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.world import AWAY, LAMP, Floor, Light, WindowPane, World
 from vstestbed.targets import Target
 from vstestbed.targets.base import Body, Socket
-from vstestbed.targets.markers import HALF_THICKNESS_M, Solid
+from vstestbed.targets.markers import Solid, thin
 from vstestbed.targets.mesh import as_stl
 from vstestbed.targets.picture import SHARE, PictureTarget, place_of_picture, read_tile
 from vstestbed.vision.tags import printed
@@ -61,10 +61,11 @@ def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: PictureTarget, 
     rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
     paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, (SHARE, SHARE)
     lay_picture(scene, paint, "target/picture", "target_picture.png", sheet.png)
-    size, pos = [sheet.width / 2, sheet.height / 2, HALF_THICKNESS_M], [0, 0, front + HALF_THICKNESS_M]
+    half = thin(sheet.width)
+    size, pos = [sheet.width / 2, sheet.height / 2, half], [0, 0, front + half]
     geom = _visual(body, "target/picture", mujoco.mjtGeom.mjGEOM_BOX, size, rgba, TARGET_GROUP, pos, FACE_VIEWER)
     geom.material = paint.name
-    return front + 2 * HALF_THICKNESS_M
+    return front + 2 * half
 
 
 def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
@@ -88,6 +89,7 @@ HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
 BEHIND_LENS_M = 0.03  # how far the housing of a camera in the room is moved back, so that the lens's picture does not show it [m]
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, anodised
 FREE_HOUSING = 6.0  # The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away
+NEAR_START_M, FAR_START_M = 0.5, 25.0  # a start farther than this and nearer than that leaves the planes as they are [m]
 GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
 DECOYS = {"ball": "sphere", "disc": "cylinder", "box": "box"}
 PAD_HALF_M = 0.01  # half of a landing pad's thickness [m]
@@ -108,7 +110,11 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
     scenery = parts.world.scenery
     carried = add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction, carried)
-    housing = 1.0 if parts.robot.body else FREE_HOUSING
+    housing = 1.0
+    if parts.robot.body is None:
+        away = float(np.linalg.norm(parts.start[1][:3, 3] - parts.T_world_target[:3, 3]))
+        housing = FREE_HOUSING * min(1.0, away)
+        _fit_planes(scene, away)
     if parts.target.on_gripper:
         _show_hand(scene)
         _add_camera(scene.worldbody, parts.camera.mount.T, parts.camera, housing)
@@ -129,6 +135,17 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
     light_scene(scene, parts.world, parts.glossy)
     scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
     return scene
+
+
+def _fit_planes(scene: mujoco.MjSpec, away: float) -> None:
+    """Planes between which the ideal camera sees, `away` [m] from its target at the start.
+
+    Nearer and farther ones than NEAR_START_M to FAR_START_M take them along, by powers of two, which move no point of an image.
+    (The lens of an arm's camera lies within the wrist, which would be seen.)
+    """
+    planes, ratio = scene.visual.map, away / np.array([NEAR_START_M, FAR_START_M])
+    planes.znear *= 2.0 ** min(0.0, np.floor(np.log2(ratio[0])))
+    planes.zfar *= 2.0 ** max(0.0, np.ceil(np.log2(ratio[1])))
 
 
 def _add_plates(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
@@ -259,8 +276,8 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
         geom.mass, geom.friction = pad.weight, PAD_FRICTION
     elif target.board_half_m is not None:
         half, marker = target.board_half_m, target.marker
-        front = (marker.height_m or 1.5 * HALF_THICKNESS_M) if target.draw_markers else 0.0
-        front = BEHIND_SHEET_M if target.body is not None else front
+        front = (marker.height_m or 1.5 * thin(marker.radius)) if target.draw_markers else 0.0
+        front = thin(max(half), BEHIND_SHEET_M) if target.body is not None else front
         if target.sheet is not None:
             front = add_sheet(scene, body, target.sheet, front)
         board = [0, 0, front + 0.01]
@@ -275,7 +292,8 @@ def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: i
         lay_picture(scene, paint, f"target/{name}", f"{name}.png", png)
     shape, half_sizes = solid
     # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
-    inwards = 0.0 if marker.height_m else HALF_THICKNESS_M if target.body is None else -HALF_THICKNESS_M
+    thickness = half_sizes[2] or half_sizes[1]
+    inwards = 0.0 if marker.height_m else thickness if target.body is None else -thickness
     geom = _visual(body, f"target/marker_{i}", GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP, p - inwards * normal, _facing(normal))
     geom.material = paint.name
 

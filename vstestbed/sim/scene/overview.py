@@ -37,7 +37,7 @@ def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
     right = way - (way @ out) * out
     right /= np.linalg.norm(right)
     camera = scene.camera("overview")
-    half_width = 0.75 * length + float(np.linalg.norm(target.points, axis=1).max()) + 0.5
+    half_width = 0.75 * length + float(np.linalg.norm(target.points, axis=1).max()) + min(0.5, length)
     middle = goal - 0.75 * length * way
     camera.pos = middle + out * half_width / (np.tan(np.radians(camera.fovy / 2)) * WIDE_PICTURE)
     camera.alt.xyaxes = [*right, *np.cross(out, right)]

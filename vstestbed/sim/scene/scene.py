@@ -18,7 +18,6 @@ from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.joint_chain import before, placed
 from vstestbed.sim.scene.meshes import HAND_PLATE, LENS_GROUP, RANGE_GROUP
-from vstestbed.targets.markers import HIDDEN_M
 
 PLANAR = ("root_x", "root_y", "root_yaw")
 
@@ -184,8 +183,7 @@ class Scene:
 
     def _before(self, T_world_camera: Array, p_camera: Array, name: str = "eye") -> NDArray[np.int_]:
         """The geom that a ray from the lens hits before each of marker centres (N, 3); -1 for none."""
-        marker = self.parts.target.marker
-        slack = marker.height_m + HIDDEN_M  # the ray hits the marker itself before its centre, by its height
+        slack = self.parts.target.marker.clearance_m(p_camera)  # the ray hits the marker itself before its centre, by its height
         eye = np.ascontiguousarray(T_world_camera[:3, 3])
         # A lens on the flange lies inside the last of these groups; neither is in its picture.
         unseen = (RANGE_GROUP,) if self.parts.stands(name) else (RANGE_GROUP, LENS_GROUP)
