@@ -21,6 +21,7 @@ from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import seeded
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.scene.joint_chain import compiled, joint_chain
+from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.model_report import examine_model
 
 JACO = "package:dm_control/third_party/kinova/jaco_arm.xml"
@@ -325,6 +326,30 @@ class TestUrdf:
         file.with_name("x.urdf").write_text('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="b"/></robot>')
         with pytest.raises(ParameterError, match=r"is a xacro, and no URDF yet; `xacro x\.urdf > arm\.urdf` writes one"):
             compiled(str(file.with_name("x.urdf")))
+
+    def test_names_with_a_prefix_and_a_xacro_in_a_comment_are_read(self, tmp_path: Path) -> None:
+        """The first was a traceback of the report, the second refused as a xacro."""
+        file = self.written(tmp_path, "one.dae")
+        text = file.read_text().replace("</robot>", '<!-- <xacro:gripper/> --><drake:joint_limits drake:a="1"/></robot>')
+        file.write_text(text)
+        assert joint_chain(str(file), "tool0", ()).names == ("a", "b")
+        assert speeds_in(file) == {"a": 0.7, "b": 0.7}
+        file.write_text(text.replace('velocity="0.7"', 'velocity="${fast}"'))
+        with pytest.raises(ParameterError, match=r"arm\.urdf cannot be read .*fast.*a URDF whose limits are numbers"):
+            speeds_in(file)
+
+    def test_what_stands_on_a_body_has_not_the_material_of_its_class(self, tmp_path: Path) -> None:
+        """A class of the file with a material gave it to the camera's shape, whose material MuJoCo then did not find."""
+        text = (HERE / "two_link.xml").read_text()
+        assert "<worldbody>" in text
+        classed = '<default><default class="arm"><geom material="white"/></default></default><asset><material name="white"/></asset>'
+        (tmp_path / "arm.xml").write_text(
+            text.replace("<worldbody>", f"{classed}<worldbody>").replace("<body ", '<body childclass="arm" ', 1)
+        )
+        robot = block("two_link", file=str(tmp_path / "arm.xml"))
+        target = square_before(arm("two_link"), *SEEN["flat"])
+        with vs.Session(written(tmp_path, "classed", robot, target, {"xyz": [0, 0, 0.7]})) as session:
+            assert session.reset().truth is not None
 
 
 class TestCoupledJoints:

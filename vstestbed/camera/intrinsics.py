@@ -267,7 +267,7 @@ def _numbers(value: Any, name: str) -> Array:
     found = _array(value)
     if not np.isfinite(found).all():
         raise ParameterError(name, "must be finite numbers", short(value))
-    if sides and math.prod(_numbers(sides, f"{name}.rows")) != found.size:
+    if sides and math.prod(_numbers(sides, f"{name}.rows").tolist()) != found.size:
         raise ParameterError(name, f"must have the numbers of its rows and columns, {sides}, and has {found.size}")
     return found
 

@@ -81,6 +81,7 @@ class Tool(Effect):
         if (plug := self.plug) is not None:
             r, end = plug.radius, plug.length - plug.radius
             geom = body.add_geom(name=PLUG, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[r, 0, 0], fromto=[0, 0, r, 0, 0, end], rgba=STEEL)
+            geom.material = ""  # and not that of its body's class
             geom.mass, geom.group, geom.contype, geom.conaffinity = plug.mass_kg, TOOL_GROUP, 1, 1
             geom.friction, geom.solref, geom.condim = [plug.friction, 0.005, 0.0001], [SOFT_S, 1.0], 4
             spec_.add_sensor(

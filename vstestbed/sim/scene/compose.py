@@ -323,8 +323,10 @@ def _visual(
     pos: object = (0, 0, 0),
     quat: object = (1, 0, 0, 0),
 ) -> mujoco.MjsGeom:
-    """A geom without mass and collisions."""
-    return body.add_geom(name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0)
+    """A geom without mass and collisions, and without the material of its body's class, which has another name here."""
+    geom = body.add_geom(name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0)
+    geom.material = ""
+    return geom
 
 
 # The lights of a scene: `world.light` in place of the room's own, windows, and what is seen of their light on the floor.

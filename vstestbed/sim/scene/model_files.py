@@ -5,11 +5,13 @@ from __future__ import annotations
 import ctypes
 import re
 from pathlib import Path
+from xml.dom import expatbuilder
 from xml.etree import ElementTree
 
 import mujoco
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.foreign import foreign
 from vstestbed.core.named_files import model_path
 from vstestbed.effects.base import ASSETS
 from vstestbed.targets.picture import as_png
@@ -144,6 +146,7 @@ def _place(path: Path, line: int) -> str:
 ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
 """The beginning of a URDF: an MJCF file may have the word in a comment."""
 XACRO = re.compile(r"<xacro:")
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 MESH = re.compile(r'(<mesh\b[^>]*\bfilename=")(package|file)://([^"]*)')
 UNREADABLE = re.compile(
     r'<visual\b(?:(?!</visual>).)*\bfilename="[^"]*\.(?!stl"|obj")\w+"(?:(?!</visual>).)*</visual>', re.DOTALL | re.IGNORECASE
@@ -164,7 +167,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
     text = path.read_text(errors="replace")
     if (root := ROOT.search(text)) is None:
         return mujoco.MjSpec.from_file(str(path))
-    if XACRO.search(text):
+    if XACRO.search(COMMENT.sub("", text)):
         raise ParameterError("file", f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one", str(path))
     if "<mujoco" not in text:
         text = text[: root.end()] + KEEP + text[root.end() :]  # in the same line: MuJoCo's errors tell lines
@@ -184,8 +187,11 @@ def speeds_in(path: Path) -> dict[str, float]:
     text = path.read_text(errors="replace")
     if ROOT.search(text) is None:
         return {}
-    limits = {joint.get("name", ""): joint.find("limit") for joint in ElementTree.fromstring(text).iter("joint")}
-    found = {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
+    with foreign(path, "a URDF whose limits are numbers"):
+        # MuJoCo, too, reads names with prefixes that are not declared.
+        joints = expatbuilder.parseString(text, namespaces=False).getElementsByTagName("joint")
+        limits = [(joint, limit) for joint in joints for limit in joint.getElementsByTagName("limit")]
+        found = {joint.getAttribute("name"): float(limit.getAttribute("velocity") or 0) for joint, limit in limits}
     return {name: speed for name, speed in found.items() if speed > 0}
 
 
