@@ -407,6 +407,32 @@ def test_a_picture_is_told_again_before_the_law_takes_it_for_silence():
     assert told[1] - told[0] < 0.9 * scenario.timing.order_s(scenario.camera)
 
 
+def test_in_lockstep_a_lost_first_command_changes_no_number():
+    """Nobody has heard the first answer; the picture is told again, and answered by the same twist."""
+    scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.2, "timing.command_timeout_s": 4.0})  # a busy machine is slow
+    wire, lost = Wire("vstestbed_robot"), []
+    law_wire = Wire("vstestbed_law", wire)
+    publish = law_wire.publish
+
+    def loses_the_first(topic, message, now=0.0):
+        if message.__msgtype__ == m.TWIST and not lost:
+            lost.append(message)
+        else:
+            publish(topic, message, now)
+
+    law_wire.publish = loses_the_first
+    ended, thread = spun(LawNode(scenario, law_wire, started=True))
+    node = RobotNode(scenario, wire)
+    node.watchdog_s = 1.0  # it is told again after half of it
+    mine = node.fly(scenario.resolved).rows.frame()
+    ended.set()
+    thread.join(5)
+    theirs = vs.run(scenario, pictures=True).rows.frame()
+    assert lost and len(mine) == len(theirs)
+    for column in ("applied_vx", "applied_wz", "cam_x"):
+        np.testing.assert_allclose(mine[column].to_numpy()[:-1], theirs[column].to_numpy()[:-1], atol=1e-9, err_msg=column)
+
+
 def test_a_real_clock_and_a_robot_that_moves_by_it():
     """Old twists leave it at rest, right ones move it, and it rests when they end."""
     given = {"detector": "oracle", "stop.duration_s": 1.2, "stop.rest_after_s": None, "timing.command_timeout_s": 0.2}
