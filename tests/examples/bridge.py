@@ -4,7 +4,8 @@
 
 The robot's side sends, for each picture, a line of JSON `{"t": 1.23, "q": [...], "qd": [...], "jpeg": "BASE64"}`: the time of the
 exposure [s] on a clock that starts with the task, its joints [rad], and the picture. It is sent lines `{"move": [...]}` (joint velocities
-[rad/s]) or `{"stop": "REASON"}`. It must stop by itself where none has come for 0.5 s.
+[rad/s]) or `{"stop": "REASON"}`. It must stop by itself where none has come for 0.5 s. Of pictures that have waited only the newest is
+answered: by the others the robot would move late.
 """
 
 import base64
@@ -35,7 +36,7 @@ def picture_of(line: dict) -> np.ndarray:
 
 
 def serve(controller: vs.Controller, link: socket.socket) -> int:
-    """Answer each picture until the robot's side ends; how many there were."""
+    """Answer each new picture until the robot's side ends; how many there were."""
     link.settimeout(SILENCE_S)
     out, lines, waiting, t, reading, count = link.makefile("w"), link, b"", 0.0, None, 0
     try:
@@ -50,7 +51,7 @@ def serve(controller: vs.Controller, link: socket.socket) -> int:
             if not received:
                 return count
             *whole, waiting = (waiting + received).split(b"\n")
-            for text in whole:
+            for text in whole[-1:]:
                 line = json.loads(text)
                 t, reading = line["t"], vs.Reading(np.array(line["q"]), np.array(line["qd"]))
                 obey(controller.step(picture_of(line), t, reading).order, out)

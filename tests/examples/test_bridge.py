@@ -15,6 +15,13 @@ from vstestbed.core.named_files import load_file
 BRIDGE = load_file(Path(__file__).with_name("bridge.py"))
 
 
+def line_of(frame):
+    """What the robot's side sends."""
+    png = base64.b64encode(cv2.imencode(".png", frame.image[..., ::-1])[1]).decode()
+    line = {"t": frame.t, "q": frame.truth.q.tolist(), "qd": frame.truth.qd.tolist(), "picture": png}
+    return json.dumps(line) + "\n"
+
+
 def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     monkeypatch.setattr(BRIDGE, "SILENCE_S", 2.0)  # a busy machine may draw the next picture late
     scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.4})
@@ -26,9 +33,7 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     with vs.Session(scenario, pictures=True) as session:
         frame = session.reset()
         for _ in range(4):
-            png = base64.b64encode(cv2.imencode(".png", frame.image[..., ::-1])[1]).decode()
-            line = {"t": frame.t, "q": frame.truth.q.tolist(), "qd": frame.truth.qd.tolist(), "picture": png}
-            out.write(json.dumps(line) + "\n")
+            out.write(line_of(frame))
             out.flush()
             moved = json.loads(answers.readline())["move"]
             np.testing.assert_allclose(moved, frame.setpoint, atol=1e-12)
@@ -39,3 +44,27 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     law.close()
     said = [json.loads(line) for line in answers]
     assert said[-1] == {"stop": "the bridge has ended", "latched": True}
+
+
+def test_old_pictures_of_a_queue_and_one_that_comes_again_move_nothing(monkeypatch):
+    monkeypatch.setattr(BRIDGE, "SILENCE_S", 5.0)
+    scenario = vs.load("arm_ibvs")
+    robot, law = socket.socketpair()
+    robot.settimeout(20)
+    for side in (robot, law):
+        side.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+    controller = vs.Controller(scenario)
+    with vs.Session(scenario, pictures=True) as session:
+        first = line_of(session.reset())
+        newest = line_of(session.step())
+    robot.sendall((first + newest).encode())  # both wait when the bridge begins
+    thread = threading.Thread(target=BRIDGE.serve, args=(controller, law), daemon=True)
+    thread.start()
+    answers = robot.makefile("r")
+    assert "move" in json.loads(answers.readline()) and controller.before.number == 0 and controller.before.t > 0
+    controller.clock = lambda: 1e9  # and then the camera stands
+    robot.sendall(newest.encode())
+    assert json.loads(answers.readline()) == {"stop": "no picture arrived for 1 s", "latched": True}
+    robot.shutdown(socket.SHUT_WR)
+    thread.join(5)
+    law.close()

@@ -149,7 +149,7 @@ class Inputs:
 def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
     try:
         numbers = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.array(math.nan)
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ParameterError(field, words, repr(given) if given is None else given)

@@ -78,7 +78,7 @@ class Stillness:
         before, found = self._checksum, 0
         for image in picture.images:
             if image is not None:
-                found = zlib.crc32(np.ascontiguousarray(image), found)
+                found = zlib.crc32(np.ascontiguousarray(image).data, found)
         self._checksum = found
         if found != before:
             self.for_s = 0.0

@@ -209,7 +209,7 @@ class Feed:
         return now
 
     def _depth_at(self, stamp: float, message: Message) -> DepthImage:
-        if abs(time_of(message) - stamp) > self._order_s:
+        if self._live and abs(time_of(message) - stamp) > self._order_s:
             raise ParameterError("depth", f"is of {time_of(message):.3f} s, and the picture of {stamp:.3f} s")
         return depth_of(message)
 

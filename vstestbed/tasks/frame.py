@@ -71,7 +71,7 @@ class Cycle:
         timing: number and times. observation: the law's measurement. goal: its reference.
         error: in the image. command: of the law. allocation: the command within the robot's limits, whatever is ordered.
         order: what the robot is ordered: that, or what its supervisor has put in its place.
-        notes: what was unusual about the picture's time, in words (`Controller.step`).
+        notes: what was unusual about the picture's time, or that pictures do not change, in words (`Controller.step`).
     """
 
     timing: FrameTiming
