@@ -7,7 +7,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO, NamedTuple
@@ -84,8 +84,10 @@ def _bounded(connection: Any) -> None:
 
 
 def _qos(told: Any) -> Any:
-    """What rosbags makes of a topic's quality of service, of which nothing is used here; a long text could take hours."""
-    return parse_qos(told) if len(told) < LONGEST_QOS else []
+    """What rosbags makes of a topic's quality of service: nothing of a text that is broken, or so long that it could take hours."""
+    with suppress(Exception):  # whatever it raises: it is not used here
+        return parse_qos(told) if len(told) < LONGEST_QOS else []
+    return []
 
 
 for module in (folders, mcap, storage_sqlite3):
@@ -130,7 +132,11 @@ class BagFile:
             # Types mean what they mean here, whatever definitions a bag has of them.
             self.kinds = {c.topic: c.msgtype for c in self._reader.connections if c.ext.serialization_format == "cdr"}
             whole = self._reader.storage
-            self._parts = [(one, part) for one in getattr(whole, "storages", [whole]) for part in _parts(one)]
+            files = getattr(whole, "storages", [whole])
+            for one in [whole, *files]:
+                # Where metadata and file tell another quality of service, rosbags finds no message of the topic.
+                one.connections = [c._replace(ext=c.ext._replace(offered_qos_profiles=[])) for c in one.connections]
+            self._parts = [(one, part) for one in files for part in _parts(one)]
 
     def close(self) -> None:
         """Close its files."""
