@@ -44,6 +44,7 @@ def flown() -> list[Taken]:
     with vs.Session(scenario(), pictures=True) as session:
         frame = session.reset()
         while frame.outcome is None:
+            assert frame.image is not None
             taken.append(Taken(frame.t, frame.image.copy(), frame.truth.q, frame.command.twist))
             frame = session.step()
     return taken

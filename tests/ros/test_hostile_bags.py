@@ -272,6 +272,15 @@ GROWN = """ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id INTEGER 
 NESTED = "UPDATE topics SET offered_qos_profiles = '" + "[" * 100_000 + "'"
 
 
+def test_a_topic_of_another_quality_of_service_in_metadata_is_read(taken, scenario, tmp_path):
+    """As in bags that a tool has written anew: metadata.yaml tells a topic's quality of service in other words than the file."""
+    bag = bags.written(tmp_path / "bag", bags.usual(taken[:3]), StoragePlugin.SQLITE3)
+    with sqlite3.connect(bag / "bag.db3") as base:
+        base.execute("UPDATE topics SET offered_qos_profiles = ?", ("- history: 1\n  depth: 7\n",))
+    base.close()
+    assert len(replay(bag, scenario).table) == 3
+
+
 @pytest.mark.parametrize("change", [VIEW, GROWN, NESTED])
 def test_databases_that_never_end_or_make_up_rows_are_refused(taken, scenario, tmp_path, change):
     bag = bags.written(tmp_path / "bag", bags.usual(taken[:2]), StoragePlugin.SQLITE3)

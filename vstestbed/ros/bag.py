@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import itertools
 import logging
@@ -94,8 +95,8 @@ class Bag(Link):
         with writing(self._folder):
             self._writer.close()
 
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
+    def __exit__(self, *error: object) -> None:
+        if error[0] is None:
             self.close()
             return
         with suppress(Exception):  # a full disk, which has been told
@@ -187,9 +188,9 @@ def _of_foxglove(path: Path) -> bool:
 
 def _foxglove(path: Path, scenario: Scenario, passed: PassedOver) -> Iterator[Event]:
     """The same of a file of `export --to mcap`, whose joints are the true ones."""
-    from mcap import stream_reader
     from mcap_protobuf.reader import read_protobuf_messages
 
+    stream_reader: Any = importlib.import_module("mcap.stream_reader")
     stream_reader.zstandard = SimpleNamespace(decompress=of_zstd)  # bounded, as those of rosbags
     stream_reader.lz4 = SimpleNamespace(decompress=of_lz4)
     joints = scenario.robot.joints

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import math
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO, NamedTuple
 
 import apsw
 from lz4.frame import LZ4FrameDecompressor
-from rosbags.rosbag2 import Reader, storage_sqlite3
-from rosbags.rosbag2 import reader as folders
-from rosbags.rosbag2 import storage_mcap as mcap
+from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import parse_qos
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
@@ -28,6 +27,10 @@ MOST_BAG, MOST_METADATA = 1 << 36, 1 << 19  # bytes of a bag's file, and of its 
 LONGEST_QOS = 1000  # characters that tell how a topic is transmitted
 MOST_UNPACKED = 1 << 27  # bytes of an unpacked chunk or message, which is in memory as a whole
 LOOKED_AT = 2000  # messages in which stamps that stand still are looked for
+# Whose bounds are set here: neither library has any of its own.
+folders: Any = importlib.import_module("rosbags.rosbag2.reader")
+mcap: Any = importlib.import_module("rosbags.rosbag2.storage_mcap")
+sqlite: Any = importlib.import_module("rosbags.rosbag2.storage_sqlite3")
 zstd = mcap.zstd  # Python's own, or its backport
 
 
@@ -84,15 +87,17 @@ def _bounded(connection: Any) -> None:
 
 
 def _qos(told: Any) -> Any:
-    """What rosbags makes of a topic's quality of service, of which nothing is used here; a long text could take hours."""
-    return parse_qos(told) if len(told) < LONGEST_QOS else []
+    """What rosbags makes of a topic's quality of service: nothing of a text that is broken, or so long that it could take hours."""
+    with suppress(Exception):  # whatever it raises: it is not used here
+        return parse_qos(told) if len(told) < LONGEST_QOS else []
+    return []
 
 
-for module in (folders, mcap, storage_sqlite3):
+for module in (folders, mcap, sqlite):
     module.parse_qos = _qos
 apsw.connection_hooks.append(_bounded)
 mcap.DECOMPRESSORS.update(zstd=of_zstd, lz4=of_lz4)
-folders.zstd = SimpleNamespace(decompress=of_zstd, open=_open)  # type: ignore[assignment] - all that is called of it
+folders.zstd = SimpleNamespace(decompress=of_zstd, open=_open)  # all that is called of it
 
 
 def checked(path: Path) -> Path:
@@ -125,12 +130,16 @@ class BagFile:
         self._passed = passed
         self._at = 0.0  # when the last message came [s]
         with of_bag(path):
-            self._reader = Reader(path)
+            self._reader: Any = Reader(path)
             self._reader.open()
             # Types mean what they mean here, whatever definitions a bag has of them.
             self.kinds = {c.topic: c.msgtype for c in self._reader.connections if c.ext.serialization_format == "cdr"}
             whole = self._reader.storage
-            self._parts = [(one, part) for one in getattr(whole, "storages", [whole]) for part in _parts(one)]
+            files = getattr(whole, "storages", [whole])
+            for one in [whole, *files]:
+                # Where metadata and file tell another quality of service, rosbags finds no message of the topic.
+                one.connections = [c._replace(ext=c.ext._replace(offered_qos_profiles=[])) for c in one.connections]
+            self._parts = [(one, part) for one in files for part in _parts(one)]
 
     def close(self) -> None:
         """Close its files."""

@@ -141,7 +141,7 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
         used = used[_rising(table[name].to_numpy()[used])]
     if len(used) < LEAST_MOMENTS:
         raise ParameterError("record", f"has {len(used)} moments that can be used of {len(table)}; at least {LEAST_MOMENTS} are needed")
-    if (whole_s := t[used[-1]] - t[used[0]]) > LONGEST_S:
+    if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
         raise ParameterError.bound("record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3))
     if left := sorted({*range(len(table))} - set(used.tolist())):
         words = "%d of %d moments of the record are passed over, the first in line %d (t = %g), the last in line %d (t = %g): "

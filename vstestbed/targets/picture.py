@@ -121,7 +121,7 @@ def whole(raw: NDArray[np.uint8]) -> bool:
     if raw[:8].tobytes() != b"\x89PNG\r\n\x1a\n":
         return True
     while at + 12 <= len(raw):
-        length, name = struct.unpack_from(">I4s", raw, at)
+        length, name = struct.unpack_from(">I4s", raw.data, at)
         at += 12 + length
         if name == b"IEND":
             return at <= len(raw)
