@@ -335,6 +335,7 @@ def opened(
         raise ParameterError(f"{law}: tasks", f"must be tasks of the suite; {nearest(task, suite.tasks)}", task)
     if not apart:
         return SuiteEntry(suite, path, laws, plugins, quick, word, file)
-    from vstestbed.loop.isolated import MODULE  # here: the import adds a kind
+    from vstestbed.loop.isolated import MODULE, Isolated  # here: the import adds a kind
 
+    LAWS.add(Isolated)
     return SuiteEntry(suite, path, laws, (MODULE,), quick, word, file, plugins)
