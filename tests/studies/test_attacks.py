@@ -131,8 +131,8 @@ CODE: dict[str, Callable[[Files], Files]] = {
     "what draws is replaced": with_code(PATCH.format(module="vstestbed.studies.submission", name="draws", value="lambda n: 0")),
     "what flies is replaced": with_code(PATCH.format(module="vstestbed.studies.submission", name="LEAST", value="1e9")),
     "summaries are replaced": with_code(
-        "import json, vstestbed.studies.run_folder as patched\nplain = patched._summary\n"
-        "patched._summary = lambda found: plain(found | {'time_to_goal_s': found.get('time_to_goal_s', 1.0) / 2})\n"
+        "from vstestbed.loop.recording import Recording\nplain = Recording.summary\n"
+        "Recording.summary = lambda self: (found := plain(self)) | {'time_to_goal_s': found['time_to_goal_s'] / 2}\n"
     ),
     "the process is ended": with_code("import os\nos._exit(0)"),
     "exits are replaced": with_code(PATCH.format(module="vstestbed.cli.compare", name="NOT_REACHED", value="0")),

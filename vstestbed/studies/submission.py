@@ -186,7 +186,7 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
     planned = Counter((task, law, start) for task in entry.plans for law in entry.laws for start in entry.jobs(task))
     works = f"{RUNS} holds each run of the plan once: {WORKS}"
     if not planned:
-        raise _refused(file, "its law takes part in no task")
+        raise _refused(file, f"its law takes part in no task: {next(iter(entry.blank.values()))}")
     with foreign(file, works, _refused):
         cells = pl.read_csv(text, infer_schema=False, n_rows=planned.total() + 1)  # one more tells that there are more
         if cells.columns != COLUMNS:
