@@ -7,6 +7,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import logging
 import os
 import platform
 import re
@@ -52,6 +53,8 @@ def keep(place: Path) -> None:
             # by git's own name of the content, `git ls-tree -r COMMIT` says whether the commit has it
             blob = hashlib.sha1(b"blob %d\0%b" % (len(content), content), usedforsecurity=False).hexdigest()
             files[copy] = {"from": str(path), "sha256": _hash(path), "blob": blob, "commit": _commit(path)}
+    if elsewhere:
+        logging.getLogger("vstestbed").warning("not copied, since they are not below the folder of what names them: %s", sorted(elsewhere))
     write_json(place / RECORD, {"environment": environment(), "files": files, "not_copied": sorted(elsewhere)})
 
 
