@@ -144,4 +144,3 @@ def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
         geom.group = 0 if geom.group == TARGET_GROUP else geom.group  # MuJoCo's viewer shows groups 0 to 2 by itself
     spec.compile()
     return exact_xml(spec), dict(spec.assets)
-

@@ -241,7 +241,8 @@ class SuiteEntry:
             return
         main = Path(self.file).absolute()
         blocks = [self.block(main.stem, task) for task in self.suite.tasks]
-        for path in needed_files([main, *map(Path, self.plugins)], blocks):
+        needed, elsewhere = needed_files([main, *map(Path, self.plugins)], blocks)
+        for path in (*needed, *elsewhere):
             if not path.is_relative_to(main.parent):
                 raise ParameterError("LAW_FILE", f"needs {path}, which must be in the folder of {main.name}, or below it", self.file)
             copy = out / "law" / path.relative_to(main.parent)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.studies.comparison.record import RECORD, agreement, keep, must_be_unchanged
+from vstestbed.studies.comparison.record import RECORD, _commit, agreement, keep, must_be_unchanged
 
 GUIDE = Path(__file__).parents[3] / "docs" / "guides" / "first_law.md"
 
@@ -80,6 +81,169 @@ def test_files_that_a_model_and_a_module_need_are_copied_with_their_layout(tmp_p
         must_be_unchanged(folder, [str(moved)])
     must_be_unchanged(folder)  # they are gone: the plan names the copies now
     assert f"{folder}/files/law_" in (folder / "scenarios" / "s.yaml").read_text()
+
+
+def planned(folder: Path, **files: Path) -> Path:
+    """A comparison's folder whose plan names files by its fields."""
+    (folder / "scenarios").mkdir(parents=True)
+    lines = [f"{field.replace('__', '.')}: {path}" for field, path in files.items()]
+    (folder / "comparison.yaml").write_text(f"base: [scenarios/s.yaml]\nset: {{{', '.join(lines)}}}\n")
+    (folder / "scenarios" / "s.yaml").write_text("seed: 0\n")
+    return folder
+
+
+def kept_by(folder: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
+    keep(folder)
+    record = json.loads((folder / RECORD).read_text())
+    return {"/".join(Path(copy).parts[2:]): said for copy, said in record["files"].items()}, record["not_copied"]
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """A file of this machine that nobody wants in a folder that is published."""
+    path = tmp_path / "home" / "id_rsa"
+    path.parent.mkdir()
+    path.write_text("SECRET")
+    return path
+
+
+def test_what_a_model_names_outside_its_folder_and_in_comments_is_not_copied(tmp_path: Path, secret: Path) -> None:
+    robot = tmp_path / "robot"
+    (robot / "more").mkdir(parents=True)
+    (robot / "more" / "part.xml").write_text(
+        '<mujocoinclude><!-- <include file="no.xml"/> --><asset><mesh file="b.stl"/></asset></mujocoinclude>'
+    )
+    for name in ("a.stl", "b.stl", "no.xml", "no.stl", "no.png", "noise.png"):
+        (robot / name).write_bytes(b"bytes")
+    (robot / "link.stl").symlink_to(secret)
+    (robot / "arm.xml").write_text(
+        f"""<mujoco><!-- <mesh file="no.stl"/> <texture file="{secret}"/> file="no.png" -->
+        <custom><text name="file" data="file='no.png'"/></custom>
+        <include file='more/part.xml'/>
+        <asset><mesh name="file" file = "a.stl"/><mesh file="link.stl"/><mesh file="../home/id_rsa.stl"/>
+        <texture name="t" type="2d" file="{secret}"/><texture name="p" type="2d" file="/etc/passwd"/>
+        <hfield name="h" file="noise.png" size="1 1 1 1"/></asset>
+        <worldbody/></mujoco>"""
+    )
+    (secret.parent / "id_rsa.stl").write_text("SECRET")
+    copies, others = kept_by(planned(tmp_path / "c", robot__file=robot / "arm.xml"))
+    assert sorted(copies) == ["a.stl", "arm.xml", "b.stl", "more/part.xml", "noise.png"]
+    assert others == sorted(["/etc/passwd", str(secret), str(secret.parent / "id_rsa.stl"), str(robot / "link.stl")])
+    assert not any(b"SECRET" in path.read_bytes() for path in (tmp_path / "c").rglob("*") if path.is_file())
+
+
+def test_a_urdf_has_the_meshes_of_its_package_and_no_others(tmp_path: Path, secret: Path) -> None:
+    """`package://` would find a folder of any name beside the file or above it."""
+    package = tmp_path / "arm_description"
+    for name in ("urdf", "meshes"):
+        (package / name).mkdir(parents=True)
+    (package / "package.xml").write_text("<package/>")
+    link = '<link name="{0}"><visual><geometry><mesh filename="package://{1}"/></geometry></visual></link>'
+    names = ["arm_description/meshes/a.stl", "home/id_rsa.stl"]
+    (package / "meshes" / "a.stl").write_bytes(b"solid")
+    (package / "meshes" / "no.stl").write_bytes(b"solid")
+    (secret.parent / "id_rsa.stl").write_text("SECRET")
+    links = "".join(link.format(f"l{i}", name) for i, name in enumerate(names))
+    comment = f"<!-- {link.format('x', 'arm_description/meshes/no.stl')} {link.format('y', 'nowhere/no.stl')} <xacro:x/> -->"
+    (package / "urdf" / "arm.urdf").write_text(f'{comment}<robot name="r">{comment}{links}</robot>')
+    copies, others = kept_by(planned(tmp_path / "c", robot__file=package / "urdf" / "arm.urdf"))
+    assert sorted(copies) == ["meshes/a.stl", "urdf/arm.urdf"] and others == [str(secret.parent / "id_rsa.stl")]
+
+
+def test_a_law_has_the_files_below_its_folder_and_no_others(tmp_path: Path, secret: Path) -> None:
+    law = tmp_path / "laws" / "law.py"
+    law.parent.mkdir()
+    secret.with_suffix(".txt").write_text("SECRET")
+    law.write_text(f"A = '../home/id_rsa.txt'\nB = '{secret.with_suffix('.txt')}'\nC = 'weights.npy'\n")
+    (law.parent / "weights.npy").write_bytes(b"numbers")
+    folder = planned(tmp_path / "c")
+    (folder / "scenarios" / "s.yaml").write_text(f"plugins: [{law}]\n")
+    copies, others = kept_by(folder)
+    assert sorted(copies) == ["law.py", "weights.npy"] and {Path(name).resolve() for name in others} == {secret.with_suffix(".txt")}
+
+
+def git(folder: Path, *words: str) -> str:
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    return subprocess.run(["git", "-C", str(folder), *who, *words], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def model_in(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "arm.xml"
+    path.write_text("<mujoco/>")
+    return path
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="it makes repositories, with git")
+def test_the_commit_is_read_as_git_has_it(tmp_path: Path) -> None:
+    """In a checkout, packed, detached, in a worktree, and of objects named by SHA-256; the blob's name is git's."""
+    top = tmp_path / "top"
+    path = model_in(top / "below")
+    git(top, "init", "-q", "-b", "some/branch")
+    git(top, "add", ".")
+    git(top, "commit", "-qm", "one")
+    (found,) = kept_by(planned(tmp_path / "c", robot__file=path))[0].values()
+    assert found["commit"] == git(top, "rev-parse", "HEAD") and found["blob"] == git(top, "rev-parse", "HEAD:below/arm.xml")
+    git(top, "commit", "-q", "--allow-empty", "-m", "two")
+    git(top, "pack-refs", "--all")
+    assert not (top / ".git/refs/heads/some/branch").exists() and _commit(path) == git(top, "rev-parse", "HEAD")
+    git(top, "worktree", "add", "-q", "-b", "other", str(tmp_path / "tree"))
+    git(tmp_path / "tree", "commit", "-q", "--allow-empty", "-m", "three")
+    assert _commit(tmp_path / "tree/below/arm.xml") == git(tmp_path / "tree", "rev-parse", "HEAD") != _commit(path)
+    git(top, "checkout", "-q", "--detach", "HEAD~1")
+    assert _commit(path) == git(top, "rev-parse", "HEAD")
+    longer = model_in(tmp_path / "longer")
+    git(longer.parent, "init", "-q", "--object-format=sha256")
+    assert _commit(longer) == ""  # without a commit
+    git(longer.parent, "commit", "-q", "--allow-empty", "-m", "one")
+    assert _commit(longer) == git(longer.parent, "rev-parse", "HEAD") and len(_commit(longer)) == 64
+    assert _commit(model_in(tmp_path / "outside")) == ""
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="it makes a repository, with git")
+def test_the_settings_of_a_foreign_folder_run_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`core.fsmonitor` names a program that `git status` runs; so do other settings, for other commands. Nothing at all is run."""
+    path = model_in(tmp_path / "foreign")
+    git(path.parent, "init", "-q")
+    git(path.parent, "commit", "-q", "--allow-empty", "-m", "one")
+    commit, ran = git(path.parent, "rev-parse", "HEAD"), tmp_path / "ran"
+    hook = tmp_path / "hook.sh"
+    hook.write_text(f"#!/bin/sh\ntouch {ran}\n")
+    hook.chmod(0o755)
+    git(path.parent, "config", "core.fsmonitor", str(hook))
+    git(path.parent, "status")
+    assert ran.exists()  # git does
+    ran.unlink()
+    monkeypatch.setattr(subprocess, "Popen", lambda *words, **more: pytest.fail(f"it runs {words}"))
+    (found,) = kept_by(planned(tmp_path / "c", robot__file=path))[0].values()
+    assert found["commit"] == commit and not ran.exists()
+
+
+def test_files_of_git_that_are_none_name_no_commit(tmp_path: Path, secret: Path) -> None:
+    path = model_in(tmp_path / "foreign")
+    marker = path.parent / ".git"
+    for text in ("", "gitdir: nowhere", f"gitdir: {secret}", "gitdir: \0", "gitdir: " + "x" * 5000):
+        marker.write_text(text)
+        assert _commit(path) == ""
+    marker.unlink()
+    marker.mkdir()
+    for head in (
+        "",
+        "ref: ../../home/id_rsa",
+        f"ref: {secret}",
+        "ref: \0",
+        "ref: refs/heads/none",
+        "SECRET",
+        "0" * 41,
+        "ref: (((",
+        "ref: .invalid",
+    ):
+        (marker / "HEAD").write_text(head)
+        assert _commit(path) == ""
+    (marker / "HEAD").unlink()
+    if hasattr(os, "mkfifo"):  # who opened it would wait for ever
+        os.mkfifo(marker / "HEAD")
+    assert _commit(path) == ""
 
 
 def test_runs_agree_to_a_frame_and_differ_in_outcome_or_number() -> None:

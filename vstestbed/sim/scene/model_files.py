@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import re
 from pathlib import Path
+from typing import Any
 from xml.dom import expatbuilder
 from xml.etree import ElementTree
 
@@ -12,7 +13,7 @@ import mujoco
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.foreign import foreign
-from vstestbed.core.named_files import model_path
+from vstestbed.core.named_files import is_there, model_path
 from vstestbed.effects.base import ASSETS
 from vstestbed.targets.picture import as_png
 
@@ -35,8 +36,7 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
     for key in list(model.keys):
         model.delete(key)
     taken: dict[str, bytes] = {}
-    folders = [(model.meshes, model.meshdir), (model.textures, model.texturedir), (model.hfields, model.meshdir)]
-    for things, folder in folders:
+    for things, folder in _things(model):
         for thing in things:
             if thing.file:
                 thing.file = _carried(file, folder, thing.file, taken, prefix)
@@ -45,6 +45,30 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
     if taken:
         model.meshdir = model.texturedir = scene.meshdir = scene.texturedir = ASSETS
     return taken
+
+
+def _things(model: mujoco.MjSpec) -> list[tuple[Any, str]]:
+    """What in a model may be a file, with the folder of such files."""
+    return [(model.meshes, model.meshdir), (model.textures, model.texturedir), (model.hfields, model.meshdir)]
+
+
+def files_read(path: Path) -> list[Path]:
+    """The files that MuJoCo reads with a model: what it includes, meshes, textures, height fields, skins; none of what it cannot read."""
+    names, waiting = list[Path](), [path]
+    while waiting:
+        text = COMMENT.sub("", waiting.pop().read_text(errors="replace"))
+        included = [path.parent / name for name in INCLUDE.findall(text) if path.parent / name not in names]
+        names += included
+        waiting += filter(is_there, included)
+    try:
+        model = read_model(path)
+    except (OSError, ValueError):  # it is no model, or a run with it is refused, and says why
+        return names
+    for things, folder in (*_things(model), (model.skins, model.meshdir)):
+        names += [path.parent / folder / thing.file for thing in things if thing.file]
+    for texture in model.textures:
+        names += [path.parent / model.texturedir / face for face in texture.cubefiles if face]
+    return names
 
 
 def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
@@ -143,6 +167,8 @@ def _place(path: Path, line: int) -> str:
     return f"{path}:{line}" if line else str(path)
 
 
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+INCLUDE = re.compile(r"""<(?:include|model)\b[^>]*?\bfile\s*=\s*["']([^"']+)""")
 ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
 """The beginning of a URDF: an MJCF file may have the word in a comment."""
 XACRO = re.compile(r"<xacro:")
@@ -164,10 +190,10 @@ def read_model(path: Path) -> mujoco.MjSpec:
     `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out. Raises ValueError:
     MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, or names a package whose folder is not found.
     """
-    text = path.read_text(errors="replace")
+    text = COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), path.read_text(errors="replace"))
     if (root := ROOT.search(text)) is None:
         return mujoco.MjSpec.from_file(str(path))
-    if XACRO.search(COMMENT.sub("", text)):
+    if XACRO.search(text):
         raise ParameterError("file", f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one", str(path))
     if "<mujoco" not in text:
         text = text[: root.end()] + KEEP + text[root.end() :]  # in the same line: MuJoCo's errors tell lines

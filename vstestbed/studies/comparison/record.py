@@ -7,11 +7,10 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import logging
 import os
 import platform
 import re
-import shutil
-import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -21,6 +20,7 @@ import polars as pl
 
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.files import make_folder, write_json, write_whole
+from vstestbed.core.foreign import plain_file
 from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, folder, is_there
 from vstestbed.core.provenance import versions
 from vstestbed.scenario.dump import as_yaml
@@ -32,23 +32,30 @@ PLAN, RECORD, FILES, SCENARIOS = "comparison.yaml", "record.json", "files", "sce
 TOLERANCE, LEAST = 0.02, 0.05
 """Two numbers of a run agree within this share of the larger one and this much in their display unit: one frame of 40 ms of 2 s, 0.05 px.
 Another processor or version of a library changes the last digits of pixels, and with them the frame in which a run converges."""
-_REFERS = re.compile(r'\b(?:file\w*|filename)\s*=\s*"([^"]+)"')
-_FOLDERS = re.compile(r'\b(?:meshdir|texturedir|assetdir)\s*=\s*"([^"]+)"')
-_MODELS = (".xml", ".mjcf", ".urdf")
+_COMMIT = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
+_MOST_REFS = 16 << 20  # bytes of a file of git: names of a hundred thousand branches and tags
 
 
 def keep(place: Path) -> None:
     """Copy each file that the plan in a comparison's folder names, with those that it needs, into `files/`, and write `record.json`.
 
-    Needed are the meshes and textures of a robot's model, and of a Python file the modules and data beside it that it names. What belongs
-    to vstestbed, and modules of installed packages, are not copied: the record has their versions.
+    Needed are the meshes and textures of a robot's model, and of a Python file the modules and data that it names, each where it is below
+    the file's folder; the record names those elsewhere, which are not copied: a model of others must not bring files of this machine along.
+    What belongs to vstestbed, and modules of installed packages, are not copied either: the record has their versions.
     """
-    files = dict[str, Any]()
+    files, elsewhere = dict[str, Any](), set[str]()
     for source in dict.fromkeys(path for path in _named(place) if not _bundled(path)):
-        for path, copy in _closure(source).items():
-            write_whole(make_folder((place / copy).parent) / Path(copy).name, path.read_bytes())
-            files[copy] = {"from": str(path), "sha256": _hash(path), "commit": _commit(path)}
-    write_json(place / RECORD, {"environment": environment(), "files": files})
+        copies, others = _closure(source)
+        elsewhere.update(map(str, others))
+        for path, copy in copies.items():
+            content = path.read_bytes()
+            write_whole(make_folder((place / copy).parent) / Path(copy).name, content)
+            # by git's own name of the content, `git ls-tree -r COMMIT` says whether the commit has it
+            blob = hashlib.sha1(b"blob %d\0%b" % (len(content), content), usedforsecurity=False).hexdigest()
+            files[copy] = {"from": str(path), "sha256": _hash(path), "blob": blob, "commit": _commit(path)}
+    if elsewhere:
+        logging.getLogger("vstestbed").warning("not copied, since they are not below the folder of what names them: %s", sorted(elsewhere))
+    write_json(place / RECORD, {"environment": environment(), "files": files, "not_copied": sorted(elsewhere)})
 
 
 def must_be_unchanged(place: Path, plugins: Sequence[str] = ()) -> None:
@@ -173,35 +180,46 @@ def _bundled(path: Path) -> bool:
     return any(path.resolve().is_relative_to(folder(name).resolve()) for name in ("models", "scenarios"))
 
 
-def needed_files(sources: Iterable[Path], values: Any = ()) -> list[Path]:
-    """Files, those that plain values of a scenario name absolutely, and those that they need (see `keep`); of vstestbed's own none."""
+def needed_files(sources: Iterable[Path], values: Any = ()) -> tuple[list[Path], list[Path]]:
+    """Files, those that plain values of a scenario name absolutely, and those that they need (see `keep`); and those that they need and
+    that are not below their folder. Of vstestbed's own none.
+    """
     waiting = [path.absolute() for path in (*sources, *_in_values(values)) if not _bundled(path)]
-    found = dict.fromkeys(waiting)
+    found, elsewhere = dict.fromkeys(waiting), dict[Path, None]()
     while waiting:
-        for path in _needed(waiting.pop()):
-            if path not in found and is_there(path):
+        needing = waiting.pop()
+        inside = _folder_of(needing)
+        for path in filter(is_there, _needed(needing)):
+            if not path.resolve().is_relative_to(inside):
+                elsewhere[path] = None
+            elif path not in found:
                 found[path] = None
                 waiting.append(path)
-    return list(found)
+    return list(found), list(elsewhere)
 
 
-def _closure(source: Path) -> dict[Path, str]:
-    """A file and those that it needs, each with the place of its copy: in a folder of the source's own, with the layout that they have."""
-    found = needed_files([source])
+def _folder_of(path: Path) -> Path:
+    """The folder whose files may be copied with a file: its own, or the ROS package that it is in."""
+    package = (place for place in path.resolve().parents if is_there(place / "package.xml"))
+    return next(package, path.parent.resolve())
+
+
+def _closure(source: Path) -> tuple[dict[Path, str], list[Path]]:
+    """A file and those that it needs, each with the place of its copy: in a folder of the source's own, with the layout that they have; and
+    those that are not copied.
+    """
+    found, elsewhere = needed_files([source])
     root = Path(os.path.commonpath([path.parent for path in found]))
     word = f"{source.stem}_{hashlib.sha256(str(source).encode()).hexdigest()[:6]}"
-    return {path: (Path(FILES) / word / path.relative_to(root)).as_posix() for path in found}
+    return {path: (Path(FILES) / word / path.relative_to(root)).as_posix() for path in found}, elsewhere
 
 
 def _needed(path: Path) -> Iterator[Path]:
-    """The files that a model refers to; of a Python file the modules, and the files named in texts, that are beside it."""
-    if path.suffix.lower() in _MODELS:
-        text = path.read_text(errors="replace")
-        folders = [path.parent, *(path.parent / name for name in _FOLDERS.findall(text))]
-        for name in _REFERS.findall(text):
-            inside = re.sub(r"^(?:package|file)://", "", name)
-            above = path.resolve().parents if name.startswith("package://") else ()
-            yield from (Path(os.path.normpath(place / inside)) for place in (*folders, *above))
+    """The files that MuJoCo reads with a model; of a Python file the modules, and the files named in texts, that are beside it."""
+    if path.suffix.lower() in (".xml", ".mjcf", ".urdf"):
+        from vstestbed.sim.scene.model_files import files_read
+
+        yield from (Path(os.path.normpath(name)) for name in files_read(path))
     elif path.suffix == ".py":
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8", errors="replace"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
@@ -227,16 +245,35 @@ def _hash(path: Path) -> str:
 
 
 def _commit(path: Path) -> str:
-    """The commit of the repository in which a file is, with a + where the file was changed after it; "" outside of any."""
-    if shutil.which("git") is None:
+    """The commit of the checkout in which a file is; "" outside of any.
+
+    Git itself is not run: the settings of a foreign folder name programs, which it would run. Its layout is in gitrepository-layout(5).
+    """
+    for place in path.resolve().parents:
+        git = place / ".git"
+        if is_there(git):  # of a worktree, or of a submodule
+            git = place / _text(git).removeprefix("gitdir:").strip()
+        if is_there(git / "HEAD"):
+            return _head(git)
+    return ""
+
+
+def _head(git: Path) -> str:
+    """The commit at which a folder of git stands, whose branches may be in the one that it shares with others; "" where none is found."""
+    head = _text(git / "HEAD").strip()
+    if head.startswith("ref: "):
+        name, shared = head.removeprefix("ref: "), git / (_text(git / "commondir").strip() or ".")
+        packed = re.search(rf"^(\w+) {re.escape(name)}$", _text(shared / "packed-refs"), re.MULTILINE)
+        head = (_text(shared / name) or (packed[1] if packed else "")).strip()
+    return head if _COMMIT.fullmatch(head) else ""
+
+
+def _text(path: Path) -> str:
+    """The text of a file of git; "" where it is none, or too large."""
+    try:
+        return plain_file(path, "a file of git", _MOST_REFS).read_text(encoding="utf-8", errors="replace")
+    except (OSError, ParameterError):
         return ""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", "-C", str(path.parent), *words], capture_output=True, text=True, check=False)
-        return done.stdout.strip() if done.returncode == 0 else ""
-
-    commit = git("rev-parse", "HEAD")
-    return f"{commit}+" if commit and git("status", "--porcelain", "--", path.name) else commit
 
 
 def _rewrite(place: Path, out: Path, names: Mapping[str, str]) -> None:
