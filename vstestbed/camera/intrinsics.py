@@ -13,6 +13,7 @@ from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError, short
 from vstestbed.core.files import write_whole
+from vstestbed.core.foreign import foreign, of_field
 from vstestbed.core.geometry import Array, pose_block, pose_from, quaternion_wxyz
 from vstestbed.core.lazy import cv2
 from vstestbed.core.named_files import absolute_file, place_of_file
@@ -107,28 +108,30 @@ class Intrinsics:
         return cls(focal_px=(K[0, 0], K[1, 1]), principal_px=(K[0, 2], K[1, 2]), distortion=tuple(k), size=size, **given)
 
 
+WORKS = "a camera_info of ROS, or OpenCV's YAML, XML or JSON"
+
+
 # Reading. Each file is first a plain mapping, whichever of the formats it has.
 def _plain(file: str) -> dict[str, Any]:
     """The values of a calibration file; ParameterError where it is not there, or holds none."""
     try:
         path = place_of_file(absolute_file(file, Path.cwd()))
-        text = path.read_text(encoding="utf-8")
-        if path.suffix.lower() == ".xml" or text.startswith("%YAML:1.0") or "opencv-matrix" in text:
-            return _from_opencv(text)
-        documents = [json.loads(text)] if path.suffix.lower() == ".json" else list(yaml.safe_load_all(text))
+        with foreign(file, WORKS, of_field("")):
+            text = path.read_text(encoding="utf-8")
+            if path.suffix.lower() == ".xml" or text.startswith("%YAML:1.0") or "opencv-matrix" in text:
+                documents = [_from_opencv(text)]
+            else:
+                documents = [json.loads(text)] if path.suffix.lower() == ".json" else list(yaml.safe_load_all(text))
     except ParameterError as error:
         raise ParameterError("", error.problem, file) from None
-    except (OSError, ValueError, yaml.YAMLError, cv2.error) as error:
-        why = " ".join(str(error).split())
-        raise ParameterError.unreadable("", why, "a camera_info of ROS, or OpenCV's YAML, XML or JSON", file) from None
     if not documents or not isinstance(documents[0], dict):
-        raise ParameterError.unreadable("", "it holds no fields", "a camera_info of ROS, or OpenCV's YAML, XML or JSON", file)
+        raise ParameterError.unreadable("", "it holds no fields", WORKS, file)
     return documents[0]
 
 
-def _from_opencv(text: str) -> dict[str, Any]:
+def _from_opencv(text: str) -> Any:
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    found: dict[str, Any] = _node(storage.root())
+    found = _node(storage.root())
     storage.release()
     return found
 
@@ -199,7 +202,7 @@ def read_intrinsics(file: str) -> Intrinsics:
     """The intrinsics in a calibration file; ParameterError where it has none."""
     found = _intrinsics_in(_plain(file))
     if found is None:
-        raise ParameterError.unreadable("", "it has no camera matrix", "a camera_info of ROS, or OpenCV's YAML, XML or JSON", file)
+        raise ParameterError.unreadable("", "it has no camera matrix", WORKS, file)
     return found
 
 

@@ -14,6 +14,11 @@ MOST_BYTES = 64 << 20
 """A larger file is none of those that are read whole: calibrations, records, models without their meshes."""
 
 
+def of_field(field: str) -> Refusal:
+    """Refuses a file that a field names: the error tells both."""
+    return lambda name, why, works: ParameterError.unreadable(field, why, works, str(name))
+
+
 @contextmanager
 def foreign(name: object, works: str, refusal: Refusal = ParameterError.unreadable) -> Iterator[None]:
     """Turn whatever a library raises, while it reads what others wrote, into one sentence. Stands round the library's call alone, so that

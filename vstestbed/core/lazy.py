@@ -6,6 +6,7 @@ run's numbers do not depend on the machine's cores, and parallel runs do not fig
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,6 +15,8 @@ else:
 
     class _OpenCV:
         def __getattr__(self, name: str) -> Any:
+            # Of a larger picture, 200 MB when decoded, a damaged or malicious file would take all memory; a camera has 8192 x 8192 at most.
+            os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
             import cv2
 
             cv2.setNumThreads(1)

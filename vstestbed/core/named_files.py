@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from vstestbed.core.errors import OutputError, ParameterError
+from vstestbed.core.foreign import of_field, plain_file
 
 ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json|ya?ml)$|\.py:\w+$", re.IGNORECASE)
 """The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a calibration, a function in a Python file."""
@@ -58,7 +59,7 @@ def place_of_file(file: str) -> Path:
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
         words = "give its path: absolute, or relative to the scenario's file (with --set to this folder)"
         raise ParameterError("file", f"is not there{where}; {words}", file)
-    return path
+    return plain_file(path, "a smaller file", refusal=of_field("file"))
 
 
 def _no_package(name: str, inside: str) -> str:

@@ -13,6 +13,7 @@ from pydantic import model_validator
 from pydantic_core import ArgsKwargs
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.foreign import foreign, of_field
 from vstestbed.core.named_files import absolute_file, place_of_file
 from vstestbed.core.registry import brief_mapping
 from vstestbed.core.spec import OrText, spec
@@ -27,11 +28,11 @@ def _preset_in(file: str) -> dict[str, Any]:
     """The fields of a robot in a file. ParameterError: it is not there, or holds no mapping."""
     works = "fields of the robot, such as drive_lag_s: 0.05"
     try:
-        plain = yaml.safe_load(place_of_file(absolute_file(file, Path.cwd())).read_text(encoding="utf-8"))
+        path = place_of_file(absolute_file(file, Path.cwd()))
+        with foreign(file, works, of_field("realism")):
+            plain = yaml.safe_load(path.read_text(encoding="utf-8"))
     except ParameterError as error:
         raise ParameterError("realism", error.problem, file) from None
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ParameterError.unreadable("realism", " ".join(str(error).split()), works, file) from None
     if not isinstance(plain, dict) or "kind" in plain:
         raise ParameterError.unreadable("realism", "it is no block of imperfections", works, file)
     return plain

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.foreign import foreign, of_field
 from vstestbed.core.named_files import model_path
 from vstestbed.effects.base import ASSETS
 from vstestbed.targets.picture import as_png
@@ -163,8 +164,9 @@ def speeds_in(path: Path) -> dict[str, float]:
     text = path.read_text(errors="replace")
     if ROOT.search(text) is None:
         return {}
-    limits = {joint.get("name", ""): joint.find("limit") for joint in ElementTree.fromstring(text).iter("joint")}
-    found = {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
+    with foreign(path, "a URDF with numbers as limits", of_field("file")):
+        limits = {joint.get("name", ""): joint.find("limit") for joint in ElementTree.fromstring(text).iter("joint")}
+        found = {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
     return {name: speed for name, speed in found.items() if speed > 0}
 
 
