@@ -177,6 +177,15 @@ class TestChoiceOfBackend:
             gl.require()
         assert str(told.value) == f"no OpenGL: {words}"
 
+    @pytest.mark.parametrize("device", ["7", "-1", "abc", ""])
+    @pytest.mark.opengl
+    def test_a_device_that_egl_does_not_have_is_told(self, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.delenv("MUJOCO_GL", raising=False)
+        monkeypatch.setenv("MUJOCO_EGL_DEVICE_ID", device)
+        gl.choose_backend()
+        with pytest.raises(EnvironmentLackError, match=rf"MUJOCO_EGL_DEVICE_ID={device} is set, and the devices are 0 to \d+; unset"):
+            gl.require()
+
     def test_only_an_import_error_about_the_driver_is_explained(self) -> None:
         assert gl.explain(ImportError("No module named 'polars'")) is None
         assert "libegl-mesa0" in str(gl.explain(ImportError("Cannot initialize a headless EGL display.")))

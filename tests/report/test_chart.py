@@ -113,3 +113,13 @@ def test_numbers_along_an_axis() -> None:
 )
 def test_numbers_along_a_logarithmic_axis(low: float, high: float, at: list[float]) -> None:
     np.testing.assert_allclose(log_ticks(low, high, 3), at)
+
+
+@pytest.mark.parametrize("log", [False, True])
+@pytest.mark.parametrize("values", [[1.0, 1e308, -1e308], [1e-320, 1.0, 1e308], [np.nan, np.inf, 1e308]])
+def test_numbers_of_a_damaged_log_are_drawn(values: list[float], log: bool):
+    chart = Chart(2.0)
+    (panel,) = chart.panels
+    panel.log = log
+    panel.plot([0, 1, 2], values, color="#000")
+    assert "<path" in chart.svg("Chart") and "inf" not in chart.svg("Chart")

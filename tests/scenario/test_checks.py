@@ -71,7 +71,7 @@ def test_millimetres_for_metres():
         ("ibvs_book", {"goal.T_camera_target.xyz": [0, 0, 700]}, "metres: did you mean 0.7 m?"),
     ):
         refused(name, settings, words)
-        with pytest.raises(ParameterError, match=r"^goal\.T_camera_target is 700 m away, and may be at most 50 m"):
+        with pytest.raises(ParameterError, match=r"^goal\.T_camera_target is 700 m away, and may be at most 100 m"):
             replace(vs.load("ibvs_book"), goal=vs.tasks.GoalView(T_camera_target=vs.Pose(xyz=(0, 0, 700))))
 
 

@@ -12,7 +12,7 @@ import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import inverse, rigid_error
+from vstestbed.core.geometry import exp, inverse, rigid_error, transform
 from vstestbed.studies.hand_eye import METHODS, View, calibrate, held_out, joint_jacobian, motions, seen_from, turns
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "hand_eye.json").read_text())
@@ -92,3 +92,19 @@ def test_the_jacobian_of_a_flange_is_that_of_its_motion():
     D = inverse(robot.flange_pose(q)) @ robot.flange_pose(q + dq)
     moved = np.concatenate([D[:3, 3], Rotation.from_matrix(D[:3, :3]).as_rotvec()])
     np.testing.assert_allclose(joint_jacobian(robot.flange_pose, q) @ dq, moved, atol=2e-7)
+
+
+def test_a_board_seen_exactly_from_the_front_has_a_pose():
+    camera = Perspective()
+    board = np.array([[x, y, 0.0] for y in np.linspace(-0.1, 0.1, 5) for x in np.linspace(-0.14, 0.14, 7)])
+    for roll in np.radians(np.arange(0, 360, 5)):  # at one in eighteen of these OpenCV's own solver gives NaN
+        T = exp(np.array([0, 0, 0, 0, 0, roll]))
+        T[2, 3] = 0.6
+        # rounding of pixels of some hundreds, over the focal length
+        np.testing.assert_allclose(seen_from(board, camera.project(transform(T, board)), camera), T, atol=1e-9)
+
+
+def test_corners_on_a_line_are_no_board():
+    line = np.array([[x, 0.0, 0.0] for x in np.linspace(-0.1, 0.1, 5)])
+    with pytest.raises(ParameterError, match="determine no pose"):
+        seen_from(line, Perspective().project(line + [0, 0, 0.6]), Perspective())

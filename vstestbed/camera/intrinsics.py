@@ -18,9 +18,11 @@ from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError, short
 from vstestbed.core.files import write_whole
-from vstestbed.core.foreign import named_file, once, only_known, plain_documents
+from vstestbed.core.foreign import only_known
 from vstestbed.core.geometry import Array, pose_block, pose_from, quaternion_wxyz, unit_quaternion
 from vstestbed.core.lazy import cv2
+from vstestbed.core.named_files import named_file
+from vstestbed.core.plain_yaml import once, plain_documents
 from vstestbed.core.quantity import Coefficient, Pixel, PositivePixels
 from vstestbed.core.spec import spec
 

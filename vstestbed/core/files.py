@@ -21,9 +21,10 @@ from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderError
+from vstestbed.core.foreign import foreign
 
 if TYPE_CHECKING:
     import polars
@@ -148,6 +149,13 @@ def read_file(path: Path, works: str) -> bytes:
     except OSError as error:
         found = f"cannot be read ({error.strerror or error})"
     raise RunFolderError(path, found, works)
+
+
+def read_json(path: Path, works: str = "a file that this program wrote") -> Any:
+    """What a JSON file of a results folder holds; errors as of `read_file`."""
+    content = read_file(path, works)
+    with foreign(path, works, RunFolderError):
+        return json.loads(content)
 
 
 # Folders of results: new ones never over older ones, and one writing process at a time.

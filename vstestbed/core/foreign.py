@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from vstestbed.core.errors import ParameterError, VstestbedError, lack_of, nearest, short
-from vstestbed.core.named_files import absolute_file, place_of_file
 
 Refusal = Callable[[object, str, str], VstestbedError]
 """Makes an error of the name of what cannot be read, the reason, and what would work: `ParameterError.unreadable`, `RunFolderError`."""
 MOST_BYTES = 64 << 20
 """A larger file is none of those that are read whole: calibrations, records, models without their meshes."""
+
+
+def of_field(field: str) -> Refusal:
+    """Refuses a file that a field names: the error tells both."""
+    return lambda name, why, works: ParameterError.unreadable(field, why, works, str(name))
 
 
 @contextmanager
@@ -72,47 +73,3 @@ def only_known(found: Mapping[str, object], used: Iterable[str], harmless: Itera
             name = f"{field}.{word}" if field else word
             shown = value if isinstance(value, int | float) else short(value)
             raise ParameterError(name, f"is not read here, and may change the meaning; {nearest(word, known)}", shown)
-
-
-@contextmanager
-def named_file(field: str, file: str, works: str, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
-    """The path of a plain file that a field names. Whatever is wrong with it, and whatever a library raises that reads
-    it in the block, is a ParameterError of the field.
-    """
-
-    def refusal(name: object, why: str, works: str) -> ParameterError:
-        return ParameterError.unreadable(field, why, works, file)
-
-    try:
-        path = place_of_file(absolute_file(file, Path.cwd()))
-    except ParameterError as error:
-        raise ParameterError(field, error.problem, file) from None
-    plain_file(path, works, most_bytes, refusal)
-    with foreign(path, works, refusal):
-        yield path
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML without aliases, of which a short file can hold millions of values, and without fields that come twice."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise ValueError("it has aliases; write their values out")
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        return once(self.construct_pairs(node, deep))
-
-
-def plain_documents(text: str) -> list[Any]:
-    """The documents of a YAML text that hold anything. ValueError, yaml.YAMLError, RecursionError: for `foreign`."""
-    documents = yaml.load_all(text, _Loader)
-    return [document for document in documents if document is not None]
-
-
-def once(pairs: Sequence[tuple[Any, Any]]) -> dict[Any, Any]:
-    """The mapping of these pairs; ValueError where a field comes twice."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        raise ValueError("it has a field twice")
-    return found

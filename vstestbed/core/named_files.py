@@ -6,11 +6,14 @@ import importlib.util
 import os
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
 from vstestbed.core.errors import OutputError, ParameterError
+from vstestbed.core.foreign import MOST_BYTES, foreign, of_field, plain_file
 
 ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json|ya?ml)$|\.py:\w+$", re.IGNORECASE)
 """The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a calibration, a function in a Python file."""
@@ -58,7 +61,25 @@ def place_of_file(file: str) -> Path:
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
         words = "give its path: absolute, or relative to the scenario's file (with --set to this folder)"
         raise ParameterError("file", f"is not there{where}; {words}", file)
-    return path
+    return plain_file(path, "a smaller file", refusal=of_field("file"))
+
+
+@contextmanager
+def named_file(field: str, file: str, works: str, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
+    """The path of a plain file that a field names. Whatever is wrong with it, and whatever a library raises that reads
+    it in the block, is a ParameterError of the field.
+    """
+
+    def refusal(name: object, why: str, works: str) -> ParameterError:
+        return ParameterError.unreadable(field, why, works, file)
+
+    try:
+        path = place_of_file(absolute_file(file, Path.cwd()))
+    except ParameterError as error:
+        raise ParameterError(field, error.problem, file) from None
+    plain_file(path, works, most_bytes, refusal)
+    with foreign(path, works, refusal):
+        yield path
 
 
 def _no_package(name: str, inside: str) -> str:

@@ -17,6 +17,7 @@ from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.foreign import foreign, of_field
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file, is_there, line_of, load_file
 from vstestbed.core.spec import spec
@@ -208,10 +209,8 @@ def _network(path: Path, written: int, known: tuple[str, ...]) -> Act:
         raise EnvironmentLackError(f"onnxruntime is not installed, which {path.name} needs", "pip install 'vstestbed[policy]'") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1  # comparisons have a process for each core
-    try:
+    with foreign(path, "an ONNX network", of_field("file")):
         network = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # the runtime's exceptions have no common class of their own
-        raise ParameterError.unreadable("file", " ".join(str(error).split())[:120], "an ONNX network", str(path)) from error
     inputs = network.get_inputs()
     for wanted in inputs:
         if wanted.name not in known or wanted.type not in ONNX_KINDS:

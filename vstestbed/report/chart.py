@@ -17,6 +17,7 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.report.marks import INK, RULE, WIDTH_IN, paint
 
+LARGEST = 1e100  # number up to which an axis reaches: the span of larger ones would overflow
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -240,7 +241,7 @@ def _around(values: list[Array], log: bool) -> Pair:
     v = v[np.isfinite(v) & (v > 0)] if log else v[np.isfinite(v)]
     if len(v) == 0:
         return (1.0, 10.0) if log else (0.0, 1.0)
-    low, high = float(v.min()), float(v.max())
+    low, high = np.clip([v.min(), v.max()], 1 / LARGEST if log else -LARGEST, LARGEST).tolist()
     if log:
         margin = max((high / low) ** 0.05, 1.05)
         return low / margin, high * margin

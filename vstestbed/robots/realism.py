@@ -11,7 +11,8 @@ from pydantic import model_validator
 from pydantic_core import ArgsKwargs
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.foreign import named_file, plain_documents
+from vstestbed.core.named_files import named_file
+from vstestbed.core.plain_yaml import plain_documents
 from vstestbed.core.registry import brief_mapping
 from vstestbed.core.spec import OrText, spec
 from vstestbed.effects.base import Further

@@ -17,6 +17,7 @@ import pydantic
 import yaml
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
+from vstestbed.core.foreign import foreign
 from vstestbed.core.messages import all_messages, converted
 from vstestbed.core.registry import REGISTRIES, to_mapping, validator_of
 
@@ -35,6 +36,8 @@ MOST_BYTES = 100_000  # largest file that is read: fifty times the largest bundl
 
 def text_of(path: Path) -> str:
     """The text of a UTF-8 file; ScenarioError where it cannot be read."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ScenarioError([Mistake(str(path), "", "is not a regular file, and would be waited for; save it as one")])
     try:
         # Bytes first: the position of a bad byte is its line and column only while nothing is decoded.
         with path.open("rb") as stream:
@@ -57,7 +60,8 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
     """The mapping in YAML 1.2 text, and the position of its keys. needs: the required content, for messages.
     Raises ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
     """
-    found = _mapping(text, file)
+    with foreign(file, needs):
+        found = _mapping(text, file)
     if found is None:
         raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])
     plain, marks = found
@@ -252,11 +256,12 @@ def _changed(node: _Node, value: Any, file: str) -> Iterator[tuple[tuple[int, in
 def read_value(text: str) -> object:
     """The value of YAML text (`1e-3`, `[1, 2]`, `{kind: oracle}`, `raw`), for `--set`."""
     try:
-        tree = _tree(text, "")
-        if tree is None:
-            return None
-        _mark(tree, (), {}, "")
-        return _value(tree, "")
+        with foreign("--set", "a value that is nested less deeply"):
+            tree = _tree(text, "")
+            if tree is None:
+                return None
+            _mark(tree, (), {}, "")
+            return _value(tree, "")
     except ScenarioError as error:
         raise ParameterError("--set", f"value {error.mistakes[0].sentence}", text) from None
 

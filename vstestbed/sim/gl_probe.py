@@ -23,6 +23,7 @@ UNSET_REMEDY = "unset MUJOCO_GL or set MUJOCO_GL=egl"
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
 """Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
 DEVICE_PLATFORM = 0x313F  # EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device
+DEVICE = "MUJOCO_EGL_DEVICE_ID"  # the variable that names one of EGL's devices, a GPU of several
 ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
 _lack: list[tuple[str, str]] = []  # why OpenGL is switched off, as (lack, remedy); empty where it is not
 
@@ -55,8 +56,8 @@ def missing_libraries(backend: str = "egl") -> list[str]:
     return missing
 
 
-def _egl_starts() -> bool:
-    """Whether some EGL device initialises a display; a first start takes 25 ms.
+def _egl_lack() -> tuple[str, str] | None:
+    """Why none of the EGL devices that may be taken initialises a display, and the remedy; None where one does. A first start takes 25 ms.
 
     MuJoCo and dm_control make the same calls when they are imported. They are made here with ctypes alone, because importing
     PyOpenGL would fix its platform.
@@ -66,15 +67,21 @@ def _egl_starts() -> bool:
     egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
     egl.eglInitialize.argtypes = [pointer, pointer, pointer]
     address = [egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")]
+    none = "libEGL starts no display", remedy()
     if not all(address):
-        return False
+        return none
     query = ctypes.CFUNCTYPE(ctypes.c_uint, number, pointer, pointer)(address[0])
     display_of = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(address[1])
     devices, count = (pointer * 16)(), number()
     if not query(16, devices, ctypes.byref(count)):
-        return False
-    displays = [display_of(DEVICE_PLATFORM, device, None) for device in devices[: count.value]]
-    return any(display and egl.eglInitialize(display, None, None) for display in displays)
+        return none
+    taken = devices[: count.value]
+    if (given := os.environ.get(DEVICE)) is not None:
+        if not given.isdecimal() or int(given) >= len(taken):
+            return f"{DEVICE}={given} is set, and the devices are 0 to {len(taken) - 1}", f"unset {DEVICE}"
+        taken = [taken[int(given)]]
+    displays = [display_of(DEVICE_PLATFORM, device, None) for device in taken]
+    return None if any(display and egl.eglInitialize(display, None, None) for display in displays) else none
 
 
 def choose_backend() -> None:
@@ -103,8 +110,8 @@ def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
         if not requested:
             return lack, remedy()
         return f"{lack}, which MUJOCO_GL={backend} needs", remedy() if backend == "egl" else UNSET_REMEDY
-    if backend == "egl" and not _egl_starts():
-        return "libEGL starts no display", remedy()
+    if backend == "egl" and (lack := _egl_lack()) is not None:
+        return lack
     if backend == "glfw" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
     return None

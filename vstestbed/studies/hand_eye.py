@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, rigid_error, skew
+from vstestbed.vision.pnp import solve_pose
 
 LEAST_VIEWS = 3
 PARALLEL_DEG = 2.0  # RMS of the views' turns about some axis under which nothing is known about it [deg]
@@ -304,12 +305,7 @@ def joint_jacobian(pose: Callable[[Array], Array], q: Array) -> Array:
 
 
 def seen_from(points: Array, uv: Array, camera: Camera) -> Array:
-    """T_camera_board (4, 4) of a board's corners in one picture, by OpenCV's PnP on normalised coordinates."""
-    from vstestbed.core.lazy import cv2
-
-    xy = camera.normalise(uv)
-    _, r, t = cv2.solvePnP(points, np.ascontiguousarray(xy), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    r, t = cv2.solvePnPRefineLM(points, np.ascontiguousarray(xy), np.eye(3), None, r, t)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(np.ravel(r)).as_matrix(), np.ravel(t)
+    """T_camera_board (4, 4) of a board's corners in one picture. Raises ParameterError: they determine no pose."""
+    if (T := solve_pose(camera.normalise(uv), points)) is None:
+        raise ParameterError("points", "determine no pose of the board in a picture: they lie on a line, or behind the camera")
     return T

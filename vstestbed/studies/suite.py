@@ -19,7 +19,7 @@ import polars as pl
 from annotated_types import Ge
 
 from vstestbed.core.errors import ParameterError, VstestbedError, nearest
-from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.files import make_folder, read_json, write_whole
 from vstestbed.core.named_files import folder, is_there
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
@@ -234,7 +234,7 @@ class SuiteEntry:
         Raises ParameterError: it is of another; or a file of the law is not beside the law's file, or below it.
         """
         place, about = out / "suite.json", self.about
-        if place.is_file() and json.loads(place.read_text(encoding="utf-8")) != about:
+        if place.is_file() and read_json(place) != about:
             raise ParameterError("--out", "holds another suite, or the same with other laws or starts; give a new folder", str(out))
         write_whole(place, json.dumps(about, indent=1) + "\n")
         if self.file is None:

@@ -19,6 +19,7 @@ import polars as pl
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import read_file
+from vstestbed.core.foreign import foreign
 from vstestbed.core.shares import Call, at_once
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.comparison.baseline import BaselineChanges, change_of
@@ -235,10 +236,8 @@ class Baseline:
         if file.is_dir() or not file.exists():
             raise RunFolderError(place, "holds no comparison's results" if file.is_dir() else "no such folder or file", WORKS)
         content = io.BytesIO(read_file(file, WORKS))
-        try:
+        with foreign(file, WORKS, RunFolderError):
             table = pl.read_csv(content, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(content)
-        except (pl.exceptions.PolarsError, OSError) as error:
-            raise RunFolderError(file, f"is no table of a comparison ({str(error).splitlines()[0]})", WORKS) from None
         if missing := [name for name in NEEDED if name not in table.columns]:
             raise RunFolderError(file, f"is no table of a comparison (it has no column {missing[0]})", WORKS)
         return cls(place, file, table)

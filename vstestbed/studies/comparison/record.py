@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import json
 import logging
 import os
 import platform
@@ -19,7 +18,7 @@ from typing import Any, NamedTuple
 import polars as pl
 
 from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import make_folder, write_json, write_whole
+from vstestbed.core.files import make_folder, read_json, write_json, write_whole
 from vstestbed.core.foreign import plain_file
 from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, folder, is_there
 from vstestbed.core.provenance import versions
@@ -233,7 +232,7 @@ def _needed(path: Path) -> Iterator[Path]:
 
 def _files(place: Path) -> dict[str, dict[str, str]]:
     """The files of a record, by the places of their copies; none of a folder of before, which has no record."""
-    return json.loads((place / RECORD).read_text(encoding="utf-8"))["files"] if is_there(place / RECORD) else {}
+    return read_json(place / RECORD)["files"] if is_there(place / RECORD) else {}
 
 
 def _differs(said: Mapping[str, str], path: str | Path) -> bool:

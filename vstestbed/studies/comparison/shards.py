@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import linked, write_json, write_whole
+from vstestbed.core.files import linked, read_json, write_json, write_whole
 from vstestbed.studies.comparison.folder import stored_runs
 from vstestbed.studies.comparison.plan import Job, Jobs
 from vstestbed.studies.comparison.record import FILES, PLAN, RECORD, SCENARIOS
@@ -39,7 +38,7 @@ class Shard(NamedTuple):
     @classmethod
     def in_folder(cls, folder: Path) -> Shard:
         """The shard of a comparison's folder; the whole where it has no other."""
-        return cls(**json.loads((folder / SHARD).read_text(encoding="utf-8"))) if (folder / SHARD).exists() else cls()
+        return cls(**read_json(folder / SHARD)) if (folder / SHARD).exists() else cls()
 
     def keep(self, folder: Path) -> None:
         """Write it into a comparison's folder, which then goes on as this shard."""
@@ -111,7 +110,7 @@ def gather(places: Iterable[Path], folder: Path) -> None:
 
 def _plan(place: Path) -> object:
     """What must be equal in all shards: plan, scenarios, hashes of the files, version."""
-    record = json.loads((place / RECORD).read_text(encoding="utf-8"))
+    record = read_json(place / RECORD)
     texts = [(path.name, path.read_bytes()) for path in (place / PLAN, *sorted((place / SCENARIOS).glob("*.yaml")))]
     files = {name: said["sha256"] for name, said in record["files"].items()}
     return texts, files, record["environment"]["versions"]["vstestbed"]
