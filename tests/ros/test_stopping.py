@@ -254,18 +254,18 @@ def test_a_driver_whose_stamps_never_advance_stops_the_robot_in_real_time(shown)
     node = LawNode(scenario, Wire("vstestbed_law", wire), watchdog_s=0.3, started=True)
     ended, thread = spun(node)
 
-    def drives(seconds):
+    def drives(seconds, until):
         end = time.monotonic() + seconds
-        while time.monotonic() < end and not node._stopped:
+        while time.monotonic() < end and not until():
             for topic, message in m.readings(0.0, scenario.robot, reading).items():
                 wire.publish(topic, message)
             wire.publish("~/image_raw", m.image(0.0, image))
             time.sleep(0.02)
 
     began = time.monotonic()
-    drives(20.0)  # it ends as soon as the node has stopped; a busy machine is slow
+    drives(20.0, lambda: node._stopped)  # it ends as soon as the node has stopped; a busy machine is slow
     stopped_s, moved = time.monotonic() - began, len(wire.twists())
-    drives(0.2)
+    drives(0.2, lambda: False)
     ended.set()
     thread.join(5)
     assert any(v.any() for v in wire.twists()[:moved]) and not np.any(wire.twists()[moved - 1 :])
