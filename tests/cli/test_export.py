@@ -169,4 +169,5 @@ def test_a_full_disk_is_told_and_nothing_is_left_half(place, vstestbed_process, 
     assert done.stderr.count("\n") == 1
     said = ("no room for", "free some, choose another place") if to == "lerobot" else ("no space left on the disk; free some, or",)
     assert all(words in done.stderr for words in said)
+    assert to != "rosbag2" or done.stderr.startswith(f"{place / 'run_rosbag2'}: ")
     assert names(place) == before and {p.name for p in place.iterdir()} == {"run", "comparison"}

@@ -187,6 +187,30 @@ def test_poses_that_are_none_are_a_sentence(tmp_path, content):
         c.calibrated(c.shots_of_folder(tmp_path, None), BOARD, True, None)
 
 
+def test_two_hundred_broken_pose_files_are_a_sentence_or_lines_passed_over(tmp_path):
+    """Bytes of poses.csv are changed, cut out and doubled; what is left has finite poses."""
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((24, 32, 3), np.uint8))
+    lines = ["picture,x,y,z,qx,qy,qz,qw", *(f"a.png,0.{i},0.1,0.3,0,0,{i},1" for i in range(5))]
+    whole, used = "\n".join(lines).encode(), 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        raw = bytearray(whole)
+        for _ in range(rng.integers(1, 8)):
+            at = int(rng.integers(len(raw)))
+            raw[at] = int(rng.choice([*b'na0,;e\n"-.\0', rng.integers(256)]))
+        if rng.random() < 0.3:
+            at, end = sorted(int(i) for i in rng.integers(len(raw), size=2))
+            raw = raw[:at] + raw[end:] if rng.random() < 0.5 else raw[:end] + raw[at:]
+        (tmp_path / "poses.csv").write_bytes(raw)
+        try:
+            shots = c.shots_of_folder(tmp_path, None)
+        except VstestbedError:
+            continue
+        used += 1
+        assert all(np.isfinite(shot.T_base_flange).all() for shot in shots)
+    assert 20 < used < 200
+
+
 def test_a_calibration_is_less_exact_with_worse_joints(monkeypatch):
     """By the commands' own table: five times the joints' error is more than twice the error of the pose."""
     monkeypatch.setattr(c, "OVER", {"joint_deg": (0.02, 0.1)})

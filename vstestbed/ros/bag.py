@@ -62,22 +62,22 @@ SAME_RUN = 0.001  # largest difference of commands flown again from those of the
 
 
 class Bag(Link):
-    """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one.
+    """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one. named: what errors call it.
     Raises EnvironmentLackError, OutputError: see `writing`.
     """
 
-    def __init__(self, folder: Path, node: str = "vstestbed_robot"):
+    def __init__(self, folder: Path, node: str = "vstestbed_robot", named: Path | None = None):
         super().__init__(node, 0)
-        self._folder = folder
+        self._named = named or folder
         self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        with writing(folder):
+        with writing(self._named):
             self._writer.open()
         self._topics: dict[str, Any] = {}
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
         name, kind = self.name(topic), message.__msgtype__
-        with writing(self._folder):
+        with writing(self._named):
             if name not in self._topics:
                 self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
             self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
@@ -92,7 +92,7 @@ class Bag(Link):
         return None
 
     def close(self) -> None:
-        with writing(self._folder):
+        with writing(self._named):
             self._writer.close()
 
     def __exit__(self, *error: object) -> None:
@@ -116,7 +116,7 @@ def write_rosbag2(run: RecordedRun, out: Path, start_s: float = 0.0, tick: Calla
         words = "was commanded from outside, which cannot be flown again"
         raise RunFolderError(run.folder, words, "vstestbed ros ... --role robot --bag DIR records while it flies")
     with whole_folder(out) as folder:
-        with Bag(folder / out.name) as bag, closing(Episode(s, True, (), None)) as episode:
+        with Bag(folder / out.name, named=out) as bag, closing(Episode(s, True, (), None)) as episode:
             voice = Voice(s, bag, truth=True, offset_s=start_s)
             frame = episode.advance()
             while frame is not None and frames < len(logged):

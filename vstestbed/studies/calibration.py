@@ -158,13 +158,7 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
     """
     path = folder / POSES
     works = "poses.csv has the columns picture, and x, y, z, qx, qy, qz, qw or the joints' names"
-    if not path.exists():
-        raise RunFolderError(folder, f"has no {POSES}", works)
-    with (
-        foreign(path, works, RunFolderError),
-        plain_file(path, works, refusal=RunFolderError).open(newline="", encoding="utf-8-sig") as file,
-    ):
-        lines = list(csv.DictReader(file, skipinitialspace=True))
+    lines = _lines_of(path, works)
     shots: list[Shot] = []
     bad: list[VstestbedError] = []
     for number, line in enumerate(lines, start=2):
@@ -181,6 +175,17 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
     if bad:
         logging.getLogger("vstestbed").warning("%d of %d pictures are passed over, the first: %s", len(bad), len(lines), bad[0])
     return [shot for shot in shots if shot.picture.shape == size]
+
+
+def _lines_of(path: Path, works: str) -> list[dict[str, Any]]:
+    """The lines of poses.csv by their columns; RunFolderError."""
+    if not path.exists():
+        raise RunFolderError(path.parent, f"has no {POSES}", works)
+    with (
+        foreign(path, works, RunFolderError),
+        plain_file(path, works, refusal=RunFolderError).open(newline="", encoding="utf-8-sig") as file,
+    ):
+        return list(csv.DictReader(file, skipinitialspace=True))
 
 
 def _shot_of_line(folder: Path, line: dict[str, Any], robot: Robot | None) -> Shot:

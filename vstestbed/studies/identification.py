@@ -384,12 +384,10 @@ def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Arra
     """Names and values (n, k) of what was read, and its times (n,), from 0 on."""
     joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in record.columns]
     pixels = [name for i in range(len(scenario.target.points)) for name in (f"u_px_{i}", f"v_px_{i}") if name in record.columns]
-    if not joints and not pixels:
-        words = f"has none of q_{', q_'.join(scenario.robot.joints)} and no u_px_0, ...: is it of another robot?"
-        raise ParameterError("record", words, record.columns[:8])
-    moving = [name for name in joints if len(np.unique(record[name].to_numpy()[np.isfinite(record[name].to_numpy())])) > 1]
+    moving = [name for name in joints if np.nanmax(q := record[name].to_numpy(), initial=-np.inf) > np.nanmin(q, initial=np.inf)]
     if not moving and not pixels:
-        raise ParameterError("record", f"tells of no motion: {', '.join(joints)} do not change")
+        words = f"has none of q_{', q_'.join(scenario.robot.joints)} that changes, and no u_px_0, ...: is it of another robot?"
+        raise ParameterError("record", words, record.columns[:8])
     t = record["t" if not joints or "t_q" not in record.columns else "t_q"].to_numpy()
     return moving + pixels, record.select(moving + pixels).to_numpy(), t
 
