@@ -113,7 +113,7 @@ class _Held:
         except BaseException as error:  # whatever a law raises; also sys.exit
             field = error.field if isinstance(error, ParameterError) else ""
             what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
-            return True, (field, what + str(error).removeprefix(f"{field} "))
+            return True, (field.removeprefix("_Holder.law."), what + str(error).removeprefix(f"{field} "))
 
 
 def _plain(value: Any) -> Any:
@@ -124,7 +124,7 @@ def _plain(value: Any) -> Any:
 CREATE, ADD, RESTRICT = 444, 445, 446  # its system calls, on all architectures
 RIGHTS = 13, 14, 15, 15, 16  # how many rights to files its versions know
 READ_FILE, READ = 0b101, 0b1101  # read and execute; of a folder list it, too
-SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom"
+SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom", "/proc/cpuinfo", "/sys/devices/system/cpu"
 
 
 def landlock() -> int:
@@ -139,7 +139,7 @@ def confine(reads: str) -> None:
     with suppress(ImportError, ValueError):  # Windows; a lower limit is in force
         import resource
 
-        for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_AS, MEMORY)):
+        for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_DATA, MEMORY)):
             resource.setrlimit(kind, (most, most))
     if (version := landlock()) < 1:
         return
