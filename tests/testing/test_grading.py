@@ -142,6 +142,7 @@ def test_mistakes_of_a_lab_are_the_teachers_and_told_before_any_run(tmp_path: Pa
         ({"tasks": tasks(set={"camera.rate": 10})}, r"tasks\.0: camera\.rate: is an unknown field; did you mean 'rate_hz'"),
         ({"tasks": tasks(reached=4)}, r"tasks\.0\.reached: must be at most the 3 runs of `seeds`, got 4"),
         ({"tasks": tasks(median={"path_ratoi": {"at_most": 1}})}, r"tasks\.0\.median: must be one of .*, got 'path_ratoi'"),
+        ({"tasks": tasks(scenario="camera_photometric", set={})}, r"tasks\.0: stop\.converged\.error_grey: is told by the law itself"),
         ({"tasks": tasks(pionts=3)}, r"tasks\.0\.pionts: is an unknown field; did you mean 'points'"),
     ):
         with pytest.raises(ScenarioError, match=words):

@@ -11,6 +11,7 @@ import random
 import socket
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,22 @@ for number in range(3, 30):
     "answers a number of 5,000 digits": FORGED.format(answer="1", first=4) + "json.dumps = lambda *a, **k: '9' * 5000",
     "answers that it is reached": FORGED.format(answer='[False, "converged"]', first=5),
     "declares columns of the truth and no tasks": FORGED.format(answer='[False, {"columns": ["position_error_m"], "tasks": []}]', first=0),
+    "asks for the robot's Jacobian without end": """
+import vstestbed.testing.child as child
+def attack(basis):
+    held = next(x for x in gc.get_objects() if type(x).__name__ == "_Held")
+    while True:
+        held.send(child.JACOBIAN, np.zeros(6))
+        held.receive()
+Student.inputs = ("robot",)
+""",
+    "asks for a Jacobian that there is none of": """
+import vstestbed.testing.child as child
+def attack(basis):
+    held = next(x for x in gc.get_objects() if type(x).__name__ == "_Held")
+    held.send(child.JACOBIAN, ["q"])
+    held.receive()
+""",
     "leaves processes that outlive it, with its files open": """
 if os.fork() == 0:
     os.setsid()
@@ -248,7 +265,7 @@ def test_whatever_bytes_answer_a_step_it_is_a_command_or_a_failure_of_the_law() 
     right = {"u": [0.1] * 6, "twist": [0.1] * 6, "rates": None, "wrench": None, "rest_reason": "", "scale": 1.0, "free": [], "mode": 0}
     whole = json.dumps([False, [1, right | {"row": []}]]).encode()
     rng, others = random.Random(5), [b"", b"0", b'"x"', b"null", b"[]", b"{}", b"1e999", b"NaN", b"[[[[]]]]", b"9" * 400, b"\xff", b"true"]
-    seen: Any = None
+    seen: Any = SimpleNamespace(robot=None)
     given = failed = 0
     for _ in range(2000):
         at, to = sorted(rng.sample(range(len(whole) + 1), 2))

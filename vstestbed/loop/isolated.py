@@ -19,7 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -41,6 +41,7 @@ MODULE = __name__  # the plugin that adds the kind
 START_S = 60.0  # time for Python, the package and the law's files [s]
 ANSWER_S = 10.0  # for one answer [s]
 MOST_BYTES = 1 << 16  # of an answer
+JACOBIAN = "jacobian"  # in place of an answer: it is asked for at the positions that follow
 SHOWN = 2000  # bytes of what the process printed, and of its sentences
 INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -89,6 +90,7 @@ class Child:
     def __init__(self, *law: Any):
         self.ended, self.spent_s = False, 0.0
         self._goal: Goal | None = None
+        self._jacobian: Callable[[Array], Array]
         self._place = tempfile.TemporaryDirectory(prefix="law_", ignore_cleanup_errors=True)
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115 - until the process ends
         self._channel, theirs = socket.socketpair()
@@ -113,14 +115,12 @@ class Child:
         Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or its process gave no answer.
         """
         began = time.monotonic()
+        until = began + seconds
         try:
-            message = pickle.dumps((method, given))
-            self._channel.settimeout(seconds)
-            self._channel.sendall(len(message).to_bytes(8, "big") + message)
-            size = int.from_bytes(self._read(8, began + seconds), "big")
-            if size > MOST_BYTES:
-                raise ValueError("it is too long")
-            refused, said = json.loads(self._read(size, began + seconds))
+            self._send((method, given), until)
+            while (answer := self._received(until))[0] == JACOBIAN:
+                self._send(self._jacobian(np.array(answer[1], float)), until)
+            refused, said = answer
             if not refused:
                 return of(said)
             name, problem = map(str, said)
@@ -133,10 +133,28 @@ class Child:
             self.spent_s += time.monotonic() - began
         raise ParameterError(name, problem[:SHOWN]) if name else LawFailedError(problem[:SHOWN])
 
+    def _wait(self, until: float) -> None:
+        """Let the next transfer last until then at most. Raises TimeoutError: it is later."""
+        left = until - time.monotonic()
+        if left <= 0:
+            raise TimeoutError
+        self._channel.settimeout(left)
+
+    def _send(self, message: Any, until: float) -> None:
+        packed = pickle.dumps(message)
+        self._wait(until)
+        self._channel.sendall(len(packed).to_bytes(8, "big") + packed)
+
+    def _received(self, until: float) -> Any:
+        size = int.from_bytes(self._read(8, until), "big")
+        if size > MOST_BYTES:
+            raise ValueError("it is too long")
+        return json.loads(self._read(size, until))
+
     def _read(self, size: int, until: float) -> bytes:
         found = b""
         while len(found) < size:
-            self._channel.settimeout(max(until - time.monotonic(), 1e-3))
+            self._wait(until)
             more = self._channel.recv(size - len(found))
             if not more:
                 raise EOFError
@@ -144,9 +162,14 @@ class Child:
         return found
 
     def step(self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
-        """Number of the next state, and the command. A goal is sent once."""
+        """Number of the next state, and the command. A goal is sent once. The Jacobian at other positions is computed here, on request:
+        it is made with the whole robot.
+        """
         sent = None if goal is self._goal else goal
         self._goal = goal
+        if seen.robot is not None:
+            self._jacobian = seen.robot.jacobian
+            seen = replace(seen, robot=replace(seen.robot, jacobian=None))  # pyright: ignore[reportArgumentType] - the process has its own
         return self.ask(lambda said: (int(said[0]), command_of(said[1], basis.shape[1])), seconds, "step", state, seen, sent, basis)
 
     def close(self) -> None:

@@ -14,6 +14,7 @@ import socket
 import struct
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,7 +26,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LAWS, Law
 from vstestbed.laws.base import LawFailedError
 from vstestbed.loop.controller import GuardedLaw
-from vstestbed.loop.isolated import Declared
+from vstestbed.loop.isolated import JACOBIAN, Declared
 from vstestbed.scenario.plugins import load_plugins, registries
 from vstestbed.testing.laws import unnamed_in_source
 
@@ -45,8 +46,26 @@ class _Held:
     law: Law[Any]
     goal: Any = None
 
-    def __init__(self) -> None:
-        self.states, self.last = dict[int, Any](), 0
+    def __init__(self, channel: Any):
+        self.channel, self.states, self.last = channel, dict[int, Any](), 0
+
+    def send(self, *answer: Any) -> None:
+        """Answer the parent."""
+        said = json.dumps(answer, default=_plain).encode()
+        self.channel.write(len(said).to_bytes(8, "big") + said)
+        self.channel.flush()
+
+    def receive(self) -> Any:
+        """What the parent sends; ends the process with it."""
+        size = self.channel.read(8)
+        if not size:
+            os._exit(0)
+        return pickle.loads(self.channel.read(int.from_bytes(size, "big")))
+
+    def jacobian(self, q: Array) -> Array:
+        """The robot's, at other positions: the parent computes it."""
+        self.send(JACOBIAN, q)
+        return self.receive()
 
     def make(self, files: list[str], adds: str, block: dict[str, Any], reads: str) -> dict[str, Any]:
         """Load the law's files, and make it: what it declares."""
@@ -68,6 +87,8 @@ class _Held:
     def step(self, state: int, seen: Observation, goal: Goal | None, basis: Array) -> Any:
         """One frame, by a guard of its own: a law is asked again after a failure, for another state."""
         self.goal = goal or self.goal
+        if seen.robot is not None:
+            seen = replace(seen, robot=replace(seen.robot, jacobian=self.jacobian))
         guarded = GuardedLaw(self.law)
         following, command = guarded.step(self.states[state], seen, self.goal, basis)
         if guarded.failure:
@@ -92,7 +113,7 @@ class _Held:
         except BaseException as error:  # whatever a law raises; also sys.exit
             field = error.field if isinstance(error, ParameterError) else ""
             what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
-            return True, (field, what + str(error).removeprefix(f"{field} "))
+            return True, (field.removeprefix("_Holder.law."), what + str(error).removeprefix(f"{field} "))
 
 
 def _plain(value: Any) -> Any:
@@ -103,7 +124,7 @@ def _plain(value: Any) -> Any:
 CREATE, ADD, RESTRICT = 444, 445, 446  # its system calls, on all architectures
 RIGHTS = 13, 14, 15, 15, 16  # how many rights to files its versions know
 READ_FILE, READ = 0b101, 0b1101  # read and execute; of a folder list it, too
-SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom"
+SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom", "/proc/cpuinfo", "/sys/devices/system/cpu"
 
 
 def landlock() -> int:
@@ -118,7 +139,7 @@ def confine(reads: str) -> None:
     with suppress(ImportError, ValueError):  # Windows; a lower limit is in force
         import resource
 
-        for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_AS, MEMORY)):
+        for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_DATA, MEMORY)):
             resource.setrlimit(kind, (most, most))
     if (version := landlock()) < 1:
         return
@@ -139,15 +160,7 @@ def confine(reads: str) -> None:
     libc.syscall(RESTRICT, rules, 0)
 
 
-def main(number: int) -> None:
-    """Answer until the parent is gone."""
-    channel, held = socket.socket(fileno=number).makefile("rwb"), _Held()
-    while size := channel.read(8):
-        said = json.dumps(held.answer(*pickle.loads(channel.read(int.from_bytes(size, "big")))), default=_plain).encode()
-        channel.write(len(said).to_bytes(8, "big") + said)
-        channel.flush()
-
-
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
-    os._exit(0)
+    held = _Held(socket.socket(fileno=int(sys.argv[1])).makefile("rwb"))
+    while True:
+        held.send(*held.answer(*held.receive()))

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import polars as pl
 from annotated_types import Ge, Le, Len
 
-from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
 from vstestbed.core.files import write_json, write_whole
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.registry import to_mapping
@@ -171,7 +171,10 @@ def read_lab(path: Path) -> Lab:
     for i, task in enumerate(lab.tasks):
         others = {key: value for key, value in task.set.items() if key.partition(".")[0] != lab.field.partition(".")[0]}
         try:
-            load(_place(task.scenario, path.parent), others)
+            scenario = load(_place(task.scenario, path.parent), others)
+            if scenario.stop.converged.error_grey is not None:
+                words = "is told by the law itself, and gives no marks; works: null, with another condition"
+                raise ScenarioError([Mistake("", "stop.converged.error_grey", words)])
         except ScenarioError as error:
             raise ScenarioError([replace(each, where=f"{path}: tasks.{i}") for each in error.mistakes]) from None
     return lab
