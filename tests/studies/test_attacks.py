@@ -90,7 +90,6 @@ def first(table: pl.DataFrame, **values: Any) -> pl.DataFrame:
 
 halved = rows(lambda t: t.with_columns(value=pl.col("value") / 2))
 PATCH = "import {module} as patched\npatched.{name} = {value}\n"
-APART = "while judge and law share a process, code of the law can change what judges"
 
 CLAIMS: dict[str, Callable[[Files], Files]] = {
     "half of each time": halved,
@@ -195,7 +194,7 @@ def test_no_claim_passes(attack: str, handed_in: SimpleNamespace, tmp_path: Path
 
 @pytest.mark.study
 @pytest.mark.process
-@pytest.mark.parametrize("attack", [*FILES, *(pytest.param(name, marks=pytest.mark.xfail(reason=APART, strict=True)) for name in CODE)])
+@pytest.mark.parametrize("attack", [*FILES, *CODE])
 def test_no_code_passes(attack: str, handed_in: SimpleNamespace, tmp_path: Path, vstestbed_process: Any) -> None:
     """In a process of its own, which code of a submission may end."""
     words, environment = vstestbed_process

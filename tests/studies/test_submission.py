@@ -11,7 +11,7 @@ import struct
 import sys
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +22,7 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import RunFolderError
+from vstestbed.loop.isolated import offered
 from vstestbed.studies import submission
 from vstestbed.studies.submission import MOST_TEXT, MOST_UNPACKED, Asked, contents, draws, pack, unpacked
 from vstestbed.studies.suite import SuiteEntry, TaskSuite, kept_runs, opened, read_suite
@@ -63,7 +64,7 @@ def zipped(files: Files, path: Path, **more: Any) -> Path:
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> SimpleNamespace:
+def world(tmp_path: Path) -> Iterator[SimpleNamespace]:
     """A suite, a law of one's own, and the files of its submission, of runs that nobody has flown."""
     (tmp_path / "plan.yaml").write_text(PLAN)
     suite = tmp_path / "own.yaml"
@@ -73,7 +74,8 @@ def world(tmp_path: Path) -> SimpleNamespace:
     rows = rows_of(suite, law)
     about = json.dumps(opened(str(law), str(suite), alone=True).about).encode()
     files: Files = {"suite.json": about, "runs.csv": text_of(rows), "scores.csv": b"law\n", "law/mine.yaml": LAW.encode()}
-    return SimpleNamespace(folder=tmp_path, suite=suite, law=law, rows=rows, files=files, asked=Asked(str(suite)))
+    with offered():
+        yield SimpleNamespace(folder=tmp_path, suite=suite, law=law, rows=rows, files=files, asked=Asked(str(suite)))
 
 
 # Rows: the plan's, exactly.
