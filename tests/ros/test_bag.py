@@ -11,6 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import vstestbed as vs
+from vstestbed.cli.ros import remapped
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.report.export.mcap_file import write_mcap
 from vstestbed.report.export.source import RecordedRun
@@ -126,6 +127,16 @@ def test_a_bag_is_a_record_for_identification(bag):
     record = record_of(bag, vs.load("arm_ibvs", GIVEN))
     assert {"t", "arrived", "u_0", "u_5", "q_joint_1", "qd_joint_6", "u_px_0", "v_px_3"} <= set(record.columns)
     np.testing.assert_allclose((record["arrived"] - record["t"]).to_numpy(), 0.02, atol=1e-9)
+
+
+def test_a_topic_that_maps_nothing_is_refused(bag, run):
+    scenario = vs.load("arm_ibvs", GIVEN)
+    with pytest.raises(ParameterError, match=r"--remap must be one of image_raw, twist, joint_states, got 'imag_raw'"):
+        replay(bag, scenario, remapped(["imag_raw:=/x"]))
+    with pytest.raises(ParameterError, match="--remap is for bags of ROS"):
+        replay(write_mcap(RecordedRun.of(run), run.with_name("mapped.mcap")), scenario, remapped(["image_raw=/x"]))
+    given = ["~/image_raw:=/a", "image_raw:=/b", "/joint_states=arm/joints"]
+    assert remapped(given) == {"image_raw": "/a", "joint_states": "/arm/joints"}  # the first one of each, absolutely
 
 
 def test_the_page_says_how_many_agree(bag, tmp_path):

@@ -52,7 +52,7 @@ def ros(
     """The simulated robot, or the law, as a node of ROS 2."""
     from vstestbed.cli.progress import show_notes
     from vstestbed.ros.law import command_topic
-    from vstestbed.ros.link import NODES, connected, rules_of
+    from vstestbed.ros.link import connected, rules_of
 
     idle = ["stop.rest_after_s=null"] if role == "robot" else []  # who waits for commands has not ended
     given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
@@ -83,14 +83,20 @@ def ros(
             elif role == "robot":
                 _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended)
             else:
-                link.publishes(*(f"/{name}/{role}" for name in NODES[:2]))
-                answers = [f"{name}: {answer[1]}" for name in NODES[:2] if (answer := link.call(f"/{name}/{role}"))]
-                if not answers:
-                    raise EnvironmentLackError("no node has answered", "start `vstestbed ros ... --role law`; is --connect its address?")
-                typer.echo("\n".join(answers))
+                _tell(link, role)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _tell(link: Link, service: str) -> None:
+    from vstestbed.ros.link import NODES
+
+    link.publishes(*(f"/{name}/{service}" for name in NODES[:2]))
+    answers = [f"{name}: {answer[1]}" for name in NODES[:2] if (answer := link.call(f"/{name}/{service}"))]
+    if not answers:
+        raise EnvironmentLackError("no node has answered", "start `vstestbed ros ... --role law`; is --connect its address?")
+    typer.echo("\n".join(answers))
 
 
 def _fly(

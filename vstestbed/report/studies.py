@@ -189,13 +189,17 @@ def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Fi
     return drawn
 
 
+def _letters(maps: Sequence[ConvergenceMap]) -> str:
+    """The letters that occur, in words."""
+    present = {str(outcome) for _, _, others, _ in maps for outcome in others.flat}
+    return ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items() if word in present) or "none"
+
+
 def write_sweep(
     folder: Path, maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis, seeds: int, description: str, command: str, caution: str = ""
 ) -> Path:
     """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns the page's path."""
-    present = {str(outcome) for _, _, others, _ in maps for outcome in others.flat}
-    letters = ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items() if word in present)
-    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters or 'none'})."
+    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({_letters(maps)})."
     image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
     what = "median distance from the true goal, of those that converged [mm]"
     found = []

@@ -54,12 +54,7 @@ def _things(model: mujoco.MjSpec) -> list[tuple[Any, str]]:
 
 def files_read(path: Path) -> list[Path]:
     """The files that MuJoCo reads with a model: what it includes, meshes, textures, height fields, skins; none of what it cannot read."""
-    names, waiting = list[Path](), [path]
-    while waiting:
-        text = COMMENT.sub("", waiting.pop().read_text(errors="replace"))
-        included = [path.parent / name for name in INCLUDE.findall(text) if path.parent / name not in names]
-        names += included
-        waiting += filter(is_there, included)
+    names = _included(path)
     try:
         model = read_model(path)
     except (OSError, ValueError):  # it is no model, or a run with it is refused, and says why
@@ -68,6 +63,18 @@ def files_read(path: Path) -> list[Path]:
         names += [path.parent / folder / thing.file for thing in things if thing.file]
     for texture in model.textures:
         names += [path.parent / model.texturedir / face for face in texture.cubefiles if face]
+    return names
+
+
+def _included(path: Path) -> list[Path]:
+    """The files that a model includes, and those that these include, all from the model's folder; comments include none."""
+    names, waiting = list[Path](), [path]
+    while waiting:
+        text = COMMENT.sub("", waiting.pop().read_text(errors="replace"))
+        for name in INCLUDE.findall(text):
+            if path.parent / name not in names:
+                names.append(path.parent / name)
+                waiting += filter(is_there, names[-1:])
     return names
 
 
