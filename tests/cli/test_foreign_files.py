@@ -150,10 +150,10 @@ def test_a_reader_answers_with_a_sentence(name: str, tmp_path: Path):
     for kind, make in KINDS.items():
         path = tmp_path / f"{kind.replace(' ', '_')}{ending}"
         make(path, ending, content())
+        said = ""
         try:
             with no_hang():
                 read(path)
-            said = ""
         except VstestbedError as error:
             said = str(error)
             if path.stem not in said:

@@ -115,8 +115,9 @@ def has_number(value: ast.expr) -> bool:
 
 def said_after(body: list[ast.stmt], i: int) -> str:
     """The docstring of a constant: the text behind its statement."""
-    after = body[i + 1].value if i + 1 < len(body) and isinstance(body[i + 1], ast.Expr) else None
-    return after.value if isinstance(after, ast.Constant) and isinstance(after.value, str) else ""
+    after = body[i + 1] if i + 1 < len(body) else None
+    text = after.value if isinstance(after, ast.Expr) else None
+    return text.value if isinstance(text, ast.Constant) and isinstance(text.value, str) else ""
 
 
 def lengths_in(source: str) -> set[str]:

@@ -51,6 +51,12 @@ def flown(k: float, **parts: Any) -> Recording:
         return vs.run(vs.load(file))
 
 
+def apart_s(one: Recording, other: Recording) -> float:
+    """How far apart in time two runs converge [s]."""
+    times: list[Any] = [recording.summary()["time_to_converge_s"] for recording in (one, other)]
+    return abs(times[0] - times[1])
+
+
 def in_pixels(recording: Recording) -> np.ndarray:
     """Its error from frame to frame [px]."""
     return recording.frame()["error_px"].to_numpy()
@@ -141,7 +147,7 @@ def test_no_detector_sees_the_scale(of: str, k: float, renderer: str):
     frame = 1 / room.scenario.camera.rate_hz
     assert room.outcome is other.outcome is Outcome.converged
     # two frames: where the last pixels come by noise of the detector, the threshold is crossed a frame sooner or later
-    assert abs(other.summary()["time_to_converge_s"] - room.summary()["time_to_converge_s"]) <= (30 if of == "photometric" else 2) * frame
+    assert apart_s(other, room) <= (30 if of == "photometric" else 2) * frame
     if of != "photometric":
         assert abs(in_pixels(other)[0] - in_pixels(room)[0]) < 0.3  # noise of the detector
 
@@ -154,4 +160,4 @@ def test_no_law_sees_any_decade(law: str, k: float):
     assert other.outcome is Outcome.converged
     # the units of scenes that are no power of two differ by up to 2, by which the excitation and the weights of a program do
     slack = {"uncalibrated": 1.0, "predictive": 0.2}.get(law, 1e-9)
-    assert abs(other.summary()["time_to_converge_s"] - room.summary()["time_to_converge_s"]) <= slack
+    assert apart_s(other, room) <= slack

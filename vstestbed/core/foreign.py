@@ -43,7 +43,9 @@ def reason(error: BaseException) -> str:
     """What an exception of a library says, in one line of at most 200 characters; its class where it says nothing."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
+    error = error.__cause__ if isinstance(error, SystemError) and error.__cause__ else error  # of OpenCV's FileStorage
     words = " ".join(str(error).split())
+    words = words.partition(": error: ")[2] or words  # of OpenCV's without the place in its source
     return f"{words[:197]}..." if len(words) > 200 else words or type(error).__name__
 
 

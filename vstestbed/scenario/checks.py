@@ -178,7 +178,7 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
     """
     if not runs_along(target):
         return basis.shape[1]
-    steps = STEP * basis.T * np.repeat([np.linalg.norm(T_camera_target[:3, 3]), 1.0], 3)
+    steps = STEP * basis.T * np.repeat([float(np.linalg.norm(T_camera_target[:3, 3])), 1.0], 3)
     before, after = (target.points_at(exp(way * steps) @ T_camera_target) for way in (1, -1))  # the camera moves the other way
     rates = (after / lengths(after) - before / lengths(before)) / (2 * STEP)
     if not np.isfinite(rates).all():  # from inside a ball; the goal view is refused elsewhere
