@@ -126,7 +126,7 @@ def test_a_column_that_is_not_known_is_refused_by_its_name(tmp_path):
         ({}, ""),
         ({"x_mm": 3}, "x_mm is not read here"),
         ({"qz": 0, "qw": 0}, "a quaternion that is zero"),
-        ({"qw": "nan"}, "nan"),
+        ({"qw": "nan"}, "must be finite"),
     ):
         with (tmp_path / "poses.csv").open("w", newline="") as file:
             table = csv.DictWriter(file, {**line, **more})

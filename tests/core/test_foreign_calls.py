@@ -21,7 +21,9 @@ CALLS = {
 
 ELSEWHERE = {
     "raises within a `with foreign(...)` of its only callers": {
+        ("camera/intrinsics.py", "_documents"),
         ("camera/intrinsics.py", "_from_opencv"),
+        ("core/plain_yaml.py", "plain_documents"),
         ("scenario/yaml_marks.py", "_tree"),
     },
     "its callers turn MuJoCo's errors into a line and a remedy (`cannot_compile`)": {
@@ -29,6 +31,7 @@ ELSEWHERE = {
         ("sim/scene/model_files.py", "_ends_at"),
     },
     "tells more than the library does, by exceptions of its own": {
+        ("loop/isolated.py", "_received"),
         ("loop/log_file.py", "_of_parquet"),
         ("loop/recording.py", "read_summary"),
         ("ros/bag.py", ""),

@@ -30,6 +30,7 @@ REASONS = {
         scenario/checks.py MOST_MOUNT_M MOST_PLACE_M MOST_VIEW_M
         sim/render/rays.py FAR
         scenario/cameras.py LEAST_BASELINE_M
+        studies/calibration.py LEAST_M MOST_M
         tasks/metrics.py LEAST""",
     "the size of a robot that exists, of its parts and its sensors, or a tolerance of what is that large": """
         effects/links.py Payload.com_m Payload.edge_m
@@ -83,7 +84,7 @@ REASONS = {
         features/points.py StereoPoint.baseline_m
         imaging/depth.py DepthSensor.far_m Stereo.baseline_m Stereo.far_m Stereo.near_m StructuredLight.baseline_m
         imaging/depth.py StructuredLight.far_m StructuredLight.near_m TimeOfFlight.far_m TimeOfFlight.near_m
-        laws/pose_controller.py PoseController.pass_m PoseController.rest_m
+        laws/pose_controller.py PoseController.average_m PoseController.pass_m PoseController.rest_m
         sim/scene/world.py Clutter.radius_m Clutter.size_m Decoy.radius Floor.tile_m Plate.height Plate.width
         sim/scene/world.py WindowPane.height WindowPane.width
         studies/calibration.py Board.marker_m Board.square_m

@@ -22,7 +22,6 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.loop.isolated import offered
 from vstestbed.studies import submission
 from vstestbed.studies.submission import MOST_TEXT, MOST_UNPACKED, Asked, contents, draws, pack, unpacked
 from vstestbed.studies.suite import SuiteEntry, TaskSuite, kept_runs, opened, read_suite
@@ -74,6 +73,8 @@ def world(tmp_path: Path) -> Iterator[SimpleNamespace]:
     rows = rows_of(suite, law)
     about = json.dumps(opened(str(law), str(suite), alone=True).about).encode()
     files: Files = {"suite.json": about, "runs.csv": text_of(rows), "scores.csv": b"law\n", "law/mine.yaml": LAW.encode()}
+    from vstestbed.loop.isolated import offered  # here: the import adds a kind
+
     with offered():
         yield SimpleNamespace(folder=tmp_path, suite=suite, law=law, rows=rows, files=files, asked=Asked(str(suite)))
 
@@ -369,7 +370,7 @@ def test_what_is_no_regular_file_of_a_size_to_be_read_is_refused_and_waits_for_n
 
 
 CONTENTS: dict[str, tuple[Files, str]] = {
-    "deep JSON": ({"suite.json": b"[" * 100_000}, "recursion"),
+    "deep JSON": ({"suite.json": b"[" * 100_000}, "nested too deeply"),
     "JSON that is deep and closed": ({"suite.json": b'{"file":' * 400 + b"1" + b"}" * 400}, "names no file of a law"),
     "JSON of other letters": ({"suite.json": b'{"file": "\xff"}'}, "utf-8"),
     "JSON of a list": ({"suite.json": b"[1, 2]"}, "names no file of a law"),

@@ -12,7 +12,6 @@ import polars as pl
 import pytest
 
 from vstestbed.laws import LAWS
-from vstestbed.loop.isolated import offered
 from vstestbed.studies.submission import Checked, _checked
 from vstestbed.studies.suite import opened
 
