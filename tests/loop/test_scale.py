@@ -78,7 +78,7 @@ LAWS: dict[str, dict[str, Any]] = {
     "uncalibrated": {"kind": "uncalibrated"},
 }
 IN_METRES = {"adaptive", "damped", "uncalibrated"}
-"""Laws with a parameter by the metre (slope of a gain, damping, first speed), by the scene's unit under 3 cm and over 32 m: they are the same
+"""Laws with a parameter by the metre (a slope, damping, first speed), by the scene's unit under 3 cm and over 32 m: they are the same
 only where the scene is as many times as large as its unit."""
 
 
