@@ -77,6 +77,9 @@ LAWS: dict[str, dict[str, Any]] = {
     "predictive": {"kind": "predictive"},
     "uncalibrated": {"kind": "uncalibrated"},
 }
+IN_METRES = {"adaptive", "damped", "uncalibrated"}
+"""Laws with a parameter by the metre (a slope, damping, first speed), by the scene's unit under 3 cm and over 32 m: they are the same
+only where the scene is as many times as large as its unit."""
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -129,7 +132,7 @@ MADE_OF: dict[str, dict[str, Any]] = {
         "detector": {"kind": "none"},
         "law": {"kind": "photometric"},
         "target": POSTER | {"marker": {"kind": "disc", "radius": 0.02}},
-        "stop": {"duration_s": 20, "converged": {"error_grey": 2, "hold_s": 0.5}},
+        "stop": {"duration_s": 20, "converged": {"error_grey": 4, "hold_s": 0.5}},
     },
 }
 
@@ -149,15 +152,15 @@ def test_no_detector_sees_the_scale(of: str, k: float, renderer: str):
     # two frames: where the last pixels come by noise of the detector, the threshold is crossed a frame sooner or later
     assert apart_s(other, room) <= (30 if of == "photometric" else 2) * frame
     if of != "photometric":
-        assert abs(in_pixels(other)[0] - in_pixels(room)[0]) < 0.3  # noise of the detector
+        assert abs(in_pixels(other)[0] - in_pixels(room)[0]) < (1.0 if of == "keypoints" else 0.3)  # noise of the detector
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("k", [1e-4, 1e-3, 1e-2, 1e-1, 10.0, LARGEST])
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", sorted(LAWS.keys() - IN_METRES))
 def test_no_law_sees_any_decade(law: str, k: float):
     room, other = flown(1.0, law=LAWS[law]), flown(k, law=LAWS[law])
     assert other.outcome is Outcome.converged
-    # the units of scenes that are no power of two differ by up to 2, by which the excitation and the weights of a program do
-    slack = {"uncalibrated": 1.0, "predictive": 0.2}.get(law, 1e-9)
+    # the units of scenes that are no power of two differ by up to 2, by which the weights of a program do
+    slack = 0.2 if law == "predictive" else 1e-9
     assert apart_s(other, room) <= slack

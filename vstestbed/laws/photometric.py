@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, unit_of
+from vstestbed.core.geometry import Array
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import GainOrZero, Pixels, TighterBounds, Time
 from vstestbed.core.registry import kind_of
@@ -64,7 +64,7 @@ DIFFERENCE, ONE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12, np.array([1.0])
 """Kernels of a central difference of fourth order, and of none."""
 PROBES = 5  # points along each side of the picture by whose mean motion a step of the camera is measured in pixels
 MOTION = np.array([0.01, 0.01, 0.01, *np.radians([1.0, 1.0, 1.0])])
-"""Size of the motions by which a picture's structure is measured, along and about each axis: 10 mm and 1 degree [unit, rad]."""
+"""Size of the motions by which a picture's structure is measured, along and about each axis: 1 % of the distance and 1 degree [rad]."""
 
 
 def luminance(image: NDArray[np.uint8], smooth_px: float = 0.0) -> Grey:
@@ -180,7 +180,7 @@ class GoalLevel:
     def least_change(self) -> float:
         """RMS change [grey levels] by the motion of size S (`MOTION`) with the least: root of the least eigenvalue of S H S / n."""
         known = self.inverse_depth[self.inverse_depth > 0]
-        size = MOTION * np.repeat([unit_of(1 / float(known.mean())) if len(known) else 1.0, 1.0], 3)
+        size = MOTION * np.repeat([1 / float(known.mean()) if len(known) else 1.0, 1.0], 3)
         return float(np.sqrt(max(np.linalg.eigvalsh(self.H * np.outer(size, size))[0], 0.0) / max(self.L.shape[1], 1)))
 
     def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> tuple[Array, Array, float]:
@@ -269,7 +269,7 @@ def _slope(camera: Perspective, xy: Array, scale: int) -> tuple[Grey | float, ..
 
 NO_PICTURE = "the law has no picture"
 BLANK = "the picture shows next to nothing of what the goal's shows"
-NO_STRUCTURE = "the goal's picture has too little structure (10 mm, in a room, or 1 degree change it by under 0.05 grey levels)"
+NO_STRUCTURE = "the goal's picture has too little structure (1 % of the distance, or 1 degree, change it by under 0.05 grey levels)"
 NO_DEPTH = "the depth camera measured no pixel: all is nearer than its near_m or beyond its far_m"
 LEAST_CHANGE = 0.05
 """Least RMS change of the goal's picture [grey levels] by a motion as `MOTION`, whichever changes it least. With structure it is

@@ -144,8 +144,9 @@ def _fit_planes(scene: mujoco.MjSpec, away: float) -> None:
     (The lens of an arm's camera lies within the wrist, which would be seen.)
     """
     planes, ratio = scene.visual.map, away / np.array([NEAR_START_M, FAR_START_M])
-    planes.znear *= 2.0 ** min(0.0, np.floor(np.log2(ratio[0])))
-    planes.zfar *= 2.0 ** max(0.0, np.ceil(np.log2(ratio[1])))
+    factor = 2.0 ** (min(0.0, np.floor(np.log2(ratio[0]))) + max(0.0, np.ceil(np.log2(ratio[1]))))
+    planes.znear *= factor  # both: of a near plane alone the sky would be black
+    planes.zfar *= factor
 
 
 def _add_plates(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
