@@ -16,6 +16,7 @@ import polars as pl
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import make_folder, write_whole
+from vstestbed.loop.isolated import offered
 from vstestbed.report.scores import Score
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import Job, Jobs, controllers
@@ -88,8 +89,6 @@ def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = 
     folder: where they are flown; the law's files are elsewhere, and its code runs in processes of its own. seed: of what is drawn; None:
     nobody knows it before. Errors: as of `unpacked` and `compare`.
     """
-    from vstestbed.loop.isolated import offered  # here: the import adds a kind
-
     with offered(), TemporaryDirectory(prefix="law_") as place:
         return _checked(*unpacked(file, Path(place)), folder, jobs, seed)
 
