@@ -22,6 +22,7 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import RunFolderError
+from vstestbed.loop.isolated import offered
 from vstestbed.studies import submission
 from vstestbed.studies.submission import MOST_TEXT, MOST_UNPACKED, Asked, contents, draws, pack, unpacked
 from vstestbed.studies.suite import SuiteEntry, TaskSuite, kept_runs, opened, read_suite
@@ -73,8 +74,6 @@ def world(tmp_path: Path) -> Iterator[SimpleNamespace]:
     rows = rows_of(suite, law)
     about = json.dumps(opened(str(law), str(suite), alone=True).about).encode()
     files: Files = {"suite.json": about, "runs.csv": text_of(rows), "scores.csv": b"law\n", "law/mine.yaml": LAW.encode()}
-    from vstestbed.loop.isolated import offered  # here: the import adds a kind
-
     with offered():
         yield SimpleNamespace(folder=tmp_path, suite=suite, law=law, rows=rows, files=files, asked=Asked(str(suite)))
 

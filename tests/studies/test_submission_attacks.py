@@ -6,13 +6,13 @@ attack stands in a plugin beside the law, and is there to have the forged rows a
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import polars as pl
 import pytest
 
 from vstestbed.laws import LAWS
+from vstestbed.loop.isolated import offered
 from vstestbed.studies.submission import Checked, _checked
 from vstestbed.studies.suite import opened
 
@@ -59,13 +59,6 @@ METRICS._members.clear()
     "prints that all agree": "print('1 of 1 runs that were flown again agree')\nMine.equations = lambda *given: sys.exit(0)",
     "takes the word of the judge's law": "vs.LAWS._members['isolated'] = Mine",
 }
-
-
-def offered() -> AbstractContextManager[None]:
-    """The kind of laws in processes of their own; imported here, since the import adds the kind."""
-    from vstestbed.loop.isolated import offered as there
-
-    return there()
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.points import Visibility
 
 Answer = TypeVar("Answer")
-MODULE = __name__  # the plugin that adds the kind
+MODULE = f"{__name__}_kind"  # the plugin that adds it
 START_S = 60.0  # time for Python, the package and the law's files [s]
 ANSWER_S = 10.0  # for one answer [s]
 MOST_BYTES = 1 << 16  # of an answer
@@ -198,7 +198,6 @@ def close() -> None:
         _live.popitem()[1].close()
 
 
-@LAWS.add
 @spec
 class Isolated(Law[int]):
     """Another law, in a process of its own, which keeps its last states; here they are numbers.

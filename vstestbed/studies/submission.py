@@ -21,6 +21,7 @@ import polars as pl
 from vstestbed.core.errors import RunFolderError, short
 from vstestbed.core.files import allowed, make_folder, write_whole
 from vstestbed.core.foreign import foreign, plain_file
+from vstestbed.loop.isolated import offered
 from vstestbed.report.scores import Score
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import Job
@@ -220,8 +221,6 @@ def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = 
     folder: where they are flown; the law's files are elsewhere, and its code runs in processes of its own. seed: of what is drawn; None:
     nobody knows it before. asked: see there. Errors: as of `unpacked` and `compare`.
     """
-    from vstestbed.loop.isolated import offered  # here: the import adds a kind
-
     with offered(), TemporaryDirectory(prefix="law_") as place:
         return _checked(*unpacked(file, Path(place), asked), folder, jobs, seed)
 

@@ -23,6 +23,7 @@ from vstestbed.core.files import make_folder, read_json, write_whole
 from vstestbed.core.named_files import folder, is_there
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
+from vstestbed.loop.isolated import MODULE, Isolated
 from vstestbed.report.scores import Score, TaskOfSuite, write_scores
 from vstestbed.scenario.load import find
 from vstestbed.scenario.plugins import absolute_files, load_plugins
@@ -336,7 +337,5 @@ def opened(
         raise ParameterError(f"{law}: tasks", f"must be tasks of the suite; {nearest(task, suite.tasks)}", task)
     if not apart:
         return SuiteEntry(suite, path, laws, plugins, quick, word, file)
-    from vstestbed.loop.isolated import MODULE, Isolated  # here: the import adds a kind
-
     LAWS.add(Isolated)
     return SuiteEntry(suite, path, laws, (MODULE,), quick, word, file, plugins)

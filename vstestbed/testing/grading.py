@@ -17,7 +17,7 @@ from vstestbed.core.files import write_json, write_whole
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
-from vstestbed.laws import LAWS
+from vstestbed.loop.isolated import MODULE, Child, Isolated, offered
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.comparison.results import ComparisonResults, pairs
 from vstestbed.report.marks import counted, number
@@ -186,8 +186,6 @@ def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), o
     first_seed: of the random starts; one that students do not know keeps them from fitting to these starts. beside: folder of the lab's
     file, in which scenarios are searched first. on_task: is told the title of each task as it begins.
     """
-    from vstestbed.loop.isolated import Child, offered  # here: the import adds a kind
-
     with offered():
         place, results, lost = student.absolute(), list[Result](), Child.lost
         refused = _refused(lab, place)
@@ -213,7 +211,7 @@ def _apart(lab: Lab, student: Path, block: Any, **limit: float) -> dict[str, Any
 def _refused(lab: Lab, student: Path) -> str:
     """Why the file is not marked at all; "" where it can be loaded, and adds the lab's kind."""
     try:
-        LAWS.members["isolated"](**_apart(lab, student, {"kind": lab.kind if lab.field == "law" else "ibvs"}))
+        Isolated(**_apart(lab, student, {"kind": lab.kind if lab.field == "law" else "ibvs"}))
     except ParameterError as error:
         return f"The file {error.problem}" if error.field == "files" else ""
     return ""
@@ -222,7 +220,7 @@ def _refused(lab: Lab, student: Path) -> str:
 def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     """Why a law does not pass its suite; nothing where it does."""
     try:
-        check_law(LAWS.members["isolated"](**_apart(lab, student, {"kind": lab.kind})))
+        check_law(Isolated(**_apart(lab, student, {"kind": lab.kind})))
     except Exception as error:  # an assertion's; and whatever the numbers of a law bring about in the loop
         yield str(error).replace("isolated", lab.kind)
 
@@ -254,8 +252,6 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
 
 def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path) -> list[dict[str, Any]]:
     """Summaries of a task's runs, of the student's kind or (None) of the one that it has to be better than."""
-    from vstestbed.loop.isolated import MODULE
-
     place = _place(task.scenario, beside)
     seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
     changes: dict[str, Any] = {lab.field: {"kind": lab.kind} if student else task.better_than} | task.set
