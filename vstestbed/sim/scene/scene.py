@@ -177,9 +177,13 @@ class Scene:
         return self._before(T_world_camera, p_camera, eye) >= 0
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
-        """What occludes each of marker centres (N, 3), by the name of its body; "" where nothing does."""
-        geoms = self._before(T_world_camera, p_camera).tolist()
-        return tuple(self.model.body(int(self.model.geom_bodyid[g])).name if g >= 0 else "" for g in geoms)
+        """What occludes each of marker centres (N, 3), by the name of its body, or the renderer's near plane; "" where nothing does."""
+        geoms = self._before(T_world_camera, p_camera)
+        bodies = [self.model.body(int(self.model.geom_bodyid[g])).name if g >= 0 else "" for g in geoms]
+        near_m = float(self.model.vis.map.znear) * float(self.model.stat.extent)
+        depth = np.abs(p_camera).max(axis=1)  # before the face of the camera's cube that shows the point
+        plane = f"the near plane (nothing within {1e3 * near_m:.2g} mm of the lens is drawn)"
+        return tuple(plane if z < near_m else body for z, body in zip(depth, bodies, strict=True))
 
     def _before(self, T_world_camera: Array, p_camera: Array, name: str = "eye") -> NDArray[np.int_]:
         """The geom that a ray from the lens hits before each of marker centres (N, 3); -1 for none."""
