@@ -106,3 +106,12 @@ class TestFrames:
         one = self.given(0.0, 3)
         lost.add(replace(one, goal=replace(one.goal, counted=np.array([True, True, True, False]))))
         assert lost.sentence() == ""
+
+
+def test_the_near_plane_of_the_pictures_is_named():
+    """The lens of an arm's camera lies within the wrist, so that nothing near it is drawn; a target stands 4 mm before it."""
+    with vs.Session(vs.load("arm_ibvs", {"detector": "oracle"})) as session:
+        T_world_camera = session.reset().truth.T_world_camera
+    T_world_target = T_world_camera @ Pose(xyz=(0, 0, 0.004)).T
+    small = {"target.side": 0.002, "target.marker.radius": 0.0003, "goal.T_camera_target.xyz": [0, 0, 0.003], "target.pose": T_world_target}
+    assert "were hidden by the near plane (nothing within 6 mm of the lens is drawn) from the start on" in reason("arm_ibvs", **small)
