@@ -23,7 +23,7 @@ from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import LawFailedError, inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
-from vstestbed.loop.inputs import Inputs, Readings
+from vstestbed.loop.inputs import Inputs, OwnClock, Readings, SightClock, seconds
 from vstestbed.loop.perception import STILL, OtherCameras, Perception, Stillness, observer_of
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
@@ -233,9 +233,12 @@ class Controller:
         self.inputs = Inputs(s)
         self._other_inputs = {name: Inputs(eye) for name, eye in s.eyes.items()}
         self._cycle: Cycle | None = None
-        self._came: tuple[float, float] | None = None  # the last new picture that was given to `step`, and the own clock then [s]
-        self._silent = False
-        self._stillness = Stillness()
+        self._own = OwnClock(lambda: self.clock())
+        self._given: tuple[float, float] | None = None  # stamp of the newest picture given to `step`, and the own clock at its first coming
+        self._came: tuple[float, float] | None = None  # when the last picture that was used came, by stamps and by the own clock [s]
+        self._sight = SightClock()
+        self._silent = self._by_hand = False
+        self._stillness: dict[str, Stillness] = {}
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -275,7 +278,8 @@ class Controller:
         goes back, a detector that needs the simulator's truth. Nothing has changed then. SessionError: another thread is in a call.
         """
         with self._alone():
-            depth = self.inputs.depth(depth)
+            self._by_hand = True
+            t, depth = seconds(t), self.inputs.depth(depth)
             if isinstance(picture, Mapping):
                 first = readings[0] if isinstance(readings, tuple) else readings
                 others = {name: self._inputs_of(name).shot(one, t, first) for name, one in picture.items() if name != OWN}
@@ -290,18 +294,23 @@ class Controller:
                 self._stop_if_old(t, arrived, now)
                 # Not the cycle's own order: since then, silence may have stopped the robot.
                 return replace(self._cycle, order=self._in_force(), notes=notes)
-            at = t + self.scenario.camera.latency_s if arrived is None else arrived
-            came = at, self.clock()
+            at = t + self.scenario.camera.latency_s if arrived is None else seconds(arrived)
+            came_again = self._given is not None and t <= self._given[0]  # after an error: it is as old as it was
+            if not came_again:
+                self._given = t, self._own.s()
+            assert self._given is not None
+            came = at, self._given[1]
+            self._sight.tick(*came)
             images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
             shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
             cycle = self.arrive(shot, at, at + self.scenario.timing.command_latency_s, now)
             self._came, self._silent = came, False
-            if arrived is not None:
+            if arrived is not None or came_again:
                 self._stop_if_slow(now)
             # Copies: who reads the cycle may write to its arrays.
             command, allocation = copy.deepcopy((cycle.command, cycle.allocation))
-            frozen = (FROZEN,) * (self._stillness.for_s >= self._order_s)
-            self._cycle = replace(cycle, command=command, allocation=allocation, order=self._in_force(), notes=(*notes, *frozen))
+            notes = (*notes, *self._frozen_for(self._order_s))
+            self._cycle = replace(cycle, command=command, allocation=allocation, order=self._in_force(), notes=notes)
             return self._cycle
 
     def _in_force(self) -> Order:
@@ -313,17 +322,23 @@ class Controller:
         """Stop the robot where the last new picture is too old, whatever stamps say: by the time of arrival, or by the own clock where
         that has gone further. Who gives a time that stands still has no clock.
         """
+        now = self._now(t if arrived is None else arrived)
         assert self._came is not None
-        at, by_clock = self._came
-        now = max(at + self.clock() - by_clock, at if arrived is None else arrived)
-        if now - at >= self._order_s or (arrived is not None and arrived - t > self._latest_s):
+        if now - self._came[0] >= self._order_s or (arrived is not None and arrived - t > self._latest_s):
             self._without(now, reading)
+
+    def _now(self, t: float) -> float:
+        """The time [s] that somebody says, or, where that is later, the one that the own clock gives since the last picture came."""
+        if self._came is None:
+            return t
+        at, by_clock = self._came
+        return max(t, at + self._own.s() - by_clock)
 
     def _stop_if_slow(self, reading: Reading) -> None:
         """Stop the robot where the law took so long for a picture that its command would have ended."""
         assert self._came is not None
         at, by_clock = self._came
-        took_s = self.clock() - by_clock
+        took_s = self._own.s() - by_clock
         if took_s >= self._order_s:
             self.lapsed(at + took_s, reading, f"the picture was answered after {took_s:.2g} s")
 
@@ -351,12 +366,15 @@ class Controller:
         the scenario has no camera of this name.
         """
         with self._alone():
-            self.see(name, self._inputs_of(name).shot(picture, t, readings))
+            self._by_hand = True
+            self.see(name, self._inputs_of(name).shot(picture, seconds(t), readings))
 
     def see(self, name: str, shot: Exposure) -> None:
         """The same, of what has been checked."""
         assert self.others is not None
         began = time.perf_counter()
+        if shot.picture is not None:
+            self._watch(name, shot.picture.images, shot.t)
         self.others.see(name, shot, self.ordered, self._mount_at(shot.reading.q))
         self.spent["detect"] += time.perf_counter() - began
 
@@ -402,7 +420,10 @@ class Controller:
             allocation = replace(allocation, twist=np.zeros(6), rates=None)
         order = Order.of(allocation).halted(blind) if rests else Order.of(allocation)
         # stamps that are too old to be true tell no time, either
-        order = self._supervised(max(shot.t, t - self._latest_s), blind, order, reading, basis, moved)
+        told = max(shot.t, t - self._latest_s)
+        if not (blind or self.supervisor.aborted):
+            self._sight.seen()
+        order = self._supervised(told, blind, order, reading, basis, moved)
         self._ordered(t_cmd, order)
         self.before = shot
         self.reference_state, next_goal = s.goal.passed(self.reference_state, error)
@@ -418,20 +439,31 @@ class Controller:
         """
         if t - shot.t > self._latest_s:
             return f"pictures arrived {t - shot.t:.2g} s late"
-        after_s, before = self.scenario.stop.frozen_after, self.before
-        if shot.picture is None or before is None or (self._came is None and after_s == math.inf):
+        if shot.picture is None:
             return ""
-        since = shot.t - before.t
-        if self._came is not None:
-            since = max(since, self.clock() - self._came[1])
-        moves = bool((self.ordered.displacement(shot.t) != self.ordered.displacement(before.t)).any())
-        self._stillness.add(shot.picture, since, moves)
-        if self._stillness.for_s + 1e-9 < after_s:
+        self._watch(OWN, shot.picture.images, shot.t)
+        if shot.picture.depth is not None:
+            self._watch("depth", (shot.picture.depth,), shot.t)
+        after_s = self.scenario.stop.frozen_after
+        if not self._frozen_for(after_s):
             return ""
         words = f"the pictures were the same to the byte for {after_s:g} s, although a velocity was ordered: the camera is frozen"
         if not self.supervisor.aborted:
             self.supervisor.abort(shot.t, Outcome.target_lost, words)
         return words
+
+    def _watch(self, name: str, images: Sequence[Image | DepthImage | None], t: float) -> None:
+        """Count for how long the pictures of a camera, exposed at t [s], stay the same while a velocity is ordered: of a real one, and
+        where a scenario asks for it.
+        """
+        if self._by_hand or self.scenario.stop.frozen_after < math.inf:
+            own_s = self._own.s() if self._by_hand else 0.0
+            self._stillness.setdefault(name, Stillness()).add(images, t, own_s, self.ordered)
+
+    def _frozen_for(self, least_s: float) -> tuple[str, ...]:
+        """What to say of the cameras whose pictures have been the same for so long [s]."""
+        names = [name for name, still in self._stillness.items() if still.for_s + 1e-9 >= least_s]
+        return tuple(FROZEN if name == OWN else f"{name}: {FROZEN}" for name in names)
 
     def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation, Order]:
         """Another command in place of the law's in the last cycle: as it reads, within the robot's limits, and what the robot is told.
@@ -526,7 +558,7 @@ class Controller:
         if self.guarded.failure and not self._failed:
             self._failed = True
             self.supervisor.abort(t, Outcome.law_failed, self.guarded.failure)
-        made = self.supervisor.filter(t, blind, reading, order, basis, moved)
+        made = self.supervisor.filter(t + self._sight.behind_s, blind, reading, order, basis, moved)
         self._taken_over = made is not order
         if made.stop == "stop" and self._order is not None:
             made = made._replace(setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0)  # no -0
@@ -537,7 +569,9 @@ class Controller:
         A robot stops, and a craft holds; after `stop.lost_after_s` its supervisor gives the task up. Errors: as of `step`.
         """
         with self._alone():
-            return self._without(self.inputs.now(t), self.inputs.reading(reading))
+            now = self._now(self.inputs.now(t))
+            self._sight.tick(now, self._own.s())
+            return self._without(now, self.inputs.reading(reading))
 
     def _without(self, t: float, reading: Reading) -> Order:
         """The same of what has been checked. The silence has begun when the last order ended, whenever somebody asks."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
+MOST_S = 1e10  # times in seconds, also since 1970, are less; of milliseconds and less they are more
 MISSING = 1.5  # a picture is missing where two are further apart than this [camera periods]
 OUTSIDE = 0.2
 """A joint reads outside of its range where it is this far beyond a limit [rad; m for one that slides]: no encoder is so far off."""
@@ -156,5 +157,51 @@ def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Ar
     return numbers
 
 
+def seconds(t: object) -> float:
+    """A time as a float; ParameterError: see `_seconds`."""
+    return _seconds("t", "must be the time of exposure in seconds", t)
+
+
 def _seconds(field: str, words: str, t: object) -> float:
-    return float(_finite(field, words, None if isinstance(t, str) else t, ()))
+    if not isinstance(t, int | float | np.integer | np.floating | np.ndarray):
+        raise ParameterError(field, words, t)
+    found = float(_finite(field, words, t, ()))
+    if abs(found) > MOST_S:  # of nanoseconds, whose next ones a float cannot tell apart
+        raise ParameterError.bound(field, "at most", f"{MOST_S:g} s", found, why="it is in seconds")
+    return found
+
+
+class OwnClock:
+    """A clock of the receiver, counted forwards alone: where it is set back it goes on from there, and of NaN the time is infinite."""
+
+    def __init__(self, clock: Callable[[], float]):
+        self._clock, self._last, self._sum = clock, clock(), 0.0
+
+    def s(self) -> float:
+        """The time since it was made [s]."""
+        now = self._clock()
+        passed = now - self._last
+        self._last = now
+        self._sum += math.inf if math.isnan(passed) else max(passed, 0.0)
+        return self._sum
+
+
+class SightClock:
+    """By how much the own clock has gone further than stamps tell since the target was seen last, `behind_s` [s]: stamps may stand nearly
+    still, of another unit or a failed driver, and a robot that sees nothing must stop all the same.
+    """
+
+    def __init__(self) -> None:
+        self.behind_s = self._gap_s = 0.0
+        self._gap_seen_s: float | None = None
+
+    def tick(self, at: float, own_s: float) -> None:
+        """A picture has come, by stamps and by the own clock [s]."""
+        self._gap_s = own_s - at
+        if self._gap_seen_s is None:
+            self._gap_seen_s = self._gap_s
+        self.behind_s = max(self.behind_s, self._gap_s - self._gap_seen_s)
+
+    def seen(self) -> None:
+        """The target is seen in it."""
+        self.behind_s, self._gap_seen_s = 0.0, self._gap_s

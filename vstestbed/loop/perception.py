@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vstestbed.camera import Picture, Regions
+from vstestbed.camera import DepthImage, Image, Regions
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observation
 from vstestbed.laws.base import inputs_of
@@ -72,18 +72,21 @@ class Stillness:
     def __init__(self) -> None:
         self.for_s = 0.0
         self._checksum = -1
+        self._last: tuple[float, float] | None = None
 
-    def add(self, picture: Picture, since_s: float, moves: bool) -> None:
-        """One more picture, so long after the last one [s]. moves: whether a velocity was in force between both."""
-        before, found = self._checksum, 0
-        for image in picture.images:
+    def add(self, images: Sequence[Image | DepthImage | None], t: float, own_s: float, ordered: CommandHistory) -> None:
+        """One more picture, of one image or several, by its stamp and by the own clock [s]; ordered: the velocities in force so far."""
+        checksum = 0
+        for image in images:
             if image is not None:
-                found = zlib.crc32(np.ascontiguousarray(image).data, found)
-        self._checksum = found
-        if found != before:
+                checksum = zlib.crc32(np.ascontiguousarray(image), checksum)
+        if checksum != self._checksum:
             self.for_s = 0.0
-        elif moves:
-            self.for_s += since_s
+        elif self._last is not None:
+            before, own_before = self._last
+            moves = bool((ordered.displacement(t) != ordered.displacement(before)).any())
+            self.for_s += max(t - before, own_s - own_before) if moves else 0.0
+        self._checksum, self._last = checksum, (t, own_s)
 
 
 class Perception:

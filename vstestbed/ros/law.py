@@ -42,6 +42,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Cycle
 
 REMEMBERED = 400  # readings of each topic, two seconds of joints at 200 Hz
+OF_CLOCK_S = 10.0  # stamps this near to `/clock` are of it
 WALL_S = 3600.0  # stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
 WAIT_S = 1.0  # for how long a picture waits for the reading of its exposure, unless the next picture comes first [s]
 RESTART_S = 5.0  # a clock that goes back by more has begun anew [s]
@@ -89,11 +90,13 @@ def _remember(known: list[tuple[float, Heard]], t: float, heard: Heard) -> None:
 class Senses:
     """What was heard of a robot, by time: readings are found for the exposure of a picture, and for now.
 
-    robot: whose. near_s: a reading further than this from an exposure is none of it [s].
+    robot: whose. near_s: a reading further than this from an exposure is none of it [s]. live: stamps are of this machine's clock where
+    they are near to it, and none is of the future.
     """
 
-    def __init__(self, robot: Robot, near_s: float):
+    def __init__(self, robot: Robot, near_s: float, live: bool = False):
         self._robot, self._near_s, self._topics = robot, near_s, sensors_of(robot)
+        self._live = live
         self._heard: dict[str, list[tuple[float, Message]]] = {name: [] for name in self._topics}
         self._joints: list[tuple[float, tuple[Array, Array]]] = []
         self._others = ""  # why joints that were heard are none of this robot's
@@ -107,6 +110,9 @@ class Senses:
         t = time_of(message)
         with self._lock:
             try:
+                ahead_s = t - time.time()
+                if self._live and self._near_s < ahead_s < WALL_S:
+                    raise ParameterError("stamp", f"is {ahead_s:.3g} s ahead of this machine's clock")
                 if topic == "joint_states":
                     _remember(self._joints, t, joints_of(message, self._robot.joints))
                 else:
@@ -166,17 +172,18 @@ class Feed:
         check_single(scenario.camera)
         self.scenario, self._live = scenario, live
         self.controller = Controller(scenario)
-        self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
+        self.senses = Senses(scenario.robot, LATE * scenario.camera.period, live)
         self.mount = Mount.of(scenario.believed_camera.mount.T)
         self._order_s = scenario.timing.order_s(scenario.camera)
         self.began: float | None = None
         self.by_wall = False
+        self._soonest_s = math.inf  # the least of the own clock minus a stamp of another one: of the picture that came soonest
         self.depth: Message | None = None
 
     def reset(self) -> None:
         """Begin the task anew with the next picture."""
         self.controller.reset()
-        self.began, self.depth = None, None
+        self.began, self.depth, self._soonest_s = None, None, math.inf
 
     @property
     def before(self) -> float | None:
@@ -184,18 +191,22 @@ class Feed:
         last = self.controller.before
         return None if last is None or self.began is None else self.began + last.t
 
-    def step(self, message: Message, arrived: float | None = None) -> Cycle:
-        """One control step for a picture. arrived: when it came [s], by the clock of the stamps; None: after `camera.latency_s`.
+    def step(self, message: Message, arrived: float | None = None, heard: float | None = None) -> Cycle:
+        """One control step for a picture. arrived: when it came [s], by the clock of the stamps; None: after `camera.latency_s`, or as the
+        own clock tells: heard, when it came by a clock that goes on while the robot moves [s]; None: time is simulated.
         ParameterError: see `Controller.step`; an encoding that is not read; no reading near to the exposure.
         """
         stamp = time_of(message)
         picture = picture_of(message)
         given = self.senses.at(stamp), self.senses.at()
         depth = None if self.depth is None else self._depth_at(stamp, self.depth)
-        if self.began is None:
-            self.by_wall = self._live and abs(time.time() - stamp) < WALL_S
+        self.by_wall = self._live and abs(time.time() - stamp) < WALL_S
         if arrived is None and self.by_wall:
             arrived = self._arrived(stamp)
+        elif arrived is None and heard is not None:
+            # Of another clock the age is unknown, but not by how much it grows: stamps that hardly advance, or a queue that fills.
+            self._soonest_s = min(self._soonest_s, heard - stamp)
+            arrived = heard - self._soonest_s
         if self.began is None:
             self.began = stamp
         now = None if arrived is None else max(arrived, stamp) - self.began
@@ -240,7 +251,8 @@ class LawNode:
         self._picture: tuple[Message, float] | None = None  # with the time at which it was heard
         self._fresh = time.monotonic()  # when the last new picture was heard
         self._moves = self._spins = False  # moves: the twist in force is none of rest
-        self._simulated = False  # by `/clock`: time passes while the robot waits for the law
+        self._clock_s = math.nan  # of `/clock`
+        self._simulated = False  # the pictures are stamped by `/clock`: time passes while the robot waits for the law
         self._news = threading.Condition()
         self._status = ""
         self.took_s: list[float] = []
@@ -266,7 +278,7 @@ class LawNode:
             self._news.notify()
 
     def _ticked(self, message: Message) -> None:
-        self._simulated = abs(message.clock.sec - time.time()) > WALL_S
+        self._clock_s = message.clock.sec + 1e-9 * message.clock.nanosec
 
     def _deep(self, message: Message) -> None:
         self.servo.depth = message
@@ -360,9 +372,11 @@ class LawNode:
     def _answered(self, message: Message, heard: float) -> str:
         """Answer a picture that was heard at a time of the own clock [s]; why the robot does not move by it, or ""."""
         self._wait_for_reading(time_of(message))
+        by_clock = abs(self._clock_s - time_of(message)) < OF_CLOCK_S  # not a `/clock` of somebody else
+        self._simulated = by_clock and abs(self._clock_s - time.time()) > WALL_S
         began, before = time.perf_counter(), self.servo.controller.before
         try:
-            cycle = self.servo.step(message)
+            cycle = self.servo.step(message, heard=None if self._simulated else heard)
         except ParameterError as error:
             self._rest(str(error))
             return str(error)
@@ -381,7 +395,7 @@ class LawNode:
             self.stop("; ".join((cycle.reason, *cycle.notes)))
         else:
             doing = "rests" if cycle.stopped else "servoing"
-            frozen = FROZEN if FROZEN in cycle.notes else ""
+            frozen = next((note for note in cycle.notes if FROZEN in note), "")
             self._tell(": ".join(filter(None, (doing, cycle.reason, frozen))))
         return ""
 

@@ -176,7 +176,7 @@ class RobotNode:
             self._refuse(str(error))
             return
         age_s = self._age_s(message)
-        if v.any() and self._drops(age_s):  # a rest is obeyed, whenever it was ordered
+        if v.any() and (self._drops(age_s) or self._outdated(message)):  # a rest is obeyed, whenever it was ordered
             return
         with self._news:
             in_camera = frame == OPTICAL or (not frame and command_frame(self.scenario) == OPTICAL)
@@ -197,6 +197,15 @@ class RobotNode:
         side = f"s {'behind' if age_s > 0 else 'ahead of'} this clock"
         if side not in self.refused:
             self._refuse(f"the commands' stamps are {abs(age_s):.3g} {side}: they are dropped; {SET_CLOCKS}")
+        return True
+
+    def _outdated(self, message: Message) -> bool:
+        """Whether a command was stamped before the one in force: one that was sent before a stop, and comes after it."""
+        stamp = time_of(message)
+        if self._pace != "wall" or self._command is None or not 0 < stamp < self._command[0]:
+            return False
+        self.dropped += 1
+        self._refuse("a command that is older than the one in force is dropped; does more than one law send commands?")
         return True
 
     def _refuse(self, words: str) -> None:
