@@ -70,9 +70,7 @@ def named_file(field: str, file: str, works: str, most_bytes: int = MOST_BYTES) 
     it in the block, is a ParameterError of the field.
     """
 
-    def refusal(name: object, why: str, works: str) -> ParameterError:
-        return ParameterError.unreadable(field, why, works, file)
-
+    refusal = of_field(field, file)
     try:
         path = place_of_file(absolute_file(file, Path.cwd()))
     except ParameterError as error:
