@@ -139,10 +139,15 @@ def _unfit(members: list[zipfile.ZipInfo]) -> str:
     if wrong := next(filter(None, map(_unfit_member, members)), ""):
         return wrong
     names = Counter(unicodedata.normalize("NFKC", one.filename).casefold() for one in members)
-    names.update({str(above) for name in names for above in PurePosixPath(name).parents})
-    if twice := [name for name, times in names.items() if times > 1]:
-        return f"it holds {short(twice[0])} twice"
-    return next((f"it has no {name}" for name in (ABOUT, RUNS) if name not in names), "")
+    lacking = next((f"it has no {name}" for name in (ABOUT, RUNS) if name not in names), "")
+    return _held_twice(names) or lacking
+
+
+def _held_twice(names: Counter[str]) -> str:
+    """What names of files, by their numbers, have twice, also as a folder, in words; "" where nothing."""
+    folders = {str(above) for name in names for above in PurePosixPath(name).parents}
+    twice = next((name for name, times in (names + Counter(folders)).items() if times > 1), "")
+    return twice and f"it holds {short(twice)} twice"
 
 
 def _unfit_member(one: zipfile.ZipInfo) -> str:

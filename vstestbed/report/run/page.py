@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.files import write_whole
-from vstestbed.core.geometry import Array
 from vstestbed.loop.columns import WORDS
 from vstestbed.loop.log_file import Log, open_log
 from vstestbed.loop.recording import read_summary
@@ -232,7 +232,7 @@ def still_moving(tracks: LogArrays) -> list[str]:
     return [*_joints_moving(tracks, last), *_camera_moving(tracks, last)]
 
 
-def _joints_moving(tracks: LogArrays, last: Array) -> Iterator[str]:
+def _joints_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     driven = tracks.named("ctrl")
     for name in [joint for joint in tracks.named("q") if joint in driven]:  # a car's wheels are not: they roll on with it
         span = float(np.ptp(tracks.column(f"q_{name}")[last]))
@@ -241,7 +241,7 @@ def _joints_moving(tracks: LogArrays, last: Array) -> Iterator[str]:
             yield f"{name} by {' '.join(with_unit(span, unit))} from end to end"
 
 
-def _camera_moving(tracks: LogArrays, last: Array) -> Iterator[str]:
+def _camera_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     for what, unit, axes in (("camera", "m", TWIST[:3]), ("camera's direction", "rad", TWIST[3:])):
         way = LAST_S * float(np.linalg.norm(tracks.columns(*(f"cmd_{axis}" for axis in axes))[last], axis=1).mean())
         if way > STANDS_RADPS:
