@@ -296,7 +296,6 @@ def _block(plain: Mapping[str, Any], name: str, used: Sequence[str], harmless: S
 def _intrinsics_in(plain: Mapping[str, Any]) -> Intrinsics | None:
     if "camera_matrix" not in plain:
         return None
-    only_known(plain, READ, ABOUT)
     _block(plain, "header", (), STAMP)
     size = _size_in(plain)
     _check_whole(plain, size)
@@ -366,7 +365,6 @@ def _mount_in(plain: Mapping[str, Any]) -> Array | None:
     T = _mount_of(plain)
     if T is None:
         return None
-    only_known(plain, READ, ABOUT)
     _check_frames(plain)
     U, _, V = np.linalg.svd(T[:3, :3])
     turn = U @ V  # the nearest rotation, or mirror image: files have three digits and more
@@ -449,11 +447,12 @@ def _read(file: str, lacks: str, works: str, *parts: Callable[[Mapping[str, Any]
     plain = _plain(file)
     try:
         found = [part(plain) for part in parts]
+        if any(part is not None for part in found):
+            only_known(plain, READ, ABOUT)
+            return found
     except ParameterError as error:
         raise ParameterError(error.field, f"{error.problem} (in {file})", error.found) from None
-    if all(part is None for part in found):
-        raise ParameterError.unreadable("", f"it has {lacks} among {short(', '.join(map(str, plain)))}", works, file)
-    return found
+    raise ParameterError.unreadable("", f"it has {lacks} among {short(', '.join(map(str, plain)))}", works, file)
 
 
 def read_intrinsics(file: str) -> Intrinsics:
