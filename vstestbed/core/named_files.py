@@ -69,7 +69,6 @@ def named_file(field: str, file: str, works: str, most_bytes: int = MOST_BYTES) 
     """The path of a plain file that a field names. Whatever is wrong with it, and whatever a library raises that reads
     it in the block, is a ParameterError of the field.
     """
-
     refusal = of_field(field, file)
     try:
         path = place_of_file(absolute_file(file, Path.cwd()))
