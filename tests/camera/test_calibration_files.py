@@ -14,7 +14,7 @@ from tests.camera.calibration_files import CAMERA_INFO, EASY, MESSAGE, OPENCV, S
 from vstestbed.camera import Fisheye, intrinsics
 from vstestbed.camera.intrinsics import read_calibration, read_intrinsics, read_mount
 from vstestbed.core.errors import ParameterError, ScenarioError, VstestbedError
-from vstestbed.core.geometry import Pose
+from vstestbed.core.geometry import Pose, rotation_from_rpy
 
 
 def changed(plain, path, value):
@@ -152,6 +152,16 @@ def test_a_mount_of_another_frame_is_refused_by_name(write):
         assert words in refused(read_mount, write(changed(plain, path, value))), path
     for plain in (EASY, STAMPED, MESSAGE):
         assert read_mount(str(write(plain)))["xyz"] == [0.01, -0.02, 0.11]
+
+
+def test_a_matrix_of_three_digits_is_a_mount(write):
+    """Rounded, its axes are not perpendicular to the last digit, as those of no file are."""
+    turn = rotation_from_rpy(np.radians([3.0, -7.0, 40.0]))
+    T = np.eye(4)
+    T[:3, :3] = turn.round(3)
+    T[:3, 3] = 0.01, -0.02, 0.11
+    found = read_mount(str(write({"T_cam2gripper": T.tolist()})))
+    np.testing.assert_allclose(found["rpy_deg"], [3.0, -7.0, 40.0], atol=0.1)  # half of the last digit, twice: 1e-3 rad
 
 
 def test_quaternions_are_of_norm_one(write):

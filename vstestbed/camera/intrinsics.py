@@ -6,8 +6,7 @@ import functools
 import json
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -148,7 +147,7 @@ MOST_BYTES = 1 << 20
 MOST_PARTS = 4000
 """Most brackets of a file for OpenCV's reader, which overflows the stack where 50,000 are one within the other."""
 MOST_NUMBERS = 64
-"""Most numbers of a row."""
+"""Most numbers of a row, and of a matrix."""
 READ: Mapping[str, Sequence[str]] = {
     "camera_matrix": ("K", "intrinsic_matrix", "M"),
     "distortion_coefficients": ("dist_coeffs", "dist_coeff", "dist", "D", "distortion"),
@@ -275,25 +274,14 @@ def _numbers(value: Any, name: str) -> Array:
 
 
 def _array(value: Any) -> Array:
-    """An array of numbers, or of lists of them; one NaN where it is neither."""
+    """An array of numbers, or of lists of them; one NaN where it is neither, or larger than a matrix."""
+    none = np.array([np.nan])
     try:
-        if all(isinstance(one, str | Real) and not isinstance(one, bool) for one in _flat(value)):
-            return np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    return np.array([np.nan])
-
-
-def _flat(value: Any, depth: int = 3) -> Iterator[Any]:
-    """The items of lists in lists; TypeError where they are deeper, or longer, than a matrix."""
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    if not isinstance(value, list | tuple):
-        yield value
-        return
-    if not depth or len(value) > MOST_NUMBERS:
-        raise TypeError
-    for item in value:
-        yield from _flat(item, depth - 1)
+        items = np.array(value, dtype=object)
+        plain = all(isinstance(one, str | Real) and not isinstance(one, bool) for one in items.ravel())
+        return items.astype(float) if plain and items.size <= MOST_NUMBERS else none
+    except (ValueError, OverflowError):  # lists of several shapes, words, numbers beyond a float
+        return none
 
 
 def _block(plain: Mapping[str, Any], name: str, used: Sequence[str], harmless: Sequence[str] = ()) -> Mapping[str, Any]:
@@ -308,7 +296,6 @@ def _block(plain: Mapping[str, Any], name: str, used: Sequence[str], harmless: S
 def _intrinsics_in(plain: Mapping[str, Any]) -> Intrinsics | None:
     if "camera_matrix" not in plain:
         return None
-    only_known(plain, READ, ABOUT)
     _block(plain, "header", (), STAMP)
     size = _size_in(plain)
     _check_whole(plain, size)
@@ -378,11 +365,12 @@ def _mount_in(plain: Mapping[str, Any]) -> Array | None:
     T = _mount_of(plain)
     if T is None:
         return None
-    only_known(plain, READ, ABOUT)
     _check_frames(plain)
-    turn = T[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0 or (T[3] != (0, 0, 0, 1)).any():
+    U, _, V = np.linalg.svd(T[:3, :3])
+    turn = U @ V  # the nearest rotation, or mirror image: files have three digits and more
+    if np.abs(T[:3, :3] - turn).max() > 1e-3 or np.linalg.det(turn) < 0 or (T[3] != (0, 0, 0, 1)).any():
         raise ParameterError("mount", "must be a rotation and a translation", short(T.tolist()))
+    T[:3, :3] = turn
     return T
 
 
@@ -394,12 +382,14 @@ def _mount_of(plain: Mapping[str, Any]) -> Array | None:
     name = given[0] if given else ""
     # R of a file with a camera matrix is ROS's rectification.
     R = plain.get("R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix"))
-    if R is None or name not in ("T_cam2gripper", "translation_vector"):
-        return _quaternion_in(plain, "") if name in ("", "translation_vector") else _pose_in(plain[name], name)
-    T = np.eye(4)
-    T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))
-    T[:3, 3] = _sized(plain[name], "t_cam2gripper", (3,))
-    return T
+    if R is not None and name in ("T_cam2gripper", "translation_vector"):
+        T = np.eye(4)
+        T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))
+        T[:3, 3] = _sized(plain[name], "t_cam2gripper", (3,))
+        return T
+    if name in ("transformation", "T_cam2gripper"):
+        return _pose_in(plain[name], name)
+    return _quaternion_in(plain, "")
 
 
 def _sized(value: Any, name: str, shape: tuple[int, ...]) -> Array:
@@ -452,23 +442,17 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
             raise ParameterError(name, f"{words}; {works}", said[name])
 
 
-@contextmanager
-def _named(file: str) -> Iterator[None]:
-    """Name the file in errors of what it holds."""
-    try:
-        yield
-    except ParameterError as error:
-        raise ParameterError(error.field, f"{error.problem} (in {file})", error.found) from None
-
-
 def _read(file: str, lacks: str, works: str, *parts: Callable[[Mapping[str, Any]], Any]) -> list[Any]:
     """The parts of a calibration's file. lacks: what it lacks where all are None, for messages."""
     plain = _plain(file)
-    with _named(file):
+    try:
         found = [part(plain) for part in parts]
-    if all(part is None for part in found):
-        raise ParameterError.unreadable("", f"it has {lacks} among {short(', '.join(map(str, plain)))}", works, file)
-    return found
+        if any(part is not None for part in found):
+            only_known(plain, READ, ABOUT)
+            return found
+    except ParameterError as error:
+        raise ParameterError(error.field, f"{error.problem} (in {file})", error.found) from None
+    raise ParameterError.unreadable("", f"it has {lacks} among {short(', '.join(map(str, plain)))}", works, file)
 
 
 def read_intrinsics(file: str) -> Intrinsics:

@@ -14,9 +14,9 @@ MOST_BYTES = 64 << 20
 """A larger file is none of those that are read whole: calibrations, records, models without their meshes."""
 
 
-def of_field(field: str) -> Refusal:
-    """Refuses a file that a field names: the error tells both."""
-    return lambda name, why, works: ParameterError.unreadable(field, why, works, str(name))
+def of_field(field: str, file: str = "") -> Refusal:
+    """Refuses a file that a field names: the error tells both. file: as the field names it; by default its path."""
+    return lambda name, why, works: ParameterError.unreadable(field, why, works, file or str(name))
 
 
 @contextmanager

@@ -69,10 +69,7 @@ def named_file(field: str, file: str, works: str, most_bytes: int = MOST_BYTES) 
     """The path of a plain file that a field names. Whatever is wrong with it, and whatever a library raises that reads
     it in the block, is a ParameterError of the field.
     """
-
-    def refusal(name: object, why: str, works: str) -> ParameterError:
-        return ParameterError.unreadable(field, why, works, file)
-
+    refusal = of_field(field, file)
     try:
         path = place_of_file(absolute_file(file, Path.cwd()))
     except ParameterError as error:

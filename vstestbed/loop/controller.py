@@ -534,11 +534,12 @@ class Controller:
             for share, free in command.free:
                 twist = twist + share * robot.secondary_task(free, reading, mount)
         period = self.scenario.camera.period
-        if command.rates is not None and twist is command.twist and isinstance(robot, Arm):
-            allocation = robot.allocate_rates(command.rates, reading, mount, period)
+        rates = command.rates if twist is command.twist else None  # a secondary task changes the twist alone
+        if rates is not None and isinstance(robot, Arm):
+            allocation = robot.allocate_rates(rates, reading, mount, period)
         else:
-            if command.rates is not None and twist is command.twist:
-                twist = robot.motion_basis(mount, reading.q) @ command.rates
+            if rates is not None:
+                twist = robot.motion_basis(mount, reading.q) @ rates
             allocation = robot.allocate(twist, reading, mount, period).told(twist)
         if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
             allocation = robot.pressed(allocation, command.wrench, mount)

@@ -178,7 +178,10 @@ class Child:
             return
         self.ended = True
         with suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL) if os.name == "posix" else self._process.kill()
+            if os.name == "posix":
+                os.killpg(self._process.pid, signal.SIGKILL)
+            else:
+                self._process.kill()
         self._process.wait()
         self._channel.close()
         with self._printed as printed:

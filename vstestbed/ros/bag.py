@@ -227,7 +227,7 @@ def _foxglove(path: Path, scenario: Scenario, passed: PassedOver) -> Iterator[Ev
                     if found is not None:
                         yield found
     except RunFolderError as error:
-        passed.note(path.name, t, ParameterError("part", f"of the bag is lost: {error}"))
+        passed.lost(path, t, error)
 
 
 @dataclass(frozen=True)
@@ -273,8 +273,8 @@ def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> tuple[l
         fed.step()
     lines = fed.passed.lines()
     if not fed.done:
-        words = f"has no picture that can be used{': ' if lines else ''}{'; '.join(lines)}"
-        raise RunFolderError(path, words, "is the topic the right one (--remap image_raw=/TOPIC)?")
+        why = ": " + "; ".join(lines) if lines else ""
+        raise RunFolderError(path, f"has no picture that can be used{why}", "is the topic the right one (--remap image_raw=/TOPIC)?")
     for line in lines:
         logging.getLogger("vstestbed").warning("%s", line)
     return fed.done, fed.passed

@@ -164,9 +164,9 @@ class BagFile:
         for connection, at, data in self._raw(roles, passed):
             topic, kind = connection.topic, connection.msgtype
             try:
-                with foreign("message", f"{kind} in CDR"):
+                with foreign("message", "a time [ns]"):  # in a database a column may hold anything
                     self._at = at / NS
-                    message = from_cdr(data, kind)
+                message = from_cdr(data, kind)
             except ParameterError as error:
                 passed.note(topic, self._at, error)
             else:
@@ -184,7 +184,7 @@ class BagFile:
                 with of_bag(self._path):
                     yield from messages
             except RunFolderError as error:
-                passed.note(self._path.name, self._at, ParameterError("part", f"of the bag is lost: {error}"))
+                passed.lost(self._path, self._at, error)
 
 
 def _parts(storage: Any) -> list[list[Any]]:

@@ -87,6 +87,11 @@ def _remember(known: list[tuple[float, Heard]], t: float, heard: Heard) -> None:
     del known[:-REMEMBERED]
 
 
+def _nearest(known: list[tuple[float, Heard]], t: float) -> tuple[float, Heard]:
+    """What was heard nearest to a time [s]; of infinity the newest."""
+    return known[-1] if t == math.inf else min(known, key=lambda one: abs(one[0] - t))
+
+
 class Senses:
     """What was heard of a robot, by time: readings are found for the exposure of a picture, and for now.
 
@@ -137,9 +142,8 @@ class Senses:
             known, joints = {topic: list(messages) for topic, messages in self._heard.items()}, list(self._joints)
         if self._others and not joints:
             raise ParameterError(self._others)
-        found = {name: min(messages, key=lambda m: abs(m[0] - (stamp or m[0]))) for name, messages in known.items() if messages}
-        if stamp is None:
-            found = {name: messages[-1] for name, messages in known.items() if messages}
+        near = math.inf if stamp is None else stamp
+        found = {name: _nearest(messages, near) for name, messages in known.items() if messages}
         reading = reading_of(self._robot, {name: message for name, (_, message) in found.items()})
         for name, (t, _) in found.items():
             if stamp is not None and abs(t - stamp) > self._near_s:

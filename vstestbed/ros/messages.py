@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -131,6 +132,10 @@ class PassedOver:
         kind = re.split(r"\W", why.field)[0]
         count, first, _, words = self._found.get((topic, kind), (0, t, t, str(why)))
         self._found[topic, kind] = count + 1, first, t, words
+
+    def lost(self, path: Path, t: float, why: Exception) -> None:
+        """Count a part of a bag that cannot be read, after a time [s]."""
+        self.note(path.name, t, ParameterError("part", f"of the bag is lost: {why}"))
 
     def rows(self) -> list[list[str]]:
         """Topic, number, time of the first and the last [s], why, and what helps."""

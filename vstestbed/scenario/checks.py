@@ -347,8 +347,9 @@ def _alike(points: Array, hues: Sequence[float], order: list[int]) -> Iterator[l
             yield order
         return
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    for j in range(n):
-        if j not in order and hues[j] == hues[i] and np.abs(apart[i, :i] - apart[j, order]).max(initial=0.0) <= ALIKE * apart.max():
+    for j in [k for k in range(n) if k not in order and hues[k] == hues[i]]:
+        off = np.abs(apart[i, :i] - apart[j, order]).max(initial=0.0)
+        if off <= ALIKE * apart.max():
             yield from _alike(points, hues, [*order, j])
 
 

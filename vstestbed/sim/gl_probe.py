@@ -56,6 +56,16 @@ def missing_libraries(backend: str = "egl") -> list[str]:
     return missing
 
 
+def _taken(devices: list[int]) -> list[int]:
+    """The devices of EGL that may be taken: one that DEVICE names, else all. ValueError: it names none."""
+    given = os.environ.get(DEVICE)
+    if given is None:
+        return devices
+    if not given.isdecimal() or int(given) >= len(devices):
+        raise ValueError(f"{DEVICE}={given} is set, and the devices are 0 to {len(devices) - 1}")
+    return [devices[int(given)]]
+
+
 def _egl_lack() -> tuple[str, str] | None:
     """Why none of the EGL devices that may be taken initialises a display, and the remedy; None where one does. A first start takes 25 ms.
 
@@ -75,11 +85,10 @@ def _egl_lack() -> tuple[str, str] | None:
     devices, count = (pointer * 16)(), number()
     if not query(16, devices, ctypes.byref(count)):
         return none
-    taken = devices[: count.value]
-    if (given := os.environ.get(DEVICE)) is not None:
-        if not given.isdecimal() or int(given) >= len(taken):
-            return f"{DEVICE}={given} is set, and the devices are 0 to {len(taken) - 1}", f"unset {DEVICE}"
-        taken = [taken[int(given)]]
+    try:
+        taken = _taken(devices[: count.value])
+    except ValueError as error:
+        return str(error), f"unset {DEVICE}"
     displays = [display_of(DEVICE_PLATFORM, device, None) for device in taken]
     return None if any(display and egl.eglInitialize(display, None, None) for display in displays) else none
 

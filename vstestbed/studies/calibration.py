@@ -171,7 +171,8 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
     other = [shot for shot in shots if shot.picture.shape != size]
     bad += [RunFolderError(folder / shot.name, "is not of the size of most pictures", "take all with one camera") for shot in other]
     if not shots:
-        raise RunFolderError(path, f"has no line that can be used{f': {bad[0]}' if bad else ''}", works)
+        why = f": {bad[0]}" if bad else ""
+        raise RunFolderError(path, f"has no line that can be used{why}", works)
     if bad:
         logging.getLogger("vstestbed").warning("%d of %d pictures are passed over, the first: %s", len(bad), len(lines), bad[0])
     return [shot for shot in shots if shot.picture.shape == size]
@@ -200,7 +201,7 @@ def _shot_of_line(folder: Path, line: dict[str, Any], robot: Robot | None) -> Sh
     picture = read_rgb(plain_file(folder / line["picture"], "a PNG or JPEG file"))
     if by_joints:
         return _shot(by_joints, line["picture"], picture, numbers)
-    T = pose_from(numbers[:3], unit_quaternion(numbers[3:], "qw, qx, qy, qz"))
+    T = pose_from(numbers[:3], unit_quaternion(numbers[3:], ", ".join(QUATERNION)))
     return Shot(line["picture"], picture, T, np.eye(6))
 
 

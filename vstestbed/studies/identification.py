@@ -136,21 +136,29 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     table = pl.DataFrame(numbers, known)
     needed = table.select(pl.selectors.matches(r"^(t|t_q|arrived|u_\d+)$")).to_numpy()
     used = np.flatnonzero(np.isfinite(needed).all(axis=1))
-    none, t = len(table) - len(used), table["t"].to_numpy()
+    no_numbers = len(table) - len(used)
+    t = table["t"].to_numpy()
     for name in [name for name in ("t", "t_q") if name in known]:
         used = used[_rising(table[name].to_numpy()[used])]
     if len(used) < LEAST_MOMENTS:
         raise ParameterError("record", f"has {len(used)} moments that can be used of {len(table)}; at least {LEAST_MOMENTS} are needed")
     if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
         raise ParameterError.bound("record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3))
-    if left := sorted({*range(len(table))} - set(used.tolist())):
-        words = "%d of %d moments of the record are passed over, the first in line %d (t = %g), the last in line %d (t = %g): "
-        words += "%d with times or commands that are no numbers, %d whose times go back or stand still"
-        first, last = left[0], left[-1]
-        logging.getLogger("vstestbed").warning(words, len(left), len(table), first + 1, t[first], last + 1, t[last], none, len(left) - none)
+    left = np.delete(np.arange(len(table)), used).tolist()
+    if left:
+        _tell_left(left, t, no_numbers)
     if unread := int(np.isnan(numbers[used]).sum()):
         logging.getLogger("vstestbed").warning("%d readings of the record are no numbers, and are passed over", unread)
     return table[used.tolist()]
+
+
+def _tell_left(left: list[int], t: Array, no_numbers: int) -> None:
+    """Tell which moments of all, of times t (n,) [s], are passed over, so many of them for want of numbers."""
+    first, last = (f"line {i + 1} (t = {t[i]:g})" for i in (left[0], left[-1]))
+    words = f"{len(left)} of {len(t)} moments of the record are passed over, the first in {first}, the last in {last}"
+    words += f": {no_numbers} with times or commands that are no numbers"
+    words += f", {len(left) - no_numbers} whose times go back or stand still"
+    logging.getLogger("vstestbed").warning("%s", words)
 
 
 def _rising(t: Array) -> list[int]:
@@ -384,7 +392,7 @@ def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Arra
     """Names and values (n, k) of what was read, and its times (n,), from 0 on."""
     joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in record.columns]
     pixels = [name for i in range(len(scenario.target.points)) for name in (f"u_px_{i}", f"v_px_{i}") if name in record.columns]
-    moving = [name for name in joints if np.nanmax(q := record[name].to_numpy(), initial=-np.inf) > np.nanmin(q, initial=np.inf)]
+    moving = [name for name in joints if record[name].fill_nan(None).drop_nulls().n_unique() > 1]
     if not moving and not pixels:
         words = f"has none of q_{', q_'.join(scenario.robot.joints)} that changes, and no u_px_0, ...: is it of another robot?"
         raise ParameterError("record", words, record.columns[:8])

@@ -101,18 +101,29 @@ def contents(file: Path) -> dict[str, bytes]:
     on every system. Sizes that the archive states are limits of what is unpacked, so that those that lie gain nothing.
     """
     packed = plain_file(file, WORKS, refusal=_refused).read_bytes()
+    counted = _members_counted(file, packed)
+    with foreign(file, WORKS, _refused), zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        members = archive.infolist()
+        if wrong := _unfit(members):
+            raise _refused(file, wrong)
+        if counted != len(members):
+            raise _refused(file, f"it has {len(members)} files and counts {counted}")
+        # to a number of bytes: without one the whole of what is packed would be unpacked at once, whatever its stated size
+        return {one.filename: archive.open(one).read(one.file_size + 1) for one in members}
+
+
+def _members_counted(file: Path, packed: bytes) -> int:
+    """How many members an archive counts in its last record, which every zip file has.
+
+    Raises RunFolderError: it is more or less than one plain zip file, or its directory is too large to be read.
+    """
     end = packed[-22:]
-    size, start = (int.from_bytes(end[i : i + 4], "little") for i in (12, 16))
+    size = int.from_bytes(end[12:16], "little")
+    start = int.from_bytes(end[16:20], "little")
     whole = packed.startswith(_FIRST) and end.startswith(_END) and start + size + len(end) == len(packed)
     if not whole or size > MOST_DIRECTORY or packed[-42:].startswith(_ZIP64):
         raise _refused(file, "it is no plain zip file, from its first byte to its last")
-    with foreign(file, WORKS, _refused), zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        members = archive.infolist()
-        counted = int.from_bytes(end[10:12], "little")
-        if wrong := _unfit(members) or ("" if counted == len(members) else f"it has {len(members)} files and counts {counted}"):
-            raise _refused(file, wrong)
-        # to a number of bytes: without one the whole of what is packed would be unpacked at once, whatever its stated size
-        return {one.filename: archive.open(one).read(one.file_size + 1) for one in members}
+    return int.from_bytes(end[10:12], "little")
 
 
 def _refused(file: object, why: str, works: str = WORKS) -> RunFolderError:
@@ -125,19 +136,30 @@ def _unfit(members: list[zipfile.ZipInfo]) -> str:
     if len(members) > MOST_MEMBERS or total > MOST_UNPACKED:
         most = f"at most {MOST_MEMBERS} and {MOST_UNPACKED >> 20} MiB are unpacked"
         return f"it has {len(members)} files of {total / 2**20:.0f} MiB, {most}"
-    for one in members:
-        name = short(one.orig_filename)
-        if not _belongs(one.filename):
-            return f"{name} is no file of one"
-        if not _readable(one):
-            return f"{name} is a link, encrypted, or packed in a way that is not read"
-        if one.filename in BESIDE and one.file_size > MOST_TEXT:
-            return f"{name} has {one.file_size / 2**20:.0f} MiB, at most {MOST_TEXT >> 20} are read"
+    if wrong := next(filter(None, map(_unfit_member, members)), ""):
+        return wrong
     names = Counter(unicodedata.normalize("NFKC", one.filename).casefold() for one in members)
-    names.update({str(above) for name in names for above in PurePosixPath(name).parents})
-    if twice := [name for name, times in names.items() if times > 1]:
-        return f"it holds {short(twice[0])} twice"
-    return next((f"it has no {name}" for name in (ABOUT, RUNS) if name not in names), "")
+    lacking = next((f"it has no {name}" for name in (ABOUT, RUNS) if name not in names), "")
+    return _held_twice(names) or lacking
+
+
+def _held_twice(names: Counter[str]) -> str:
+    """What names of files, by their numbers, have twice, also as a folder, in words; "" where nothing."""
+    folders = {str(above) for name in names for above in PurePosixPath(name).parents}
+    twice = next((name for name, times in (names + Counter(folders)).items() if times > 1), "")
+    return twice and f"it holds {short(twice)} twice"
+
+
+def _unfit_member(one: zipfile.ZipInfo) -> str:
+    """Why a member is none of a submission, in words; "" where it may be one."""
+    name = short(one.orig_filename)
+    if not _belongs(one.filename):
+        return f"{name} is no file of one"
+    if not _readable(one):
+        return f"{name} is a link, encrypted, or packed in a way that is not read"
+    if one.filename in BESIDE and one.file_size > MOST_TEXT:
+        return f"{name} has {one.file_size / 2**20:.0f} MiB, at most {MOST_TEXT >> 20} are read"
+    return ""
 
 
 def _belongs(name: str) -> bool:
@@ -200,10 +222,16 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
     if other := there - planned:
         raise _refused(file, f"its {RUNS} holds {short(next(iter(other)))}, which is not of the plan, or there twice", works)
     for task, _, start, reached, value in runs.iter_rows():
-        crashed = value is None and reached is False and entry.suite.tasks[task].worst is None  # alone has no number
-        if reached is None or not (crashed or (value is not None and math.isfinite(value))):
+        if not _can_be(reached, value, entry.suite.tasks[task].worst):
             raise _refused(file, f"its {RUNS} says success {reached} and value {value} of {task} {start}", works)
     return runs
+
+
+def _can_be(reached: bool | None, value: float | None, worst: float | None) -> bool:
+    """Whether a run can have a result. worst: the task's number of a run that crashed; None: such a run alone has no number."""
+    if value is None:
+        return reached is False and worst is None
+    return reached is not None and math.isfinite(value)
 
 
 def draws(n: int) -> int:

@@ -70,14 +70,7 @@ class _Held:
     def make(self, files: list[str], adds: str, block: dict[str, Any], reads: str) -> dict[str, Any]:
         """Load the law's files, and make it: what it declares."""
         confine(reads)
-        before = set(LAWS.members)
-        try:
-            load_plugins(files)
-        except PluginError as error:
-            raise ParameterError("files", f"cannot be loaded: {error}") from error
-        if adds and not any(adds in registry.members for registry in registries().values()):
-            raise ParameterError("files", f"adds no kind {adds!r}.")
-        own = [kind for kind in LAWS.members if kind not in before]
+        own = _laws_of(files, adds)
         if not block and len(own) != 1:
             raise ParameterError("files", "must add one law; of several, name one in a YAML file with law and plugins", own)
         self.law = _Holder(law=block or {"kind": own[0]}).law  # pyright: ignore[reportArgumentType] - a block
@@ -114,6 +107,18 @@ class _Held:
             field = error.field if isinstance(error, ParameterError) else ""
             what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
             return True, (field.removeprefix("_Holder.law."), what + str(error).removeprefix(f"{field} "))
+
+
+def _laws_of(files: list[str], adds: str) -> list[str]:
+    """Load the law's files: the kinds of laws that they add. ParameterError: they cannot be, or do not add the kind that is asked for."""
+    before = set(LAWS.members)
+    try:
+        load_plugins(files)
+    except PluginError as error:
+        raise ParameterError("files", f"cannot be loaded: {error}") from error
+    if adds and not any(adds in registry.members for registry in registries().values()):
+        raise ParameterError("files", f"adds no kind {adds!r}.")
+    return [kind for kind in LAWS.members if kind not in before]
 
 
 def _plain(value: Any) -> Any:

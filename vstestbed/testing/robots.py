@@ -116,14 +116,20 @@ def _check_allocation(robot: Robot, mount: Mount, rng: np.random.Generator) -> N
         assert np.abs(left).max() < 1e-6, f"{robot.kind}: allocate says that it makes a twist which motion_basis does not have"
         named = made.limit or not differs(made.twist, twist)
         assert named, f"{robot.kind}: a command that is shortened or turned must name its limit, {twist} became {made.twist}"
-        many = robot.allocate(HUGE * twist, reading, mount, 0.04)
-        assert bool(many.limit) == (many.scale < 1 - 1e-9), f"{robot.kind}: a command that is scaled must name its limit"
-        if many.limit:
-            more = robot.allocate(10 * HUGE * twist, reading, mount, 0.04)
-            size, larger = (float(np.abs(m.setpoint).max()) for m in (many, more))
-            assert larger <= 1.01 * size, f"{robot.kind}: beyond its limits the setpoint must not grow with the command"
+        _check_limits(robot, mount, twist)
     rest = robot.allocate(np.zeros(6), reading, mount, 0.04)
     assert np.abs(rest.twist).max() < 1e-9, f"{robot.kind}: a command to rest must be rest, it makes {rest.twist}"
+
+
+def _check_limits(robot: Robot, mount: Mount, twist: Array) -> None:
+    """Beyond its limits an allocation names them, and its setpoint does not grow with the command."""
+    reading = _reading(robot)
+    many = robot.allocate(HUGE * twist, reading, mount, 0.04)
+    assert bool(many.limit) == (many.scale < 1 - 1e-9), f"{robot.kind}: a command that is scaled must name its limit"
+    if many.limit:
+        more = robot.allocate(10 * HUGE * twist, reading, mount, 0.04)
+        size, larger = (float(np.abs(m.setpoint).max()) for m in (many, more))
+        assert larger <= 1.01 * size, f"{robot.kind}: beyond its limits the setpoint must not grow with the command"
 
 
 def _reading(robot: Robot) -> Reading:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache, lru_cache
 from itertools import combinations, permutations, product
 from typing import TYPE_CHECKING, Literal
@@ -96,6 +97,13 @@ def resized(T: Array, factor: float) -> Array:
     return T
 
 
+def _in_unit(unit: float, solve: Callable[..., Array | None], seen: Array, points: Array, previous: Array | None) -> Array | None:
+    """What a solver finds with lengths in a unit [m]."""
+    before = None if previous is None else resized(previous, 1 / unit)
+    found = solve(seen, points / unit, before)
+    return None if found is None else resized(found, unit)
+
+
 def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
     """Pose T_camera_target (4, 4) that minimises the angles between unit rays d (N, 3) and points p (N, 3) [m]; None where none fits.
 
@@ -103,8 +111,7 @@ def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = No
     solves sum (I - d d^T) (R p + t) = 0 (Lu, Hager & Mjolsness 2000, doi:10.1109/34.862199).
     """
     if (unit := unit_for(points)) != 1.0:
-        found = solve_pose_all_round(rays, points / unit, previous if previous is None else resized(previous, 1 / unit))
-        return None if found is None else resized(found, unit)
+        return _in_unit(unit, solve_pose_all_round, rays, points, previous)
     if previous is not None:
         T, error = _refined(rays, points, previous)
         if error < RAYS_FIT:
@@ -201,8 +208,7 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     if shape == "line":
         return None
     if (unit := unit_for(points)) != 1.0:
-        found = solve_pose(xy, points / unit, previous if previous is None else resized(previous, 1 / unit))
-        return None if found is None else resized(found, unit)
+        return _in_unit(unit, solve_pose, xy, points, previous)
     if len(points) == 3:
         if previous is None:
             return None

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.files import write_whole
@@ -192,41 +193,59 @@ def sentences(summary: Summary) -> str:
 
 def events(tracks: LogArrays) -> list[str]:
     """What happened on the way that a figure shows and a reader may miss: commands that limits shortened, joints that friction held."""
-    found, t, limit = [], tracks.t, tracks.column("limit")
-    if (limited := (tracks.column("scale") < UNLIMITED) | (limit > 0)).any():
-        last = float(t[np.flatnonzero(limited)[-1]])
-        found.append(f"Limits of law or robot shortened or turned {limited.sum()} of its {len(t)} commands, the last at {last:.3g} s.")
-    if (limit > 0).any():
-        by = [f"{word.replace('_', ' ')} {counted(n, 'frame')}" for i, word in enumerate(WORDS) if word and (n := int((limit == i).sum()))]
-        turned = np.degrees(np.nanmax(tracks.column("turned_rad")))
-        found.append(f"The robot's limits were: {listed(by)}{f'; its motion was turned by up to {turned:.2g} degrees' if turned else ''}.")
-    joints = tracks.named("qd") if tracks.setting.told_speeds and not tracks.setting.planar else []
-    held = {name: stood for name in joints if (stood := _held(tracks, name)) is not None}
-    if held:
-        longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
-        words = "although it was told to move" if len(held) == 1 else "although they were told to move"
-        found.append(f"Friction held {listed(list(held))} for up to {longest:.2g} s {words}, first at {first:.3g} s (stick-slip).")
+    found = [*_limits(tracks), *_friction(tracks)]
     if moving := still_moving(tracks):
         bound = f"more than the {STANDS_RADPS:g} rad or m of a robot that stands"
         found.append(f"In its last second it still moved, by {bound}: {listed(moving)}.")
     return found
 
 
+def _limits(tracks: LogArrays) -> Iterator[str]:
+    """How many commands were shortened or turned, and by what."""
+    t, limit = tracks.t, tracks.column("limit")
+    if (limited := (tracks.column("scale") < UNLIMITED) | (limit > 0)).any():
+        last = float(t[np.flatnonzero(limited)[-1]])
+        yield f"Limits of law or robot shortened or turned {limited.sum()} of its {len(t)} commands, the last at {last:.3g} s."
+    if (limit > 0).any():
+        by = [f"{word.replace('_', ' ')} {counted(n, 'frame')}" for i, word in enumerate(WORDS) if word and (n := int((limit == i).sum()))]
+        turned = np.degrees(np.nanmax(tracks.column("turned_rad")))
+        way = f"; its motion was turned by up to {turned:.2g} degrees" if turned else ""
+        yield f"The robot's limits were: {listed(by)}{way}."
+
+
+def _friction(tracks: LogArrays) -> Iterator[str]:
+    """Which joints friction held, for how long."""
+    joints = tracks.named("qd") if tracks.setting.told_speeds and not tracks.setting.planar else []
+    held = {name: stood for name in joints if (stood := _held(tracks, name)) is not None}
+    if held:
+        longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
+        words = "although it was told to move" if len(held) == 1 else "although they were told to move"
+        yield f"Friction held {listed(list(held))} for up to {longest:.2g} s {words}, first at {first:.3g} s (stick-slip)."
+
+
 def still_moving(tracks: LogArrays) -> list[str]:
     """What moved in the last second of a run whose task is to arrive: driven joints, from end to end, and the way that was commanded."""
-    t, found = tracks.t, list[str]()
+    t = tracks.t
     if tracks.setting.band_m is not None or not len(t):
-        return found
-    last, driven = t > t[-1] - LAST_S, tracks.named("ctrl")
+        return []
+    last = t > t[-1] - LAST_S
+    return [*_joints_moving(tracks, last), *_camera_moving(tracks, last)]
+
+
+def _joints_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
+    driven = tracks.named("ctrl")
     for name in [joint for joint in tracks.named("q") if joint in driven]:  # a car's wheels are not: they roll on with it
-        span, unit = float(np.ptp(tracks.column(f"q_{name}")[last])), "m" if name in tracks.setting.slides else "rad"
+        span = float(np.ptp(tracks.column(f"q_{name}")[last]))
+        unit = "m" if name in tracks.setting.slides else "rad"
         if span > STANDS_RADPS:
-            found.append(f"{name} by {' '.join(with_unit(span, unit))} from end to end")
+            yield f"{name} by {' '.join(with_unit(span, unit))} from end to end"
+
+
+def _camera_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     for what, unit, axes in (("camera", "m", TWIST[:3]), ("camera's direction", "rad", TWIST[3:])):
         way = LAST_S * float(np.linalg.norm(tracks.columns(*(f"cmd_{axis}" for axis in axes))[last], axis=1).mean())
         if way > STANDS_RADPS:
-            found.append(f"the {what} by {' '.join(with_unit(way, unit))} as commanded")
-    return found
+            yield f"the {what} by {' '.join(with_unit(way, unit))} as commanded"
 
 
 def _held(tracks: LogArrays, joint: str) -> tuple[float, float] | None:

@@ -16,7 +16,7 @@ from vstestbed.core.named_files import model_path, place_of_file
 from vstestbed.effects.base import places_of
 from vstestbed.effects.body import Change, reshape
 from vstestbed.robots.chain import JointChain, Load
-from vstestbed.sim.scene.model_files import cannot_compile, read_model
+from vstestbed.sim.scene.model_files import cannot_compile, files_in, read_model
 
 MOST_JOINTS = 7
 WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
@@ -300,7 +300,7 @@ def mounted(platform: str, changes: tuple[Change, ...], arm: str, place: tuple[f
     reshape(base, changes)
     for thing in [*base.actuators, *(geom for geom in base.geoms if geom.name in ON_DECK)]:
         base.delete(thing)
-    for things, folder in ((upper.meshes, upper.meshdir), (upper.textures, upper.texturedir)):
+    for things, folder in files_in(upper):
         for thing in things:
             if thing.file:  # absolute: the new file is elsewhere
                 thing.file = str((file.parent / folder / thing.file).resolve())

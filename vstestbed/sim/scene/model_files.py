@@ -36,7 +36,7 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
     for key in list(model.keys):
         model.delete(key)
     taken: dict[str, bytes] = {}
-    for things, folder in _things(model):
+    for things, folder in files_in(model):
         for thing in things:
             if thing.file:
                 thing.file = _carried(file, folder, thing.file, taken, prefix)
@@ -47,7 +47,7 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
     return taken
 
 
-def _things(model: mujoco.MjSpec) -> list[tuple[Any, str]]:
+def files_in(model: mujoco.MjSpec) -> list[tuple[Any, str]]:
     """What in a model may be a file, with the folder of such files."""
     return [(model.meshes, model.meshdir), (model.textures, model.texturedir), (model.hfields, model.meshdir)]
 
@@ -59,7 +59,7 @@ def files_read(path: Path) -> list[Path]:
         model = read_model(path)
     except (OSError, ValueError):  # it is no model, or a run with it is refused, and says why
         return names
-    for things, folder in (*_things(model), (model.skins, model.meshdir)):
+    for things, folder in (*files_in(model), (model.skins, model.meshdir)):
         names += [path.parent / folder / thing.file for thing in things if thing.file]
     for texture in model.textures:
         names += [path.parent / model.texturedir / face for face in texture.cubefiles if face]
@@ -70,8 +70,7 @@ def _included(path: Path) -> list[Path]:
     """The files that a model includes, and those that these include, all from the model's folder; comments include none."""
     names, waiting = list[Path](), [path]
     while waiting:
-        text = COMMENT.sub("", waiting.pop().read_text(errors="replace"))
-        for name in INCLUDE.findall(text):
+        for name in INCLUDE.findall(_uncommented(waiting.pop())):
             if path.parent / name not in names:
                 names.append(path.parent / name)
                 waiting += filter(is_there, names[-1:])
@@ -174,10 +173,9 @@ def _place(path: Path, line: int) -> str:
     return f"{path}:{line}" if line else str(path)
 
 
-COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 INCLUDE = re.compile(r"""<(?:include|model)\b[^>]*?\bfile\s*=\s*["']([^"']+)""")
-ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
-"""The beginning of a URDF: an MJCF file may have the word in a comment."""
+ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>)*<robot\b[^>]*>", re.DOTALL)
+"""The beginning of a URDF without its comments."""
 XACRO = re.compile(r"<xacro:")
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 MESH = re.compile(r'(<mesh\b[^>]*\bfilename=")(package|file)://([^"]*)')
@@ -190,6 +188,16 @@ KEEP = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
 CONTACT_GROUP = 3
 
 
+def _blank(part: re.Match[str]) -> str:
+    """The empty lines in place of a part that is left out: MuJoCo's errors tell lines."""
+    return "\n" * part[0].count("\n")
+
+
+def _uncommented(path: Path) -> str:
+    """The text of an XML file without its comments."""
+    return COMMENT.sub(_blank, path.read_text(errors="replace"))
+
+
 def read_model(path: Path) -> mujoco.MjSpec:
     """The spec of an MJCF or URDF file, as the file has it.
 
@@ -197,14 +205,14 @@ def read_model(path: Path) -> mujoco.MjSpec:
     `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out. Raises ValueError:
     MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, or names a package whose folder is not found.
     """
-    text = COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), path.read_text(errors="replace"))
+    text = _uncommented(path)
     if (root := ROOT.search(text)) is None:
         return mujoco.MjSpec.from_file(str(path))
     if XACRO.search(text):
         raise ParameterError("file", f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one", str(path))
     if "<mujoco" not in text:
         text = text[: root.end()] + KEEP + text[root.end() :]  # in the same line: MuJoCo's errors tell lines
-    text = UNREADABLE.sub(lambda visual: "\n" * visual[0].count("\n"), text)
+    text = UNREADABLE.sub(_blank, text)
     spec = mujoco.MjSpec.from_string(MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text))
     spec.meshdir = str(path.parent.resolve() / spec.meshdir)
     for body in spec.bodies:
@@ -217,7 +225,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
 
 def speeds_in(path: Path) -> dict[str, float]:
     """The `velocity` limits of a URDF's joints by their names [rad/s, m/s], which MuJoCo does not read; {} for an MJCF file."""
-    text = path.read_text(errors="replace")
+    text = _uncommented(path)
     if ROOT.search(text) is None:
         return {}
     with foreign(path, "a URDF whose limits are numbers"):
