@@ -207,6 +207,95 @@ def test_a_stop_ends_with_a_new_picture_before_the_task_is_given_up(shown: Any) 
     assert not robot.hears(Message(0.7), TIMEOUT_S + 0.5 * LOST_S).latched  # it begins anew
 
 
+@pytest.mark.parametrize("name", ["car_line", "omni_line", "arm_ibvs"])
+@pytest.mark.parametrize("creeps", ["stamps", "arrivals, too"])
+def test_a_target_that_is_gone_is_lost_by_the_own_clock(name: str, creeps: str) -> None:
+    """Five right pictures, then blank ones whose stamps go on by a microsecond: of another unit, or of a failed driver."""
+    scenario = vs.load(name)
+    with vs.Session(scenario, pictures=True) as session:
+        image, reading = session.reset().image, session.episode.plant.reading()
+    assert image is not None
+    controller, clock = vs.Controller(scenario), Clock()
+    controller.clock = clock
+    last = 4 * PERIOD_S
+    for k in range(200):
+        clock.now += PERIOD_S
+        picture = image.copy() if k < 5 else np.full_like(image, 90)
+        picture[0, 0] = k % 251
+        t = k * PERIOD_S if k < 5 else last + (k - 4) * 1e-6
+        arrived = t + 0.01 if creeps != "stamps" else None
+        cycle = controller.step(picture, t, reading, arrived)
+        blind_s = (k - 4) * PERIOD_S
+        if blind_s > scenario.stop.lost_after[0] + 2 * PERIOD_S:
+            assert cycle.order.latched and not cycle.order.twist.any(), blind_s  # a car keeps its steering
+
+
+def test_times_of_other_units_are_refused_by_name(shown: Any) -> None:
+    """A float cannot tell one nanosecond since 1970 from the next."""
+    robot = Robot(shown)
+    for t in (1.8e18, 1.8e12, np.float32(1.8e18), np.datetime64("2026-01-01")):
+        with pytest.raises(ParameterError, match=r"^t .*seconds"):
+            robot.controller.step(robot.picture(True), t, robot.reading)
+    cycle = robot.controller.step(robot.picture(True), np.float32(0.5), robot.reading)  # nothing has changed
+    assert moves(cycle.order)
+
+
+def test_a_picture_that_comes_again_after_an_error_is_as_old_as_it_was(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = Robot(shown)
+    for k in range(5):
+        robot.hears(Message(k * PERIOD_S))
+    detector = type(robot.controller._perception)
+    with monkeypatch.context() as broken:
+        broken.setattr(detector, "detect", lambda *given: 1 / 0)
+        for _ in range(100):
+            with pytest.raises(ZeroDivisionError):
+                robot.hears(Message(5 * PERIOD_S))
+    assert not moves(robot.hears(Message(5 * PERIOD_S)))
+
+
+@pytest.mark.parametrize("set_to", [-3600.0, nan])
+def test_a_clock_that_is_set_counts_forwards_alone(shown: Any, set_to: float) -> None:
+    robot = Robot(shown)
+    for k in range(5):
+        robot.hears(Message(k * PERIOD_S))
+    robot.clock.now += set_to
+    orders = [robot.hears(Message(4 * PERIOD_S)) for _ in range(40)]
+    assert orders[-1].latched and not any(moves(order) for order in orders[13:])
+
+
+def test_silence_is_counted_by_the_own_clock_where_the_time_that_is_told_stands_still(shown: Any) -> None:
+    robot = Robot(shown)
+    for k in range(5):
+        robot.hears(Message(k * PERIOD_S))
+    for _ in range(30):
+        robot.clock.now += PERIOD_S
+        order = robot.controller.without_picture(5 * PERIOD_S, robot.reading)
+    assert order.latched
+
+
+def test_a_further_camera_that_is_frozen_is_told_and_ends_the_task() -> None:
+    """The own camera lives, and sees nothing; the room's tells the same bytes again and again."""
+    scenario = vs.load("arm_two_eyes", {"stop.frozen_after_s": 1.0})
+    with vs.Session(scenario, pictures=True) as session:
+        frame = session.reset()
+        reading, own = session.episode.plant.reading(), frame.image
+        while "room" not in frame.cameras or frame.cameras["room"].image is None:
+            frame = session.step()
+        room = frame.cameras["room"].image
+    assert own is not None and room is not None
+    controller, clock = vs.Controller(scenario), Clock()
+    controller.clock = clock
+    notes: list[str] = []
+    for k in range(50):
+        clock.now += PERIOD_S
+        picture = own.copy() if k < 5 else np.full_like(own, 90)
+        picture[0, 0] = k % 251
+        cycle = controller.step({"camera": picture, "room": room}, k * PERIOD_S, reading, k * PERIOD_S + 0.01)
+        notes += cycle.notes
+    assert f"room: {FROZEN}" in notes
+    assert cycle.latched and "frozen" in cycle.reason
+
+
 def test_a_law_that_takes_longer_than_its_command_lasts(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the time of arrival is told. A film, whose caller tells none, has time."""
     robot = Robot(shown)

@@ -111,6 +111,7 @@ OTHER = {  # of another clock, such as one since the camera was switched on
     "backwards": lambda now: 100.4 - now,
     "far future once, then frozen": lambda now: 1e6,
     "far future once, then right": lambda now: 1e6 if now < 0.25 else 100.0 + now,
+    "creeping": lambda now: 100.2 + 1e-6 * (now - 0.2),
 }
 RUNS = [(EPOCH, name, pattern) for name, pattern in WALL.items()] + [(100.0, name, pattern) for name, pattern in OTHER.items()]
 
@@ -133,6 +134,30 @@ def test_whatever_stamps_say_the_law_stops_the_robot_and_stays_stopped(shown, cl
     assert law.node.start() == (True, "servoing")
     stamp = clocks.time() + PERIOD_S
     assert law.hears(stamp) and law.hears(stamp + PERIOD_S)
+
+
+def test_lag_that_grows_stops_it_by_a_clock_of_whatever_begin(shown, clocks):
+    """New pictures from a queue that fills: each is of a quarter of a period after the last."""
+    law = Law(shown, clocks)
+    moved = [law.hears(100.0 + k * PERIOD_S / 4) for k in range(1, 100)]
+    lag_s = [0.75 * k * PERIOD_S for k in range(99)]
+    latest_s = law.scenario.timing.latest_s(law.scenario.camera)
+    assert all(m for m, s in zip(moved, lag_s, strict=True) if s < 0.9 * latest_s)
+    assert not any(m for m, s in zip(moved, lag_s, strict=True) if s > latest_s + 1e-6)
+    assert law.node._stopped and "late" in law.said[-1]
+
+
+def test_a_first_picture_without_a_stamp_does_not_decide_which_clock_it_is(shown, clocks):
+    law = Law(shown, clocks)
+    law.hears(0.0)
+    assert not any(law.hears(clocks.time() + PERIOD_S - 60.0) for _ in range(50))
+
+
+def test_a_clock_of_somebody_else_does_not_let_a_slow_law_go_on(shown, clocks):
+    law = Law(shown, clocks)
+    law.wire.publish("/clock", m.clock(3.0))
+    assert law.hears(EPOCH + PERIOD_S)
+    assert not law.node._simulated
 
 
 def test_a_driver_that_sends_each_picture_several_times_is_followed(shown, clocks):
@@ -453,3 +478,14 @@ def test_a_real_clock_and_a_robot_that_moves_by_it():
     watch = SimpleNamespace(frame=lambda frame: speeds.append(float(np.abs(frame.truth.qd).max())))
     node.fly(scenario.resolved, [watch])
     assert max(speeds[:10]) < 1e-3 < 0.02 < max(speeds[12:20]) and speeds[-1] < 2e-3 and node.dropped >= 8
+
+
+def test_a_command_that_was_sent_before_a_stop_and_comes_after_it_is_dropped(shown, clocks):
+    scenario, _, _ = shown
+    node = RobotNode(scenario, Wire("vstestbed_robot"), pace="wall")
+    frame = law.command_frame(scenario)
+    for stamp, v, moves in ((0.10, 0.1, True), (0.20, 0.0, False), (0.15, 0.1, False), (0.25, 0.1, True)):
+        clocks.now = 5e5 + 0.3
+        node._hear(m.twist(EPOCH + stamp, v * np.ones(6), frame))
+        assert bool(node._command[1].any()) == moves, stamp
+    assert node.dropped == 1 and "older than the one in force" in node.refused
