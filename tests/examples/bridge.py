@@ -2,16 +2,21 @@
 
     python bridge.py SCENARIO HOST PORT
 
-The robot's side sends, for each picture, a line of JSON `{"t": 1.23, "q": [...], "qd": [...], "jpeg": "BASE64"}`: the time of the
-exposure [s] on a clock that starts with the task, its joints [rad], and the picture. It is sent lines `{"move": [...]}` (joint velocities
-[rad/s]) or `{"stop": "REASON"}`. It must stop by itself where none has come for 0.5 s. Of pictures that have waited only the newest is
-answered: by the others the robot would move late.
+The robot's side sends, for each picture, a line of JSON `{"t": 1.23, "q": [...], "qd": [...], "picture": "BASE64"}`: the time of the
+exposure [s] on a clock that starts with the task, its joints [rad], and the picture as a file of PNG or JPEG. It is sent lines
+`{"move": [...]}` (joint velocities [rad/s]) or `{"stop": "REASON"}`. It must stop by itself where none has come for 0.5 s. Of pictures
+that have waited only the newest is answered: by the others the robot would move late. Nobody knows by another clock how old a picture is;
+but what it took to come, and what it came later than the one that came soonest, is known. One that was so long on its way that no command
+lasts as long stops the robot.
 """
 
 import base64
 import json
+import math
+import select
 import socket
 import sys
+import time
 from typing import IO
 
 import cv2
@@ -37,25 +42,38 @@ def picture_of(line: dict) -> np.ndarray:
 
 def serve(controller: vs.Controller, link: socket.socket) -> int:
     """Answer each new picture until the robot's side ends; how many there were."""
-    link.settimeout(SILENCE_S)
-    out, lines, waiting, t, reading, count = link.makefile("w"), link, b"", 0.0, None, 0
+    link.settimeout(SILENCE_S)  # for what is sent
+    out, waiting, reading, count = link.makefile("w"), b"", None, 0
+    now, ahead, began = 0.0, math.inf, 0.0  # now: by the robot's clock; ahead: by how much the own clock is, at most; began: a message
+    deadline = time.monotonic() + SILENCE_S  # for a whole message: bytes that trickle are no picture
     try:
         while True:
-            try:
-                received = lines.recv(1 << 20)
-            except TimeoutError:  # no picture: the supervisor must know
+            left = deadline - time.monotonic()
+            if left <= 0:  # no picture: the supervisor must know
+                deadline = time.monotonic() + SILENCE_S
                 if reading is not None:
-                    t += SILENCE_S
-                    obey(controller.without_picture(t, reading), out)
+                    now += SILENCE_S
+                    obey(controller.without_picture(now, reading), out)
                 continue
+            if not select.select([link], [], [], left)[0]:
+                continue
+            received = link.recv(1 << 20)
             if not received:
                 return count
+            came = controller.clock()
+            began = began if waiting else came
             *whole, waiting = (waiting + received).split(b"\n")
-            for text in whole[-1:]:
-                line = json.loads(text)
-                t, reading = line["t"], vs.Reading(np.array(line["q"]), np.array(line["qd"]))
-                obey(controller.step(picture_of(line), t, reading).order, out)
-                count += 1
+            if not whole:
+                continue
+            began = began if len(whole) == 1 else came  # of the newest
+            line = json.loads(whole[-1])
+            t, reading = line["t"], vs.Reading(np.array(line["q"]), np.array(line["qd"]))
+            ahead = min(ahead, began - t)
+            now = max(t, came - ahead)  # as sums are rounded, it may be before t
+            obey(controller.step(picture_of(line), t, reading, arrived=now).order, out)
+            count += 1
+            began = came  # of what is waiting
+            deadline = time.monotonic() + SILENCE_S
     finally:
         out.write(json.dumps({"stop": "the bridge has ended", "latched": True}) + "\n")
         out.close()

@@ -4,6 +4,7 @@ import base64
 import json
 import socket
 import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -27,12 +28,16 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.4})
     robot, law = socket.socketpair()
     robot.settimeout(20)
-    thread = threading.Thread(target=BRIDGE.serve, args=(vs.Controller(scenario), law), daemon=True)
+    controller = vs.Controller(scenario)
+    controller.clock = lambda: now_s  # of the simulation, which is slower than real time where the machine is busy
+    now_s = 0.0
+    thread = threading.Thread(target=BRIDGE.serve, args=(controller, law), daemon=True)
     thread.start()
     answers, out = robot.makefile("r"), robot.makefile("w")
     with vs.Session(scenario, pictures=True) as session:
         frame = session.reset()
         for _ in range(4):
+            now_s = frame.t
             out.write(line_of(frame))
             out.flush()
             moved = json.loads(answers.readline())["move"]
@@ -68,3 +73,30 @@ def test_old_pictures_of_a_queue_and_one_that_comes_again_move_nothing(monkeypat
     robot.shutdown(socket.SHUT_WR)
     thread.join(5)
     law.close()
+
+
+def test_a_link_that_stalls_stops_the_robot_and_a_picture_that_was_too_long_on_its_way_does_not_move_it(monkeypatch):
+    """Bytes come all the time, each sooner than the silence that stops; the whole picture does not."""
+    monkeypatch.setattr(BRIDGE, "SILENCE_S", 0.4)
+    scenario = vs.load("arm_ibvs", {"timing.command_timeout_s": 0.3})
+    robot, law = socket.socketpair()
+    robot.settimeout(20)
+    with vs.Session(scenario, pictures=True) as session:
+        first = line_of(session.reset())
+        second = line_of(session.step())
+    thread = threading.Thread(target=BRIDGE.serve, args=(vs.Controller(scenario), law), daemon=True)
+    thread.start()
+    answers = robot.makefile("r")
+    robot.sendall(first.encode())
+    assert "move" in json.loads(answers.readline())
+    for i in range(8):  # .8 s, twice the silence
+        robot.sendall(second[10 * i : 10 * i + 10].encode())
+        time.sleep(0.1)
+    assert json.loads(answers.readline())["stop"].startswith("no picture arrived")
+    robot.sendall(second[80:].encode())
+    robot.shutdown(socket.SHUT_WR)
+    thread.join(5)
+    law.close()
+    said = [json.loads(line) for line in answers]
+    assert not any("move" in told for told in said)
+    assert any("late" in told["stop"] for told in said)

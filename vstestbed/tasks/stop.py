@@ -69,7 +69,8 @@ class Stop:
             coasts) [m]; then the robot stops; None: it goes on for any way. Where both are None, a camera behind its target goes on, too.
         rest_after_s: how long a commanded rest away from the goal lasts until the run ends as `local_minimum` [s]; None: it never ends so.
         frozen_after_s: how long pictures may be the same to the byte while a velocity is ordered, until the camera counts as frozen and the
-            robot stops (`target_lost`) [s]; None: a real camera's are told in the cycle's notes, and end nothing; e.g. `1`.
+            robot stops (`target_lost`) [s], counted for each camera, further ones and depth pictures, too; None: a real camera's are told
+            in the cycle's notes, and end nothing; e.g. `1`.
     """
 
     duration_s: Duration = 30.0

@@ -214,21 +214,26 @@ def test_a_loss_has_its_name_also_in_one_frame_and_without_a_shorter_command() -
 
 
 def test_what_still_moves_in_the_last_second_is_told() -> None:
-    """A steering that swings, a slide, a joint that stands, wheels that are not driven, a camera that is told to move on."""
+    """A steering that swings, a slide, a joint that stands, wheels that are not driven, a camera on its true path."""
     t = np.arange(0, 4, 0.04)
     swings = {"q_steering": 0.4 * np.sin(9 * t), "ctrl_steering": 0 * t, "q_rear_left": t, "q_slide": 0.03 * t, "ctrl_slide": 0 * t}
     still = {"q_joint": 5e-3 * t, "ctrl_joint": 0 * t}  # 5 mrad in the last second
-    twist = {f"cmd_{axis}": 0 * t for axis in ("vx", "vy", "wx", "wy", "wz")} | {"cmd_vz": 0.05 + 0 * t}
-    log = pl.DataFrame({"t": t, "scale": 1.0 + 0 * t, **swings, **still, **twist})
+    law = {"cmd_vx": 8.0 + 0 * t}  # of which limits leave little
+    path = {f"cam_{axis}": 0 * t for axis in ("y", "z", "qx", "qy")} | {"cam_x": 0.05 * t, "cam_qw": np.cos(t / 2), "cam_qz": np.sin(t / 2)}
+    log = pl.DataFrame({"t": t, "scale": 1.0 + 0 * t, **swings, **still, **law, **path})
     assert page.still_moving(LogArrays.of(log, Setting(slides=("slide",)))) == [
         "steering by 0.796 rad from end to end",  # of .8, between pictures
         "slide by 28.8 mm from end to end",  # .03 m/s over the 24 steps of .04 s between 25 frames
-        "the camera by 50.0 mm as commanded",
+        "the camera by 48.0 mm along its path",
+        "the camera's direction by 0.960 rad along its path",  # a turn at 1 rad/s
     ]
-    assert page.still_moving(LogArrays.of(log, Setting(band_m=0.25))) == []  # its task is to move
     assert page.still_moving(LogArrays.of(log.head(0), Setting())) == []
     (words,) = page.events(LogArrays.of(log.head(60), Setting(slides=("slide",))))
     assert words.startswith("In its last second it still moved, by more than the 0.02 rad or m of a robot that stands: steering by")
+    (words,) = page.events(LogArrays.of(log, Setting(band_m=0.25)))
+    assert words.startswith("Its task has no end, and in its last second it moved on, by more than the 0.02 rad or m of")
+    standing = log.select("t", "scale", "q_joint", "ctrl_joint")
+    assert page.events(LogArrays.of(standing, Setting(band_m=0.25))) == []
 
 
 def test_text_is_escaped() -> None:

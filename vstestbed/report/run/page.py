@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.files import write_whole
+from vstestbed.core.geometry import rotation_angle
 from vstestbed.loop.columns import WORDS
 from vstestbed.loop.log_file import Log, open_log
 from vstestbed.loop.recording import read_summary
@@ -25,7 +26,7 @@ from vstestbed.report.run import figures, space
 from vstestbed.report.run.tracks import LogArrays, Setting
 from vstestbed.robots.base import STANDS_RADPS
 from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
-from vstestbed.tasks.metrics import EVERY_RUN, KNOWN, OF_A_RUN, SOME_RUNS, TWIST, Metric, own_metrics
+from vstestbed.tasks.metrics import EVERY_RUN, KNOWN, OF_A_RUN, SOME_RUNS, Metric, own_metrics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -195,8 +196,9 @@ def events(tracks: LogArrays) -> list[str]:
     """What happened on the way that a figure shows and a reader may miss: commands that limits shortened, joints that friction held."""
     found = [*_limits(tracks), *_friction(tracks)]
     if moving := still_moving(tracks):
-        bound = f"more than the {STANDS_RADPS:g} rad or m of a robot that stands"
-        found.append(f"In its last second it still moved, by {bound}: {listed(moving)}.")
+        ends = tracks.setting.band_m is None
+        words = "In its last second it still moved" if ends else "Its task has no end, and in its last second it moved on"
+        found.append(f"{words}, by more than the {STANDS_RADPS:g} rad or m of a robot that stands: {listed(moving)}.")
     return found
 
 
@@ -224,9 +226,9 @@ def _friction(tracks: LogArrays) -> Iterator[str]:
 
 
 def still_moving(tracks: LogArrays) -> list[str]:
-    """What moved in the last second of a run whose task is to arrive: driven joints, from end to end, and the way that was commanded."""
+    """What truly moved in the last second of a run: driven joints, from end to end, and the camera, along its path."""
     t = tracks.t
-    if tracks.setting.band_m is not None or not len(t):
+    if not len(t):
         return []
     last = t > t[-1] - LAST_S
     return [*_joints_moving(tracks, last), *_camera_moving(tracks, last)]
@@ -242,10 +244,13 @@ def _joints_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
 
 
 def _camera_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
-    for what, unit, axes in (("camera", "m", TWIST[:3]), ("camera's direction", "rad", TWIST[3:])):
-        way = LAST_S * float(np.linalg.norm(tracks.columns(*(f"cmd_{axis}" for axis in axes))[last], axis=1).mean())
-        if way > STANDS_RADPS:
-            yield f"the {what} by {' '.join(with_unit(way, unit))} as commanded"
+    T = tracks.poses("cam")[last]
+    way = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum()
+    R = T[:, :3, :3]
+    turned = rotation_angle(R[:-1].mT @ R[1:]).sum()
+    for what, unit, size in (("camera", "m", float(way)), ("camera's direction", "rad", float(turned))):
+        if size > STANDS_RADPS:  # not of a log without poses, whose are NaN
+            yield f"the {what} by {' '.join(with_unit(size, unit))} along its path"
 
 
 def _held(tracks: LogArrays, joint: str) -> tuple[float, float] | None:
