@@ -47,7 +47,8 @@ def test_kinds_are_those_that_describe_knows() -> None:
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
     assert complete.kinds("camera.s") == ["camera.sensor", "camera.shadows", "camera.spherical", "camera.stream"]
-    assert complete.kinds("stop.") == ["stop.converged", "stop.duration_s", "stop.lost_after_m", "stop.lost_after_s", "stop.rest_after_s"]
+    of_stop = "converged", "duration_s", "frozen_after_s", "lost_after_m", "lost_after_s", "rest_after_s"
+    assert complete.kinds("stop.") == [f"stop.{name}" for name in of_stop]
     assert complete.kinds("robot.gears.s") == ["robot.gears.stiffness_nmprad"]
     entries = catalogue(scenario=vs.Scenario)
     for word in complete.kinds(""):

@@ -152,12 +152,12 @@ class Partitioned(ErrorLaw):
                 e[..., i::2] -= e[..., i::2].mean(axis=-1, keepdims=True)
                 L[..., i::2, :] -= L[..., i::2, :].mean(axis=-2, keepdims=True)
         given, rest = self._columns
-        units = np.broadcast_to(units_of(goal, None), 6)[rest]
-        A = L[..., rest] * units
+        units = np.broadcast_to(units_of(goal, None), 6)
+        A = L[..., rest] * units[rest]
         by_points = self.solve.least_squares(A, e)
         # The motion along and about the axis moves the points, too; the gain must not multiply this part (see the errata).
         carried = (L[..., given] @ twist[..., given, None])[..., 0]
-        twist[..., rest] = -units * (self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried))
+        twist[..., rest] = -units[rest] * (self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried))
         return twist
 
     @cached_property

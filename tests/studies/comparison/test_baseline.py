@@ -113,7 +113,7 @@ def test_what_is_no_baseline(tmp_path: Path, command) -> None:
         ("nowhere", "no such folder or file; give the folder of a comparison"),
         (".", "holds no comparison's results"),
         ("notes.csv", "it has no column scenario"),
-        ("notes.parquet", "is no table of a comparison"),
+        ("notes.parquet", "notes.parquet: parquet: File out of specification"),
     ):
         ended = command("compare", "ibvs_book", "--baseline", place)
         assert (ended.code, Path("runs").exists()) == (2, False) and words in ended.err

@@ -112,7 +112,8 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction, carried)
     housing = 1.0
     if parts.robot.body is None:
-        away = float(np.linalg.norm(parts.start[1][:3, 3] - parts.T_world_target[:3, 3]))
+        # A target round the camera, which begins within it, is one of a metre.
+        away = float(np.linalg.norm(parts.start[1][:3, 3] - parts.T_world_target[:3, 3])) or 1.0
         housing = FREE_HOUSING * min(1.0, away)
         _fit_planes(scene, away)
     if parts.target.on_gripper:
