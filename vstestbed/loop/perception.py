@@ -79,7 +79,7 @@ class Stillness:
         checksum = 0
         for image in images:
             if image is not None:
-                checksum = zlib.crc32(np.ascontiguousarray(image), checksum)
+                checksum = zlib.crc32(np.ascontiguousarray(image).data, checksum)
         if checksum != self._checksum:
             self.for_s = 0.0
         elif self._last is not None:
