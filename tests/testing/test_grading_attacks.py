@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import yaml
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.laws import LAWS
 from vstestbed.laws.base import LawFailedError
 from vstestbed.loop import isolated
@@ -298,3 +298,25 @@ def test_the_process_gets_neither_the_words_nor_the_environment_of_the_one_that_
     assert set(started["env"]) <= {*isolated.INHERITED, *isolated.ONE_CORE, "HOME", "TMPDIR"}
     assert started["words"][1:4] == ["-Pu", "-m", "vstestbed.testing.child"] and len(started["words"]) == 5
     assert started["cwd"] == started["env"]["HOME"] == started["env"]["TMPDIR"] != str(Path.cwd())
+
+
+@pytest.mark.process
+def test_a_file_of_the_current_folder_takes_no_bundled_scenarios_place(own_kinds, tmp_path: Path, monkeypatch) -> None:
+    """A class marks in the student's repository: a scenario there, and the plugin that it names, are no part of what judges."""
+    there, here = tmp_path / "lab", tmp_path / "student"
+    there.mkdir()
+    here.mkdir()
+    task = {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "seeds": 1, "limit_s": 20}
+    (there / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task]}))
+    monkeypatch.chdir(here)
+    (here / "evil.py").write_text("raise SystemExit('loaded')")
+    for name in ("ibvs_book", "other.yaml"):
+        (here / name).write_text("plugins: [evil.py]\nrobot: free\n")
+    for beside in (there, None):
+        read = read_lab(there / "lab.yaml")
+        (here / "student.py").write_text(RESTING)
+        mark = grade(read, here / "student.py", beside=beside)
+        assert mark.points == (0, 2) and "0 of 1 run reached the goal" in mark.markdown()
+    (there / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task | {"scenario": "other.yaml"}]}))
+    with pytest.raises(ScenarioError, match="no such file, and no bundled scenario"):
+        read_lab(there / "lab.yaml")
