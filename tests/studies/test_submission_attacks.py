@@ -117,3 +117,12 @@ def test_a_plugin_of_one_law_flies_apart_as_it_is_by_default(folder: Path) -> No
     with offered():
         entry = opened(str(folder / "mine.py"), str(folder / "own.yaml"), alone=True, apart=True)
         assert not entry.plans and "must add one law" in entry.blank["mine", "only"]
+
+
+def test_a_run_that_crashed_counts_the_tasks_limit_whatever_the_laws_beside_it_did(folder: Path) -> None:
+    """The worst of the laws that flew is no limit: a loop that cannot compute with a command would count less than to fail."""
+    (folder / "mine.py").write_text(PLUGIN)
+    entry = opened(str(folder / "mine.yaml"), str(folder / "own.yaml"), alone=True)
+    table = pl.DataFrame({"law": ["mine"] * 2, "seed": [0, 1], "outcome": ["converged", "crashed"], "success": [True, False]})
+    rows = entry.rows_of(table.with_columns(time_to_goal_s=pl.Series([3.0, None])), entry.plans["only"], "only")
+    assert rows["value"].to_list() == [3.0, 20.0]

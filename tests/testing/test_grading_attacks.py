@@ -54,6 +54,15 @@ def attack(basis):
     n = basis.shape[1]
     return vs.Command({values})
 """
+FORGED_COMMAND = """
+import vstestbed.testing.child as child
+dumps = json.dumps
+def forged(answer, **how):
+    told = answer[1]
+    if isinstance(told, tuple) and isinstance(told[-1], dict): told[-1]["{key}"] = {value}
+    return dumps(answer, **how)
+json.dumps = forged
+"""
 FORGED = """
 import vstestbed.testing.child as child
 dumps, asked = json.dumps, []
@@ -103,7 +112,20 @@ if os.fork() == 0:
 os._exit(0)
 """,
 }
+LEAVES_NOTHING["has a column of the log that judges"] = "Student.columns = ('level_error_px',)"
+LEAVES_NOTHING |= {
+    f"forges {name}": FORGED_COMMAND.format(key=key, value=value)
+    for name, key, value in (
+        ("a mode that no table counts to", "mode", "10**30"),
+        ("a negative mode", "mode", "-1"),
+        ("a scale that is not finite", "scale", "float('nan')"),
+        ("rates of 1e300", "rates", "[1e300]"),
+        ("free motions that are too large", "free", "[[1e200, [[1e200]] * 6]]"),
+        ("free motions that are not finite", "free", "[[1.0, [[float('inf')]] * 6]]"),
+    )
+}
 LEAVES_A_RESULT = {
+    "is in a mode that it has not": "Student.modes = ('a',)" + OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=10**30"),
     "patches the grader": """
 import vstestbed.testing.grading as g, vstestbed.testing.laws as l, vstestbed.loop.session as s
 g._reasons = g._unchecked = lambda *given: iter(())

@@ -35,6 +35,7 @@ from vstestbed.laws import LAWS, Command, Law
 from vstestbed.laws.base import LawFailedError, TwistLimits
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.points import Visibility
+from vstestbed.loop.columns import check_own
 
 Answer = TypeVar("Answer")
 MODULE = f"{__name__}_kind"  # the plugin that adds it
@@ -42,6 +43,8 @@ START_S = 60.0  # time for Python, the package and the law's files [s]
 ANSWER_S = 10.0  # for one answer [s]
 MOST_BYTES = 1 << 16  # of an answer
 JACOBIAN = "jacobian"  # in place of an answer: it is asked for at the positions that follow
+LARGEST = 1e9  # number of a command, in any unit: the loop computes with its square
+MOST_MODES = 1000  # those of a law; which it has, the loop checks
 SHOWN = 2000  # bytes of what the process printed, and of its sentences
 INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -80,6 +83,9 @@ class Declared:
     cameras: dict[str, float]
     stacks: bool
     needs_same_markers: bool
+
+    def __post_init__(self) -> None:
+        check_own(self.columns)
 
 
 class Child:
@@ -264,15 +270,23 @@ class Isolated(Law[int]):
 
 def command_of(plain: dict[str, Any], motions: int) -> Command:
     """A command from plain values. Its error in grey levels is not taken over: it would judge the run.
-    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions.
+    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions, or the loop could not compute with it.
     """
     arrays: dict[str, Any] = {name: np.array(plain[name], float) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
     if arrays["u"].shape != (motions,):
         raise ValueError("u has another shape")
     free = tuple((float(share), np.array(twists, float)) for share, twists in plain["free"])
     row = tuple(map(float, plain["row"]))
+    scale, mode = float(plain["scale"]), int(plain["mode"])
+    if not 0.0 <= scale <= 1.0 or not 0 <= mode < MOST_MODES:
+        raise ValueError("its scale is not from 0 to 1, or its mode is none")
+    if any(twists.ndim != 2 or len(twists) != 6 for _, twists in free) or any(array.ndim != 1 for array in arrays.values()):
+        raise ValueError("it has another shape")
+    numbers = [*arrays.values(), *(twists for _, twists in free), np.array([share for share, _ in free])]
+    if not all((np.abs(array) <= LARGEST).all() for array in numbers):
+        raise ValueError("it has numbers that are too large, or not finite")
     why = str(plain["rest_reason"])[:SHOWN]
-    return Command(**arrays, rest_reason=why, scale=float(plain["scale"]), free=free, mode=int(plain["mode"]), row=row)
+    return Command(**arrays, rest_reason=why, scale=scale, free=free, mode=mode, row=row)
 
 
 @contextmanager

@@ -37,6 +37,7 @@ from vstestbed.studies.comparison.shards import Shard
 from vstestbed.tasks.metrics import Metric
 
 NAME = "VS-1"
+TO_GOAL = "time_to_goal_s"  # the metric of which each failed run has a number
 LAW = "law"  # the axis of the laws in each comparison
 HOW = (
     "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit; ranks by it, with "
@@ -61,7 +62,7 @@ class SuiteTask:
 
     plan: str
     asks: str = ""
-    metric: str = "time_to_goal_s"
+    metric: str = TO_GOAL
     worst: float | None = None
     quick: Annotated[int, Ge(1)] = 2
 
@@ -302,6 +303,8 @@ class SuiteEntry:
         if one.worst is not None:  # a run that ended early is no better than the worst that lasted
             lasted = success.fill_null(False) | (pl.col("outcome") == "timed_out")
             number = pl.when(lasted).then(pl.min_horizontal(number, one.worst)).otherwise(one.worst)
+        elif one.metric == TO_GOAL and bool(table.select(number.is_null().any()).item()):  # of a run that crashed: the task's limit
+            number = number.fill_null(max(each.scenario.stop.duration_s for each in Variants(comparison)))
         named = pl.lit(task).alias("task"), pl.col(LAW).alias("law"), start.alias("start")
         return table.select(*named, success, (number * Metric.named(one.metric).scale).alias("value"))
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import polars as pl
 from annotated_types import Ge, Le, Len
 
-from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, VstestbedError
 from vstestbed.core.files import write_json, write_whole
 from vstestbed.core.named_files import bundled_scenarios, is_there
 from vstestbed.core.quantity import PositiveTime
@@ -183,7 +183,9 @@ def read_lab(path: Path) -> Lab:
     return lab
 
 
-def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path | None = None, on_task: Callable[[str], None] = lambda title: None) -> Mark:
+def grade(
+    lab: Lab, student: Path, first_seed: int = 0, beside: Path | None = None, on_task: Callable[[str], None] = lambda title: None
+) -> Mark:
     """Mark a student's file. Its code is run in processes of their own (`loop.isolated`), which get observations alone.
 
     first_seed: of the random starts; one that students do not know keeps them from fitting to these starts. beside: folder of the lab's
@@ -225,6 +227,7 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     try:
         check_law(Isolated(**_apart(lab, student, {"kind": lab.kind})))
     except Exception as error:  # an assertion's; and whatever the numbers of a law bring about in the loop
+        Child.lost += not isinstance(error, AssertionError | VstestbedError)
         yield str(error).replace("isolated", lab.kind)
 
 
@@ -233,6 +236,7 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
     try:
         own = _runs(lab, task, student, first_seed, beside)
     except Exception as error:  # a refusal's; and whatever the numbers of a law bring about in the loop
+        Child.lost += not isinstance(error, VstestbedError)
         yield f"It cannot be run: {error}"
         return
     good = [row for row in own if row["success"]]
