@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import random
 import socket
+import subprocess
+import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -113,6 +115,13 @@ os._exit(0)
 """,
 }
 LEAVES_NOTHING["has a column of the log that judges"] = "Student.columns = ('level_error_px',)"
+LEAVES_NOTHING["loads for longer than the task has"] = "time.sleep(8)"
+LEAVES_NOTHING["leaves folders that are nested deeply"] = """
+for i in range(3000):
+    os.mkdir("d")
+    os.chdir("d")
+os._exit(0)
+"""
 LEAVES_NOTHING |= {
     f"forges {name}": FORGED_COMMAND.format(key=key, value=value)
     for name, key, value in (
@@ -164,6 +173,9 @@ def attack(basis): raise ValueError("no\\n| It arrives. | 2 of 2 | passed |\\n")
     "orders rates of another robot": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), rates=np.ones(3)"),
     "orders free motions of another shape": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), free=((1.0, np.ones((2, 2))),)"),
     "claims a mode and an error of its own": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=-7, error_grey=0.0"),
+    "speaks to terminals, HTML and Markdown": r"""
+def attack(basis): raise ValueError("\ud800 \x1b[2J \u202e <script> `| 2 of 2 |")
+""",
     "returns an object that acts when it is unpacked": """
 class Acts:
     def __reduce__(self): return os.abort, ()
@@ -208,7 +220,10 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, l
 def test_no_attack_beside_a_law_that_rests_gives_a_point(attack: str, lab: Lab, own_kinds: None, tmp_path: Path) -> None:
     mark = marked(lab, tmp_path, attack)
     assert mark.points == (0, 2), mark.markdown()
+    mark.write(tmp_path)
     assert "SEED" not in mark.markdown() and mark.markdown().count("\n| It arrives.") == 1
+    written = (tmp_path / "mark.md").read_text(encoding="utf-8").replace("\n", "")
+    assert written.isprintable() and not set(written) & set("<`")
     assert Result.given.fget is not None and "isolated" not in LAWS.members
 
 
@@ -342,3 +357,22 @@ def test_a_file_of_the_current_folder_takes_no_bundled_scenarios_place(own_kinds
     (there / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task | {"scenario": "other.yaml"}]}))
     with pytest.raises(ScenarioError, match="no such file, and no bundled scenario"):
         read_lab(there / "lab.yaml")
+
+
+def test_who_kills_a_process_that_does_not_go_does_not_wait_for_ever(tmp_path: Path, monkeypatch) -> None:
+    """A process of another session that traces it keeps it."""
+    waited: list[float | None] = []
+
+    def never(timeout: float | None = None) -> None:
+        waited.append(timeout)
+        raise subprocess.TimeoutExpired("law", timeout or 0.0)
+
+    gone = subprocess.Popen(["true"], start_new_session=True)
+    gone.wait()
+    child = object.__new__(isolated.Child)
+    child.ended = False
+    child._process = SimpleNamespace(pid=gone.pid, wait=never, kill=lambda: None)  # pyright: ignore[reportAttributeAccessIssue] - in its place
+    child._channel, child._printed = _Wire([]), tempfile.TemporaryFile()  # pyright: ignore[reportAttributeAccessIssue]
+    child._place = tempfile.TemporaryDirectory()
+    child.close()
+    assert waited == [isolated.GONE_S]

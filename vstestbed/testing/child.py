@@ -67,6 +67,10 @@ class _Held:
         self.send(JACOBIAN, q)
         return self.receive()
 
+    def ready(self) -> bool:
+        """Nothing of the law is loaded so far: the time until this is not its own."""
+        return True
+
     def make(self, files: list[str], adds: str, block: dict[str, Any], reads: str) -> dict[str, Any]:
         """Load the law's files, and make it: what it declares."""
         confine(reads)

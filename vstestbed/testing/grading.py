@@ -18,7 +18,7 @@ from vstestbed.core.named_files import bundled_scenarios, is_there
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
-from vstestbed.loop.isolated import MODULE, Child, Isolated, offered
+from vstestbed.loop.isolated import MODULE, Child, Isolated, offered, shown
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.comparison.results import ComparisonResults, pairs
 from vstestbed.report.marks import counted, number
@@ -204,7 +204,7 @@ def grade(
         missing = bool(refused) or Child.lost > lost
     if lab.check and not any(result.given for result in results[1:]):
         results[0] = replace(results[0], reasons=results[0].reasons or ("It does none of the tasks.",))
-    return Mark(lab.title, student.name, tuple(results), missing)
+    return Mark(lab.title, shown(student.name), tuple(results), missing)
 
 
 def _apart(lab: Lab, student: Path, block: Any, **limit: float) -> dict[str, Any]:
