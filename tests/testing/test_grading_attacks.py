@@ -372,7 +372,7 @@ def test_who_kills_a_process_that_does_not_go_does_not_wait_for_ever(tmp_path: P
     child = object.__new__(isolated.Child)
     child.ended = False
     child._process = SimpleNamespace(pid=gone.pid, wait=never, kill=lambda: None)  # pyright: ignore[reportAttributeAccessIssue] - in its place
-    child._channel, child._printed = _Wire([]), tempfile.TemporaryFile()  # pyright: ignore[reportAttributeAccessIssue]
+    child._channel, child._printed = _Wire([]), tempfile.TemporaryFile()  # pyright: ignore[reportAttributeAccessIssue]  # noqa: SIM115 - it is closed with the process
     child._place = tempfile.TemporaryDirectory()
     child.close()
     assert waited == [isolated.GONE_S]

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from vstestbed.core.errors import RunFolderError, short
+from vstestbed.core.errors import ParameterError, RunFolderError, short
 from vstestbed.core.files import allowed, make_folder, write_whole
 from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.loop.isolated import offered
@@ -196,7 +196,11 @@ def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEn
         if name.startswith(f"{LAW_FOLDER}/"):
             place = into / PurePosixPath(name).relative_to(LAW_FOLDER)
             write_whole(make_folder(place.parent) / place.name, found[name])
-    entry = opened(str(into / main), *asked, alone=True, apart=True)
+    try:
+        entry = opened(str(into / main), *asked, alone=True, apart=True)
+        entry.must_stay()
+    except ParameterError as error:
+        raise _refused(file, str(error)) from error
     here = entry.about | {"laws": about.get("laws")}  # what the law is, its files say
     if other := [name for name in (*here, *about) if name not in here or about.get(name) != here[name]]:
         said = f"{short(other[0])} in its {ABOUT} is not what is asked for, {short(here.get(other[0]))}"
