@@ -7,9 +7,11 @@ and its file attacks beside. A file that leaves no result at all ends the comman
 from __future__ import annotations
 
 import json
+import os
 import random
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -28,6 +30,7 @@ from vstestbed.testing import child
 from vstestbed.testing.grading import Lab, Mark, Result, grade, read_lab
 
 SEED = 52317
+REFUSES = sys.platform == "linux" and os.uname().machine in child.CALLS and Path("/proc/sys/kernel/seccomp").exists()
 RESTING = """\
 import atexit, builtins, gc, json, os, socket, sys, threading, time
 from typing import Literal
@@ -376,3 +379,59 @@ def test_who_kills_a_process_that_does_not_go_does_not_wait_for_ever(tmp_path: P
     child._place = tempfile.TemporaryDirectory()
     child.close()
     assert waited == [isolated.GONE_S]
+
+
+@pytest.mark.process
+@pytest.mark.skipif(not REFUSES, reason="this system has no seccomp, or is of a machine whose calls are not known")
+def test_where_linux_can_the_process_changes_nothing_of_others_by_calls_that_no_file_guards(lab, own_kinds, tmp_path) -> None:
+    """What Landlock leaves open: sockets with a path and without, modes, owners, times and attributes of files, limits of the judge."""
+    marks = tmp_path / "marks.json"
+    marks.write_text("{}")
+    before = marks.stat()
+    listening = socket.socket(socket.AF_UNIX)
+    place = tempfile.mkdtemp()
+    listening.bind(f"{place}/s")
+    listening.listen()
+    tries = f"""
+import ctypes, resource
+libc = ctypes.CDLL(None, use_errno=True)
+above, marks = os.getppid(), {str(marks)!r}
+def tried(name, act):
+    try: found = act()
+    except OSError: return ""
+    return "" if found == -1 else name + ", "
+def traced():
+    return libc.ptrace(16, above, None, None)
+raise ValueError("done: " + "".join([
+    tried("Unix", lambda: socket.socket(socket.AF_UNIX).connect({place!r} + "/s")),
+    tried("UDP", lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM)),
+    tried("mode", lambda: os.chmod(marks, 0o777)),
+    tried("own mode", lambda: os.chmod(__file__, 0o777)),
+    tried("owner", lambda: os.chown(marks, -1, -1)),
+    tried("times", lambda: os.utime(marks, (0, 0))),
+    tried("attribute", lambda: os.setxattr(marks, "user.a", b"1")),
+    tried("limits", lambda: resource.prlimit(above, resource.RLIMIT_NOFILE)),
+    tried("cores", lambda: os.sched_setaffinity(above, [0])),
+    tried("priority", lambda: os.setpriority(os.PRIO_PROCESS, above, 5)),
+    tried("trace", traced),
+    tried("namespace", lambda: libc.unshare(0x10000000)),
+    tried("own limits", lambda: resource.setrlimit(resource.RLIMIT_CORE, (0, 0)) or -1),
+    tried("own pair", lambda: socket.socketpair() and -1),
+]) + ".")
+"""
+    mark = marked(lab, tmp_path, tries)
+    listening.close()
+    assert "done: ." in mark.markdown(), mark.markdown()
+    assert (marks.stat().st_mode, marks.stat().st_mtime_ns) == (before.st_mode, before.st_mtime_ns)
+
+
+@pytest.mark.skipif(not REFUSES, reason="as above")
+def test_the_filter_of_calls_is_in_force_and_jumps_to_nowhere_else() -> None:
+    """Each call that is named is refused, and those that Python and numpy need are not."""
+    words = "import ctypes, os; from vstestbed.testing import child; libc = ctypes.CDLL(None, use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
+    words += "assert child._refuse_calls(libc); first, *others = child.CALLS[os.uname().machine].values(); allowed = ["
+    words += (
+        "n for those in (*others, child.ALSO) for n in those if libc.syscall(n, -1, -1, -1, -1, -1) != -1 or ctypes.get_errno() != 1]; "
+    )
+    words += "import threading, numpy; t = threading.Thread(target=numpy.ones, args=(9,)); t.start(); t.join(); print(allowed)"
+    assert subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True).stdout == "[]\n"
