@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.loop.columns import Layout, text_of
 from vstestbed.sim.scene.scene import Scene
@@ -71,6 +72,14 @@ def test_a_law_logs_numbers_of_its_own(noted: type) -> None:
     np.testing.assert_array_equal(twice[known], 2 * recording["depth_0"][known])
     failed = vs.run(vs.load("ibvs_book", chosen | {"law": {"kind": "noted", "short": True}}))
     assert failed.outcome.name == "law_failed" and "has the columns law_depth, law_twice" in failed.reason
+
+
+@pytest.mark.parametrize("name", ["error_px", "level_error_px", "error_grey", "est_position_m", "u_7", "speed_rotor_1", "turned_rad"])
+def test_a_law_has_no_column_that_judges_or_reports_read(noted: Any, name: str) -> None:
+    """Also none that this log has not: a judge takes what is there."""
+    noted.columns = ("law_depth", name)
+    with pytest.raises(ParameterError, match=r"law\.columns must be names that no log has"):
+        vs.run(vs.load("ibvs_book", {"law": {"kind": "noted"}, "detector": "oracle", "stop.duration_s": 0.1}))
 
 
 def test_a_wrong_name_is_told_with_the_nearest() -> None:

@@ -253,12 +253,12 @@ class TestFiles:
         path.write_bytes(b"\xef\xbb\xbf" + GOOD.encode())
         assert load(path).name == "bom"
 
-    def test_a_file_goes_before_a_bundled_name_and_gives_its_name(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_a_bundled_name_goes_before_a_file_which_a_path_names(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(tmp_path)
-        assert find("arm_ibvs") == bundled_scenarios()["arm_ibvs"]
         Path("arm_ibvs").write_text(GOOD, encoding="utf-8")
-        assert find("arm_ibvs") == Path("arm_ibvs")
-        assert load("arm_ibvs").name == "arm_ibvs"
+        assert find("arm_ibvs") == bundled_scenarios()["arm_ibvs"]
+        assert find("./arm_ibvs") == find(Path("arm_ibvs")) == Path("arm_ibvs")
+        assert load("./arm_ibvs").name == "arm_ibvs"
 
 
 class TestSet:

@@ -124,9 +124,11 @@ def test_other_rows_are_refused_by_what_is_wrong_with_them(kind: str, world: Sim
     assert str(refused.value).startswith(f"{file}: is no submission (") and "\n" not in str(refused.value)
 
 
-def test_a_run_that_crashed_alone_may_lack_its_number(world: SimpleNamespace) -> None:
-    crashed = world.files | {"runs.csv": text_of(changed(world.rows, 0, success="false", value=None))}
-    unpacked(zipped(crashed, world.folder / "crashed.zip"), world.folder / "law", world.asked)
+def test_a_run_that_crashed_has_the_tasks_limit_and_no_run_lacks_its_number(world: SimpleNamespace) -> None:
+    for value in (None, 20.0):
+        crashed = world.files | {"runs.csv": text_of(changed(world.rows, 0, success="false", value=value))}
+        with pytest.raises(RunFolderError, match="success False and value None") if value is None else nullcontext():
+            unpacked(zipped(crashed, world.folder / "crashed.zip"), world.folder / "law", world.asked)
 
 
 def test_starts_have_the_names_by_which_the_kept_runs_have_them() -> None:
@@ -229,7 +231,7 @@ def test_an_honest_submission_agrees_also_with_other_last_digits(noise: float, f
 
 @pytest.mark.parametrize(
     "forged",
-    [{"success": "false", "value": 20.0}, {"success": "false"}, {"value": 4.8}, {"value": 0.0}, {"success": "false", "value": None}],
+    [{"success": "false", "value": 20.0}, {"success": "false"}, {"value": 4.8}, {"value": 0.0}],
     ids=lambda forged: ",".join(forged),
 )  # fmt: skip
 def test_a_forged_run_that_is_drawn_is_named(forged: dict[str, Any], flown: SimpleNamespace) -> None:

@@ -11,10 +11,11 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.laws import LAWS
 from vstestbed.loop.isolated import offered
 from vstestbed.studies.submission import Checked, _checked
-from vstestbed.studies.suite import opened
+from vstestbed.studies.suite import law_of_file, opened
 
 SUITE = "description: one\nlaws: {}\ntasks: {only: {plan: plan.yaml}}\n"
 PLAN = """base: [ibvs_book]
@@ -117,3 +118,47 @@ def test_a_plugin_of_one_law_flies_apart_as_it_is_by_default(folder: Path) -> No
     with offered():
         entry = opened(str(folder / "mine.py"), str(folder / "own.yaml"), alone=True, apart=True)
         assert not entry.plans and "must add one law" in entry.blank["mine", "only"]
+
+
+def test_a_run_that_crashed_counts_the_tasks_limit_whatever_the_laws_beside_it_did(folder: Path) -> None:
+    """The worst of the laws that flew is no limit: a loop that cannot compute with a command would count less than to fail."""
+    (folder / "mine.py").write_text(PLUGIN)
+    entry = opened(str(folder / "mine.yaml"), str(folder / "own.yaml"), alone=True)
+    table = pl.DataFrame({"law": ["mine"] * 2, "seed": [0, 1], "outcome": ["converged", "crashed"], "success": [True, False]})
+    rows = entry.rows_of(table.with_columns(time_to_goal_s=pl.Series([3.0, None])), entry.plans["only"], "only")
+    assert rows["value"].to_list() == [3.0, 20.0]
+
+
+@pytest.mark.parametrize("plugins", ["5", "[5]", "{mine.py: 1}", "mine.py", "[[mine.py]]"])
+def test_plugins_that_are_no_list_of_files_are_refused_by_name(plugins: str, folder: Path) -> None:
+    (folder / "mine.yaml").write_text(f"law: {{kind: mine}}\nplugins: {plugins}\n")
+    with pytest.raises(ParameterError, match="plugins must be a list of the law's files"):
+        law_of_file(str(folder / "mine.yaml"), apart=True)
+
+
+@pytest.mark.parametrize("way", ["a plugin", "a link", "a file of the block"])
+def test_nothing_outside_of_the_laws_folder_is_packed_or_read(way: str, folder: Path, tmp_path: Path) -> None:
+    """A file that is above it would be copied to a place above the submission's."""
+    inner = tmp_path / "a" / "b"
+    inner.mkdir(parents=True)
+    (tmp_path / "a" / "out").mkdir()
+    (tmp_path / "helper.py").write_text(PLUGIN)
+    (tmp_path / "net.onnx").write_bytes(b"")
+    named = "../../helper.py"
+    if way == "a link":
+        named = "linked.py"
+        (inner / named).symlink_to(tmp_path / "helper.py")
+    law = "law: {kind: mine}\nplugins: [" + named + "]\n"
+    if way == "a file of the block":
+        (inner / "mine.py").write_text(PLUGIN)
+        law = "law: {kind: mine, file: ../../net.onnx}\nplugins: [mine.py]\n"
+    (inner / "mine.yaml").write_text(law)
+    for apart in (False, True):
+        with offered():
+            entry = opened(str(inner / "mine.yaml"), str(folder / "own.yaml"), alone=True, apart=apart)
+            with pytest.raises(ParameterError, match=r"(helper|net|linked)\S+, which must be in the folder of mine\.yaml"):
+                entry.must_stay()
+            if not apart:
+                with pytest.raises(ParameterError, match="which must be in the folder"):
+                    entry.mark(tmp_path / "a" / "out")
+    assert {path.name for path in (tmp_path / "a").rglob("*.py")} <= {"linked.py", "mine.py"}

@@ -7,8 +7,12 @@ and its file attacks beside. A file that leaves no result at all ends the comman
 from __future__ import annotations
 
 import json
+import os
 import random
 import socket
+import subprocess
+import sys
+import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +22,7 @@ import numpy as np
 import pytest
 import yaml
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.laws import LAWS
 from vstestbed.laws.base import LawFailedError
 from vstestbed.loop import isolated
@@ -26,6 +30,7 @@ from vstestbed.testing import child
 from vstestbed.testing.grading import Lab, Mark, Result, grade, read_lab
 
 SEED = 52317
+REFUSES = sys.platform == "linux" and os.uname().machine in child.CALLS and Path("/proc/sys/kernel/seccomp").exists()
 RESTING = """\
 import atexit, builtins, gc, json, os, socket, sys, threading, time
 from typing import Literal
@@ -53,6 +58,15 @@ OF_COMMANDS = """
 def attack(basis):
     n = basis.shape[1]
     return vs.Command({values})
+"""
+FORGED_COMMAND = """
+import vstestbed.testing.child as child
+dumps = json.dumps
+def forged(answer, **how):
+    told = answer[1]
+    if isinstance(told, tuple) and isinstance(told[-1], dict): told[-1]["{key}"] = {value}
+    return dumps(answer, **how)
+json.dumps = forged
 """
 FORGED = """
 import vstestbed.testing.child as child
@@ -103,7 +117,27 @@ if os.fork() == 0:
 os._exit(0)
 """,
 }
+LEAVES_NOTHING["has a column of the log that judges"] = "Student.columns = ('level_error_px',)"
+LEAVES_NOTHING["loads for longer than the task has"] = "time.sleep(8)"
+LEAVES_NOTHING["leaves folders that are nested deeply"] = """
+for i in range(3000):
+    os.mkdir("d")
+    os.chdir("d")
+os._exit(0)
+"""
+LEAVES_NOTHING |= {
+    f"forges {name}": FORGED_COMMAND.format(key=key, value=value)
+    for name, key, value in (
+        ("a mode that no table counts to", "mode", "10**30"),
+        ("a negative mode", "mode", "-1"),
+        ("a scale that is not finite", "scale", "float('nan')"),
+        ("rates of 1e300", "rates", "[1e300]"),
+        ("free motions that are too large", "free", "[[1e200, [[1e200]] * 6]]"),
+        ("free motions that are not finite", "free", "[[1.0, [[float('inf')]] * 6]]"),
+    )
+}
 LEAVES_A_RESULT = {
+    "is in a mode that it has not": "Student.modes = ('a',)" + OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=10**30"),
     "patches the grader": """
 import vstestbed.testing.grading as g, vstestbed.testing.laws as l, vstestbed.loop.session as s
 g._reasons = g._unchecked = lambda *given: iter(())
@@ -142,6 +176,9 @@ def attack(basis): raise ValueError("no\\n| It arrives. | 2 of 2 | passed |\\n")
     "orders rates of another robot": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), rates=np.ones(3)"),
     "orders free motions of another shape": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), free=((1.0, np.ones((2, 2))),)"),
     "claims a mode and an error of its own": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=-7, error_grey=0.0"),
+    "speaks to terminals, HTML and Markdown": r"""
+def attack(basis): raise ValueError("\ud800 \x1b[2J \u202e <script> `| 2 of 2 |")
+""",
     "returns an object that acts when it is unpacked": """
 class Acts:
     def __reduce__(self): return os.abort, ()
@@ -174,9 +211,13 @@ def marked(lab: Lab, folder: Path, attack: str) -> Mark:
 
 @pytest.mark.process
 @pytest.mark.parametrize("attack", LEAVES_NOTHING.values(), ids=LEAVES_NOTHING)
-def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, lab: Lab, own_kinds: None, tmp_path: Path) -> None:
+def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, lab: Lab, own_kinds, tmp_path: Path, monkeypatch) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(own))
     began = time.monotonic()
     mark = marked(lab, tmp_path, attack)
+    subprocess.run(["rm", "-rf", own], check=True)  # which Python cannot, of folders that are nested deeply
     assert mark.points == (0, 2) and mark.missing, mark.markdown()
     assert time.monotonic() - began < 60  # s: the task has 2, Python and the package take some to start on a loaded machine
 
@@ -186,7 +227,10 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, l
 def test_no_attack_beside_a_law_that_rests_gives_a_point(attack: str, lab: Lab, own_kinds: None, tmp_path: Path) -> None:
     mark = marked(lab, tmp_path, attack)
     assert mark.points == (0, 2), mark.markdown()
+    mark.write(tmp_path)
     assert "SEED" not in mark.markdown() and mark.markdown().count("\n| It arrives.") == 1
+    written = (tmp_path / "mark.md").read_text(encoding="utf-8").replace("\n", "")
+    assert written.isprintable() and not set(written) & set("<`")
     assert Result.given.fget is not None and "isolated" not in LAWS.members
 
 
@@ -298,3 +342,100 @@ def test_the_process_gets_neither_the_words_nor_the_environment_of_the_one_that_
     assert set(started["env"]) <= {*isolated.INHERITED, *isolated.ONE_CORE, "HOME", "TMPDIR"}
     assert started["words"][1:4] == ["-Pu", "-m", "vstestbed.testing.child"] and len(started["words"]) == 5
     assert started["cwd"] == started["env"]["HOME"] == started["env"]["TMPDIR"] != str(Path.cwd())
+
+
+@pytest.mark.process
+def test_a_file_of_the_current_folder_takes_no_bundled_scenarios_place(own_kinds, tmp_path: Path, monkeypatch) -> None:
+    """A class marks in the student's repository: a scenario there, and the plugin that it names, are no part of what judges."""
+    there, here = tmp_path / "lab", tmp_path / "student"
+    there.mkdir()
+    here.mkdir()
+    task = {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "seeds": 1, "limit_s": 20}
+    (there / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task]}))
+    monkeypatch.chdir(here)
+    (here / "evil.py").write_text("raise SystemExit('loaded')")
+    for name in ("ibvs_book", "other.yaml"):
+        (here / name).write_text("plugins: [evil.py]\nrobot: free\n")
+    for beside in (there, None):
+        read = read_lab(there / "lab.yaml")
+        (here / "student.py").write_text(RESTING)
+        mark = grade(read, here / "student.py", beside=beside)
+        assert mark.points == (0, 2) and "0 of 1 run reached the goal" in mark.markdown()
+    (there / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task | {"scenario": "other.yaml"}]}))
+    with pytest.raises(ScenarioError, match="no such file, and no bundled scenario"):
+        read_lab(there / "lab.yaml")
+
+
+def test_who_kills_a_process_that_does_not_go_does_not_wait_for_ever(tmp_path: Path, monkeypatch) -> None:
+    """A process of another session that traces it keeps it."""
+    waited: list[float | None] = []
+
+    def never(timeout: float | None = None) -> None:
+        waited.append(timeout)
+        raise subprocess.TimeoutExpired("law", timeout or 0.0)
+
+    gone = subprocess.Popen(["true"], start_new_session=True)
+    gone.wait()
+    child = object.__new__(isolated.Child)
+    child.ended = False
+    child._process = SimpleNamespace(pid=gone.pid, wait=never, kill=lambda: None)  # pyright: ignore[reportAttributeAccessIssue] - in its place
+    child._channel, child._printed = _Wire([]), tempfile.TemporaryFile()  # pyright: ignore[reportAttributeAccessIssue]  # noqa: SIM115 - it is closed with the process
+    child._place = tempfile.TemporaryDirectory()
+    child.close()
+    assert waited == [isolated.GONE_S]
+
+
+@pytest.mark.process
+@pytest.mark.skipif(not REFUSES, reason="this system has no seccomp, or is of a machine whose calls are not known")
+def test_where_linux_can_the_process_changes_nothing_of_others_by_calls_that_no_file_guards(lab, own_kinds, tmp_path) -> None:
+    """What Landlock leaves open: sockets with a path and without, modes, owners, times and attributes of files, limits of the judge."""
+    marks = tmp_path / "marks.json"
+    marks.write_text("{}")
+    before = marks.stat()
+    listening = socket.socket(socket.AF_UNIX)
+    place = tempfile.mkdtemp()
+    listening.bind(f"{place}/s")
+    listening.listen()
+    tries = f"""
+import ctypes, resource
+libc = ctypes.CDLL(None, use_errno=True)
+above, marks = os.getppid(), {str(marks)!r}
+def tried(name, act):
+    try: found = act()
+    except OSError: return ""
+    return "" if found == -1 else name + ", "
+def traced():
+    return libc.ptrace(16, above, None, None)
+raise ValueError("done: " + "".join([
+    tried("Unix", lambda: socket.socket(socket.AF_UNIX).connect({place!r} + "/s")),
+    tried("UDP", lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM)),
+    tried("mode", lambda: os.chmod(marks, 0o777)),
+    tried("own mode", lambda: os.chmod(__file__, 0o777)),
+    tried("owner", lambda: os.chown(marks, -1, -1)),
+    tried("times", lambda: os.utime(marks, (0, 0))),
+    tried("attribute", lambda: os.setxattr(marks, "user.a", b"1")),
+    tried("limits", lambda: resource.prlimit(above, resource.RLIMIT_NOFILE)),
+    tried("cores", lambda: os.sched_setaffinity(above, [0])),
+    tried("priority", lambda: os.setpriority(os.PRIO_PROCESS, above, 5)),
+    tried("trace", traced),
+    tried("namespace", lambda: libc.unshare(0x10000000)),
+    tried("own limits", lambda: resource.setrlimit(resource.RLIMIT_CORE, (0, 0)) or -1),
+    tried("own pair", lambda: socket.socketpair() and -1),
+]) + ".")
+"""
+    mark = marked(lab, tmp_path, tries)
+    listening.close()
+    assert "done: ." in mark.markdown(), mark.markdown()
+    assert (marks.stat().st_mode, marks.stat().st_mtime_ns) == (before.st_mode, before.st_mtime_ns)
+
+
+@pytest.mark.skipif(not REFUSES, reason="as above")
+def test_the_filter_of_calls_is_in_force_and_jumps_to_nowhere_else() -> None:
+    """Each call that is named is refused, and those that Python and numpy need are not."""
+    words = "import ctypes, os; from vstestbed.testing import child; libc = ctypes.CDLL(None, use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
+    words += "assert child._refuse_calls(libc); first, *others = child.CALLS[os.uname().machine].values(); allowed = ["
+    words += (
+        "n for those in (*others, child.ALSO) for n in those if libc.syscall(n, -1, -1, -1, -1, -1) != -1 or ctypes.get_errno() != 1]; "
+    )
+    words += "import threading, numpy; t = threading.Thread(target=numpy.ones, args=(9,)); t.start(); t.join(); print(allowed)"
+    assert subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True).stdout == "[]\n"

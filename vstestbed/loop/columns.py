@@ -84,6 +84,7 @@ class Layout:
         # With a wrong calibration the law's goal is not the true one, from which errors count; along a path it is the one of its time.
         self._goal_poses = None if exact or goal.by_clock else np.array(scenario.goal_poses)
         self._of_law: tuple[str, ...] = tuple(scenario.law.columns)
+        check_own(self._of_law)
         self._cameras = {name: len(scenario.target.points) for name in scenario.eyes}
         self._blocks = self._laid_out(scenario)
         self.columns: tuple[str, ...] = tuple(name for names, _ in self._blocks for name in names)
@@ -180,6 +181,12 @@ def column_texts() -> tuple[ColumnText, ...]:
 def text_of(name: str) -> ColumnText | None:
     """What a column of the log is; None of one that an effect or a law has added."""
     return next((text for text in column_texts() if re.fullmatch(text.name, name)), None)
+
+
+def check_own(columns: Sequence[str]) -> None:
+    """Refuse columns of a law with names that logs have, of whichever robot: what judges a run reads those that are there."""
+    if taken := [name for name in columns if text_of(name) is not None]:
+        raise ParameterError("law.columns", "must be names that no log has, of whichever robot; works: law_NAME", taken[0])
 
 
 def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:

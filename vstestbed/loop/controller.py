@@ -87,6 +87,9 @@ class GuardedLaw:
                 got = f"({', '.join(type(part).__name__ for part in stepped)})"
             return f"returned {got}; its step must return (state, Command)"
         command = stepped[1]
+        modes = len(self._law.modes)
+        if modes and not 0 <= command.mode < modes:
+            return f"gave the mode {short(command.mode)}; the modes of its commands must be 0 to {modes - 1}"
         wrong = _wrong_numbers(command, self._law.columns)
         if wrong:
             self._mode = command.mode

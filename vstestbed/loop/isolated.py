@@ -35,16 +35,26 @@ from vstestbed.laws import LAWS, Command, Law
 from vstestbed.laws.base import LawFailedError, TwistLimits
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.points import Visibility
+from vstestbed.loop.columns import check_own
 
 Answer = TypeVar("Answer")
 MODULE = f"{__name__}_kind"  # the plugin that adds it
-START_S = 60.0  # time for Python, the package and the law's files [s]
+START_S = 60.0  # time for Python and the package, and most for the law's files [s]
+GONE_S = 5.0  # until it is gone once it is killed
 ANSWER_S = 10.0  # for one answer [s]
 MOST_BYTES = 1 << 16  # of an answer
 JACOBIAN = "jacobian"  # in place of an answer: it is asked for at the positions that follow
+LARGEST = 1e9  # number of a command, in any unit: the loop computes with its square
+MOST_MODES = 1000  # those of a law; which it has, the loop checks
 SHOWN = 2000  # bytes of what the process printed, and of its sentences
 INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+def shown(said: str) -> str:
+    """What the law's process says, for a message or a table: one line of letters that neither a terminal, nor HTML, nor Markdown obeys."""
+    line = " ".join(said[:SHOWN].split()).translate(str.maketrans("<>|`", "()/'"))
+    return "".join(letter if letter.isprintable() else "?" for letter in line)
 
 
 @spec
@@ -81,13 +91,18 @@ class Declared:
     stacks: bool
     needs_same_markers: bool
 
+    def __post_init__(self) -> None:
+        check_own(self.columns)
+        if words := [word for word in (*self.modes, *self.columns) if shown(word) != word]:
+            raise ParameterError("modes and columns", "must be plain words", words[0])
+
 
 class Child:
     """The process of one law. Class attribute lost: how many ended, or were ended, before they had answered."""
 
     lost = 0
 
-    def __init__(self, *law: Any):
+    def __init__(self, *law: Any, load_s: float):
         self.ended, self.spent_s = False, 0.0
         self._goal: Goal | None = None
         self._jacobian: Callable[[Array], Array]
@@ -108,7 +123,10 @@ class Child:
             **passed,
         )
         theirs.close()
-        self.declared = self.ask(lambda said: Declared(**said), START_S, "make", *law)
+        self.ask(bool, START_S, "ready")
+        self.spent_s = 0.0  # that was Python and this package, and no line of the law
+        self.declared = self.ask(lambda said: Declared(**said), load_s, "make", *law)
+        self.loaded_s = self.spent_s  # counts as time of its first run
 
     def ask(self, of: Callable[[Any], Answer], seconds: float, method: str, *given: Any) -> Answer:
         """What the process answers within some seconds. of: makes it of plain values, and may raise whatever it wants to.
@@ -131,7 +149,8 @@ class Child:
             raise LawFailedError(f"the law's process gave no answer ({why})") from error
         finally:
             self.spent_s += time.monotonic() - began
-        raise ParameterError(name, problem[:SHOWN]) if name else LawFailedError(problem[:SHOWN])
+        name, problem = shown(name), shown(problem)
+        raise ParameterError(name, problem) if name else LawFailedError(problem)
 
     def _wait(self, until: float) -> None:
         """Let the next transfer last until then at most. Raises TimeoutError: it is later."""
@@ -182,13 +201,17 @@ class Child:
                 os.killpg(self._process.pid, signal.SIGKILL)
             else:
                 self._process.kill()
-        self._process.wait()
+        with suppress(subprocess.TimeoutExpired):  # one that a process of another session traces is not gone before that one lets it
+            self._process.wait(GONE_S)
         self._channel.close()
         with self._printed as printed:
             printed.seek(max(0, printed.seek(0, os.SEEK_END) - SHOWN))
             for line in printed.read(SHOWN).decode(errors="replace").splitlines():
                 print("  law |", "".join(filter(str.isprintable, line)), file=sys.stderr)
-        self._place.cleanup()
+        try:
+            self._place.cleanup()
+        except Exception as error:  # such as folders that are nested too deeply
+            print(f"  law | its folder {self._place.name} cannot be removed ({reason(error)})", file=sys.stderr)
 
 
 _live = dict[str, Child]()  # the one that was used last, by what was asked for
@@ -210,7 +233,7 @@ class Isolated(Law[int]):
         adds: a kind that they must add; "": any.
         block: the law; {}: the only one that they add.
         reads: file or folder that the process may read, besides Python and this package.
-        run_s: time for all answers in a run [s].
+        run_s: time for all answers in a run, and for loading the files before it [s].
     """
 
     kind: Literal["isolated"] = "isolated"
@@ -232,7 +255,7 @@ class Isolated(Law[int]):
         if key not in _live or _live[key].ended:
             close()
             try:
-                _live[key] = Child(*law)
+                _live[key] = Child(*law, load_s=min(START_S, self.run_s))
             except LawFailedError as error:
                 raise ParameterError("files", f"cannot be loaded: {error}") from error
         return _live[key]
@@ -251,28 +274,38 @@ class Isolated(Law[int]):
 
     def init(self, goal: Goal) -> int:
         child = self._child
-        child.spent_s = 0.0
-        return child.ask(int, ANSWER_S, "init", goal)
+        child.spent_s = child.loaded_s
+        child.loaded_s = 0.0
+        return child.ask(int, min(ANSWER_S, self.run_s), "init", goal)
 
     def step(self, state: int, observation: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
         child = self._child
         left = self.run_s - child.spent_s
         if left <= 0:
+            Child.lost += 1
             raise LawFailedError(f"the law took more than {self.run_s:.3g} s in a run")
         return child.step(min(ANSWER_S, left), state, observation, goal, basis)
 
 
 def command_of(plain: dict[str, Any], motions: int) -> Command:
     """A command from plain values. Its error in grey levels is not taken over: it would judge the run.
-    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions.
+    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions, or the loop could not compute with it.
     """
     arrays: dict[str, Any] = {name: np.array(plain[name], float) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
     if arrays["u"].shape != (motions,):
         raise ValueError("u has another shape")
     free = tuple((float(share), np.array(twists, float)) for share, twists in plain["free"])
     row = tuple(map(float, plain["row"]))
-    why = str(plain["rest_reason"])[:SHOWN]
-    return Command(**arrays, rest_reason=why, scale=float(plain["scale"]), free=free, mode=int(plain["mode"]), row=row)
+    scale, mode = float(plain["scale"]), int(plain["mode"])
+    if not 0.0 <= scale <= 1.0 or not 0 <= mode < MOST_MODES:
+        raise ValueError("its scale is not from 0 to 1, or its mode is none")
+    if any(twists.ndim != 2 or len(twists) != 6 for _, twists in free) or any(array.ndim != 1 for array in arrays.values()):
+        raise ValueError("it has another shape")
+    numbers = [*arrays.values(), *(twists for _, twists in free), np.array([share for share, _ in free])]
+    if not all((np.abs(array) <= LARGEST).all() for array in numbers):
+        raise ValueError("it has numbers that are too large, or not finite")
+    why = shown(str(plain["rest_reason"]))
+    return Command(**arrays, rest_reason=why, scale=scale, free=free, mode=mode, row=row)
 
 
 @contextmanager

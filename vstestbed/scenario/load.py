@@ -23,13 +23,15 @@ SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
 
 
 def find(name: str | Path) -> Path:
-    """The file of a scenario given by path or by the name of a bundled one; ScenarioError names the nearest where neither exists."""
+    """The file of a scenario given by path or by the name of a bundled one, which no file of the current folder takes: that is
+    `./NAME`. ScenarioError names the nearest where neither exists.
+    """
     path, bundled = Path(name), bundled_scenarios()
     try:
+        if isinstance(name, str) and name in bundled:
+            return bundled[name]
         if path.is_file():
             return path
-        if str(name) in bundled:
-            return bundled[str(name)]
         if str(name) and path.is_dir():
             raise ScenarioError([Mistake(str(name), "", "is a folder; give a scenario's YAML file")])
     except OSError as error:

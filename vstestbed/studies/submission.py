@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from vstestbed.core.errors import RunFolderError, short
+from vstestbed.core.errors import ParameterError, RunFolderError, short
 from vstestbed.core.files import allowed, make_folder, write_whole
 from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.loop.isolated import offered
@@ -28,7 +28,7 @@ from vstestbed.studies.comparison.plan import Job
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
 from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.pools import pool_of, workers
-from vstestbed.studies.suite import NAME, SuiteEntry, fingerprint, opened, read_suite
+from vstestbed.studies.suite import NAME, TO_GOAL, SuiteEntry, SuiteTask, fingerprint, opened, read_suite
 from vstestbed.tasks.metrics import Metric
 
 ABOUT, RUNS, SCORES, RECORD, LAW_FOLDER = "suite.json", "runs.csv", "scores.csv", "environment.json", "law"
@@ -196,7 +196,11 @@ def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEn
         if name.startswith(f"{LAW_FOLDER}/"):
             place = into / PurePosixPath(name).relative_to(LAW_FOLDER)
             write_whole(make_folder(place.parent) / place.name, found[name])
-    entry = opened(str(into / main), *asked, alone=True, apart=True)
+    try:
+        entry = opened(str(into / main), *asked, alone=True, apart=True)
+        entry.must_stay()
+    except ParameterError as error:
+        raise _refused(file, str(error)) from error
     here = entry.about | {"laws": about.get("laws")}  # what the law is, its files say
     if other := [name for name in (*here, *about) if name not in here or about.get(name) != here[name]]:
         said = f"{short(other[0])} in its {ABOUT} is not what is asked for, {short(here.get(other[0]))}"
@@ -222,15 +226,15 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
     if other := there - planned:
         raise _refused(file, f"its {RUNS} holds {short(next(iter(other)))}, which is not of the plan, or there twice", works)
     for task, _, start, reached, value in runs.iter_rows():
-        if not _can_be(reached, value, entry.suite.tasks[task].worst):
+        if not _can_be(reached, value, entry.suite.tasks[task]):
             raise _refused(file, f"its {RUNS} says success {reached} and value {value} of {task} {start}", works)
     return runs
 
 
-def _can_be(reached: bool | None, value: float | None, worst: float | None) -> bool:
-    """Whether a run can have a result. worst: the task's number of a run that crashed; None: such a run alone has no number."""
+def _can_be(reached: bool | None, value: float | None, task: SuiteTask) -> bool:
+    """Whether a run can have a result: one that crashed alone has no number, where the task says none for it."""
     if value is None:
-        return reached is False and worst is None
+        return reached is False and task.worst is None and task.metric != TO_GOAL
     return reached is not None and math.isfinite(value)
 
 

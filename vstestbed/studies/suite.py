@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,12 +32,13 @@ from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.studies.comparison import carry_out, merge, prepared
 from vstestbed.studies.comparison.folder import ComparisonTable
 from vstestbed.studies.comparison.plan import TASK, Comparison, Job, Jobs, Variants, changed, controllers, read_comparison
-from vstestbed.studies.comparison.record import needed_files
+from vstestbed.studies.comparison.record import files_in, is_bundled, needed_files
 from vstestbed.studies.comparison.runs import OnDone
 from vstestbed.studies.comparison.shards import Shard
 from vstestbed.tasks.metrics import Metric
 
 NAME = "VS-1"
+TO_GOAL = "time_to_goal_s"  # the metric of which each failed run has a number
 LAW = "law"  # the axis of the laws in each comparison
 HOW = (
     "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit; ranks by it, with "
@@ -61,7 +63,7 @@ class SuiteTask:
 
     plan: str
     asks: str = ""
-    metric: str = "time_to_goal_s"
+    metric: str = TO_GOAL
     worst: float | None = None
     quick: Annotated[int, Ge(1)] = 2
 
@@ -130,7 +132,9 @@ def law_of_file(file: str, apart: bool = False) -> tuple[str, SuiteLaw, tuple[st
     path = Path(file)
     if path.suffix in (".yaml", ".yml"):
         plain, marks = plain_mapping(text_of(path), file, "a law's file needs law")
-        plugins = plain.pop("plugins", None) or ()
+        plugins = plain.pop("plugins", None) or []
+        if not isinstance(plugins, list) or not all(isinstance(name, str) for name in plugins):
+            raise ParameterError("plugins", "must be a list of the law's files, such as [mine.py]", plugins)
         return path.stem, build(SuiteLaw, plain, marks, file), tuple(str(path.parent / name) for name in plugins)
     if apart:
         return path.stem, SuiteLaw(law={}), (str(path.absolute()),)
@@ -140,6 +144,14 @@ def law_of_file(file: str, apart: bool = False) -> tuple[str, SuiteLaw, tuple[st
     if len(own) != 1:
         raise ParameterError("LAW_FILE", "must add one law; of several, name one in a YAML file with law and plugins", own or file)
     return path.stem, SuiteLaw(law={"kind": own[0]}), (plugin,)
+
+
+def _inside(path: Path, main: Path) -> Path:
+    """A file as it lies in the folder of a law's file, or below it, also when links are followed. ParameterError: it does not."""
+    place, plain = main.parent, Path(os.path.normpath(path.absolute()))
+    if plain.is_relative_to(place) and path.resolve().is_relative_to(place.resolve()):
+        return plain.relative_to(place)
+    raise ParameterError("LAW_FILE", f"needs {path}, which must be in the folder of {main.name}, or below it", str(main))
 
 
 @dataclass(frozen=True)
@@ -234,6 +246,7 @@ class SuiteEntry:
         suite.
         Raises ParameterError: it is of another; or a file of the law is not beside the law's file, or below it.
         """
+        named = [] if self.file is None else self.must_stay()
         place, about = out / "suite.json", self.about
         if place.is_file() and read_json(place) != about:
             raise ParameterError("--out", "holds another suite, or the same with other laws or starts; give a new folder", str(out))
@@ -241,13 +254,20 @@ class SuiteEntry:
         if self.file is None:
             return
         main = Path(self.file).absolute()
-        blocks = [self.block(main.stem, task) for task in self.suite.tasks]
-        needed, elsewhere = needed_files([main, *map(Path, self.plugins)], blocks)
+        needed, elsewhere = needed_files(named)
         for path in (*needed, *elsewhere):
-            if not path.is_relative_to(main.parent):
-                raise ParameterError("LAW_FILE", f"needs {path}, which must be in the folder of {main.name}, or below it", self.file)
-            copy = out / "law" / path.relative_to(main.parent)
+            copy = out / "law" / _inside(path, main)
             write_whole(make_folder(copy.parent) / copy.name, path.read_bytes())
+
+    def must_stay(self) -> list[Path]:
+        """The law's file, its plugins and the files that its blocks name. Raises ParameterError: one is not in its folder, or below it."""
+        main = Path(self.file or "").absolute()
+        blocks = [self.block(main.stem, task) for task in self.suite.tasks]
+        found = [main, *map(Path, self.plugins if self.apart is None else self.apart), *files_in(blocks)]
+        found = [path for path in found if not is_bundled(path)]
+        for path in found:
+            _inside(path, main)
+        return found
 
     @property
     def first_seed(self) -> int:
@@ -302,6 +322,8 @@ class SuiteEntry:
         if one.worst is not None:  # a run that ended early is no better than the worst that lasted
             lasted = success.fill_null(False) | (pl.col("outcome") == "timed_out")
             number = pl.when(lasted).then(pl.min_horizontal(number, one.worst)).otherwise(one.worst)
+        elif one.metric == TO_GOAL and bool(table.select(number.is_null().any()).item()):  # of a run that crashed: the task's limit
+            number = number.fill_null(max(each.scenario.stop.duration_s for each in Variants(comparison)))
         named = pl.lit(task).alias("task"), pl.col(LAW).alias("law"), start.alias("start")
         return table.select(*named, success, (number * Metric.named(one.metric).scale).alias("value"))
 

@@ -67,6 +67,10 @@ class _Held:
         self.send(JACOBIAN, q)
         return self.receive()
 
+    def ready(self) -> bool:
+        """Nothing of the law is loaded so far: the time until this is not its own."""
+        return True
+
     def make(self, files: list[str], adds: str, block: dict[str, Any], reads: str) -> dict[str, Any]:
         """Load the law's files, and make it: what it declares."""
         confine(reads)
@@ -139,17 +143,25 @@ def landlock() -> int:
 
 def confine(reads: str) -> None:
     """Limit this process: its memory, files and time; on Linux 5.13 and newer also to reading Python, this package and `reads`, and to
-    writing into its own empty folder.
+    writing into its own empty folder; on Linux on the machines of `CALLS` also to system calls that change nothing of others.
     """
     with suppress(ImportError, ValueError):  # Windows; a lower limit is in force
         import resource
 
         for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_DATA, MEMORY)):
             resource.setrlimit(kind, (most, most))
-    if (version := landlock()) < 1:
+    if sys.platform != "linux":
         return
     libc = ctypes.CDLL(None)
     libc.prctl(1, signal.SIGKILL)  # end with the parent
+    libc.prctl(38, 1, 0, 0, 0)  # no new privileges, which both that follow ask for
+    if (version := landlock()) >= 1:
+        _restrict_files(libc, version, reads)
+    _refuse_calls(libc)
+
+
+def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
+    """Landlock, of a version."""
     every = (1 << RIGHTS[min(version, 5) - 1]) - 1
     handled = struct.pack("QQQ", every, 3 * (version >= 4), 3 * (version >= 6))
     rules = libc.syscall(CREATE, handled, len(handled), 0)
@@ -161,8 +173,60 @@ def confine(reads: str) -> None:
             rights = every if path == own else READ if path.is_dir() else READ_FILE
             libc.syscall(ADD, rules, 1, struct.pack("=Qi", rights, place), 0)
             os.close(place)
-    libc.prctl(38, 1, 0, 0, 0)  # no new privileges, which it asks for
     libc.syscall(RESTRICT, rules, 0)
+
+
+# System calls that Landlock leaves open, by machine, each with its number; seccomp(2), bpf(2). A socket pair of its own is none of them.
+ALSO = 425, 428, 429, 430, 432, 438, 442, 452, 463, 466, 469  # io_uring, mounts, pidfd_getfd, modes and attributes: on all machines
+CALLS: dict[str, dict[str, tuple[int, ...]]] = {
+    "x86_64": {
+        "audited as, seccomp, prlimit64": (0xC000003E, 317, 302),
+        "socket, connect": (41, 42),
+        "chmod, chown, utime and their kind": (90, 91, 268, 92, 93, 94, 260, 132, 235, 261, 280),
+        "setxattr, removexattr and their kind": (188, 189, 190, 197, 198, 199),
+        "ptrace, process_vm_readv and writev, kcmp, perf_event_open": (101, 310, 311, 312, 298),
+        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (142, 144, 203, 314, 141, 251),
+        "unshare, setns, mount, umount2, pivot_root, chroot": (272, 308, 165, 166, 155, 161),
+        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (321, 323, 248, 249, 250, 256, 279),
+    },
+    "aarch64": {
+        "audited as, seccomp, prlimit64": (0xC00000B7, 277, 261),
+        "socket, connect": (198, 203),
+        "chmod, chown, utime and their kind": (52, 53, 54, 55, 88),
+        "setxattr, removexattr and their kind": (5, 6, 7, 14, 15, 16),
+        "ptrace, process_vm_readv and writev, kcmp, perf_event_open": (117, 270, 271, 272, 241),
+        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (118, 119, 122, 274, 140, 30),
+        "unshare, setns, mount, umount2, pivot_root, chroot": (97, 268, 40, 39, 41, 51),
+        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (280, 282, 217, 218, 219, 238, 239),
+    },
+}
+LOAD, EQUAL, AT_LEAST, RETURN = 0x20, 0x15, 0x35, 0x06  # instructions of the filter
+ALLOW, REFUSE = 0x7FFF0000, 0x00050001  # the latter with EPERM
+
+
+def _refuse_calls(libc: ctypes.CDLL) -> bool:
+    """Have the kernel refuse the calls above, of all threads; prlimit64 of another process, too. Whether it does."""
+    first, *others = CALLS.get(os.uname().machine, {"": ()}).values()
+    if not first:
+        return False
+    machine, seccomp, prlimit = first
+    refused = [number for those in (*others, ALSO) for number in those]
+    end = 7 + len(refused)  # where it allows; behind it, where it refuses
+    lines = [
+        (LOAD, 0, 0, 4),  # the machine: another one's calls have other numbers
+        (EQUAL, 0, end - 1, machine),
+        (LOAD, 0, 0, 0),  # the call
+        (AT_LEAST, end - 3, 0, 1 << 30),  # those of x32
+        (EQUAL, 0, 2, prlimit),
+        (LOAD, 0, 0, 16),  # its process, 0: its own
+        (EQUAL, end - 7, end - 6, 0),
+        *((EQUAL, end - 7 - i, 0, number) for i, number in enumerate(refused)),
+        (RETURN, 0, 0, ALLOW),
+        (RETURN, 0, 0, REFUSE),
+    ]
+    program = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *line) for line in lines))
+    pointer = struct.pack("@HP", len(lines), ctypes.addressof(program))
+    return libc.syscall(seccomp, 1, 1, pointer) == 0
 
 
 if __name__ == "__main__":

@@ -12,16 +12,18 @@ from typing import Annotated, Any
 import polars as pl
 from annotated_types import Ge, Le, Len
 
-from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, VstestbedError
 from vstestbed.core.files import write_json, write_whole
+from vstestbed.core.named_files import bundled_scenarios, is_there
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
-from vstestbed.loop.isolated import MODULE, Child, Isolated, offered
+from vstestbed.loop.isolated import MODULE, Child, Isolated, offered, shown
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.comparison.results import ComparisonResults, pairs
 from vstestbed.report.marks import counted, number
 from vstestbed.scenario.load import load
+from vstestbed.scenario.plugins import absolute_files
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.tasks.metrics import comparable
 from vstestbed.testing.laws import check_law
@@ -169,7 +171,8 @@ def read_lab(path: Path) -> Lab:
     plain, marks = plain_mapping(text_of(path), str(path), "a lab needs title, kind and tasks")
     lab = build(Lab, plain, marks, str(path))
     for i, task in enumerate(lab.tasks):
-        others = {key: value for key, value in task.set.items() if key.partition(".")[0] != lab.field.partition(".")[0]}
+        named = absolute_files(task.set, path.absolute().parent)
+        others = {key: value for key, value in named.items() if key.partition(".")[0] != lab.field.partition(".")[0]}
         try:
             scenario = load(_place(task.scenario, path.parent), others)
             if scenario.stop.converged.error_grey is not None:
@@ -180,11 +183,13 @@ def read_lab(path: Path) -> Lab:
     return lab
 
 
-def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), on_task: Callable[[str], None] = lambda title: None) -> Mark:
+def grade(
+    lab: Lab, student: Path, first_seed: int = 0, beside: Path | None = None, on_task: Callable[[str], None] = lambda title: None
+) -> Mark:
     """Mark a student's file. Its code is run in processes of their own (`loop.isolated`), which get observations alone.
 
     first_seed: of the random starts; one that students do not know keeps them from fitting to these starts. beside: folder of the lab's
-    file, in which scenarios are searched first. on_task: is told the title of each task as it begins.
+    file, in which scenarios are searched first; None: they are bundled ones. on_task: is told the title of each task as it begins.
     """
     with offered():
         place, results, lost = student.absolute(), list[Result](), Child.lost
@@ -199,7 +204,7 @@ def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), o
         missing = bool(refused) or Child.lost > lost
     if lab.check and not any(result.given for result in results[1:]):
         results[0] = replace(results[0], reasons=results[0].reasons or ("It does none of the tasks.",))
-    return Mark(lab.title, student.name, tuple(results), missing)
+    return Mark(lab.title, shown(student.name), tuple(results), missing)
 
 
 def _apart(lab: Lab, student: Path, block: Any, **limit: float) -> dict[str, Any]:
@@ -222,14 +227,16 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     try:
         check_law(Isolated(**_apart(lab, student, {"kind": lab.kind})))
     except Exception as error:  # an assertion's; and whatever the numbers of a law bring about in the loop
+        Child.lost += not isinstance(error, AssertionError | VstestbedError)
         yield str(error).replace("isolated", lab.kind)
 
 
-def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path) -> Iterator[str]:
+def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path | None) -> Iterator[str]:
     """Why the points of a task are not given."""
     try:
         own = _runs(lab, task, student, first_seed, beside)
     except Exception as error:  # a refusal's; and whatever the numbers of a law bring about in the loop
+        Child.lost += not isinstance(error, VstestbedError)
         yield f"It cannot be run: {error}"
         return
     good = [row for row in own if row["success"]]
@@ -250,11 +257,11 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
         yield from _not_better(own, _runs(lab, task, None, first_seed, beside), task.by)
 
 
-def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path) -> list[dict[str, Any]]:
+def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path | None) -> list[dict[str, Any]]:
     """Summaries of a task's runs, of the student's kind or (None) of the one that it has to be better than."""
     place = _place(task.scenario, beside)
     seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
-    changes: dict[str, Any] = {lab.field: {"kind": lab.kind} if student else task.better_than} | task.set
+    changes: dict[str, Any] = {lab.field: {"kind": lab.kind} if student else task.better_than} | absolute_files(task.set, beside or Path())
     if student:  # what is said of the law goes to the one inside
         law = _apart(lab, student, to_mapping(load(place).law), run_s=task.limit_s / len(seeds))
         inside = {path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"}
@@ -274,5 +281,8 @@ def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str
         yield f"It is not better: {verdict} ({reached})."
 
 
-def _place(name: str, beside: Path) -> str:
-    return str(beside / name) if (beside / name).is_file() else name
+def _place(name: str, beside: Path | None) -> str:
+    """A task's scenario: beside the lab's file, else a bundled one; never of the current folder, which may be the student's."""
+    if beside is None or (name in bundled_scenarios() and not is_there(beside / name)):
+        return name
+    return str((beside / name).absolute())

@@ -7,13 +7,14 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import polars as pl
 import pytest
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.studies.comparison.record import RECORD, _commit, agreement, keep, must_be_unchanged
+from vstestbed.studies.comparison.record import RECORD, _commit, agreement, keep, must_be_unchanged, needed_files
 
 GUIDE = Path(__file__).parents[3] / "docs" / "guides" / "first_law.md"
 
@@ -254,3 +255,33 @@ def test_runs_agree_to_a_frame_and_differ_in_outcome_or_number() -> None:
     assert (found.same, found.near) == (1, 1)
     assert found.differ == ("c: final_error_px 0.1, now 0.3", "d: converged, now timed_out")
     assert found.lines()[0].startswith("2 of 4 runs agree (1 to the last digit, 1 within")
+
+
+FOREIGN_PYTHON = {
+    "of Python 2": b"print 'hello'\n",
+    "with a NUL": b"a\0b",
+    "nested deeply": b"x=" + b"(" * 5000 + b")" * 5000,
+    "a sum of 20,000": b"x=" + b"+".join([b"1"] * 20000),
+    "too large": b"import os\n#" + b"x" * (5 << 20),
+}
+
+
+@pytest.mark.parametrize("text", FOREIGN_PYTHON.values(), ids=FOREIGN_PYTHON)
+def test_a_python_file_that_is_not_understood_is_copied_and_needs_nothing(text: bytes, tmp_path: Path) -> None:
+    (tmp_path / "law.py").write_text("import other\n")
+    (tmp_path / "other.py").write_bytes(text)
+    assert needed_files([tmp_path / "law.py"]) == ([tmp_path / "law.py", tmp_path / "other.py"], [])
+
+
+def test_the_name_of_a_branch_is_no_more_than_a_name(tmp_path: Path) -> None:
+    """It is searched for in a file of git: a name of megabytes would take as long as it is."""
+    git = tmp_path / ".git"
+    git.mkdir()
+    (tmp_path / "law.py").write_text("")
+    (git / "packed-refs").write_text(f"# pack-refs with: peeled\n{'b' * 40} refs/heads/xy\n{'a' * 40} refs/heads/x.y\n")
+    (git / "HEAD").write_text("ref: refs/heads/x.y\n")
+    assert _commit(tmp_path / "law.py") == "a" * 40
+    (git / "HEAD").write_text("ref: " + "a" * (4 << 20))
+    began = time.monotonic()
+    assert _commit(tmp_path / "law.py") == ""
+    assert time.monotonic() - began < 2  # s: it is not read; to search for it took over 20

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import polars as pl
 
-from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.errors import ParameterError, RunFolderError, VstestbedError
 from vstestbed.core.files import make_folder, read_json, write_json, write_whole
 from vstestbed.core.foreign import plain_file
 from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, folder, is_there
@@ -33,6 +33,8 @@ TOLERANCE, LEAST = 0.02, 0.05
 Another processor or version of a library changes the last digits of pixels, and with them the frame in which a run converges."""
 _COMMIT = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
 _MOST_REFS = 16 << 20  # bytes of a file of git: names of a hundred thousand branches and tags
+_MOST_NAME = 4 << 10  # of one that holds a name, or a commit
+_MOST_SOURCE = 4 << 20  # of a Python file
 
 
 def keep(place: Path) -> None:
@@ -43,7 +45,7 @@ def keep(place: Path) -> None:
     What belongs to vstestbed, and modules of installed packages, are not copied either: the record has their versions.
     """
     files, elsewhere = dict[str, Any](), set[str]()
-    for source in dict.fromkeys(path for path in _named(place) if not _bundled(path)):
+    for source in dict.fromkeys(path for path in _named(place) if not is_bundled(path)):
         copies, others = _closure(source)
         elsewhere.update(map(str, others))
         for path, copy in copies.items():
@@ -158,16 +160,17 @@ def environment() -> dict[str, Any]:
 def _named(place: Path) -> Iterator[Path]:
     """The files that the plan and its copies of scenarios name, absolutely."""
     for document in (place / PLAN, *sorted((place / SCENARIOS).glob("*.yaml"))):
-        yield from _in_values(plain_mapping(text_of(document), str(document), "")[0])
+        yield from files_in(plain_mapping(text_of(document), str(document), "")[0])
 
 
-def _in_values(value: Any, key: str = "") -> Iterator[Path]:
+def files_in(value: Any, key: str = "") -> Iterator[Path]:
+    """The files that are there of those that plain values of a scenario name absolutely."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
-            yield from _in_values(inner, str(name).rpartition(".")[2])
+            yield from files_in(inner, str(name).rpartition(".")[2])
     elif isinstance(value, list):
         for inner in value:
-            yield from _in_values(inner, key)
+            yield from files_in(inner, key)
     elif isinstance(value, str):
         plugin = key == "plugins" and is_file_name(value)
         path = Path(re.sub(r"(\.py):\w+$", r"\1", value))
@@ -175,7 +178,8 @@ def _in_values(value: Any, key: str = "") -> Iterator[Path]:
             yield path
 
 
-def _bundled(path: Path) -> bool:
+def is_bundled(path: Path) -> bool:
+    """Whether a file belongs to vstestbed."""
     return any(path.resolve().is_relative_to(folder(name).resolve()) for name in ("models", "scenarios"))
 
 
@@ -183,7 +187,7 @@ def needed_files(sources: Iterable[Path], values: Any = ()) -> tuple[list[Path],
     """Files, those that plain values of a scenario name absolutely, and those that they need (see `keep`); and those that they need and
     that are not below their folder. Of vstestbed's own none.
     """
-    waiting = [path.absolute() for path in (*sources, *_in_values(values)) if not _bundled(path)]
+    waiting = [path.absolute() for path in (*sources, *files_in(values)) if not is_bundled(path)]
     found, elsewhere = dict.fromkeys(waiting), dict[Path, None]()
     while waiting:
         needing = waiting.pop()
@@ -220,7 +224,7 @@ def _needed(path: Path) -> Iterator[Path]:
 
         yield from (Path(os.path.normpath(name)) for name in files_read(path))
     elif path.suffix == ".py":
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8", errors="replace"))):
+        for node in ast.walk(_parsed(path)):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
             for name in names:
@@ -228,6 +232,14 @@ def _needed(path: Path) -> Iterator[Path]:
                 yield from (beside.with_suffix(".py"), beside / "__init__.py")
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and re.fullmatch(r"[\w./-]{1,100}\.\w{1,8}", node.value):
                 yield path.parent / node.value
+
+
+def _parsed(path: Path) -> ast.AST:
+    """The syntax tree of a Python file; an empty one of what is none, too: files that others name are of any kind."""
+    try:
+        return ast.parse(plain_file(path, "a Python file", _MOST_SOURCE).read_text(encoding="utf-8", errors="replace"))
+    except (SyntaxError, ValueError, RecursionError, MemoryError, OSError, VstestbedError):
+        return ast.Module([], [])
 
 
 def _files(place: Path) -> dict[str, dict[str, str]]:
@@ -262,15 +274,16 @@ def _head(git: Path) -> str:
     head = _text(git / "HEAD").strip()
     if head.startswith("ref: "):
         name, shared = head.removeprefix("ref: "), git / (_text(git / "commondir").strip() or ".")
-        packed = re.search(rf"^(\w+) {re.escape(name)}$", _text(shared / "packed-refs"), re.MULTILINE)
-        head = (_text(shared / name) or (packed[1] if packed else "")).strip()
+        lines = _text(shared / "packed-refs", _MOST_REFS).splitlines()
+        packed = next((line.removesuffix(f" {name}") for line in lines if line.endswith(f" {name}")), "")
+        head = (_text(shared / name) or packed).strip()
     return head if _COMMIT.fullmatch(head) else ""
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, most: int = _MOST_NAME) -> str:
     """The text of a file of git; "" where it is none, or too large."""
     try:
-        return plain_file(path, "a file of git", _MOST_REFS).read_text(encoding="utf-8", errors="replace")
+        return plain_file(path, "a file of git", most).read_text(encoding="utf-8", errors="replace")
     except (OSError, ParameterError):
         return ""
 
