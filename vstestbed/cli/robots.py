@@ -139,6 +139,7 @@ def identify(
     from vstestbed.cli.progress import show_notes
     from vstestbed.cli.ros import remapped
     from vstestbed.cli.studies import command_line
+    from vstestbed.core.errors import ParameterError
     from vstestbed.studies import identification as room
     from vstestbed.studies.folder import study_folder
 
@@ -151,7 +152,13 @@ def identify(
     else:
         table = room.read_record(record)
     say = (lambda words: None) if quiet else (lambda words: typer.echo(f"  tries {words}", err=True))
-    found = room.identify(table, given, [room.Parameter.of(words) for words in fit or []], say)
+    parameters = [room.Parameter.of(words) for words in fit or []]
+    try:
+        found = room.identify(table, given, parameters, say)
+    except ParameterError as error:
+        if error.field != "record":
+            raise
+        raise ParameterError(str(record), error.problem, error.found) from None
     with study_folder("identify", out) as folder:
         room.write(folder, found, record.name, command_line())
     for line in room.lines_of(found):

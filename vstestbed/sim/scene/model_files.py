@@ -73,7 +73,7 @@ def _named_in(model: mujoco.MjSpec, path: Path) -> list[Path]:
 
 
 def _are_regular(names: list[Path], path: Path) -> None:
-    """Refuse what is there and no regular file: of a pipe, or of /dev/zero, MuJoCo would read for ever. What is not there it tells itself."""
+    """Refuse what is there and no regular file: of a pipe MuJoCo would read for ever. What is not there it tells itself."""
     for name in names:
         with foreign(path, "names of files", of_field("file")):
             irregular = name.exists() and not name.is_file()
@@ -218,7 +218,8 @@ def read_model(path: Path) -> mujoco.MjSpec:
 
     Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others. A
     `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out. Raises ValueError:
-    MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, names a package whose folder is not found, or a file that is no regular one.
+    MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, names a package whose folder is not found, or a
+    file that is no regular one.
     """
     _are_regular(_included(path), path)
     spec = _parsed(path)
