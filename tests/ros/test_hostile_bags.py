@@ -185,6 +185,39 @@ def test_a_broken_chunk_costs_its_own_messages(taken, scenario, clean, tmp_path)
     assert (topic, n) == ("bag", 1) and "part of the bag is lost" in why
 
 
+@pytest.mark.parametrize("place", ["folder", "file"])
+@pytest.mark.parametrize("mode", [CompressionMode.STORAGE, CompressionMode.NONE])
+@pytest.mark.parametrize("share", [0.75, 0.999])
+def test_of_a_bag_that_was_cut_off_what_came_before_is_used_and_told(taken, scenario, clean, tmp_path, share, mode, place):
+    """A killed recorder leaves an MCAP file without its summary: whole chunks are read up to the break."""
+    bag = bags.written(tmp_path / "bag", bags.usual(taken), mode=mode)
+    file = bag / "bag.mcap"
+    os.truncate(file, int(share * file.stat().st_size))
+    found = replay(bag if place == "folder" else file, scenario)
+    n = len(found.table)
+    assert 0 < n <= len(clean.table) and (share > 0.9 or n < len(clean.table))
+    np.testing.assert_array_equal(found.recorded[: n - 2], clean.recorded[: n - 2])  # the last pictures' twists may lie behind the break
+    assert any("the file ends in the middle, at byte" in why for _, _, _, why in told(found))
+
+
+def test_of_an_export_that_was_cut_off_what_came_before_is_used_and_told(scenario, tmp_path):
+    run_into(tmp_path / "run", scenario)
+    file = write_mcap(RecordedRun.of(tmp_path / "run"), tmp_path / "run.mcap")
+    whole = replay(file, scenario)
+    os.truncate(file, int(0.999 * file.stat().st_size))
+    found = replay(file, scenario)
+    assert 0 < len(found.table) <= len(whole.table)
+    assert any("the file ends in the middle" in why for _, _, _, why in told(found))
+
+
+@pytest.mark.parametrize("place", ["folder", "file"])
+def test_a_bag_cut_in_its_first_chunk_is_a_sentence(taken, scenario, tmp_path, place):
+    bag = bags.written(tmp_path / "bag", bags.usual(taken))
+    os.truncate(bag / "bag.mcap", 2000)
+    with pytest.raises(VstestbedError, match="cut off|ends in the middle"):
+        replay(bag if place == "folder" else bag / "bag.mcap", scenario)
+
+
 @pytest.mark.parametrize("name", ["omni_ibvs", "quadrotor_perspective"])
 def test_readings_of_an_imu_are_checked_alike(name):
     senses = Senses(vs.load(name).robot, 0.06)

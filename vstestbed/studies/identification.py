@@ -146,7 +146,9 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     if len(used) < LEAST_MOMENTS:
         raise ParameterError("record", f"has {len(used)} moments that can be used of {len(table)}; at least {LEAST_MOMENTS} are needed")
     if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
-        raise ParameterError.bound("record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3), why="times are in seconds; these may be in milliseconds")
+        raise ParameterError.bound(
+            "record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3), why="times are in seconds; these may be in milliseconds"
+        )
     left = np.delete(np.arange(len(table)), used).tolist()
     if left:
         _tell_left(left, t, no_numbers)
@@ -305,7 +307,9 @@ def identify(
             errors = errors.whitened(x)
     found = _summed_up(record, scenario, fit, errors, x, sigma)
     if found.residual >= MISFIT:
-        words = "the simulator does not read what the robot read: its errors are %.3g times the sensors' noise, and what was found may be wrong"
+        words = (
+            "the simulator does not read what the robot read: its errors are %.3g times the sensors' noise, and what was found may be wrong"
+        )
         logging.getLogger("vstestbed").warning(words, found.residual)
     return found
 
