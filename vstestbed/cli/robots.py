@@ -57,6 +57,8 @@ def calibrate(
     if table:
         _table(source, of, trials, out, quiet, plugin)
         return
+    from vstestbed.core.errors import ParameterError
+
     truth, place = None, Path(source)
     if (place / "scenario.yaml").is_file():
         truth, shots = room.shots_of_run(place)
@@ -64,7 +66,12 @@ def calibrate(
         scenario = load_scenario(robot, None, plugin, None) if robot else None
         shots = room.shots_of_folder(place, scenario.robot if scenario else None)
     known = room.camera_of(intrinsics) if intrinsics else None
-    made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
+    try:
+        made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
+    except ParameterError as error:
+        if error.field != "pictures":
+            raise
+        raise ParameterError(f"pictures of {place}", error.problem, error.found) from None
     with study_folder("calibrate", out) as folder:
         room.write(folder, made, place.name, truth, command_line())
     if not quiet:
