@@ -30,6 +30,7 @@ from tests.ros.bags import BEGAN
 from vstestbed.core.errors import RunFolderError, VstestbedError
 from vstestbed.report.export.mcap_file import write_mcap
 from vstestbed.report.export.source import RecordedRun
+from vstestbed.ros import bag as vs_bag
 from vstestbed.ros import bag_file
 from vstestbed.ros import messages as ros
 from vstestbed.ros.bag import replay, write_rosbag2
@@ -198,6 +199,13 @@ def test_of_a_bag_that_was_cut_off_what_came_before_is_used_and_told(taken, scen
     assert 0 < n <= len(clean.table) and (share > 0.9 or n < len(clean.table))
     np.testing.assert_array_equal(found.recorded[: n - 2], clean.recorded[: n - 2])  # the last pictures' twists may lie behind the break
     assert any("the file ends in the middle, at byte" in why for _, _, _, why in told(found))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_twists_beyond_all_robots_are_not_drawn(taken, scenario, tmp_path):
+    huge = [(topic, at, bags.twist(at, np.full(6, 1e308)) if topic == "/cmd" else m) for topic, at, m in bags.usual(taken)]
+    found = replayed(huge, scenario, tmp_path / "bag")
+    vs_bag._drawn(found).savefig(tmp_path / "drawn.png")
 
 
 def test_of_an_export_that_was_cut_off_what_came_before_is_used_and_told(scenario, tmp_path):

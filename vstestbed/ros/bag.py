@@ -58,6 +58,7 @@ if TYPE_CHECKING:
 
 SAME = 1e-9  # largest difference of a twist computed again from the recorded one that is called none [m/s, rad/s]
 MAGIC = b"\x89MCAP0\r\n"  # with which an MCAP file begins and ends
+LARGEST_DRAWN = 1e6  # twists beyond are no robot's, and no axis has room for them [m/s, rad/s]
 SHOWN = 12  # topics that a message lists
 SAME_RUN = 0.001  # largest difference of commands flown again from those of the log that is not worth a word [m/s, rad/s]
 
@@ -460,15 +461,16 @@ def _drawn(found: Replayed) -> Figure:
     from vstestbed.report.marks import LINE_COLORS
 
     drawn, t = new_figure(5.2, 7.16), found.table["t"].to_numpy()
+    recorded = np.where(np.abs(found.recorded) < LARGEST_DRAWN, found.recorded, np.nan)
     grid = drawn.subplots(3, 1, sharex=True)
     for k, (axes, unit) in enumerate(zip(grid, ("m/s", "rad/s"), strict=False)):
         for i in range(3):
             colour, name = LINE_COLORS[i], TWIST_NAMES[3 * k + i]
             axes.plot(t, found.computed[:, 3 * k + i], color=colour, label=name)
-            axes.plot(t, found.recorded[:, 3 * k + i], ".", markersize=2.5, color=colour)
+            axes.plot(t, recorded[:, 3 * k + i], ".", markersize=2.5, color=colour)
         axes.set_ylabel(f"[{unit}]")
         axes.legend(loc="upper right", ncols=3)
-    differs = np.abs(found.recorded - found.computed).max(axis=1)
+    differs = np.abs(recorded - found.computed).max(axis=1)
     if np.isfinite(differs).any():
         grid[2].semilogy(t, np.maximum(differs, 1e-17), ".", markersize=2.5, color=LINE_COLORS[3])
     grid[2].set_ylabel("difference")
