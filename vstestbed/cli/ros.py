@@ -6,7 +6,6 @@ import logging
 import re
 import signal
 import threading
-from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -107,7 +106,7 @@ def _heed(parameters: list[str]) -> None:
         logging.getLogger("vstestbed").warning(note, words)
 
 
-def _after(took_s: Sequence[float], words: str) -> str:
+def _after(took_s: list[float], words: str) -> str:
     """`, 1.20 ms WORDS (median)`; nothing where nothing was timed."""
     from vstestbed.ros.law import median_ms
 
