@@ -69,3 +69,11 @@ def test_a_key_that_nobody_reads_is_refused_by_its_name():
     only_known({"K": 1, "seq": 2}, used=["K"], harmless=["seq"])
     with pytest.raises(ParameterError, match=r"camera\.k1 is not read here.*K1, got 0\.5$"):
         only_known({"k1": 0.5}, used=["K1"], field="camera")
+
+
+def test_a_pipe_that_a_scenario_names_is_told_as_one(tmp_path):
+    from vstestbed.core.named_files import place_of_file
+
+    os.mkfifo(tmp_path / "arm.xml")
+    with pytest.raises(ParameterError, match="it is not a regular file"):
+        place_of_file(str(tmp_path / "arm.xml"))

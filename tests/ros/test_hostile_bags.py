@@ -30,6 +30,7 @@ from tests.ros.bags import BEGAN
 from vstestbed.core.errors import RunFolderError, VstestbedError
 from vstestbed.report.export.mcap_file import write_mcap
 from vstestbed.report.export.source import RecordedRun
+from vstestbed.ros import bag as vs_bag
 from vstestbed.ros import bag_file
 from vstestbed.ros import messages as ros
 from vstestbed.ros.bag import replay, write_rosbag2
@@ -183,6 +184,46 @@ def test_a_broken_chunk_costs_its_own_messages(taken, scenario, clean, tmp_path)
     np.testing.assert_array_equal(found.recorded[-1], clean.recorded[-1])
     ((topic, n, _, why),) = told(found)
     assert (topic, n) == ("bag", 1) and "part of the bag is lost" in why
+
+
+@pytest.mark.parametrize("place", ["folder", "file"])
+@pytest.mark.parametrize("mode", [CompressionMode.STORAGE, CompressionMode.NONE])
+@pytest.mark.parametrize("share", [0.75, 0.999])
+def test_of_a_bag_that_was_cut_off_what_came_before_is_used_and_told(taken, scenario, clean, tmp_path, share, mode, place):
+    """A killed recorder leaves an MCAP file without its summary: whole chunks are read up to the break."""
+    bag = bags.written(tmp_path / "bag", bags.usual(taken), mode=mode)
+    file = bag / "bag.mcap"
+    os.truncate(file, int(share * file.stat().st_size))
+    found = replay(bag if place == "folder" else file, scenario)
+    n = len(found.table)
+    assert 0 < n <= len(clean.table) and (share > 0.9 or n < len(clean.table))
+    np.testing.assert_array_equal(found.recorded[: n - 2], clean.recorded[: n - 2])  # the last pictures' twists may lie behind the break
+    assert any("the file ends in the middle, at byte" in why for _, _, _, why in told(found))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_twists_beyond_all_robots_are_not_drawn(taken, scenario, tmp_path):
+    huge = [(topic, at, bags.twist(at, np.full(6, 1e308)) if topic == "/cmd" else m) for topic, at, m in bags.usual(taken)]
+    found = replayed(huge, scenario, tmp_path / "bag")
+    vs_bag._drawn(found).savefig(tmp_path / "drawn.png")
+
+
+def test_of_an_export_that_was_cut_off_what_came_before_is_used_and_told(scenario, tmp_path):
+    run_into(tmp_path / "run", scenario)
+    file = write_mcap(RecordedRun.of(tmp_path / "run"), tmp_path / "run.mcap")
+    whole = replay(file, scenario)
+    os.truncate(file, int(0.999 * file.stat().st_size))
+    found = replay(file, scenario)
+    assert 0 < len(found.table) <= len(whole.table)
+    assert any("the file ends in the middle" in why for _, _, _, why in told(found))
+
+
+@pytest.mark.parametrize("place", ["folder", "file"])
+def test_a_bag_cut_in_its_first_chunk_is_a_sentence(taken, scenario, tmp_path, place):
+    bag = bags.written(tmp_path / "bag", bags.usual(taken))
+    os.truncate(bag / "bag.mcap", 2000)
+    with pytest.raises(VstestbedError, match=r"cut off|ends in the middle"):
+        replay(bag if place == "folder" else bag / "bag.mcap", scenario)
 
 
 @pytest.mark.parametrize("name", ["omni_ibvs", "quadrotor_perspective"])

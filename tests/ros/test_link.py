@@ -114,11 +114,12 @@ def test_what_is_no_rule_is_refused() -> None:
 
 
 def test_the_command_takes_the_arguments_of_ros(command) -> None:
-    """`--ros-args -r` is `--remap`; other arguments of ROS are refused by name. `stop` has the two services of its name."""
+    """`--ros-args -r` is `--remap`, `use_sim_time` is passed over, others are refused by name. `stop` has the two services of its name."""
     for given, code, words in (
         (["--ros-args", "-r", "nothing:=/x"], 2, "maps nothing, which vstestbed_stop does not have"),
         (["--ros-args", "--remap", "stop:=/halt"], 4, "no node has answered"),
-        (["--ros-args", "-p", "use_sim_time:=true"], 2, "-p"),
+        (["--ros-args", "-p", "use_sim_time:=true"], 4, "use_sim_time:=true changes nothing"),
+        (["--ros-args", "-p", "rate:=1"], 2, "--param is known as use_sim_time:=true or false alone"),
         (["--ros-args", "-r", "__ns:=/arm"], 2, "does not know __ns"),
         (["--remap", "image_raw"], 2, "--remap needs the form"),
     ):

@@ -229,3 +229,11 @@ def test_a_run_of_arm_calibrate_finds_the_camera(tmp_path):
     mm, deg = c.errors_of(made, truth)["bundle adjustment"]
     assert len(made.views) == 15 and mm < 0.5 and deg < 0.05
     assert np.allclose(np.diag(made.camera.K)[:2], truth.camera.f, rtol=1e-3)
+
+
+def test_boards_that_are_all_seen_from_the_front_are_told():
+    """A board across the optical axis looks alike with any focal length at its distance."""
+    grid = np.array([[x, y, 0.0] for y in range(4) for x in range(6)]) * 0.04
+    seen = [(grid, np.array([320.0, 240.0]) + (grid[:, :2] - [0.1, 0.06]) * 600 / z) for z in (0.5, 0.6, 0.7, 0.8)]
+    with pytest.raises(ParameterError, match=r"do not determine the focal length .* tilt the board"):
+        c.intrinsics_of(seen, (480, 640), "plumb_bob")

@@ -164,3 +164,23 @@ def test_a_table_of_ones_own_is_read(record, tmp_path):
     again = idn.read_record(tmp_path / "mine.csv")
     np.testing.assert_allclose(again.to_numpy(), record.to_numpy())
     assert isinstance(again, pl.DataFrame)
+
+
+def test_joints_in_degrees_are_refused_and_single_ones_outside_are_passed_over(caplog):
+    scenario = vs.load("arm_ibvs", {"detector": "oracle"})
+    q = np.tile(scenario.robot.start_joints(), (60, 1))
+    columns = {"t": np.arange(60) / 30, **{f"u_{i}": np.zeros(60) for i in range(6)}}
+    names = [f"q_{name}" for name in scenario.robot.joints]
+    degrees = pl.DataFrame({**columns, **dict(zip(names, np.degrees(q).T, strict=True))})
+    with pytest.raises(ParameterError, match=r"outside of its range .* must be in radians"):
+        idn.identify(degrees, scenario)
+    q[30, 1] = 1e3  # of an encoder that failed once
+    table = idn._within_range(pl.DataFrame({**columns, **dict(zip(names, q.T, strict=True))}), scenario)
+    assert np.isnan(table[names[1]].to_numpy()).sum() == 1 and "1 readings of joints outside" in caplog.text
+
+
+def test_a_misfit_far_beyond_the_noise_is_told(record, caplog):
+    """Wheels read twice as far as they turned: no lag explains that."""
+    wrong = record.with_columns(pl.col("^q_.*$") * 2)
+    found = idn.identify(wrong, vs.load("omni_ibvs", PLANAR), [LAG])
+    assert found.residual > idn.MISFIT and "does not read what the robot read" in caplog.text

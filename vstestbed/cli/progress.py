@@ -138,9 +138,9 @@ def _why_no_error(recording: Recording) -> str:
 
 
 def _digits(summary: Mapping[str, Any]) -> int:
-    """Decimals with which lengths of a run are told: two, of a camera whose way was under 10 cm more."""
+    """Decimals with which lengths of a run are told: two; of a camera whose way was under 10 cm more, at most six."""
     way = summary["path_length_m"] or 1.0
-    return max(2, 1 - math.floor(math.log10(way)))
+    return min(6, max(2, 1 - math.floor(math.log10(way))))
 
 
 def _number(summary: Mapping[str, Any], name: str, more: str = "", digits: int = 2) -> str:

@@ -57,6 +57,8 @@ def calibrate(
     if table:
         _table(source, of, trials, out, quiet, plugin)
         return
+    from vstestbed.core.errors import ParameterError
+
     truth, place = None, Path(source)
     if (place / "scenario.yaml").is_file():
         truth, shots = room.shots_of_run(place)
@@ -64,7 +66,12 @@ def calibrate(
         scenario = load_scenario(robot, None, plugin, None) if robot else None
         shots = room.shots_of_folder(place, scenario.robot if scenario else None)
     known = room.camera_of(intrinsics) if intrinsics else None
-    made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
+    try:
+        made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
+    except ParameterError as error:
+        if error.field != "pictures":
+            raise
+        raise ParameterError(f"pictures of {place}", error.problem, error.found) from None
     with study_folder("calibrate", out) as folder:
         room.write(folder, made, place.name, truth, command_line())
     if not quiet:
@@ -139,6 +146,7 @@ def identify(
     from vstestbed.cli.progress import show_notes
     from vstestbed.cli.ros import remapped
     from vstestbed.cli.studies import command_line
+    from vstestbed.core.errors import ParameterError
     from vstestbed.studies import identification as room
     from vstestbed.studies.folder import study_folder
 
@@ -151,7 +159,13 @@ def identify(
     else:
         table = room.read_record(record)
     say = (lambda words: None) if quiet else (lambda words: typer.echo(f"  tries {words}", err=True))
-    found = room.identify(table, given, [room.Parameter.of(words) for words in fit or []], say)
+    parameters = [room.Parameter.of(words) for words in fit or []]
+    try:
+        found = room.identify(table, given, parameters, say)
+    except ParameterError as error:
+        if error.field != "record":
+            raise
+        raise ParameterError(str(record), error.problem, error.found) from None
     with study_folder("identify", out) as folder:
         room.write(folder, found, record.name, command_line())
     for line in room.lines_of(found):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import signal
 import threading
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
-from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
@@ -25,7 +26,11 @@ Remap = Annotated[
     list[str] | None,
     typer.Option("--remap", "-r", metavar="NAME:=OTHER", help="Another name of a topic or service, such as image_raw:=/cam/image."),
 ]
-RosArgs = Annotated[bool, typer.Option("--ros-args", help="Begins arguments of ROS, of which -r and --remap are known.")]
+RosArgs = Annotated[bool, typer.Option("--ros-args", help="Begins arguments of ROS, of which -r and -p are known.")]
+Parameters = Annotated[
+    list[str] | None,
+    typer.Option("--param", "-p", metavar="NAME:=VALUE", help="A parameter of ROS: use_sim_time alone, which changes nothing here."),
+]
 
 
 def ros(
@@ -44,6 +49,7 @@ def ros(
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="robot: folder of the run. [default: runs/SCENARIO/NUMBER]")] = None,
     remap: Remap = None,
     ros_args: RosArgs = False,
+    param: Parameters = None,
     connect: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the other side's address.")] = None,
     listen: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the address to be found at.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
@@ -57,6 +63,7 @@ def ros(
     idle = ["stop.rest_after_s=null"] if role == "robot" else []  # who waits for commands has not ended
     given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
     show_notes(not quiet)
+    _heed(param or [])
     # one that is ignored (`nohup`) stays so
     before = {number: handler for number in STOPS if (handler := signal.getsignal(number)) != signal.SIG_IGN}
     for number in before:
@@ -65,12 +72,12 @@ def ros(
         node = f"vstestbed_{role}"
         with connected(node, backend, rules_of(remap or []), connect or (), listen or ()) as link:
             if role == "law":
-                from vstestbed.ros.law import LawNode, median_ms
+                from vstestbed.ros.law import LawNode
 
                 servo = LawNode(given, link, watchdog, start)
                 servo.spin(ended)
                 if not quiet:
-                    typer.echo(f"{len(servo.took_s)} twists, each {median_ms(servo.took_s):.2f} ms after its picture (median)", err=True)
+                    typer.echo(f"{len(servo.took_s)} twists{_after(servo.took_s, 'after its picture each')}", err=True)
                     for line in servo.servo.senses.passed.lines():
                         typer.echo(line, err=True)
             elif role == "excite":
@@ -87,6 +94,23 @@ def ros(
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _heed(parameters: list[str]) -> None:
+    """Parameters of ROS: use_sim_time, which launch files give to every node, is passed over with a word; others are refused."""
+    for words in parameters:
+        name, _, value = words.partition(":=")
+        if name != "use_sim_time" or value.lower() not in ("true", "false"):
+            raise ParameterError("--param", "is known as use_sim_time:=true or false alone; --set gives fields of the scenario", words)
+        note = "%s changes nothing: nodes go by the stamps of the messages, and waits are counted by this computer's own clock"
+        logging.getLogger("vstestbed").warning(note, words)
+
+
+def _after(took_s: list[float], words: str) -> str:
+    """`, 1.20 ms WORDS (median)`; nothing where nothing was timed."""
+    from vstestbed.ros.law import median_ms
+
+    return f", {median_ms(took_s):.2f} ms {words} (median)" if took_s else ""
 
 
 def _tell(link: Link, service: str) -> None:
@@ -115,7 +139,6 @@ def _fly(
     from vstestbed.core.files import make_parents, must_be_new
     from vstestbed.loop.episode import BY_HAND
     from vstestbed.ros.bag import Bag
-    from vstestbed.ros.law import median_ms
     from vstestbed.ros.robot import RobotNode
     from vstestbed.studies.run_folder import new_folder, run_into
 
@@ -128,7 +151,7 @@ def _fly(
         recording = run_into(folder, given, "none", [progress], progress.say, fly=node.fly)
     if not quiet:
         typer.echo(summary_text(recording, folder, filmed=False), err=True)
-        words = f"{len(node.answered_s)} pictures were answered, {median_ms(node.answered_s):.2f} ms after they were sent (median)"
+        words = f"{len(node.answered_s)} pictures were answered{_after(node.answered_s, 'after they were sent')}"
         dropped = f"; {node.dropped} commands were dropped: {node.refused}" if node.dropped else ""
         typer.echo(f"{words}; at most {node.behind_s:.3f} s behind the clock{dropped}", err=True)
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)

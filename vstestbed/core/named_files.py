@@ -43,6 +43,14 @@ def is_there(path: Path) -> bool:
         return False
 
 
+def _is_special(path: Path) -> bool:
+    """Whether a path is there and neither a file nor a folder: a pipe, a socket, a device."""
+    try:
+        return path.exists() and not (path.is_file() or path.is_dir())
+    except (OSError, ValueError):
+        return False
+
+
 def place_of_file(file: str) -> Path:
     """The path of a file named absolutely or inside a package, which is not imported; ParameterError where it is not there."""
     path = Path(file)
@@ -57,11 +65,11 @@ def place_of_file(file: str) -> Path:
         if found is None or not found.submodule_search_locations:
             raise ParameterError("file", _no_package(name, inside), file)
         path = Path(found.submodule_search_locations[0]) / inside
-    if not is_there(path):
+    if not (is_there(path) or _is_special(path)):
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
         words = "give its path: absolute, or relative to the scenario's file (with --set to this folder)"
         raise ParameterError("file", f"is not there{where}; {words}", file)
-    return plain_file(path, "a smaller file", refusal=of_field("file"))
+    return plain_file(path, "a regular file, and a smaller one", refusal=of_field("file"))
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -26,7 +26,7 @@ from vstestbed.loop.ego_motion import mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun, name_with_unit, unit_of_joint
 from vstestbed.robots import Mount, Reading
-from vstestbed.ros.bag_file import BagFile, Event, checked, of_bag, of_lz4, of_zstd, refusal
+from vstestbed.ros.bag_file import MOST_UNPACKED, BagFile, Event, checked, of_bag, of_lz4, of_zstd, refusal
 from vstestbed.ros.law import RESTART_S, Feed, command_frame, command_topic, sent
 from vstestbed.ros.link import Answer, Heard, Link
 from vstestbed.ros.messages import (
@@ -57,6 +57,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SAME = 1e-9  # largest difference of a twist computed again from the recorded one that is called none [m/s, rad/s]
+MAGIC = b"\x89MCAP0\r\n"  # with which an MCAP file begins and ends
+LARGEST_DRAWN = 1e6  # twists beyond are no robot's, and no axis has room for them [m/s, rad/s]
 SHOWN = 12  # topics that a message lists
 SAME_RUN = 0.001  # largest difference of commands flown again from those of the log that is not worth a word [m/s, rad/s]
 
@@ -182,17 +184,60 @@ def _of_foxglove(path: Path) -> bool:
     except ImportError as error:
         raise EnvironmentLackError(f"MCAP files need {error.name}, which is not installed", "pip install 'vstestbed[export]'") from None
     with of_bag(path), path.open("rb") as file:
+        if _is_cut(file):
+            return _begins_in_protobuf(file)
         summary = make_reader(file).get_summary()
         return summary is not None and any(c.message_encoding == "protobuf" for c in summary.channels.values())
 
 
+def _is_cut(file: BinaryIO) -> bool:
+    """Whether a file begins as MCAP and does not end so, as a killed recorder or a full disk leaves it; it is put back to its start."""
+    begins = file.read(len(MAGIC)) == MAGIC
+    file.seek(max(file.seek(0, 2) - len(MAGIC), 0))
+    ends = file.read() == MAGIC
+    file.seek(0)
+    return begins and not ends
+
+
+def _stream_reader() -> Any:
+    """The library's reader from the start on, whose chunks are bounded as those of rosbags."""
+    reader: Any = importlib.import_module("mcap.stream_reader")
+    reader.zstandard = SimpleNamespace(decompress=of_zstd)
+    reader.lz4 = SimpleNamespace(decompress=of_lz4)
+    return reader
+
+
+def _begins_in_protobuf(file: BinaryIO) -> bool:
+    with suppress(Exception):  # whatever it raises before the first channel: then it is none of ours
+        for record in _stream_reader().StreamReader(file, record_size_limit=MOST_UNPACKED).records:
+            if type(record).__name__ == "Channel":
+                return record.message_encoding == "protobuf"
+    return False
+
+
+def _protobuf(file: BinaryIO, topics: list[str]) -> Iterator[tuple[Any, Any, Any, Any]]:
+    """Schema, channel, message and its content; of a file that was cut off up to the break, in the file's order."""
+    from mcap.reader import NonSeekingReader, make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    cut = _is_cut(file)
+    decoders = [DecoderFactory()]
+    reader = (
+        NonSeekingReader(file, decoder_factories=decoders, record_size_limit=MOST_UNPACKED)
+        if cut
+        else make_reader(file, decoder_factories=decoders)
+    )
+    try:
+        yield from reader.iter_decoded_messages(topics, log_time_order=not cut)
+    except Exception as error:
+        if not cut:
+            raise
+        raise ValueError("the file ends in the middle: what came before is used") from error
+
+
 def _foxglove(path: Path, scenario: Scenario, passed: PassedOver) -> Iterator[Event]:
     """The same of a file of `export --to mcap`, whose joints are the true ones."""
-    from mcap_protobuf.reader import read_protobuf_messages
-
-    stream_reader: Any = importlib.import_module("mcap.stream_reader")
-    stream_reader.zstandard = SimpleNamespace(decompress=of_zstd)  # bounded, as those of rosbags
-    stream_reader.lz4 = SimpleNamespace(decompress=of_lz4)
+    _stream_reader()
     joints = scenario.robot.joints
     units = {name: unit_of_joint(name, scenario) for name in joints}
     named = {"/truth/joint_positions": [name_with_unit(n, u) for n, u in units.items()]}
@@ -217,13 +262,13 @@ def _foxglove(path: Path, scenario: Scenario, passed: PassedOver) -> Iterator[Ev
 
     t = 0.0
     try:
-        with of_bag(path):
-            messages = read_protobuf_messages(str(path), topics=list(order))
-            for _, same in itertools.groupby(messages, key=lambda m: m.log_time_ns):
-                for m in sorted(same, key=lambda m: order[m.topic]):
-                    t = m.log_time_ns / NS
+        with of_bag(path), path.open("rb") as file:
+            messages = _protobuf(file, list(order))
+            for _, same in itertools.groupby(messages, key=lambda m: m[2].log_time):
+                for _, channel, told, content in sorted(same, key=lambda m: order[m[1].topic]):
+                    t = told.log_time / NS
                     with foreign(path, "a file of `export --to mcap`", refusal):
-                        found = event(m.topic, t, m.proto_msg)
+                        found = event(channel.topic, t, content)
                     if found is not None:
                         yield found
     except RunFolderError as error:
@@ -416,15 +461,16 @@ def _drawn(found: Replayed) -> Figure:
     from vstestbed.report.marks import LINE_COLORS
 
     drawn, t = new_figure(5.2, 7.16), found.table["t"].to_numpy()
+    recorded = np.where(np.abs(found.recorded) < LARGEST_DRAWN, found.recorded, np.nan)
     grid = drawn.subplots(3, 1, sharex=True)
     for k, (axes, unit) in enumerate(zip(grid, ("m/s", "rad/s"), strict=False)):
         for i in range(3):
             colour, name = LINE_COLORS[i], TWIST_NAMES[3 * k + i]
             axes.plot(t, found.computed[:, 3 * k + i], color=colour, label=name)
-            axes.plot(t, found.recorded[:, 3 * k + i], ".", markersize=2.5, color=colour)
+            axes.plot(t, recorded[:, 3 * k + i], ".", markersize=2.5, color=colour)
         axes.set_ylabel(f"[{unit}]")
         axes.legend(loc="upper right", ncols=3)
-    differs = np.abs(found.recorded - found.computed).max(axis=1)
+    differs = np.abs(recorded - found.computed).max(axis=1)
     if np.isfinite(differs).any():
         grid[2].semilogy(t, np.maximum(differs, 1e-17), ".", markersize=2.5, color=LINE_COLORS[3])
     grid[2].set_ylabel("difference")

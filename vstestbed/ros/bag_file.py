@@ -6,6 +6,7 @@ import importlib
 import itertools
 import math
 import shutil
+import struct
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -23,8 +24,8 @@ from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.ros.messages import NS, Message, PassedOver, from_cdr, stamp, time_of
 
 WORKS = (
-    "a folder of rosbag2, or its MCAP or .db3 file; `mcap recover` mends one that was cut off, `ros2 bag reindex` a folder,"
-    " `rosbags-convert` makes one of ROS 1"
+    "a folder of rosbag2, or its MCAP or .db3 file; `mcap recover FILE -o OUT`, or `sqlite3 FILE.db3 .recover`,"
+    " mends one that was cut off, `ros2 bag reindex` a folder, `rosbags-convert` makes one of ROS 1"
 )
 MOST_BAG, MOST_METADATA = 1 << 36, 1 << 19  # bytes of a bag's file, and of its metadata.yaml
 LONGEST_QOS = 1000  # characters that tell how a topic is transmitted
@@ -96,6 +97,53 @@ def _qos(told: Any) -> Any:
     return []
 
 
+_open_whole = mcap.McapReader._open
+
+
+def _open_mcap(reader: Any) -> None:
+    """Open an MCAP file. Of one that was cut off, what lies before the break is indexed, record by record, from its start: `cut_at` is
+    the byte where it breaks.
+    """
+    try:
+        _open_whole(reader)
+    except mcap.ReaderError as error:
+        if str(error) != NO_END:
+            raise
+        _index(reader)
+
+
+NO_END = "File end magic is invalid."  # how rosbags says that a file lacks its end, having read its beginning
+OPCODE_CHUNK, LAST_OPCODE = 0x06, 0x0F  # of the format's records: https://mcap.dev/spec#records
+RECORD_HEAD, CHUNK_HEAD = struct.Struct("<BQ"), struct.Struct("<QQQII")
+
+
+def _index(reader: Any) -> None:
+    """Find the whole records of a file that was cut off, and its chunks."""
+    file = reader.bio
+    size, at = file.seek(0, 2), reader.data_start
+    found: list[tuple[Any, ...]] = []
+    while at + RECORD_HEAD.size <= size:
+        file.seek(at)
+        opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+        end = at + RECORD_HEAD.size + length
+        if not 0 < opcode <= LAST_OPCODE or end > size:
+            break
+        if opcode == OPCODE_CHUNK:
+            first, last, unpacked, _, letters = CHUNK_HEAD.unpack(file.read(CHUNK_HEAD.size))
+            packing = file.read(min(letters, length)).decode()
+            (packed,) = struct.unpack("<Q", file.read(8))
+            found.append((first, last, at, end - at, packing, packed, unpacked))
+        at = end
+    reader.cut_at = reader.data_end = at
+    reader.meta_scan()
+    told = reader.statistics
+    reader.metadata = reader.metadata._replace(start_time=told.start_time, end_time=told.end_time + 1, message_count=told.message_count)
+    any_channel = dict.fromkeys(reader.channels, 1)
+    for first, last, start, length, packing, packed, unpacked in found:
+        reader.chunks.append(mcap.ChunkInfo(first, last, start, length, {}, 0, packing, packed, unpacked, any_channel))
+
+
+mcap.McapReader._open = _open_mcap
 for module in (folders, mcap, sqlite):
     module.parse_qos = _qos
 apsw.connection_hooks.append(_bounded)
@@ -142,6 +190,12 @@ class BagFile:
             for one in [whole, *files]:
                 # Where metadata and file tell another quality of service, rosbags finds no message of the topic.
                 one.connections = [c._replace(ext=c.ext._replace(offered_qos_profiles=[])) for c in one.connections]
+            for one in files:
+                if (cut_at := getattr(one, "cut_at", None)) is not None:
+                    if not self.kinds:
+                        raise refusal(one.path, f"it was cut off at byte {cut_at}, before its first message", WORKS)
+                    words = f"the file ends in the middle, at byte {cut_at}: what came before is used"
+                    passed.lost(path, one.metadata.end_time / NS, refusal(one.path, words, WORKS))
             self._parts = [(one, part) for one in files for part in _parts(one)]
 
     def close(self) -> None:

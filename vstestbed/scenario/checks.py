@@ -328,9 +328,12 @@ def _check_told_apart(target: Target, detector: Detector[Any]) -> None:
     if not isinstance(detector, Blobs):
         return
     for order in _alike(target.points, [hue % 360 for hue in target.hues_deg], []):
+        if target.one_sided and _mirrors(target.points, order):  # a view from behind, where such a target has no markers
+            continue
         exchanged = [f"{target.called(i)} for {target.called(j)}" for i, j in enumerate(order) if i != j]
         if exchanged:
-            words = "leave it open which marker is which: turned, or from behind, the target shows"
+            seen = "turned" if target.one_sided else "turned, or from behind"
+            words = f"leave it open which marker is which: {seen}, the target shows"
             works = "other hues of these, none (all are then different), marker tag, an arrangement without symmetry"
             words += f" {', '.join(exchanged)}; works: {works}"
             raise ParameterError("target.marker.hues", words, list(target.marker.hues))
@@ -351,6 +354,12 @@ def _alike(points: Array, hues: Sequence[float], order: list[int]) -> Iterator[l
         off = np.abs(apart[i, :i] - apart[j, order]).max(initial=0.0)
         if off <= ALIKE * apart.max():
             yield from _alike(points, hues, [*order, j])
+
+
+def _mirrors(points: Array, order: list[int]) -> bool:
+    """Whether markers in the plane z = 0 come into one another's places by a mirror image alone, and by no turn."""
+    centred = (points - points.mean(axis=0))[:, :2]
+    return float(np.linalg.det(centred.T @ centred[order])) < -ON_ONE_LINE * np.ptp(points) ** 4
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:

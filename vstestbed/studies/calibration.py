@@ -269,7 +269,11 @@ def intrinsics_of(corners: Sequence[tuple[Array, Array]], size: tuple[int, int],
         raise ParameterError(
             "pictures", f"do not determine the lens ({' '.join(str(error.err).split())}); take more, from aslant"
         ) from None
-    found = Intrinsics.of(K, np.ravel(k), (width, height), model)
+    try:
+        found = Intrinsics.of(K, np.ravel(k), (width, height), model)
+    except ParameterError as error:  # OpenCV returns zeros, NaN or anything where nothing fixes the numbers
+        words = f"do not determine the focal length ({error}): views in which all boards are seen from the front leave it open"
+        raise ParameterError("pictures", f"{words}; tilt the board by 20 to 40 degrees, about both of its axes") from None
     camera: Camera = Fisheye(intrinsics=found) if model == "equidistant" else Perspective(intrinsics=found)
     return camera, float(rms) / math.sqrt(2)  # OpenCV's is of points, and here of coordinates
 

@@ -29,6 +29,7 @@ from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import to_mapping
 from vstestbed.loop.episode import Episode
+from vstestbed.loop.inputs import OUTSIDE
 from vstestbed.robots import Mount
 from vstestbed.scenario.dump import as_yaml
 from vstestbed.scenario.load import parse
@@ -44,6 +45,8 @@ stamped, by the clock of the joints' readings."""
 LEAST_NOISE = {"joint": 1e-5, "pixel": 0.02}  # under which a sensor's noise is not believed [rad, px]
 LEAST_MOMENTS, LONGEST_S = 20, 600.0  # of a record, and for how long one is flown again
 LARGEST = 1e12  # a number beyond is none of a robot's, and its square not far from that of infinity
+MOST_OUTSIDE = 0.02  # share of a joint's readings outside of its range that failed encoders may have; of another unit it is more
+MISFIT = 2.0  # RMS of the prediction errors over the noise, from which on the simulator does not read what the robot read
 MOST_RECORD = 1 << 28  # bytes of a record's file
 APART = 0.998  # cosine of what two parameters change in the predictions, from which on they are not told apart
 
@@ -143,13 +146,38 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     if len(used) < LEAST_MOMENTS:
         raise ParameterError("record", f"has {len(used)} moments that can be used of {len(table)}; at least {LEAST_MOMENTS} are needed")
     if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
-        raise ParameterError.bound("record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3))
+        raise ParameterError.bound(
+            "record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3), why="times are in seconds; these may be in milliseconds"
+        )
     left = np.delete(np.arange(len(table)), used).tolist()
     if left:
         _tell_left(left, t, no_numbers)
     if unread := int(np.isnan(numbers[used]).sum()):
         logging.getLogger("vstestbed").warning("%d readings of the record are no numbers, and are passed over", unread)
     return table[used.tolist()]
+
+
+def _within_range(record: pl.DataFrame, scenario: Scenario) -> pl.DataFrame:
+    """The record with NaN for single readings of joints outside of their ranges. ParameterError: a joint that reads so again and again."""
+    body = scenario.robot.body
+    if body is None or body.limits is None:
+        return record
+    wrong = 0
+    for name, (low, high) in zip(scenario.robot.joints, body.limits.tolist(), strict=True):
+        column = f"q_{name}"
+        if column not in record.columns:
+            continue
+        q = record[column].to_numpy()
+        outside = (q < low - OUTSIDE) | (q > high + OUTSIDE)
+        if outside.mean() > MOST_OUTSIDE:
+            words = f"has {column} outside of its range of {low:.4g} to {high:.4g} in {outside.sum()} of {len(q)} moments"
+            works = f"must be in radians, a slide's in metres, in the order {', '.join(scenario.robot.joints)}"
+            raise ParameterError("record", f"{words}: {works}", round(float(q[outside][0]), 4))
+        wrong += int(outside.sum())
+        record = record.with_columns(pl.Series(column, np.where(outside, np.nan, q)))
+    if wrong:
+        logging.getLogger("vstestbed").warning("%d readings of joints outside of their ranges are passed over", wrong)
+    return record
 
 
 def _tell_left(left: list[int], t: Array, no_numbers: int) -> None:
@@ -262,7 +290,7 @@ def identify(
     """Fit parameters to a record. say: told of each run of the simulator.
     Raises ParameterError: a parameter that the scenario has not, or a record of another robot. ScenarioError: a value is refused.
     """
-    record = cleaned(record)
+    record = _within_range(cleaned(record), scenario)
     fit = tuple(parameters) or usual(scenario, record)
     commands, motions = sum(re.fullmatch(r"u_\d+", name) is not None for name in record.columns), _motions(scenario).shape[1]
     if commands != motions:
@@ -277,7 +305,13 @@ def identify(
         x = _fitted(errors, x, fit)
         if stage + 1 < STAGES:
             errors = errors.whitened(x)
-    return _summed_up(record, scenario, fit, errors, x, sigma)
+    found = _summed_up(record, scenario, fit, errors, x, sigma)
+    if found.residual >= MISFIT:
+        words = (
+            "the simulator does not read what the robot read: its errors are %.3g times the sensors' noise, and what was found may be wrong"
+        )
+        logging.getLogger("vstestbed").warning(words, found.residual)
+    return found
 
 
 STAGES = 3
@@ -542,12 +576,12 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
     sentences.append(
         f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median), which are {1e3 * found.jitter_s:.2f} ms uneven."
     )
-    good = found.residual < 2 and not found.together
+    good = found.residual < MISFIT and not found.together
     head = (
         "The simulator reads what the robot read"
         if good
         else "The simulator does not read what the robot read"
-        if found.residual >= 2
+        if found.residual >= MISFIT
         else "Not all is told apart"
     )
     tables = [("What was found", ["Parameter", "Value", "95 % interval"], lines_of(found))]

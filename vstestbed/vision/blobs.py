@@ -14,7 +14,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Panel, Picture, Regions, Window
-from vstestbed.core.geometry import Array, lengths, transform
+from vstestbed.core.geometry import Array, inverse, lengths, transform
 from vstestbed.core.quantity import Pixels, PositiveAngle, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
@@ -146,6 +146,8 @@ def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previou
     for hypotheses in (_of_four_or_near, _of_three):
         best, found = 0.0, None
         for T, blobs, least in hypotheses(few, present, camera, target, previous):
+            if target.one_sided and inverse(T)[2, 3] >= 0:  # from behind it shows no markers: it is the mirror image of a right match
+                continue
             score, chosen = _explained(blobs, T, camera, target)
             if score > best and sum(f is not None for f in chosen) >= least:
                 best, found = score, chosen

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.foreign import foreign
+from vstestbed.core.foreign import foreign, of_field
 from vstestbed.core.named_files import is_there, model_path
 from vstestbed.effects.base import ASSETS
 from vstestbed.targets.picture import as_png
@@ -59,11 +59,26 @@ def files_read(path: Path) -> list[Path]:
         model = read_model(path)
     except (OSError, ValueError):  # it is no model, or a run with it is refused, and says why
         return names
+    return names + _named_in(model, path)
+
+
+def _named_in(model: mujoco.MjSpec, path: Path) -> list[Path]:
+    """The files that the spec of a model's file names."""
+    names = list[Path]()
     for things, folder in (*files_in(model), (model.skins, model.meshdir)):
         names += [path.parent / folder / thing.file for thing in things if thing.file]
     for texture in model.textures:
         names += [path.parent / model.texturedir / face for face in texture.cubefiles if face]
     return names
+
+
+def _are_regular(names: list[Path], path: Path) -> None:
+    """Refuse what is there and no regular file: of a pipe MuJoCo would read for ever. What is not there it tells itself."""
+    for name in names:
+        with foreign(path, "names of files", of_field("file")):
+            irregular = name.exists() and not name.is_file()
+        if irregular:
+            raise ParameterError("file", f"names {name}, which is not a regular file; put a regular file there", str(path))
 
 
 def _included(path: Path) -> list[Path]:
@@ -203,8 +218,16 @@ def read_model(path: Path) -> mujoco.MjSpec:
 
     Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others. A
     `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out. Raises ValueError:
-    MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, or names a package whose folder is not found.
+    MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, names a package whose folder is not found, or a
+    file that is no regular one.
     """
+    _are_regular(_included(path), path)
+    spec = _parsed(path)
+    _are_regular(_named_in(spec, path), path)
+    return spec
+
+
+def _parsed(path: Path) -> mujoco.MjSpec:
     text = _uncommented(path)
     if (root := ROOT.search(text)) is None:
         return mujoco.MjSpec.from_file(str(path))
