@@ -126,7 +126,8 @@ def _messages(frame: Taken, run: RecordedRun, start_ns: int, series: Series, goa
 # Topics of columns: by what stands before the first "_" in their name, and of single ones.
 GROUPS = {"cmd": "/robot/command", "applied": "/robot/applied", "act": "/truth/camera_twist", "ctrl": "/robot/controls"}
 GROUPS |= {"q": "/truth/joint_positions", "qd": "/truth/joint_velocities", "depth": "/camera/depths"}
-SINGLE: dict[str, str] = dict.fromkeys(("scale", *LOSS), "/robot/applied") | dict.fromkeys(("error_px", "error_grey", "lost"), "/camera/error")
+SINGLE: dict[str, str] = dict.fromkeys(("scale", *LOSS), "/robot/applied")
+SINGLE |= dict.fromkeys(("error_px", "error_grey", "lost"), "/camera/error")
 SINGLE |= dict.fromkeys(("position_error_m", "rotation_error_rad"), "/truth/error")
 
 
