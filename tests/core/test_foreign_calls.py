@@ -27,7 +27,7 @@ ELSEWHERE = {
         ("scenario/yaml_marks.py", "_tree"),
     },
     "its callers turn MuJoCo's errors into a line and a remedy (`cannot_compile`)": {
-        ("sim/scene/model_files.py", "read_model"),
+        ("sim/scene/model_files.py", "_parsed"),
         ("sim/scene/model_files.py", "_ends_at"),
     },
     "tells more than the library does, by exceptions of its own": {
