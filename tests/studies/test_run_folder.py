@@ -394,8 +394,11 @@ class TestCutOff:
         assert command("report", folder).code == 0
         assert "cut off" in (folder / "report.html").read_text(encoding="utf-8")
         (folder / "log.part").unlink()
-        few = LogWriter(Layout(load(folder / "scenario.yaml")), folder)
-        few.add(log.head(3).cast(pl.Float64).to_numpy())
+        layout = Layout(load(folder / "scenario.yaml"))
+        rows = log.head(3).cast(pl.Float64).to_numpy()
+        unlimited = np.zeros((len(rows), len(layout.columns) - rows.shape[1]))  # the columns of a loss, which a log without one leaves out
+        few = LogWriter(layout, folder)
+        few.add(np.hstack([rows, unlimited]))
         few.close()
         assert command("render", folder, "--size", "64x48").code == 0
         assert seconds_of(folder / "overview.mp4") == pytest.approx(log["t"][2], abs=PICTURE_S)
