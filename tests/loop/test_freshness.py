@@ -263,6 +263,18 @@ def test_a_clock_that_is_set_counts_forwards_alone(shown: Any, set_to: float) ->
     assert orders[-1].latched and not any(moves(order) for order in orders[13:])
 
 
+def test_a_clock_that_once_tells_no_time_counts_on_afterwards(shown: Any) -> None:
+    robot = Robot(shown)
+    right = robot.clock.now
+    robot.clock.now = nan
+    robot.hears(Message(0.0))
+    robot.clock.now = right
+    for k in range(1, 5):
+        robot.hears(Message(k * PERIOD_S))
+    orders = [robot.hears(Message(4 * PERIOD_S)) for _ in range(40)]
+    assert orders[-1].latched and not any(moves(order) for order in orders[14:])
+
+
 def test_silence_is_counted_by_the_own_clock_where_the_time_that_is_told_stands_still(shown: Any) -> None:
     robot = Robot(shown)
     for k in range(5):

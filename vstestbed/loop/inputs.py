@@ -19,6 +19,7 @@ from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
+UNKNOWN_S = 1e6  # of a clock that tells no time: too long for any order, and finite, since ages are differences
 MOST_S = 1e10  # times in seconds, also since 1970, are less; of milliseconds and less they are more
 MISSING = 1.5  # a picture is missing where two are further apart than this [camera periods]
 OUTSIDE = 0.2
@@ -172,7 +173,7 @@ def _seconds(field: str, words: str, t: object) -> float:
 
 
 class OwnClock:
-    """A clock of the receiver, counted forwards alone: where it is set back it goes on from there, and of NaN the time is infinite."""
+    """A clock of the receiver, counted forwards alone: where it is set back it goes on from there, and NaN counts as UNKNOWN_S."""
 
     def __init__(self, clock: Callable[[], float]):
         self._clock, self._last, self._sum = clock, clock(), 0.0
@@ -182,7 +183,7 @@ class OwnClock:
         now = self._clock()
         passed = now - self._last
         self._last = now
-        self._sum += math.inf if math.isnan(passed) else max(passed, 0.0)
+        self._sum += UNKNOWN_S if math.isnan(passed) else max(passed, 0.0)
         return self._sum
 
 
