@@ -49,7 +49,7 @@ def compare(
     ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="The page's figures for a paper, too: PDF, SVG, PNG.")] = True,
     primary: Annotated[
-        str | None, typer.Option(metavar="METRIC", help="What decides after success. [default: time to the goal, failures at their limit]")
+        str | None, typer.Option(metavar="METRIC", help="What decides beside success. [default: time to the goal, failures at their limit]")
     ] = None,
     reference: Annotated[str | None, typer.Option(metavar="NAME", help="Compare each with this one. [default: all pairs]")] = None,
     as_json: Json = False,
@@ -92,10 +92,21 @@ def compare(
 def _tell(table: ComparisonTable, as_json: bool, quiet: bool) -> None:
     """The runs as JSON, or what the comparison has found, in words."""
     if as_json:
-        runs, changed = table.write_json(), table.baseline
-        sys.stdout.write((runs if changed is None else f'{{"runs": {runs}, "baseline": {json.dumps(changed.plain())}}}') + "\n")
+        sys.stdout.write(_as_json(table) + "\n")
     elif not quiet:
         typer.echo(_summary_text(table, table.folder), err=True)
+
+
+def _as_json(table: ComparisonTable) -> str:
+    """The runs, the verdicts as they stand in `verdicts.json`, and the changes against a baseline where one was given."""
+    from vstestbed.report.comparison.records import VERDICTS
+
+    parts = {"runs": table.write_json()}
+    if (table.folder / VERDICTS).is_file():
+        parts["verdicts"] = (table.folder / VERDICTS).read_text(encoding="utf-8")
+    if table.baseline is not None:
+        parts["baseline"] = json.dumps(table.baseline.plain())
+    return "{" + ", ".join(f'"{name}": {text.strip()}' for name, text in parts.items()) + "}"
 
 
 def _tell_changes(changes: BaselineChanges, tolerance: float, fail: bool, shown: bool) -> None:

@@ -148,6 +148,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
     """The metrics of a run; None where one is undefined (no frames, target never seen, no distance to the goal).
 
     time_to_goal_s: time_to_converge_s, or the time of another end with success; of a run that failed its limit, `stop.duration_s`.
+    limit_s: that limit, which is the price of a failure where runs are compared.
     path_ratio: length of the camera's path over the straight distance between its start and its goal; None where
         `law.redundant` leaves motions free, so that no single pose is the goal.
     max_retreat_m: largest distance of the camera from the target's origin, beyond both its start and its goal.
@@ -176,12 +177,13 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
     outcome: how it ended. log: its columns.
     """
     if not len(log["t"]):
-        counts: Figures = {"sim_time_s": 0.0, "frames": 0, "frames_lost": 0}
+        counts: Figures = {"sim_time_s": 0.0, "frames": 0, "frames_lost": 0, "limit_s": scenario.stop.duration_s}
         return dict.fromkeys(FIGURES) | counts | {name: None for metric in scenario.metrics for name in metric.titles}
     converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
     figures = _counts(log) | {"time_to_converge_s": converged}
     taken = figures["sim_time_s"] if converged is None else converged
-    figures |= {"time_to_goal_s": taken if outcome.success else scenario.stop.duration_s}
+    limit_s = scenario.stop.duration_s
+    figures |= {"time_to_goal_s": taken if outcome.success else limit_s, "limit_s": limit_s}
     figures |= _camera_path(scenario, log) | _image_paths(scenario, log)
     figures |= _tracking(scenario, log) | _modes(scenario, log) | _link(scenario, log) | swing(scenario, log)
     before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it

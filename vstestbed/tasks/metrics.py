@@ -129,6 +129,7 @@ EVERY_RUN = (
     Metric("tracking_rms_m", "Camera from its goal, RMS", "m", of="any", where=MOVING),
     Metric("tracking_max_m", "Camera from its goal, largest", "m", of="any", where=MOVING),
     Metric("judged_error", "Error that decides"),
+    Metric("limit_s", "Limit of time", "s", better=0, of="any"),
 )
 """The metrics that each summary has, in its order; null where one is undefined."""
 SOME_RUNS = (

@@ -20,7 +20,8 @@ from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
 from vstestbed.loop.isolated import MODULE, Child, Isolated, offered, shown
 from vstestbed.loop.session import run, uninterrupted
-from vstestbed.report.comparison.results import ComparisonResults, pairs
+from vstestbed.report.comparison.pairs import pairs
+from vstestbed.report.comparison.results import ComparisonResults
 from vstestbed.report.marks import counted, number
 from vstestbed.scenario.load import load
 from vstestbed.scenario.plugins import absolute_files

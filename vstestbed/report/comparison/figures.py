@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array
 from vstestbed.loop.log_file import open_log
 from vstestbed.report.canvas import new_figure, panels, plain, wrapped
-from vstestbed.report.comparison.results import RESTRICTED, TIME, ComparisonResults, ControllerResults, Pair
+from vstestbed.report.comparison.pairs import Pair
+from vstestbed.report.comparison.results import RESTRICTED, TIME, ComparisonResults, ControllerResults
 from vstestbed.report.comparison.statistics import LEAST, NOTHING, wilson
 from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, LOST, RULE, THRESHOLD, Look, look, signed
 from vstestbed.report.marks import TIME as TIME_LABEL
@@ -243,12 +244,13 @@ def matrix(data: Data, width_in: float) -> Figure | None:
     figure = new_figure(0.3 * n + 1.2, width_in)
     axes = figure.add_subplot()
     metric = data.pairs[0].primary
+    size = min(7.0, 50 / n)
     for pair in data.pairs:
         for p in (pair, pair.turned()):  # a is the column, b the row
-            color = RULE if p.better is None else GOAL if p.better == p.b else LOST
-            axes.fill_between([p.a - 0.46, p.a + 0.46], p.b - 0.44, p.b + 0.44, color=color, alpha=0.45, linewidth=0)
+            _draw_mark(axes, p, size)
             d = p.differences[metric.name].mean
-            axes.text(p.a, p.b, signed(d) if np.isfinite(d) else "\N{EN DASH}", ha="center", va="center", fontsize=min(7.0, 50 / n))
+            words = signed(d) if np.isfinite(d) else "\N{EN DASH}"
+            axes.text(p.a, p.b + 0.4, words, ha="center", va="bottom", fontsize=0.8 * size)
     names = [wrapped(name, 22) for name in data.labels]
     axes.set_xticks(range(n), names, rotation=45, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(n), names)
@@ -258,6 +260,17 @@ def matrix(data: Data, width_in: float) -> Figure | None:
     axes.grid(visible=False)
     axes.tick_params(length=0)
     return figure
+
+
+def _draw_mark(axes: Axes, pair: Pair, size: float) -> None:
+    """Full dot: the row b is better than the column a; ring: it is sooner, which is no verdict; T: a trade."""
+    place = (pair.a, pair.b - 0.12)
+    if pair.better == pair.b:
+        axes.plot(*place, "o", color=GOAL, markersize=size)
+    elif pair.verdict.decision == "trade":
+        axes.text(*place, "T", ha="center", va="center", fontsize=size, fontweight="bold")
+    elif pair.better is None and pair.sooner == pair.b:
+        axes.plot(*place, "o", color=GOAL, markersize=size, markerfacecolor="none")
 
 
 def metric_panels(

@@ -10,8 +10,9 @@ import numpy as np
 
 from vstestbed.report.canvas import new_figure, wrapped
 from vstestbed.report.comparison.figures import Data
-from vstestbed.report.comparison.results import CHANCE, TIME, ComparisonResults, ControllerResults, value_text
+from vstestbed.report.comparison.results import TIME, ComparisonResults, ControllerResults, value_text
 from vstestbed.report.comparison.statistics import FEWEST, IntervalEstimate, holm, paired_difference
+from vstestbed.report.comparison.verdict import ALPHA
 from vstestbed.report.marks import GOAL, LINE_COLORS, LOST
 from vstestbed.tasks.metrics import Metric
 
@@ -66,12 +67,12 @@ class Grid:
 
 
 def real(changes: Mapping[Place, IntervalEstimate]) -> set[Place]:
-    """Which changes have p <= CHANCE after Holm's correction over all of them, from FEWEST starts or more.
+    """Which changes have p <= ALPHA after Holm's correction over all of them, from FEWEST starts or more.
 
     Of two or three starts all changes may be equal, since times are whole frames: no spread, but nothing is known.
     """
     adjusted = holm([d.p if d.n >= FEWEST else np.nan for d in changes.values()])
-    return {at for (at, d), p in zip(changes.items(), adjusted, strict=True) if p <= CHANCE and d.excludes_zero}
+    return {at for (at, d), p in zip(changes.items(), adjusted, strict=True) if p <= ALPHA}
 
 
 def _changes(before: ControllerResults, now: ControllerResults, metric: Metric) -> dict[tuple[str, int], float]:

@@ -20,16 +20,11 @@ from vstestbed.report.canvas import publish, style
 from vstestbed.report.comparison import baseline, figures, tables
 from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison.figures import PANELS, Data, read_series
-from vstestbed.report.comparison.results import (
-    ComparisonResults,
-    Means,
-    Pair,
-    interquartiles,
-    pairs,
-    value_text,
-    write_records,
-)
-from vstestbed.report.marks import counted
+from vstestbed.report.comparison.pairs import Pair, pairs
+from vstestbed.report.comparison.records import write_records
+from vstestbed.report.comparison.results import ComparisonResults, interquartiles, value_text
+from vstestbed.report.comparison.sentences import Findings, findings, short_title
+from vstestbed.report.marks import counted, listed
 from vstestbed.report.pages import cell, data_url, film_of, page, text_of, write_page
 from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.dump import load_run
@@ -90,7 +85,7 @@ def gains_alone(folder: Path, comparison: ComparisonResults) -> str:
 
 def in_words(gains: Iterable[str]) -> str:
     """Names of gains in a sentence: `law.gain and law.k_rho`."""
-    return tables.listed(list(dict.fromkeys(name.removesuffix(".value") for name in sorted(gains))))  # a constant gain may be a number
+    return listed(list(dict.fromkeys(name.removesuffix(".value") for name in sorted(gains))))  # a constant gain may be a number
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
@@ -140,9 +135,10 @@ def write_comparison_report(
         plugins: as in `scenario.load.load`. call: draws the figures. paper: whether to draw them for a paper, too (`figures/`).
     """
     table, all_pairs, means = comparison.table, pairs(comparison), interquartiles(comparison)
-    write_records(folder, comparison, means, all_pairs)
-    found = _found(folder, comparison, means, all_pairs)
-    write_tables(folder, found["verdict"], found["sections"])
+    words = findings(comparison, all_pairs, gains_alone(folder, comparison))
+    write_records(folder, comparison, means, all_pairs, words)
+    sections = tables.sections(comparison, means, all_pairs)
+    write_tables(folder, words, sections["sections"])
     place = make_folder(folder / "figures") if paper else None
     drawn = _figures(folder, comparison, all_pairs, plugins, call, place)
     filmed, embedded = result_of(film) if isinstance(film, Future) else film, None
@@ -151,6 +147,7 @@ def write_comparison_report(
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
     # two or three names fit the heading
     heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
+    heading += by_one_metric(comparison)
     counts = (len(comparison.controllers), "controller"), (table["seed"].n_unique(), "seed"), (len(table), "run")
     return write_page(
         folder,
@@ -159,7 +156,8 @@ def write_comparison_report(
         title=f"{heading}: comparison",
         description=comparison.description,
         plan=f"{', '.join(counted(*each) for each in counts)}; the same seed gives each the same start and noise.",
-        **found,
+        found=words,
+        **sections,
         baseline=baseline.section(folder),
         figures=drawn,
         film=embedded,
@@ -173,21 +171,23 @@ def write_comparison_report(
 def comparison_cell(folder: Path, comparison: ComparisonResults) -> str:
     """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
     where = f"Figures and films: {folder / 'report.html'}"
-    found = _found(folder, comparison, interquartiles(comparison), pairs(comparison))
-    return cell(page("comparison.html", "Comparison", description="", plan=where, baseline=None, **found), NOTEBOOK_PX)
+    all_pairs = pairs(comparison)
+    words = findings(comparison, all_pairs, gains_alone(folder, comparison))
+    sections = tables.sections(comparison, interquartiles(comparison), all_pairs)
+    return cell(page("comparison.html", "Comparison", description="", plan=where, baseline=None, found=words, **sections), NOTEBOOK_PX)
 
 
-def write_tables(folder: Path, verdict: str, sections: Sequence[tables.Section]) -> None:
+def by_one_metric(comparison: ComparisonResults) -> str:
+    """`, by path over straight line`, for a title where controllers are compared by one number; "" where by several, and by time."""
+    if comparison.primary:
+        return f", by {short_title(comparison.primary_metric)}"
+    return f", by {short_title(comparison.shown[0])}" if len(comparison.shown) == 1 else ""
+
+
+def write_tables(folder: Path, found: Findings, sections: Sequence[tables.Section]) -> None:
     """The page's tables for a paper: `tables.md`, and `tables.tex` in the form of the LaTeX package booktabs."""
     for name in ("tables.md", "tables.tex"):
-        write_whole(folder / name, text_of(name, verdict=verdict, sections=sections))
-
-
-def _found(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: list[Pair]) -> dict[str, Any]:
-    """Who is better, the controllers' numbers and how they differ, for the page."""
-    verdict, look, sentences, others = tables.headline(comparison, all_pairs, gains_alone(folder, comparison))
-    found = {"verdict": verdict, "look": look, "sentences": sentences, "others": others}
-    return found | tables.sections(comparison, means, all_pairs)
+        write_whole(folder / name, text_of(name, found=found, sections=sections))
 
 
 def _drawn(data: Data, plot: int, place: Path | None) -> str:

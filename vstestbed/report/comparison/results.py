@@ -1,4 +1,4 @@
-"""The data of a comparison's report: controllers with their runs, metrics, and pairs of controllers on their common seeds."""
+"""The data of a comparison's report: controllers with their runs, and metrics."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, combinations
-from pathlib import Path
-from typing import Any, Final, Literal
+from itertools import chain
+from typing import Any, Final
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.files import write_table
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison import statistics as stats
+from vstestbed.report.comparison.verdict import MARGIN
 from vstestbed.tasks.metrics import EVERY_RUN, SOME_FIGURES, Metric, own_metrics
 
 TASK: Final = "task"  # Column of the task of each run, which only a comparison with tasks has
 _TIMES: Final = ("time_to_converge_s", "sim_time_s")
+LIMIT: Final = Metric.named("limit_s")
+RESTRICTED: Final = Metric.named("time_to_goal_s")
+TIME: Final = Metric.named("time_to_converge_s")
+CENSORED: Final = 0.1  # Share of the runs counted at their limit above which a page warns
 DEFAULT_METRICS: Final = tuple(metric.name for metric in EVERY_RUN if metric.compared)
 
 
@@ -68,9 +71,7 @@ class ControllerResults:
     def values(self, metric: Metric) -> Array:
         """The metric of every run in its display unit, shape (runs,), read-only; NaN where a run has none."""
         if metric not in self._known:
-            stored = self.runs[metric.name] if metric.name in self.runs.columns else pl.Series([None] * len(self.runs))
-            # not strict: a crashed run has null, and a number may be stored as text
-            column = stored.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+            column = self._column(metric.name)
             if metric == RESTRICTED:
                 column = self._times_to_goal(column)
             self._known[metric] = np.where(np.isfinite(column), column, np.nan) * metric.scale
@@ -79,14 +80,39 @@ class ControllerResults:
 
     def _times_to_goal(self, stored: Array) -> Array:
         """The column of times, filled where it has none: of a run that reached its goal with the time that it took, of a crashed one
-        with the limit of the others. The tables of earlier versions do not have it: their limit is the longest run.
+        with its limit. The tables of earlier versions do not have it: their limit is that of the others, or the longest run.
         """
-        known = {name: self.runs[name].cast(pl.Float64, strict=False).to_numpy() for name in _TIMES if name in self.runs.columns}
+        known = {name: self._column(name) for name in _TIMES if name in self.runs.columns}
         for name in _TIMES if self.success.any() else ():
             stored = np.where(self.success & np.isnan(stored), known.get(name, np.nan), stored)
-        limits = stored[~self.success & np.isfinite(stored)]
-        limit = limits.max() if len(limits) else np.nanmax(np.append(known.get("sim_time_s", np.nan), -math.inf))
-        return np.where(~self.success & np.isnan(stored), limit, stored)
+        longest = np.nanmax(np.append(known.get("sim_time_s", np.nan), -math.inf))
+        limits = np.where(np.isnan(self.limits), longest, self.limits)
+        return np.where(~self.success & np.isnan(stored), limits, stored)
+
+    def _column(self, name: str) -> Array:
+        """A column as numbers, NaN where it has none: a crashed run has null, and a number may be stored as text."""
+        stored = self.runs[name] if name in self.runs.columns else pl.Series([None] * len(self.runs))
+        return stored.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+
+    @cached_property
+    def limits(self) -> Array:
+        """The limit of time of each run [s], shape (runs,): the price of a failure. NaN where the table does not tell.
+
+        Of a crashed run, and in the tables of earlier versions, it is that of the controller's other runs, there of those that failed.
+        """
+        limits = self._column(LIMIT.name)
+        if not np.isfinite(limits).any():
+            limits = np.where(self.success, np.nan, self._column(RESTRICTED.name))
+        known = limits[np.isfinite(limits)]
+        return np.where(np.isfinite(limits), limits, known.max() if len(known) else np.nan)
+
+    @property
+    def period_s(self) -> float:
+        """The usual time from one picture to the next [s]; 0 where it is not known."""
+        pictures = self._column("frames") - 1
+        periods = self._column("sim_time_s")[pictures > 0] / pictures[pictures > 0]
+        periods = periods[np.isfinite(periods)]
+        return float(np.median(periods)) if len(periods) else 0.0
 
     @property
     def censored(self) -> float:
@@ -126,6 +152,7 @@ class ComparisonResults:
     description: str = ""  # what is compared, in a few words
     primary: str = ""  # the metric that decides after success; "": the time to the goal, a failure counted at its limit
     reference: str = ""  # label of the controller with which each other one is compared; "": all pairs
+    margin: float = MARGIN  # share of the starts by which a better one may reach the goal less often
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
@@ -215,153 +242,11 @@ def value_text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-# Pairs of controllers on their common seeds (paired design). One verdict for each pair, from the primary metric that the comparison
-# declares; everything else is exploratory.
-
-MOST_CONTROLLERS = 6  # Up to this many controllers every metric of every pair is compared; with more, those of each with the reference
-MOST_PAIRED = 24  # Up to this many controllers every pair has a verdict; with more, each controller with the reference
-CHANCE = 0.05  # Significance level of all verdicts together, and of all exploratory tests together
-CENSORED = 0.1  # Share of the runs counted at their limit above which a page warns
-SUCCESS: Final = Metric("success", "Reached the goal", better=1)
-TIME = Metric.named("time_to_converge_s")
-RESTRICTED = Metric.named("time_to_goal_s")
-Of = Literal["difference", "improvement"]
-Test = tuple[str, Of]  # An exploratory test of a pair: of which metric, and of what
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Controller b against controller a (indices into the comparison's controllers).
-
-    The verdict: b is better where it succeeds on more of the common seeds beyond chance (McNemar); or, if the test of success tells
-    nothing, where its primary metric is better beyond chance and it succeeds on as many seeds or more. So a controller that fails more
-    often never wins by time: the margin of non-inferiority is no seed at all.
-    """
-
-    a: int
-    b: int
-    primary: Metric  # the metric that decides where success does not
-    success: stats.PairedSuccess  # on how many seeds only a, only b, both, neither reached the goal
-    # b minus a by metric, in its display unit, over the seeds on which both reached the goal (all seeds for `every_pair`); of the primary
-    # metric always, of the others, which are exploratory, where the pair is explored
-    differences: dict[str, stats.IntervalEstimate]
-    means: dict[str, float]  # mean of a by metric over the same seeds, the reference of relative differences
-    # probability by exploratory metric that b is better than a on the same seed, over all common seeds (`ControllerResults.ranked`)
-    improvements: dict[str, stats.IntervalEstimate]
-    adjusted: dict[Test, float] = field(default_factory=dict)  # p-values by Holm: of verdicts over all pairs, of all exploratory tests
-
-    @property
-    def deciding(self) -> dict[Test, float]:
-        """P-values of the two tests of the verdict, each by itself; NaN where there is no test.
-
-        None is one of success on so few seeds with different outcomes that none of its p-values is beyond chance: it can call nothing
-        real, so it does not count among the tests for which the others are corrected (Tarone 1990, doi:10.2307/2531456).
-        """
-        decides = self.success.only_a + self.success.only_b > math.log2(2 / CHANCE)
-        success = self.success.p if decides else math.nan
-        return {(SUCCESS.name, "difference"): success, (self.primary.name, "difference"): self.differences[self.primary.name].p}
-
-    @property
-    def exploratory(self) -> dict[Test, float]:
-        """P-values of the exploratory tests, each by itself; NaN where there is no test."""
-        found: dict[Test, float] = {(name, "difference"): d.p for name, d in self.differences.items() if name != self.primary.name}
-        found.update({(name, "improvement"): i.p for name, i in self.improvements.items()})
-        return found
-
-    def is_real(self, name: str, of: Of = "difference") -> bool:
-        """Whether a difference or an improvement is beyond chance by its adjusted p; the interval of a difference must agree."""
-        agrees = of == "improvement" or name == SUCCESS.name or self.differences[name].excludes_zero
-        return agrees and self.adjusted[name, of] <= CHANCE
-
-    @property
-    def seeds(self) -> int:
-        """Number of common seeds."""
-        return sum(self.success[:4])
-
-    @property
-    def better(self) -> int | None:
-        """The controller that the verdict calls better; None where the runs do not tell."""
-        more = self.success.only_b - self.success.only_a
-        if self.is_real(SUCCESS.name):
-            return self.b if more > 0 else self.a
-        return None if self.sooner is None or (more < 0 if self.sooner == self.b else more > 0) else self.sooner
-
-    @property
-    def sooner(self) -> int | None:
-        """The controller whose primary metric is better beyond chance, however often it succeeds; None without one."""
-        if not self.is_real(self.primary.name):
-            return None
-        return self.b if (self.differences[self.primary.name].mean > 0) == (self.primary.better > 0) else self.a
-
-    def turned(self) -> Pair:
-        """The same pair with a and b exchanged."""
-        return replace(
-            self,
-            a=self.b,
-            b=self.a,
-            success=self.success._replace(only_a=self.success.only_b, only_b=self.success.only_a),
-            differences={k: d.turned() for k, d in self.differences.items()},
-            # the mean of b over the same seeds is the mean of a plus the mean difference
-            means={k: m + self.differences[k].mean for k, m in self.means.items()},
-            improvements={k: i.turned(1.0) for k, i in self.improvements.items()},
-        )
-
-
-def pairs(comparison: ComparisonResults) -> list[Pair]:
-    """Every pair of controllers, the later against the earlier; with a reference, or of many controllers, each against the reference.
-
-    Two families of tests, each adjusted by Holm: both tests of the verdicts of all pairs, and all exploratory ones.
-    """
-    n, reference = len(comparison.controllers), comparison.reference_index
-    every = n <= MOST_PAIRED and not comparison.reference
-    chosen = list(combinations(range(n), 2)) if every else [(reference, b) for b in range(n) if b != reference]
-    found = [_pair(comparison, a, b, n <= MOST_CONTROLLERS or reference in (a, b)) for a, b in chosen]
-    deciding = iter(stats.holm([p for pair in found for p in pair.deciding.values()]))
-    exploratory = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
-    out = []
-    for pair in found:
-        adjusted = {
-            test: pair.success.p if math.isnan(p) and test[0] == SUCCESS.name and pair.seeds else p
-            for test, p in zip(pair.deciding, deciding, strict=False)
-        }
-        out.append(replace(pair, adjusted=adjusted | dict(zip(pair.exploratory, exploratory, strict=False))))
-    return out
-
-
-def against(all_pairs: list[Pair], reference: int) -> list[Pair]:
-    """The pairs that contain the controller `reference`, exchanged where needed so that it is a."""
-    return [p if p.a == reference else p.turned() for p in all_pairs if reference in (p.a, p.b)]
-
-
-def _pair(comparison: ComparisonResults, a: int, b: int, explore: bool) -> Pair:
-    first, second = comparison.controllers[a], comparison.controllers[b]
-    where = {start: k for k, start in enumerate(second.starts)}
-    shared = [(i, where[start]) for i, start in enumerate(first.starts) if start in where]
-    rows_a, rows_b = [i for i, _ in shared], [k for _, k in shared]  # of the common starts
-    succeeded = first.success[rows_a], second.success[rows_b]
-
-    def difference(metric: Metric) -> tuple[stats.IntervalEstimate, float]:
-        x, y = first.values(metric)[rows_a], second.values(metric)[rows_b]
-        if metric == RESTRICTED:  # both up to the earlier of the two limits
-            limit = min((*x[~succeeded[0]], *y[~succeeded[1]]), default=math.inf)
-            x, y = np.minimum(x, limit), np.minimum(y, limit)
-        # the same seeds for both, or the difference would not be paired
-        used = ((succeeded[0] & succeeded[1]) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
-        return stats.paired_difference(y[used], x[used]), float(x[used].mean()) if used.any() else math.nan
-
-    primary = comparison.primary_metric
-    shown = [metric for metric in comparison.shown if explore and metric != primary]
-    found = {metric.name: difference(metric) for metric in (primary, *shown)}
-    improvements = {m.name: stats.improvement(first.ranked(m)[rows_a], second.ranked(m)[rows_b]) for m in shown}
-    differences, means = {name: d for name, (d, _) in found.items()}, {name: mean for name, (_, mean) in found.items()}
-    return Pair(a, b, primary, stats.paired_success(*succeeded), differences, means, improvements)
-
-
 Means = list[dict[str, stats.IntervalEstimate]]  # of each controller, by metric
 
 
 def interquartiles(comparison: ComparisonResults) -> Means:
-    """Of each controller: the interquartile mean of each shown metric over all its runs, in its display unit; the tasks are the strata.
+    """Of each controller: the interquartile mean of each shown metric over all its runs, in its display unit.
 
     Infinite (of the bad sign) where more than a quarter of the runs failed. `n` is 0 where runs reached the goal and none of them has the
     number, and for a metric of `every_pair` where no run has it.
@@ -371,93 +256,7 @@ def interquartiles(comparison: ComparisonResults) -> Means:
         known, reached = np.isfinite(controller.values(metric)), controller.success
         if (reached.any() and not known[reached].any()) or (metric.every_pair and not known.any()):
             return stats.NOTHING
-        found = stats.interquartile_mean(controller.ranked(metric), controller.tasks)
+        found = stats.interquartile_mean(controller.ranked(metric))
         return found.turned() if metric.better > 0 else found
 
     return [{metric.name: of(controller, metric) for metric in comparison.shown} for controller in comparison.controllers]
-
-
-# The statistics of a comparison as two tables for other programs: of each controller, and of each pair, with one row per metric.
-CONTROLLERS: Final = "controllers"
-PAIRS: Final = "pairs"  # File names without suffix; each table is written as Parquet and as CSV
-_OF_CONTROLLER: Final = (
-    *("controller", "metric", "title", "unit", "better", "runs", "succeeded", "success", "success_low", "success_high"),
-    *("median", "q1", "q3", "median_runs", "iqm", "iqm_low", "iqm_high", "iqm_runs"),
-)
-_OF_PAIR: Final = (
-    *("controller", "against", "better_one", "role", "metric", "title", "unit", "better", "difference", "low", "high", "pairs"),
-    *("p", "p_holm", "significant", "improvement", "improvement_low", "improvement_high", "improvement_pairs"),
-    *("improvement_p", "improvement_p_holm", "improvement_significant"),
-)
-_COUNTS: Final = ("runs", "succeeded", "median_runs", "iqm_runs", "pairs", "improvement_pairs")
-_WORDS: Final = ("controller", "against", "better_one", "role", "metric", "title", "unit", "better")
-
-
-def write_records(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: Sequence[Pair]) -> None:
-    """Write `controllers` and `pairs`, each as `.parquet` and `.csv`, into a comparison's folder; means: `interquartiles`."""
-    for name, table in ((CONTROLLERS, controller_records(comparison, means)), (PAIRS, pair_records(comparison, all_pairs))):
-        write_table(folder / name, table)
-
-
-def controller_records(comparison: ComparisonResults, means: Means) -> pl.DataFrame:
-    """A row for each controller and metric in display units; an infinite `iqm` or end: a quarter of the runs failed, or could have."""
-    rows: list[dict[str, Any]] = []
-    for controller, found in zip(comparison.controllers, means, strict=True):
-        rate = controller.rate
-        for metric in comparison.shown:
-            q1, median, q3, n = controller.quartiles(metric)
-            rows.append(
-                {"controller": controller.label, **_named(metric), "runs": rate.n, "succeeded": int(controller.success.sum())}
-                | {"success": rate.mean, "success_low": rate.low, "success_high": rate.high}
-                | {"median": median, "q1": q1, "q3": q3, "median_runs": n}
-                | _estimate(found[metric.name], "iqm", "iqm_low", "iqm_high", "iqm_runs")
-            )
-    return _records(rows, _OF_CONTROLLER)
-
-
-def pair_records(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> pl.DataFrame:
-    """A row for each pair and metric: the difference `controller` minus `against` with its interval and p-values.
-
-    role: `primary` of success (which has no interval) and of the primary metric, which make the verdict `better_one` (null: the runs do
-    not tell); `exploratory` of the others. `improvement`: probability that `controller` is better.
-    """
-    labels = [c.label for c in comparison.controllers]
-    rows: list[dict[str, Any]] = []
-    for pair in all_pairs:
-        s, n, better = pair.success, pair.seeds, pair.better
-        d = stats.IntervalEstimate((s.only_b - s.only_a) / n, n=n, p=s.p) if n else stats.NOTHING
-        i = stats.share_of((s.only_b + (s.both + s.neither) / 2) / n, n) if n else stats.NOTHING
-        found = {SUCCESS: (d, i)} | {m: (pair.differences[m.name], pair.improvements.get(m.name, stats.NOTHING)) for m in _ordered(pair)}
-        for metric, (d, i) in found.items():
-            rows.append(
-                {"controller": labels[pair.b], "against": labels[pair.a], "better_one": None if better is None else labels[better]}
-                | {"role": "primary" if metric in (SUCCESS, pair.primary) else "exploratory"}
-                | _named(metric)
-                | {"difference": d.mean, "low": d.low, "high": d.high, "pairs": d.n, "p": d.p}
-                | {"p_holm": pair.adjusted[metric.name, "difference"], "significant": pair.is_real(metric.name)}
-                | _estimate(i, "improvement", "improvement_low", "improvement_high", "improvement_pairs")
-                | {"improvement_p": i.p, "improvement_p_holm": pair.adjusted.get((metric.name, "improvement"))}
-                | {"improvement_significant": metric.name in pair.improvements and pair.is_real(metric.name, "improvement")}
-            )
-    return _records(rows, _OF_PAIR)
-
-
-def _ordered(pair: Pair) -> list[Metric]:
-    return [Metric.named(name) for name in pair.differences]
-
-
-def _named(metric: Metric) -> dict[str, Any]:
-    return {"metric": metric.name, "title": metric.title, "unit": metric.unit, "better": "higher" if metric.better > 0 else "lower"}
-
-
-def _estimate(found: stats.IntervalEstimate, *names: str) -> dict[str, Any]:
-    return dict(zip(names, (found.mean, found.low, found.high, found.n), strict=True))
-
-
-def _records(rows: list[dict[str, Any]], names: Sequence[str]) -> pl.DataFrame:
-    """Rows as a table of these columns: words, counts, truths, and numbers, of which NaN is null."""
-
-    def kind(name: str) -> Any:
-        return pl.String if name in _WORDS else pl.Int64 if name in _COUNTS else pl.Boolean if "significant" in name else pl.Float64
-
-    return pl.DataFrame(rows, schema={name: kind(name) for name in names}).with_columns(pl.col(pl.Float64).fill_nan(None))

@@ -15,8 +15,11 @@ from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.canvas import new_figure, publish, style
 from vstestbed.report.comparison import baseline, tables
-from vstestbed.report.comparison.page import failures, write_tables
-from vstestbed.report.comparison.results import TASK, TIME, ComparisonResults, ControllerResults, interquartiles, pairs, write_records
+from vstestbed.report.comparison.page import by_one_metric, failures, write_tables
+from vstestbed.report.comparison.pairs import pairs
+from vstestbed.report.comparison.records import write_records
+from vstestbed.report.comparison.results import TASK, TIME, ComparisonResults, ControllerResults, interquartiles
+from vstestbed.report.comparison.sentences import findings
 from vstestbed.report.marks import FAILED, MARKERS, Look, line_color
 from vstestbed.report.pages import write_page
 from vstestbed.tasks.metrics import Metric
@@ -176,17 +179,18 @@ def write_task_report(folder: Path, comparison: ComparisonResults, command: str,
     drawn = call(_drawn, found, metrics, make_folder(folder / "figures") if paper else None)
     write_whole(folder / "tasks.md", markdown(found, metrics))
     all_pairs, means = pairs(laws), interquartiles(laws)
-    write_records(folder, laws, means, all_pairs)
-    (verdict, look, sentences, others), sections = tables.headline(laws, all_pairs), tables.sections(laws, means, all_pairs, every=False)
-    write_tables(folder, verdict, sections["sections"])
-    heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
+    words = findings(laws, all_pairs)
+    write_records(folder, laws, means, all_pairs, words)
+    sections = tables.sections(laws, means, all_pairs, every=False)
+    write_tables(folder, words, sections["sections"])
+    heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list()))) + by_one_metric(comparison)
     return write_page(
         folder,
         "tasks.html",
         f"{heading}: tasks",
         title=heading,
         description=comparison.description,
-        found=(verdict, look, sentences, others),
+        found=words,
         reached=(int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum()), len(table)),
         overview=_grid(found, _summary_cell),
         baseline=baseline.section(folder),

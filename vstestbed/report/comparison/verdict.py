@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vstestbed.core.geometry import Array
+from vstestbed.report.comparison.statistics import holm, sign_test
 
 ALPHA: Final = 0.05  # of all verdicts together, and of all words on who is sooner together
 MARGIN: Final = 0.1  # share of the starts by which a better one may reach the goal less often
@@ -31,13 +32,15 @@ ONE_PICTURE: Final = 1 + 1e-6  # periods by which two times may differ and be eq
 
 Side = Literal["a", "b"]
 Decision = Literal["better", "trade", "none"]
+_OTHER: Final[dict[Side | None, Side | None]] = {"a": "b", "b": "a", None: None}
 
 
 class Starts(NamedTuple):
     """What two controllers did on their n common starts; less cost is better, and a failure has the cost `worst`, or its own.
 
     reached_a, reached_b: whether each reached the goal, (n,). cost_a, cost_b: (n,). worst: the greatest cost that a start can have.
-    period: costs that differ by no more are equal in the sign test. strata: a number for each start, those of one task the same.
+    period: times that differ by no more are equal in the sign test. strata: a number for each start, those of one task the same.
+    time_a, time_b: times to the goal, where these are not the cost.
     """
 
     reached_a: NDArray[np.bool_]
@@ -47,6 +50,8 @@ class Starts(NamedTuple):
     worst: float
     period: float = 0.0
     strata: NDArray[np.intp] | None = None
+    time_a: Array | None = None
+    time_b: Array | None = None
 
 
 class Sample(NamedTuple):
@@ -119,32 +124,6 @@ def _strata(x: Array, strata: NDArray[np.intp]) -> list[Array]:
     groups = [x[strata == number] for number in np.unique(strata)]
     alone = [group for group in groups if len(group) == 1]
     return [*(group for group in groups if len(group) > 1), *([np.concatenate(alone)] if alone else [])]
-
-
-def sign_test(one: int, other: int) -> float:
-    """Two-sided p-value of the exact test that both counts have the same expectation: twice the smaller tail of Bin(n, 1/2).
-
-    Reference: McNemar 1947, doi:10.1007/BF02295996, of the starts from which one of two controllers reached the goal.
-    """
-    from scipy.special import bdtr
-
-    return min(1.0, 2 * float(bdtr(min(one, other), one + other, 0.5))) if one + other else 1.0
-
-
-def holm(p: Sequence[float]) -> list[float]:
-    """P-values adjusted for their number m: whoever calls those under 5 % real is wrong in any of them in 5 % of all cases at most.
-
-        adjusted p_(k) = max over j <= k of min((m + 1 - j) p_(j), 1),        p_(1) <= p_(2) <= ... <= p_(m)
-
-    NaN is no test: it does not count, and stays. Reference: Holm 1979, A simple sequentially rejective multiple test procedure, Scand. J.
-    Statist. 6, 65-70.
-    """
-    values = np.asarray(p, dtype=float)
-    order = np.argsort(values, kind="stable")[: int((~np.isnan(values)).sum())]  # NaN is sorted last
-    factors = np.arange(len(order), 0, -1)
-    adjusted = np.full(len(values), np.nan)
-    adjusted[order] = np.maximum.accumulate(np.minimum(factors * values[order], 1.0))
-    return adjusted.tolist()
 
 
 @dataclass(frozen=True)
@@ -238,6 +217,20 @@ class PairTest:
         reached = self.reached._replace(mean=sign * self.reached.mean).with_imagined(-1.0)
         return 2 * reached.p_over(-self.margin) <= level
 
+    def turned(self) -> PairTest:
+        """The same with a and b exchanged."""
+        return replace(
+            self,
+            only_a=self.only_b,
+            only_b=self.only_a,
+            wins_a=self.wins_b,
+            wins_b=self.wins_a,
+            usual_a=self.usual_b,
+            usual_b=self.usual_a,
+            reached=self.reached._replace(mean=-self.reached.mean),
+            saved=self.saved._replace(mean=-self.saved.mean),
+        )
+
     def needs(self, open_tests: int = 1) -> int | None:
         """How many starts like these would decide the pair, where so many tests are open; None: more than MOST_STARTS."""
         if self.n < 2:
@@ -279,13 +272,18 @@ class Verdict:
     p_sooner: float
     needs: int | None  # starts like these that would decide an open pair; None of a decided one, and where they are too many
 
+    def turned(self) -> Verdict:
+        """The same with a and b exchanged."""
+        return replace(self, better=_OTHER[self.better], sooner=_OTHER[self.sooner])
+
 
 def test_of(starts: Starts, margin: float = MARGIN) -> PairTest:
     """The tests of one pair."""
     a, b = starts.reached_a, starts.reached_b
     saved = np.asarray(starts.cost_a - starts.cost_b, dtype=float)
-    tied = (np.abs(saved) <= starts.period * ONE_PICTURE) & (a == b) | (~a & ~b)
-    first_b = ~tied & np.where(a == b, saved > 0, b)
+    later = saved if starts.time_a is None or starts.time_b is None else starts.time_a - starts.time_b  # a than b
+    tied = (~a & ~b) | (a & b & (np.abs(later) <= starts.period * ONE_PICTURE))
+    first_b = ~tied & np.where(a == b, later > 0, b)
     return PairTest(
         only_a=int((a & ~b).sum()),
         only_b=int((~a & b).sum()),
