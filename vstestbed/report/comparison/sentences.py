@@ -16,7 +16,6 @@ from vstestbed.report.comparison.verdict import ALPHA, FEWEST_UNLIKE, MOST_START
 from vstestbed.report.marks import counted, listed, signed
 from vstestbed.tasks.metrics import Metric
 
-MOST_OTHERS: Final = 4  # Exploratory differences that a sentence names; the table has all of them
 MOST_NAMED: Final = 6  # Controllers that win against some, and controllers that arrive first, that the overall sentence names
 MOST_SHOWN: Final = 6  # Pairs in words at the top of the page; the others can be unfolded
 
@@ -150,17 +149,12 @@ def censoring(comparison: ComparisonResults) -> list[str]:
 
 
 def pair_text(pair: Pair, labels: Sequence[str]) -> str:
-    """One pair: the verdict, successes, the primary metric as flown and with failures not yet seen, what would settle it, the rest."""
+    """One pair: the verdict, successes, the primary metric as flown and with failures not yet seen, what would settle it."""
     a, b = labels[pair.a], labels[pair.b]
     if pair.seeds == 0:
         return f"{b} and {a} share no seed: they cannot be compared."
     words = f"{_lead(pair, a, b)}: {_goals(pair, a, b)}; {_costs(pair, b)}"
-    named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
-    more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
-    sentences = [f"{words}.", _sooner(pair, labels), _why_open(pair, labels)]
-    if named:
-        sentences.append(f"Exploratory: they also differ in {', '.join(named[:MOST_OTHERS])}{more}.")
-    return " ".join(filter(None, sentences))
+    return " ".join(filter(None, (f"{words}.", _sooner(pair, labels), _why_open(pair, labels))))
 
 
 def _lead(pair: Pair, a: str, b: str) -> str:
@@ -246,19 +240,6 @@ def _needs(pair: Pair) -> str:
     if needs is None:
         return "" if pair.seeds < 2 else f" More than {MOST_STARTS} starts like these would be needed."
     return f" About {needs} starts like these would settle it."
-
-
-def _by_how_much(pair: Pair, metric: Metric) -> str:
-    """The mean difference `+1.2 px`; where that is not significant, from how many of the starts b is better, or worse."""
-    if pair.is_real(metric.name):
-        return f"{plain(pair.differences[metric.name].mean)} {metric.unit}".strip()
-    share = pair.improvements[metric.name].mean
-    return f"{'better' if share > 0.5 else 'worse'} from {100 * max(share, 1 - share):.0f} % of the starts"
-
-
-def _others(pair: Pair) -> list[Metric]:
-    """The exploratory metrics whose difference or improvement is significant."""
-    return [Metric.named(name) for name in pair.improvements if pair.is_real(name) or pair.is_real(name, "improvement")]
 
 
 def p_text(p: float) -> str:
