@@ -25,28 +25,23 @@ def test_the_mean_is_scipys_trimmed_mean(n: int) -> None:
     assert math.isnan(found.low) == (n < 5)
 
 
-def test_neither_order_nor_the_names_of_strata_matter_and_strata_take_out_what_differs_between_tasks() -> None:
-    rng = np.random.default_rng(1)
-    task = np.repeat(["turn", "shift", "both"], 8)
-    x = rng.normal(0, 1, 24) + 5.0 * np.repeat([0, 1, 2], 8)
-    order = rng.permutation(24)
-    found = interquartile_mean(x, task)
-    assert interquartile_mean(x[order], task[order]) == found
-    plain = interquartile_mean(x)
-    assert plain.mean == found.mean and found.high - found.low < 0.5 * (plain.high - plain.low)
+def test_the_interval_is_that_of_a_trimmed_mean_and_the_order_does_not_matter() -> None:
+    """As Yuen's test of one sample that scipy has for two: against a sample of zeros without spread."""
+    x = np.random.default_rng(1).lognormal(0, 1, 24)
+    found = interquartile_mean(x)
+    assert interquartile_mean(np.random.default_rng(2).permutation(x)) == found
+    scipys = stats.mstats.trimmed_mean_ci(x, limits=(0.25, 0.25), inclusive=(True, True), alpha=0.05)
+    assert found.mean == pytest.approx(np.mean(scipys)) and (found.low, found.high) == pytest.approx(tuple(scipys), rel=0.05)
 
 
 def test_failed_runs_are_worse_than_any_with_a_number() -> None:
     x = np.arange(20.0)
     five, six = (interquartile_mean(np.where(np.arange(20) >= 20 - failed, np.inf, x)) for failed in (5, 6))
-    assert five.mean == 9.5 and math.isfinite(five.low) and five.high == math.inf
-    assert six.mean == math.inf and math.isfinite(six.low)  # another sample of 20 could have had five
-    none = interquartile_mean(np.full(20, np.inf))
-    assert none.low == none.high == math.inf
+    assert five == interquartile_mean(x) and math.isfinite(five.high)  # the five greatest do not count
+    assert six.mean == math.inf and math.isnan(six.low)
+    assert interquartile_mean(np.full(20, np.inf)).mean == math.inf
     many = interquartile_mean(np.r_[np.arange(900.0), np.full(100, np.inf)])
     assert math.isfinite(many.high) and many.mean == iqm(np.r_[np.arange(900.0), np.full(100, 1e9)])
-    quarter = interquartile_mean(np.r_[np.arange(750.0), np.full(250, np.inf)])
-    assert math.isfinite(quarter.mean) and quarter.high == math.inf
 
 
 def test_the_runs_of_a_controller_count_as_the_page_says() -> None:
@@ -59,7 +54,7 @@ def test_the_runs_of_a_controller_count_as_the_page_says() -> None:
     names = ("time_to_converge_s", "min_border_margin_px", "final_error_px", "feature_overshoot", "path_ratio", "tracking_rms_px")
     (found,) = interquartiles(ComparisonResults(frame, (), names))
     assert found["time_to_converge_s"].mean == 4.5  # the mean of 3, 4, 5, 6: two failed
-    assert found["min_border_margin_px"].mean == 25.0 and found["min_border_margin_px"].low == -math.inf  # 10, 20, 30, 40
+    assert found["min_border_margin_px"].mean == 25.0 and found["min_border_margin_px"].low < 10  # 10, 20, 30, 40
     assert found["final_error_px"].mean == 0.1  # although both that failed ended nearer
     assert found["feature_overshoot"].mean == 0.5  # of one that failed its own, of one that crashed the worst
     assert found["path_ratio"].n == found["tracking_rms_px"].n == 0

@@ -11,7 +11,10 @@ import pytest
 
 from tests.report.comparison.comparisons import build
 from vstestbed.report.comparison.figures import STEPS, profile
-from vstestbed.report.comparison.results import ComparisonResults, interquartiles, pairs, write_records
+from vstestbed.report.comparison.pairs import pairs
+from vstestbed.report.comparison.records import write_records
+from vstestbed.report.comparison.results import ComparisonResults, interquartiles
+from vstestbed.report.comparison.sentences import findings
 from vstestbed.report.comparison.tables import statistics_text
 from vstestbed.tasks.metrics import Metric
 
@@ -40,7 +43,7 @@ def test_the_tables_and_the_terminal_have_the_statistics(tmp_path: Path) -> None
     comparison = ComparisonResults(frame, (), ("time_to_converge_s", "path_ratio"))
     assert statistics_text(tmp_path) == ""  # no report yet
     means, found = interquartiles(comparison), pairs(comparison)
-    write_records(tmp_path, comparison, means, found)
+    write_records(tmp_path, comparison, means, found, findings(comparison, found))
     of, against = (pl.read_parquet(tmp_path / f"{name}.parquet") for name in ("controllers", "pairs"))
     assert pl.read_csv(tmp_path / "pairs.csv").shape == against.shape == (4, len(against.columns))
     slow, fast = of.filter(pl.col("metric") == "time_to_converge_s").rows(named=True)
@@ -51,7 +54,10 @@ def test_the_tables_and_the_terminal_have_the_statistics(tmp_path: Path) -> None
     assert row["improvement"] == 1.0 and row["improvement_p"] == pytest.approx(2 / 2**12)
     assert row["p_holm"] == pair.adjusted["time_to_converge_s", "difference"] >= row["p"]
     assert rows["success"]["difference"] == pytest.approx(5 / 12) and rows["success"]["p"] == pytest.approx(2 / 2**5)
-    assert rows["time_to_goal_s"]["pairs"] == 12 and {row["better_one"] for row in rows.values()} == {"fast"}
+    goal = rows["time_to_goal_s"]
+    assert goal["pairs"] == 12 and {row["better_one"] for row in rows.values()} == {"fast"}
+    assert (goal["verdict"], goal["by"], goal["limit"], goal["margin"]) == ("better", "time_to_goal_s", 10.0, 0.1)
+    assert (goal["only_a"], goal["only_b"], goal["both"], goal["neither"], goal["wins_a"], goal["wins_b"]) == (0, 5, 7, 0, 0, 12)
+    assert goal["low"] < goal["seen_low"] < goal["difference"] < goal["seen_high"] < goal["high"] < 0
     text = statistics_text(tmp_path).splitlines()
-    assert "at its limit [s], against slow" in text[0] and text[0].endswith("verdict") and len(text) == 3
-    assert "7 of 12" in text[1] and text[2].split()[:4] == ["fast", "12", "of", "12"] and text[2].endswith("better") and "-" in text[2]
+    assert text[0] == "fast is better than slow." and "7 of 12" in "".join(text) and goal["sentence"] == text[-1]

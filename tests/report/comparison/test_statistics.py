@@ -74,8 +74,7 @@ SKEWED = {"exponential": (0.10, 0.08, 0.06), "lognormal": (0.16, 0.12, 0.08)}  #
 
 
 def real(d: np.ndarray) -> bool:
-    found = paired_difference(d, np.zeros(len(d)))
-    return found.p <= 0.05 and found.excludes_zero
+    return paired_difference(d, np.zeros(len(d))).p <= 0.05
 
 
 @pytest.mark.study
@@ -100,13 +99,11 @@ def test_two_equal_controllers_come_out_as_no_difference(kind: str) -> None:
     assert sum(real(np.subtract(*equal_controllers(kind, rng))) for _ in range(200)) <= 17
 
 
-def test_the_test_is_that_of_all_signs_and_the_interval_scipys() -> None:
+def test_test_and_interval_are_students() -> None:
     d = np.random.default_rng(8).normal(0.4, 1, 10)
-    signs = np.array(list(itertools.product((-1, 1), repeat=10)))
-    found = paired_difference(d, np.zeros(10))
-    assert found.p == pytest.approx(np.mean(np.abs(signs @ d) >= abs(d.sum()) - 1e-12))
-    of = stats.bootstrap((d,), np.mean, n_resamples=9999, method="BCa", rng=np.random.default_rng(1)).confidence_interval
-    assert (found.low, found.high) == pytest.approx((of.low, of.high), abs=0.05)
+    found, scipys = paired_difference(d, np.zeros(10)), stats.ttest_1samp(d, 0.0)
+    assert found.p == pytest.approx(scipys.pvalue)
+    assert (found.low, found.high) == pytest.approx(tuple(scipys.confidence_interval(0.95)))
 
 
 def test_only_pairs_with_two_values_count() -> None:
@@ -123,7 +120,7 @@ def test_order_does_not_matter_and_the_sign_turns() -> None:
     found, order = paired_difference(a, b), rng.permutation(SEEDS)
     assert paired_difference(a[order], b[order]) == found == paired_difference(a, b)  # and again the same
     turned = paired_difference(b, a)
-    assert (turned.mean, turned.low, turned.high) == pytest.approx((-found.mean, -found.high, -found.low), rel=0.1)
+    assert (turned.mean, turned.low, turned.high) == pytest.approx((-found.mean, -found.high, -found.low))
     assert found.turned().turned() == found and found.turned().high == -found.low
 
 
@@ -149,21 +146,12 @@ def test_few_pairs() -> None:
     assert all(math.isnan(v) for v in (nothing.mean, one.low, one.high, one.p))
     for n in range(2, 9):
         found = paired_difference(np.arange(1.0, n + 1), np.zeros(n))
-        assert found.p == 2 / 2**n and math.isfinite(found.high) == (n >= 5)
+        assert found.p == pytest.approx(stats.ttest_1samp(np.arange(1.0, n + 1), 0.0).pvalue)
 
 
 def test_one_pair_of_many_that_differs_is_no_real_difference() -> None:
     found = paired_difference([1.0] + [0.0] * 19, np.zeros(20))
-    assert found.mean == 0.05 and found.p == 1.0 and found.low <= 0
-
-
-def test_many_pairs_are_resampled_less_often() -> None:
-    found = paired_difference(np.random.default_rng(3).normal(0.2, 1, 30_000), np.zeros(30_000))
-    assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(30_000), rel=0.2) and found.p < 0.02
-    skewed = np.random.default_rng(4).lognormal(size=1001)
-    bca, percentile = (paired_difference(skewed[:n], np.zeros(n)) for n in (1000, 1001))
-    ends = np.array([bca.low - percentile.low, bca.high - percentile.high]) / (bca.high - bca.low)
-    assert np.abs(ends).max() < 0.1, ends
+    assert found.mean == 0.05 and found.p > 0.3 and found.low <= 0
 
 
 def test_success_is_compared_on_the_seeds_where_two_controllers_disagree() -> None:
