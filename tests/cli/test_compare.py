@@ -19,10 +19,23 @@ def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path, here: Non
     assert (ended.code, ended.out) == (0, "")
     first, *statistics, last = ended.err.splitlines()
     assert first == "4 of 4 runs reached the goal" and last == f"  results   {folder} (open report.html)"
-    assert [line.split()[0] for line in statistics] == ["reached", "gain=3", "gain=6"]
+    found = json.loads((folder / "verdicts.json").read_text())
+    assert statistics[0] == found["overall"] and statistics[-1] == found["pairs"][0]["sentence"]
+    assert [line.split()[0] for line in statistics if line.startswith("  ")] == ["gain=3", "gain=6"]
     names = {p.name for p in folder.iterdir()}
     tables = {f"{name}.{end}" for name in ("comparison", "controllers", "pairs") for end in ("csv", "parquet")}
-    assert names == {*tables, "comparison.yaml", "figures", "report.html", "runs", "scenarios", "record.json", "tables.md", "tables.tex"}
+    assert names == {
+        *tables,
+        "comparison.yaml",
+        "figures",
+        "report.html",
+        "runs",
+        "scenarios",
+        "record.json",
+        "tables.md",
+        "tables.tex",
+        "verdicts.json",
+    }
     assert len(list((folder / "figures").iterdir())) == 3  # the page's first figure, in three formats
     assert (folder / "scenarios" / "quick.yaml").read_text() == quick.read_text()
 
@@ -35,7 +48,8 @@ def test_the_report_the_plan_and_a_run_of_it_again(command, quick: Path):
     assert command("report", folder).code == 0
     assert "vstestbed compare" in (folder / "report.html").read_text(encoding="utf-8")
     again = command("compare", folder / "comparison.yaml", *NO_FILM, "--json")
-    assert [row["seed"] for row in json.loads(again.out)] == [0, 0, 1, 1]
+    found = json.loads(again.out)
+    assert [row["seed"] for row in found["runs"]] == [0, 0, 1, 1] and found["verdicts"]["overall"].startswith("Only law.gain differs.")
     assert Path("runs/compare/002").is_dir()
     one = folder / "runs/quick/law.gain=3/1"
     assert command("run", one / "scenario.yaml", "--video", "none", "--quiet", "--out", "alone").code == 0

@@ -64,7 +64,7 @@ def test_the_page_stands_alone_and_has_it_all(page: str) -> None:
     assert reader.figures == FIGURES
     for words in (
         "Two <gains>.",
-        "fast is better than slow",
+        "fast and slow, no verdict: fast reached the goal from 10 of 12 starts, slow from 10",
         "2 controllers, 12 seeds, 24 runs",
         "4 runs of 24 did not reach the goal",
         "The same seed, side by side",
@@ -210,7 +210,7 @@ def test_nothing_but_crashes_still_has_a_report(tmp_path: Path) -> None:
     reader = checked(write_comparison_report(tmp_path, ComparisonResults(frame)).read_text())
     assert reader.figures == FIGURES[:4]  # there is nothing else to draw
     assert "4 runs of 4 did not reach the goal" in reader.text and "no run with a log" in reader.text
-    assert "b and a: no verdict: b reached the goal on 0 of 2 seeds, a on 0" in reader.text
+    assert "b and a, no verdict: b reached the goal from 0 of 2 starts, a from 0" in reader.text
 
 
 @pytest.mark.filterwarnings("error")
@@ -221,7 +221,7 @@ def test_any_number_of_controllers(tmp_path: Path, controllers: int) -> None:
     path = write_comparison_report(tmp_path, ComparisonResults(frame, (), ("time_to_converge_s", "time_ms.physics")))
     reader = checked(path.read_text())
     matrix = ["Who is better"] if 1 < controllers < 30 else []
-    assert reader.figures == [*FIGURES[:2], *matrix, *FIGURES[2:4]]  # two seeds have no interval
+    assert reader.figures == [*FIGURES[:2], *matrix, *FIGURES[2:4]]  # two seeds tell nothing
     assert ("Paired differences" in reader.text) == (controllers > 1)
     assert "time_ms.physics" in reader.text
 

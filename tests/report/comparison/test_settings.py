@@ -44,7 +44,7 @@ def test_only_gains() -> None:
 
 
 def test_a_page_of_two_gains_says_that_a_gain_is_all_that_differs(tmp_path: Path, one_figure: None) -> None:
-    two = comparison(tmp_path, SCENARIO.replace("gain: 1", "gain: 2"), seeds=8)
+    two = comparison(tmp_path, SCENARIO.replace("gain: 1", "gain: 2"), seeds=40)
     text = checked(write_comparison_report(tmp_path, ComparisonResults(two.table)).read_text(encoding="utf-8")).text
     assert "Only law.gain differs. two is better than one." in text and "settings of one law" in text
 

@@ -17,7 +17,7 @@ from vstestbed.loop.log_file import open_log
 from vstestbed.report.canvas import new_figure, panels, plain, wrapped
 from vstestbed.report.comparison.pairs import Pair
 from vstestbed.report.comparison.results import RESTRICTED, TIME, ComparisonResults, ControllerResults
-from vstestbed.report.comparison.statistics import LEAST, NOTHING, wilson
+from vstestbed.report.comparison.statistics import FEWEST, LEAST, NOTHING, wilson
 from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, LOST, RULE, THRESHOLD, Look, look, signed
 from vstestbed.report.marks import TIME as TIME_LABEL
 from vstestbed.report.run.tracks import MeasuredError
@@ -209,8 +209,8 @@ def differences(data: Data, width_in: float) -> Figure | None:
     """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
     # all pairs of up to four controllers; of more, each controller against the first
     rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
-    if not any(np.isfinite(d.low) for p in rows for d in p.differences.values()):
-        return None  # a single controller, or no two seeds on which both reached the goal
+    if not any(d.n >= FEWEST for p in rows for d in p.differences.values()):
+        return None  # a single controller, or so few seeds on which both reached the goal that intervals would hide all else
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
     height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
     shown = [m for m in data.shown if any(m.name in p.differences and p.differences[m.name].n for p in rows)]
