@@ -25,6 +25,15 @@ PRINTED_H = [
 ]
 
 
+SPACE = 0.1 * np.array([[-2, -2, 0], [2, -2, 2], [2, 2, -1], [-2, 2, 0]])
+# tutorial-pose-dementhon-visp.doc prints the true rotation, as above, and this one by POSIT.
+POSIT_R = [
+    [0.6172726698, -0.7813181607, 0.09228425059],
+    [0.690659622, 0.4249461799, -0.5851581245],
+    [0.4179788298, 0.4249391234, 0.8019325685],
+]
+
+
 def pose(xyz: list[float], theta_u_deg: list[float]) -> Array:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(theta_u_deg, degrees=True).as_matrix()
@@ -32,9 +41,9 @@ def pose(xyz: list[float], theta_u_deg: list[float]) -> Array:
     return T
 
 
-def seen(T: Array) -> Array:
+def seen(T: Array, points: Array = POINTS) -> Array:
     """Normalised coordinates (4, 2) of the points."""
-    p = transform(T, POINTS)
+    p = transform(T, points)
     return p[:, :2] / p[:, 2:]
 
 
@@ -46,6 +55,15 @@ def test_the_pose_of_four_points(z: float):
     # Half of the tenth digit.
     np.testing.assert_allclose(found[:3, :3], PRINTED_R, atol=0.5e-10)
     np.testing.assert_allclose(found[:3, 3], [-0.1, 0.1, z], atol=0.5e-10)
+
+
+def test_where_posit_is_printed_33_degrees_off_the_pose_is_right():
+    found = solve_pose(seen(pose([-0.1, 0.1, 0.5], [5, 0, 45]), SPACE), SPACE)
+    assert found is not None
+    np.testing.assert_allclose(found[:3, :3], PRINTED_R, atol=0.5e-10)
+    np.testing.assert_allclose(found[:3, 3], [-0.1, 0.1, 0.5], atol=0.5e-10)
+    off = Rotation.from_matrix(found[:3, :3].T @ np.array(POSIT_R)).magnitude()
+    assert np.degrees(off) == pytest.approx(33.3, abs=0.1)
 
 
 def test_the_homography_between_two_views():
