@@ -75,6 +75,7 @@ def ros(
                 from vstestbed.ros.law import LawNode
 
                 servo = LawNode(given, link, watchdog, start)
+                _waits(quiet, "waits for pictures")
                 servo.spin(ended)
                 if not quiet:
                     typer.echo(f"{len(servo.took_s)} twists{_after(servo.took_s, 'after its picture each')}", err=True)
@@ -86,14 +87,22 @@ def ros(
 
                 link.publishes(command_topic(given))
                 motion = motion_of(given).drop("t").to_numpy()
+                _waits(quiet, f"sends {len(motion)} commands, one a picture's period")
                 typer.echo(f"{excite(given, link, motion, ended)} of {len(motion)} commands were sent", err=True)
             elif role == "robot":
+                _waits(quiet, "waits for commands")
                 _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended)
             else:
                 _tell(link, role)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _waits(quiet: bool, words: str) -> None:
+    """Say what a node does until it is ended: it may be for ever."""
+    if not quiet:
+        typer.echo(f"{words}   (Ctrl-C ends it)", err=True)
 
 
 def _heed(parameters: list[str]) -> None:
