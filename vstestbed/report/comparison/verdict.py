@@ -54,7 +54,7 @@ class Starts(NamedTuple):
     time_b: Array | None = None
 
 
-class Sample(NamedTuple):
+class MeanOfStarts(NamedTuple):
     """Mean of n values, their variance within strata, and its degrees of freedom."""
 
     n: int
@@ -62,12 +62,12 @@ class Sample(NamedTuple):
     variance: float
     free: float
 
-    def times(self, factor: float) -> Sample:
+    def times(self, factor: float) -> MeanOfStarts:
         """As many values like these by a factor."""
         n = round(self.n * factor)
         return self._replace(n=n, free=max(n - (self.n - self.free), 1))
 
-    def with_imagined(self, value: float) -> Estimate:
+    def with_imagined(self, value: float) -> MeanEstimate:
         """The mean with one more, imagined value x_0.
 
             mean_0 = (n mean + x_0) / (n + 1),    s_0^2 = ((n - 1) s^2 + n / (n + 1) (x_0 - mean)^2) / n
@@ -76,10 +76,10 @@ class Sample(NamedTuple):
         """
         mean = (self.n * self.mean + value) / (self.n + 1)
         spread = (self.n - 1) * self.variance + self.n / (self.n + 1) * (value - self.mean) ** 2
-        return Estimate(mean, math.sqrt(spread / self.n / (self.n + 1)), self.free + 1)
+        return MeanEstimate(mean, math.sqrt(spread / self.n / (self.n + 1)), self.free + 1)
 
 
-class Estimate(NamedTuple):
+class MeanEstimate(NamedTuple):
     """A mean with its standard error and degrees of freedom, of which Student's t gives p-values and intervals."""
 
     mean: float
@@ -105,7 +105,7 @@ class Estimate(NamedTuple):
         return self.mean - half, self.mean + half
 
 
-def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> Sample:
+def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> MeanOfStarts:
     """Mean and variance of values; with strata (tasks, each with starts of its own) the variance is that within them.
 
         s^2 = sum_k n_k s_k^2 / n,      n - K degrees of freedom
@@ -117,7 +117,7 @@ def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> Samp
     groups = [x] if strata is None else _strata(x, strata)
     several = [group for group in groups if len(group) > 1]
     variance = sum(len(group) * group.var(ddof=1) for group in several) / len(x) if several else math.nan
-    return Sample(len(x), float(x.mean()) if len(x) else math.nan, float(variance), len(x) - len(groups))
+    return MeanOfStarts(len(x), float(x.mean()) if len(x) else math.nan, float(variance), len(x) - len(groups))
 
 
 def _strata(x: Array, strata: NDArray[np.intp]) -> list[Array]:
@@ -150,8 +150,8 @@ class PairTest:
     worst: float
     usual_a: float  # mean cost where a, and where b arrived; `worst` where none did
     usual_b: float
-    reached: Sample  # of x
-    saved: Sample  # of d
+    reached: MeanOfStarts  # of x
+    saved: MeanOfStarts  # of d
 
     @property
     def n(self) -> int:
@@ -193,7 +193,7 @@ class PairTest:
         saved = self.saved
         if self.n < 2:
             return math.nan, math.nan
-        return Estimate(-saved.mean, math.sqrt(saved.variance / saved.n), saved.free).interval()
+        return MeanEstimate(-saved.mean, math.sqrt(saved.variance / saved.n), saved.free).interval()
 
     @property
     def unseen(self) -> tuple[float, float]:
