@@ -108,7 +108,7 @@ class MeanEstimate(NamedTuple):
 def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> MeanOfStarts:
     """Mean and variance of values; with strata (tasks, each with starts of its own) the variance is that within them.
 
-        s^2 = sum_k n_k s_k^2 / n,      n - K degrees of freedom
+        s^2 = sum_k n_k s_k^2 / sum_k n_k,      n - K degrees of freedom
 
     Each start counts the same, so that a stratum weighs as it has starts. Strata of one start are taken together as one, whose
     variance is then too large rather than too small. Reference: Cochran 1977, Sampling techniques, sec. 5.3 and 5A.12.
@@ -116,7 +116,9 @@ def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> Mean
     x = np.asarray(values, dtype=float)
     groups = [x] if strata is None else _strata(x, strata)
     several = [group for group in groups if len(group) > 1]
-    variance = sum(len(group) * group.var(ddof=1) for group in several) / len(x) if several else math.nan
+    variance = math.nan
+    if several:
+        variance = sum(len(group) * group.var(ddof=1) for group in several) / sum(map(len, several))
     return MeanOfStarts(len(x), float(x.mean()) if len(x) else math.nan, float(variance), len(x) - len(groups))
 
 
