@@ -126,6 +126,7 @@ class ComparisonResults:
     description: str = ""  # what is compared, in a few words
     primary: str = ""  # the metric that decides after success; "": the time to the goal, a failure counted at its limit
     reference: str = ""  # label of the controller with which each other one is compared; "": all pairs
+    settings: str = ""  # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
