@@ -168,7 +168,7 @@ def results_of(table: pl.DataFrame, comparison: Comparison) -> ComparisonResults
     """The results of a comparison as its report shows them."""
     metrics = comparison.metrics or (() if comparison.tasks else shown_by_default(table))
     names = comparison.varied, metrics, comparison.description, comparison.primary, comparison.reference
-    return ComparisonResults(table, *names, settings_of(comparison))
+    return ComparisonResults(table, *names, settings=settings_of(comparison))
 
 
 def _film(folder: Path, table: pl.DataFrame, axes: tuple[str, ...]) -> Path | None:
