@@ -20,6 +20,8 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
 from vstestbed.studies.comparison import Comparison
+from vstestbed.studies.comparison.plan import changed, read_comparison
+from vstestbed.studies.comparison.tuning_record import settings_of
 from vstestbed.studies.search_space import Choice, Range, Trial, best_of, parameter, read_record
 from vstestbed.studies.tuning import NoListener
 
@@ -253,6 +255,63 @@ def test_each_law_of_a_comparison_is_tuned_and_compared_from_starts_that_no_sear
     table = pl.read_parquet("t/comparison/comparison.parquet")
     assert table["law"].unique(maintain_order=True).to_list() == ["points", "pose", "jacobian"]
     assert "Tuned before by time to converge" in Path("t/comparison/report.html").read_text()
+
+
+def test_all_gains_of_all_laws_are_tuned_where_none_is_named_and_the_record_makes_them_laws(
+    command, quick: Path, here: None, one_figure: None
+) -> None:
+    """Points with one gain, a partitioned law with three."""
+    laws = "    points: {law: {kind: ibvs, gain: 4}}\n    partitioned: {law: {kind: partitioned, gain: 3, gain_z: 3, gain_turn: 3}}\n"
+    world = "set: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}"
+    Path("laws.yaml").write_text(f"base: [quick.yaml]\n{world}\nseeds: 2\ncases:\n  law:\n{laws}")
+    ended = command("tune", "laws.yaml", "--trials", 2, "--seeds", 2, "--check", 0, "--out", "t")
+    assert ended.code == 0, ended.err
+    plan = read_comparison(Path("t/comparison/comparison.yaml"))
+    points, partitioned = plan.tuned["points"], plan.tuned["partitioned"]
+    assert points.vary == {"law.gain": "0.3:8:log"} and (points.trials, points.seeds, points.set) == (2, 2, plan.set)
+    assert list(partitioned.vary) == ["law.gain", "law.gain_z", "law.gain_turn"] and partitioned.scenario == "quick"
+    assert settings_of(plan) == ""
+    assert set(json.loads(Path("t/comparison/record.json").read_text())["tuned"]) == set(plan.tuned)
+    slower = {name: {"law": case["law"], "law.gain": 1} for name, case in plan.cases["law"].items()}
+    assert "points flies with law.gain 1.0 in place of" in settings_of(changed(plan, cases={"law": slower}))
+
+
+def test_laws_in_scenarios_of_their_own_have_their_record_by_the_name_of_the_file(
+    command, quick: Path, here: None, one_figure: None
+) -> None:
+    """A comparison of two scenarios, one in a file whose name is no word, with what was set for both."""
+    Path("my pose.yaml").write_text(quick.read_text().replace("ibvs", "pbvs"))
+    Path("laws.yaml").write_text(f"base: [quick.yaml, {Path('my pose.yaml').absolute()}]\nset: {{camera.rate_hz: 10}}\nseeds: 2\n")
+    ended = command("tune", "laws.yaml", "--trials", 2, "--seeds", 2, "--check", 0, "--out", "t")
+    assert ended.code == 0, ended.err
+    plan = read_comparison(Path("t/comparison/comparison.yaml"))
+    assert list(plan.tuned) == ["quick", "my_pose"] and settings_of(plan) == ""
+    assert settings_of(changed(plan, tuned={"quick": plan.tuned["quick"]})).startswith(
+        "These are settings, not laws: my_pose flies with gain "
+    )
+
+
+def test_laws_that_the_search_leaves_as_they_are_make_the_comparison_one_of_settings(
+    command, quick: Path, here: None, one_figure: None
+) -> None:
+    Path("laws.yaml").write_text(
+        "base: [quick.yaml]\nset: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\nseeds: 2\n"
+        "cases:\n  law:\n    points: {law: {kind: ibvs, gain: 4}}\n    pose: {law: {kind: pbvs, gain: 4}}\n"
+    )
+    ended = command("tune", "laws.yaml", "--vary", "law.interaction=current,mean", "--trials", 2, "--seeds", 2, "--check", 0, "--out", "t")
+    assert ended.code == 0, ended.err
+    words = settings_of(read_comparison(Path("t/comparison/comparison.yaml")))
+    assert words.startswith("These are settings, not laws: points and pose fly with gain 4, for which none was tuned. ")
+
+
+def test_laws_on_two_axes_are_refused_before_anything_is_searched(command, quick: Path) -> None:
+    cases = "cases: {law: {points: {law: {kind: ibvs, gain: 4}}, pose: {law: {kind: pbvs, gain: 4}}}}\n"
+    Path("other.yaml").write_text(quick.read_text())
+    for text in (f"base: [quick.yaml, other.yaml]\n{cases}", f"base: [quick.yaml]\n{cases}axes: {{law.smooth_start_s: [0, 1]}}\n"):
+        Path("laws.yaml").write_text(text)
+        ended = command("tune", "laws.yaml", "--trials", 2, "--out", "t")
+        assert ended.code == 2 and "give its laws as one axis of `cases`" in ended.err
+        assert not Path("t").exists()
 
 
 def test_no_comparison_can_have_the_seeds_of_a_search() -> None:

@@ -243,7 +243,7 @@ def _summary_line(limit: Limit) -> str:
     return f"{line}{why}; {', '.join(with_servos)}{left}"
 
 
-RANGES = "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated."
+RANGES = "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated. [default: all gains, of a comparison]"
 
 
 def tune(

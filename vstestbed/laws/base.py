@@ -191,6 +191,7 @@ class Law(Generic[M]):
         cameras: further cameras whose equations the law stacks below its own, by name, with their weights.
         stacks: whether it can.
         needs_same_markers: whether each row must show the same marker in every picture, in the target's order.
+        idle: names of its gains that do nothing with the values of its other fields, and need no tuning.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
@@ -210,6 +211,7 @@ class Law(Generic[M]):
     cameras: Any = MappingProxyType({})
     stacks: Any = False
     needs_same_markers: Any = False
+    idle: Any = ()
 
     def markers_needed(self, basis: Array) -> int:
         """The least number of visible markers with which `step` can control the robot's motions, basis (6, n).

@@ -90,6 +90,12 @@ class Partitioned(ErrorLaw):
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
             raise ParameterError.form("turn_limits_deg", "[low, high] with low <= 0 <= high", self.turn_limits_deg)
 
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Gains of motions that are not among `axes`."""
+        driven = {"gain_z": {"z"}, "gain_turn": {"wz"}, "gain_xy": {"x", "y"}}
+        return tuple(gain for gain, axes in driven.items() if axes.isdisjoint(self.axes))
+
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse fewer than four markers, and a goal view without an area (`Polygon.check_goal`).
 

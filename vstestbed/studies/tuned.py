@@ -11,11 +11,13 @@ from typing import Any
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.files import file_word, make_folder
 from vstestbed.core.named_files import bundled_comparisons, is_there
+from vstestbed.core.registry import to_mapping
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 from vstestbed.studies.comparison import ComparisonTable, carry_out, prepared
-from vstestbed.studies.comparison.plan import Comparison, changed, chosen
+from vstestbed.studies.comparison.plan import Comparison, Tuned, Variant, changed, chosen
 from vstestbed.studies.comparison.runs import OnDone
+from vstestbed.studies.comparison.tuning_record import gains_of, is_gain, law_axes, laws_of, ranges, tunable, world
 from vstestbed.studies.tuning import Listener, NoListener, TuningResult, begun, finished, planned
 
 
@@ -23,13 +25,13 @@ from vstestbed.studies.tuning import Listener, NoListener, TuningResult, begun, 
 class TunedLaw:
     """One law of a comparison: its name, the scenario with its settings, and what its search found.
 
-    base, case: the place of the law in the comparison: a scenario, and a case of the axis that has the laws (None without one).
+    base, case: the scenario, and what the law's case sets (None where the scenario alone is the law).
     left: why it was not tuned; "" of one that was. took_s: wall time of the search [s].
     """
 
     name: str
     base: str
-    case: str | None
+    case: Mapping[str, Any] | None = None
     result: TuningResult | None = None
     left: str = ""
     took_s: float = 0.0
@@ -66,22 +68,26 @@ def tune_comparison(
 ) -> tuple[ComparisonTable, list[TunedLaw]]:
     """Tune each law of a comparison in `out/tune/NAME`, and compare them with what was found in `out/comparison`.
 
-    Every law has the same ranges and numbers of trials and starts. A law that does not have a varied field goes into the comparison as it
-    is, and the report says so. Searches use seeds from 2,000,000,000 on, and comparisons those below, so that no start is in both.
+    Every law has the same ranges, of those gains that it has, and numbers of trials and starts. One without a varied field goes into the
+    comparison as it is, and the report says so. Searches use seeds from 2,000,000,000 on, and comparisons those below, so that no start
+    is in both. How each law was tuned is in the comparison's plan (`Comparison.tuned`).
 
     Args:
-        name: of the comparison, or its file. vary, numbers: as of `tune`. settings: values by dotted path for all.
+        name: of the comparison, or its file. vary, numbers: as of `tune`; without `vary` all gains of all laws (`ranges`).
+        settings: values by dotted path for all.
         listener: of the searches. on_done: called after each run of the comparison. say: what is being done.
 
     Raises: as of `tune` and `compare`; ParameterError: no law has the varied fields, or several axes vary the law.
     """
     comparison = chosen([name], settings or {}, {}, plugins)
-    laws = list[TunedLaw]()
-    for law, own in _laws(comparison):
+    laws, flown = list[TunedLaw](), laws_of(comparison)
+    for law in _laws(comparison):
         say(f"tuning {law.name}")
         began = time.perf_counter()
         try:
-            plan = planned(law.base, vary, comparison.set | own, (*comparison.plugins, *plugins), **numbers)
+            plan = planned(
+                law.base, _own(vary, flown, law.name), comparison.set | dict(law.case or {}), (*comparison.plugins, *plugins), **numbers
+            )
             with begun(plan, out / "tune" / file_word(law.name)) as search:
                 search.jobs, search.executor, search.listener = jobs, executor, listener or NoListener()
                 laws.append(replace(law, result=finished(search), took_s=time.perf_counter() - began))
@@ -89,45 +95,49 @@ def tune_comparison(
             laws.append(replace(law, left=str(error).splitlines()[0]))
     if all(law.result is None for law in laws):
         raise ParameterError("--vary", f"fits none of the laws: {laws[0].left}")
-    tuned = _with_gains(comparison, laws, make_folder(out / "scenarios"))
+    records = {law.name: _record(comparison, law.result) for law in laws if law.result and law.result.best}
+    tuned = changed(_with_gains(comparison, laws, make_folder(out / "scenarios")), tuned=records)
     say("comparing")
     with prepared([], {}, out / "comparison", False, {}, (), False, requested=tuned) as (runner, plan):
         return carry_out(runner, plan, jobs, executor, on_done, say), laws
 
 
-def _laws(comparison: Comparison) -> list[tuple[TunedLaw, dict[str, Any]]]:
-    """Each law with its settings: a scenario, with a case of the axis that sets the law."""
-    axes = [
-        axis for axis, cases in comparison.cases.items() if any(path.split(".")[0] == "law" for case in cases.values() for path in case)
-    ]
-    if len(axes) > 1 or any(path.split(".")[0] == "law" for path in comparison.axes):
-        raise ParameterError("SCENARIO", "varies the law in several axes, or in `axes`; give its laws as one axis of `cases`")
-    found = []
-    for base in comparison.base:
-        if not axes:
-            found.append((TunedLaw(Path(base).stem, base, None), {}))
-        for case, block in comparison.cases[axes[0]].items() if axes else ():
-            word = case if len(comparison.base) == 1 else f"{Path(base).stem} {case}"
-            found.append((TunedLaw(word, base, case), dict(block)))
-    return found
+def _own(vary: Mapping[str, str | Sequence[object]], laws: Mapping[str, Variant], name: str) -> Mapping[str, str | Sequence[object]]:
+    """What is varied of a law: what is asked for, without the gains that it does not have; else all its gains."""
+    gains, asked = gains_of(laws[name].scenario.law), vary or ranges(laws)
+    return {path: given for path, given in asked.items() if path in gains or not is_gain(path)} or asked
+
+
+def _laws(comparison: Comparison) -> list[TunedLaw]:
+    """The cases of the axis that sets the law, or without one the scenarios."""
+    if not tunable(comparison):
+        words = "varies the law in several axes, in `axes`, or beside several scenarios; give its laws as one axis of `cases`"
+        raise ParameterError("SCENARIO", words)
+    if axes := law_axes(comparison):
+        return [TunedLaw(name, comparison.base[0], case) for name, case in comparison.cases[axes[0]].items()]
+    return [TunedLaw(file_word(Path(base).stem), base) for base in comparison.base]
 
 
 def _with_gains(comparison: Comparison, laws: Sequence[TunedLaw], folder: Path) -> Comparison:
     """The comparison with what the searches found: in its cases, or in scenarios of its own in a folder."""
-    plan = next(law.result.plan for law in laws if law.result)
-    ranges = ", ".join(f"{p.path}={p}" for p in plan.parameters)
+    plan = max((law.result.plan for law in laws if law.result), key=lambda plan: len(plan.vary))
+    between = ", ".join(f"{p.path}={p}" for p in plan.parameters)
     budget = f"Tuned before by {plan.shown.title.lower()}, each law with {plan.trials} trials from {plan.seeds or 1} starts"
     words = (
-        f"{comparison.description} {budget} that are not among these: {ranges}. Found: {'; '.join(law.words() for law in laws)}.".strip()
+        f"{comparison.description} {budget} that are not among these: {between}. Found: {'; '.join(law.words() for law in laws)}.".strip()
     )
-    if all(law.case is None for law in laws):
+    if not (axes := law_axes(comparison)):
         base = tuple(_written(law, folder) for law in laws)
         return changed(comparison, base=base, description=words)
-    axis = next(axis for axis, cases in comparison.cases.items() if laws[0].case in cases)
-    if len(comparison.base) > 1:
-        raise ParameterError("SCENARIO", "has several scenarios beside its cases of laws; tune one of them", list(comparison.base))
-    cases = {law.case or "": comparison.cases[axis][law.case or ""] | (law.result.settings if law.result else {}) for law in laws}
-    return changed(comparison, cases=comparison.cases | {axis: cases}, description=words)
+    cases = {law.name: dict(law.case or {}) | (law.result.settings if law.result else {}) for law in laws}
+    return changed(comparison, cases=comparison.cases | {axes[0]: cases}, description=words)
+
+
+def _record(comparison: Comparison, result: TuningResult) -> Tuned:
+    """How a law was tuned."""
+    plan, law = result.plan, to_mapping(result.scenario.law)
+    budget = {"metric": plan.metric, "trials": plan.trials, "seeds": plan.seeds}
+    return Tuned(law=law, scenario=file_word(Path(plan.scenario).stem), set=world(comparison), vary=plan.vary, **budget)
 
 
 def _written(law: TunedLaw, folder: Path) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from tests.report.comparison.comparisons import SCENARIO, build
 from tests.report.html import checked
-from vstestbed.report.comparison.page import differing, gains_alone, in_words, only_gains, write_comparison_report
+from vstestbed.report.comparison.page import differing, write_comparison_report
 from vstestbed.report.comparison.results import DEFAULT_METRICS, ComparisonResults
 
 
@@ -35,20 +36,18 @@ def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:
 def test_the_fields_that_differ(tmp_path: Path, change: tuple[str, str], fields: tuple[str, ...]) -> None:
     two = comparison(tmp_path, SCENARIO.replace(*change))
     assert differing([tmp_path / str(c.runs["folder"][0]) for c in two.controllers]) == fields
-    assert gains_alone(tmp_path, two) == ("law.gain" if fields == ("law.gain",) else "")
 
 
-def test_only_gains() -> None:
-    assert only_gains(["law.gain"]) and only_gains(["law.gain.at_zero", "law.gain_z"]) and only_gains(["law.k_rho", "law.k_alpha"])
-    assert not only_gains([]) and not only_gains(["law.gain", "law.kind"]) and not only_gains(["robot.attitude_gain"])
+SETTINGS = "These are settings, not laws: one and two fly with gain 0.5, for which none was tuned."
 
 
-def test_a_page_of_two_gains_says_that_a_gain_is_all_that_differs(tmp_path: Path, one_figure: None) -> None:
+def test_a_page_of_settings_says_so_first_and_is_never_green(tmp_path: Path, one_figure: None) -> None:
     two = comparison(tmp_path, SCENARIO.replace("gain: 1", "gain: 2"), seeds=40)
-    text = checked(write_comparison_report(tmp_path, ComparisonResults(two.table)).read_text(encoding="utf-8")).text
-    assert "Only law.gain differs. two is better than one." in text and "settings of one law" in text
-
-
-def test_the_gains_in_words() -> None:
-    assert in_words(["law.gain.value"]) == "law.gain" and in_words([]) == ""
-    assert in_words(["law.k_rho", "law.k_alpha", "law.k_beta"]) == "law.k_alpha, law.k_beta and law.k_rho"
+    of_laws, of_settings = ComparisonResults(two.table), ComparisonResults(two.table, settings=SETTINGS)
+    for shown, overall, look in (
+        (of_laws, "two is better than one.", "good"),
+        (of_settings, f"{SETTINGS} two is better than one.", "open"),
+    ):
+        page = write_comparison_report(tmp_path, shown).read_text(encoding="utf-8")
+        assert overall in checked(page).text and f'class="outcome {look}"' in page
+        assert json.loads((tmp_path / "verdicts.json").read_text())["overall"] == overall

@@ -24,7 +24,7 @@ from vstestbed.report.comparison.pairs import Pair, pairs
 from vstestbed.report.comparison.records import write_records
 from vstestbed.report.comparison.results import ComparisonResults, interquartiles, value_text
 from vstestbed.report.comparison.sentences import Findings, findings, short_title
-from vstestbed.report.marks import counted, listed
+from vstestbed.report.marks import counted
 from vstestbed.report.pages import cell, data_url, film_of, page, text_of, write_page
 from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.dump import load_run
@@ -57,35 +57,6 @@ def _from_first(runs: Iterable[Path]) -> Iterator[set[str]]:
         first = fields if first is None else first
         # `...`: a scenario does not have the field
         yield {name for name in first.keys() | fields.keys() if fields.get(name, ...) != first.get(name, ...)}
-
-
-def only_gains(fields: Iterable[str]) -> bool:
-    """Whether all these fields are gains of the law: `law.gain`, `law.gain.at_zero`, `law.gain_z`, `law.k_rho`."""
-    names = list(fields)
-    return bool(names) and all(
-        name.startswith("law.") and any("gain" in part or part.startswith("k_") for part in name.split(".")) for name in names
-    )
-
-
-def gains_alone(folder: Path, comparison: ComparisonResults) -> str:
-    """The gains in which controllers differ that differ in nothing else, in words; "" for others, or where a scenario cannot be read.
-
-    The first run of each controller stands for all. Reading (50 ms a scenario) ends at the first difference that is no gain.
-    """
-    found: set[str] = set()
-    try:
-        for fields in _from_first(folder / str(c.runs["folder"][0]) for c in comparison.controllers):
-            if fields and not only_gains(fields):
-                return ""
-            found |= fields
-    except (OSError, UnicodeError, VstestbedError):
-        return ""
-    return in_words(found)
-
-
-def in_words(gains: Iterable[str]) -> str:
-    """Names of gains in a sentence: `law.gain and law.k_rho`."""
-    return listed(list(dict.fromkeys(name.removesuffix(".value") for name in sorted(gains))))  # a constant gain may be a number
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
@@ -135,7 +106,7 @@ def write_comparison_report(
         plugins: as in `scenario.load.load`. call: draws the figures. paper: whether to draw them for a paper, too (`figures/`).
     """
     table, all_pairs, means = comparison.table, pairs(comparison), interquartiles(comparison)
-    words = findings(comparison, all_pairs, gains_alone(folder, comparison))
+    words = findings(comparison, all_pairs)
     write_records(folder, comparison, means, all_pairs, words)
     sections = tables.sections(comparison, means, all_pairs)
     write_tables(folder, words, sections["sections"])
@@ -172,7 +143,7 @@ def comparison_cell(folder: Path, comparison: ComparisonResults) -> str:
     """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
     where = f"Figures and films: {folder / 'report.html'}"
     all_pairs = pairs(comparison)
-    words = findings(comparison, all_pairs, gains_alone(folder, comparison))
+    words = findings(comparison, all_pairs)
     sections = tables.sections(comparison, interquartiles(comparison), all_pairs)
     return cell(page("comparison.html", "Comparison", description="", plan=where, baseline=None, found=words, **sections), NOTEBOOK_PX)
 

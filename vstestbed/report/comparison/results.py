@@ -153,6 +153,7 @@ class ComparisonResults:
     primary: str = ""  # the metric that decides after success; "": the time to the goal, a failure counted at its limit
     reference: str = ""  # label of the controller with which each other one is compared; "": all pairs
     margin: float = MARGIN  # share of the starts by which a better one may reach the goal less often
+    settings: str = ""  # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:

@@ -45,8 +45,8 @@ class Findings:
         return [words for i, words in enumerate(self.sentences) if i not in self.shown]
 
 
-def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair], gains: str = "") -> Findings:
-    """The result in words; gains: those in which controllers differ and in nothing else."""
+def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> Findings:
+    """The result in words; first that it is one of settings, where no search has found each law's values."""
     labels = [c.label for c in comparison.controllers]
     if len(labels) == 1:
         return Findings(_alone(comparison))
@@ -54,15 +54,14 @@ def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair], gains: st
     overall, cautions = standing.overall(bool(comparison.reference)), censoring(comparison)
     best = standing.best
     decided = best is not None and len(standing.beaten[best]) == len(labels) - 1
-    if gains:  # no controller is better than another for its gain
-        overall, decided = f"Only {gains} {'differ' if ' and ' in gains else 'differs'}. {overall}", False
-        cautions.append("This compares settings of one law: a larger gain converges sooner by itself, until delay or limits stop it.")
+    if comparison.settings:
+        overall = f"{comparison.settings} {overall}"
     shown = range(len(all_pairs))
     if len(all_pairs) > MOST_SHOWN // 2:
         most = max(standing.beaten, key=lambda i: len(standing.beaten[i]))
         shown = [i for i, p in enumerate(all_pairs) if most in (p.a, p.b)][:MOST_SHOWN]
     sentences = tuple(pair_text(pair, labels) for pair in all_pairs)
-    return Findings(overall, "good" if decided else "open", tuple(cautions), sentences, tuple(shown))
+    return Findings(overall, "good" if decided and not comparison.settings else "open", tuple(cautions), sentences, tuple(shown))
 
 
 def _alone(comparison: ComparisonResults) -> str:

@@ -27,6 +27,7 @@ from vstestbed.report.comparison.results import TIME, ComparisonResults, shown_b
 from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
 from vstestbed.studies.comparison.record import moved_plugins
+from vstestbed.studies.comparison.tuning_record import settings_of
 
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
 DEEPEST = 5  # folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)
@@ -167,7 +168,7 @@ def results_of(table: pl.DataFrame, comparison: Comparison) -> ComparisonResults
     """The results of a comparison as its report shows them."""
     metrics = comparison.metrics or (() if comparison.tasks else shown_by_default(table))
     names = comparison.varied, metrics, comparison.description, comparison.primary, comparison.reference
-    return ComparisonResults(table, *names, margin=comparison.margin)
+    return ComparisonResults(table, *names, margin=comparison.margin, settings=settings_of(comparison))
 
 
 def _film(folder: Path, table: pl.DataFrame, axes: tuple[str, ...]) -> Path | None:

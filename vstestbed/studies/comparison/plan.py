@@ -146,6 +146,37 @@ OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome"
 
 
 @spec
+class Tuned:
+    """How the gains of a law were found: by a search over a range of each, from starts that no comparison has.
+
+    Args:
+        law: with what was found; e.g. `{kind: ibvs, gain: 2.889}`.
+        scenario: its name, without a folder; e.g. `arm_ibvs`.
+        set: values by dotted path that the comparison had for all laws; e.g. `{camera.latency_s: 0.04}`.
+        vary: the range of each gain by dotted path, as of `tune`; e.g. `{law.gain: "0.3:8:log"}`.
+        metric: name of `summary.json` by which trials were compared.
+        trials: number of settings that were tried [1]; e.g. `12`.
+        seeds: random starts of each trial [1]; none: the nominal start alone; e.g. `5`.
+        first_seed: the first of their seeds.
+    """
+
+    law: dict[str, Any]
+    scenario: str
+    set: dict[str, Any] = field(default_factory=dict)
+    vary: dict[str, Any]
+    metric: str = "time_to_converge_s"
+    trials: Annotated[Seed, TighterBounds(ge=1)]
+    seeds: Annotated[Seed, TighterBounds(ge=1)] | None = None
+    first_seed: Annotated[Seed, TighterBounds(ge=TUNED)] = TUNED
+
+    @property
+    def budget(self) -> str:
+        """What a search may cost, and by what it judges: the same for all laws, or they are not compared fairly."""
+        starts = f"the seeds {self.first_seed} to {self.first_seed + self.seeds - 1}" if self.seeds else "the nominal start"
+        return f"{self.trials} trials from {starts} by {self.metric}"
+
+
+@spec
 class Comparison:
     """Every scenario with every combination of the cases and of the axes' values, in each task or from each seed.
 
@@ -168,6 +199,7 @@ class Comparison:
             failed counts with its limit (`time_to_goal_s`). Every other metric is exploratory; e.g. `final_position_error_m`.
         reference: the controller, by its name in the report, with which each other one is compared; without one all pairs are; e.g. `pbvs`.
         margin: share of the starts by which a law that is better by its time may reach the goal less often; declared before flying [1].
+        tuned: how each law was tuned, by its name: a case, or a scenario. Without it for each, a comparison of laws is one of settings.
     """
 
     description: str = ""
@@ -184,6 +216,7 @@ class Comparison:
     primary: str = ""
     reference: str = ""
     margin: Annotated[float, Ge(0), Le(0.5)] = MARGIN
+    tuned: dict[str, Tuned] = field(default_factory=dict)
     places: Marks = field(default_factory=dict, init=False, repr=False, compare=False)
     """Position of each value in its file, or the option that it comes from; a value without one counts as of `--set`."""
 
@@ -280,6 +313,7 @@ def chosen(
     needs = "a comparison needs base, a scenario robot, target, law and goal"
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
+    options |= {("base",): "SCENARIO"} if names[1:] else {}
     if path is None or not is_there(path) or "base" not in plain_mapping(text_of(path), str(path), needs)[0]:  # scenarios
         plugins = load_plugins(plugins)
         own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), plugins=tuple(plugins), **given)

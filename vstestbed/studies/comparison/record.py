@@ -56,7 +56,8 @@ def keep(place: Path) -> None:
             files[copy] = {"from": str(path), "sha256": _hash(path), "blob": blob, "commit": _commit(path)}
     if elsewhere:
         logging.getLogger("vstestbed").warning("not copied, since they are not below the folder of what names them: %s", sorted(elsewhere))
-    write_json(place / RECORD, {"environment": environment(), "files": files, "not_copied": sorted(elsewhere)})
+    tuned = plain_mapping(text_of(place / PLAN), PLAN, "")[0].get("tuned", {})  # how each law was tuned
+    write_json(place / RECORD, {"environment": environment(), "files": files, "not_copied": sorted(elsewhere), "tuned": tuned})
 
 
 def must_be_unchanged(place: Path, plugins: Sequence[str] = ()) -> None:
