@@ -2,6 +2,7 @@
 
 {{ run("arm_ibvs").time_to_converge_s | n(1) }} s
 {% set rows = command("compare arm_laws") %} {{ rows | where(scenario="arm_pbvs") | reached }}
+{{ under("run arm_ibvs", "compare arm_laws") }}
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import yaml
 
 import vstestbed as vs
 from docs.build import parameters
+from docs.build.conditions import conditions, conditions_line
 from docs.build.kept import Kept, Row
 from docs.build.suite import Suite
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
@@ -42,6 +44,11 @@ def pages() -> list[Path]:
 
 def rendered(page: Path, kept: Kept) -> str:
     """The text of a page."""
+    return template(page, kept).render()
+
+
+def template(page: Path, kept: Kept) -> jinja2.Template:
+    """The source of a page, with all that sources may call."""
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(SOURCES),
         undefined=jinja2.StrictUndefined,
@@ -82,7 +89,8 @@ def rendered(page: Path, kept: Kept) -> str:
         in_reach=in_reach,
         interval=interval,
     )
-    return made.get_template(page.as_posix()).render()
+    made.globals.update(under=conditions_line, conditions=conditions)
+    return made.get_template(page.as_posix())
 
 
 def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:

@@ -250,17 +250,14 @@ class Limit:
         }
 
 
-def prepared(scenario: Scenario) -> Scenario:
-    """The scenario at its goal, with the oracle as detector and a law without limits on the twist.
+def by_the_oracle(scenario: Scenario) -> Scenario:
+    """The scenario as it is measured: exact pixels, a picture without border, no noise, and a law without limits on the twist.
 
-    The goal configuration of an arm comes from a run of its own with ideal actuators.
-
-    Raises ParameterError: robot or law are not supported, or the run does not reach its goal.
+    Raises ParameterError: the law is not supported.
     """
-    scenario = scenario.resolved
     law, names = scenario.law, _fields_of(scenario.law)
     plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "smoothing_s": 0.0, "visibility": Visibility(), "gain": 2.0}
-    settled = replace(
+    return replace(
         scenario,
         law=replace(law, **{name: value for name, value in plain.items() if name in names}),  # only those fields that this law has
         noise=Noise(),
@@ -268,6 +265,17 @@ def prepared(scenario: Scenario) -> Scenario:
         camera=replace(scenario.camera, latency_s=0.0),
         stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
     )
+
+
+def prepared(scenario: Scenario) -> Scenario:
+    """The scenario as it is measured (`by_the_oracle`), at its goal.
+
+    The goal configuration of an arm comes from a run of its own with ideal actuators.
+
+    Raises ParameterError: robot or law are not supported, or the run does not reach its goal.
+    """
+    scenario = scenario.resolved
+    settled = by_the_oracle(scenario)
     if scenario.noise != settled.noise:
         logging.getLogger("vstestbed").warning("the gain limit is that without the scenario's noise, which is switched off")
     if settled.robot.body is None:
