@@ -91,6 +91,21 @@ def flown_by(command: str) -> Iterator[vs.Scenario]:
         raise ValueError(f"what `vstestbed {word}` flies is not known in docs/build/conditions.py; known: {KNOWN}")
 
 
+def comparison_of(command: str) -> Comparison:
+    """The plan of `compare ...`.
+
+    Raises:
+        ValueError: it is another command.
+    """
+    word, *rest = shlex.split(command)
+    if word != "compare":
+        raise ValueError(f"`vstestbed {word}` is no comparison")
+    given = _parameters(word, rest)
+    plan = _comparison(given, settings_of(given.get("set_")))
+    numbers = {name: given[name] for name in ("seeds", "primary", "reference") if given.get(name) is not None}
+    return changed(plan, **numbers)
+
+
 def _parameters(word: str, rest: Sequence[str]) -> dict[str, Any]:
     """The options of a command, read as the program reads them.
 

@@ -21,16 +21,19 @@ import yaml
 
 import vstestbed as vs
 from docs.build import parameters
-from docs.build.conditions import conditions, conditions_line
+from docs.build.conditions import comparison_of, conditions, conditions_line
 from docs.build.kept import Kept, Row
 from docs.build.suite import Suite
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.loop.columns import column_texts
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
-from vstestbed.report.comparison.results import TIME, ComparisonResults
+from vstestbed.report.comparison.pairs import pairs
+from vstestbed.report.comparison.results import LIMIT, TIME, ComparisonResults
+from vstestbed.report.comparison.sentences import findings
 from vstestbed.report.comparison.statistics import IntervalEstimate, paired_difference, quartiles, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown, over_all_tasks
 from vstestbed.studies.bench import BesideFloor
+from vstestbed.studies.comparison.folder import results_of
 from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -69,7 +72,7 @@ def template(page: Path, kept: Kept) -> jinja2.Template:
         strain_waves=parameters.strain_waves,
     )
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
-    made.globals.update(preset=parameters.preset, gain_of=gain_of)
+    made.globals.update(preset=parameters.preset, gain_of=gain_of, verdicts=lambda command: verdicts(kept(command), command))
     made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
     made.globals.update(table_columns=RUN_COLUMNS.items, suite=functools.cache(Suite))
     made.globals.update(grey_kb=(REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3)
@@ -119,6 +122,20 @@ def gain_of(comparison: str, law: str) -> float:
     """The gain of a law that a bundled comparison names [1/s]."""
     given = yaml.safe_load(bundled_comparisons()[comparison].read_text(encoding="utf-8"))
     return float(given["cases"]["law"][law]["law"]["gain"])
+
+
+def verdicts(rows: Sequence[Row], command: str) -> str:
+    """What a comparison has found, in the sentences that its report prints: on all laws, and on each pair.
+
+    Raises:
+        ValueError: the runs were kept without their limits, which are the price of a failure: fly them again.
+    """
+    table = pl.DataFrame([dict(row) for row in rows], infer_schema_length=None, strict=False)
+    if LIMIT.name not in table.columns:
+        raise ValueError(f"`vstestbed {command}` was kept without {LIMIT.name}: python -m docs.build PAGE --again '{command}'")
+    results = results_of(table, comparison_of(command))
+    found = findings(results, pairs(results))
+    return "\n".join([f"> {found.overall}", *(f">\n> - {words}" for words in found.sentences)])
 
 
 def judged(summary: Row) -> str:
