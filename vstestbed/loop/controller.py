@@ -565,9 +565,9 @@ class Controller:
         if rates is not None and isinstance(robot, Arm):
             allocation = robot.allocate_rates(rates, reading, mount, period)
         else:
-            if rates is not None:
-                twist = robot.motion_basis(mount, reading.q) @ rates
-            allocation = robot.allocate(twist, reading, mount, period).told(twist)
+            made = twist if rates is None else robot.motion_basis(mount, reading.q) @ rates
+            allocation = robot.allocate(made, reading, mount, period)
+        allocation = allocation.told(twist)  # also of rates that make another one than their law says
         if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
             allocation = robot.pressed(allocation, command.wrench, mount)
         elif command.wrench is not None:
