@@ -369,7 +369,7 @@ def test_a_stamp_of_the_future_of_a_further_camera_is_refused_by_name(eyes: Eyes
         eyes.own_picture(k * PERIOD_S)
     for t in (0.16 + TIMEOUT_S + 0.01, 100.0, 1e6):
         with pytest.raises(
-            ParameterError, match=r"^t must be at most 0.66 s, as long as an order lasts from now .* all stamps are of one clock"
+            ParameterError, match=r"^t must be at most 0.66 s, .* from now .* all stamps are of one clock"
         ):
             eyes.controller.look("room", eyes.room, t, eyes.reading)
     eyes.controller.look("room", eyes.room, 0.16, eyes.reading)  # nothing has changed

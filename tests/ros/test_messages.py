@@ -128,7 +128,7 @@ def test_an_attitude_that_is_none_is_refused_by_name(o):
         imu = m.readings(0.0, scenario.robot, session.episode.plant.reading())["imu"]
     m.check_finite("imu", imu)
     imu.orientation.w, imu.orientation.x, imu.orientation.y, imu.orientation.z = o
-    with pytest.raises(ParameterError, match="imu.orientation is no unit quaternion; a driver without an attitude sets the first number"):
+    with pytest.raises(ParameterError, match=r"imu.orientation is no unit quaternion; a driver without an attitude sets the first number"):
         m.check_finite("imu", imu)
     imu.orientation_covariance[0] = -1.0
     m.check_finite("imu", imu)

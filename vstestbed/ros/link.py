@@ -261,7 +261,7 @@ class Rclpy(Link):
             return None
 
     def _quality(self, topic: str, sensed: bool = False) -> Any:
-        """The quality of service. sensed: of what a sensor tells, which is heard from best-effort drivers, too; an old message is not missed."""
+        """The quality of service. sensed: of what a sensor tells, whose driver may speak by best effort."""
         qos: Any = importlib.import_module("rclpy.qos")
         if sensed:
             return qos.QoSProfile(depth=5, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
