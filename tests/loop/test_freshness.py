@@ -16,6 +16,7 @@ from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.controller import FROZEN
+from vstestbed.loop.inputs import OwnClock
 
 TIMEOUT_S, LOST_S, PERIOD_S = 0.5, 0.2, 0.04
 SETTINGS = {"camera.width": 320, "camera.height": 240, "stop.lost_after_s": LOST_S, "target.marker.radius": 0.06}
@@ -289,6 +290,16 @@ def test_a_clock_that_is_wrong_once_counts_on_afterwards(shown: Any, once: float
     assert moves(orders[0]) and orders[-1].latched and not any(moves(order) for order in orders[14:])
 
 
+@pytest.mark.parametrize("first", [nan, inf, -inf])
+def test_a_clock_that_begins_wrong_counts_from_its_first_time_on(first: float) -> None:
+    clock = Clock(first)
+    own = OwnClock(clock)
+    clock.now = 5e5
+    begun = own.s()
+    clock.now += 0.25
+    assert own.s() - begun == 0.25
+
+
 def test_silence_is_counted_by_the_own_clock_where_the_time_that_is_told_stands_still(shown: Any) -> None:
     robot = Robot(shown)
     for k in range(5):
@@ -368,9 +379,7 @@ def test_a_stamp_of_the_future_of_a_further_camera_is_refused_by_name(eyes: Eyes
     for k in range(5):
         eyes.own_picture(k * PERIOD_S)
     for t in (0.16 + TIMEOUT_S + 0.01, 100.0, 1e6):
-        with pytest.raises(
-            ParameterError, match=r"^t must be at most 0.66 s, .* from now .* all stamps are of one clock"
-        ):
+        with pytest.raises(ParameterError, match=r"^t must be at most 0.66 s, .* from now .* all stamps are of one clock"):
             eyes.controller.look("room", eyes.room, t, eyes.reading)
     eyes.controller.look("room", eyes.room, 0.16, eyes.reading)  # nothing has changed
 

@@ -195,15 +195,14 @@ class OwnClock:
     """
 
     def __init__(self, clock: Callable[[], float]):
-        now = clock()
-        self._clock, self._last, self._sum = clock, now if math.isfinite(now) else 0.0, 0.0
+        self._clock, self._last, self._sum = clock, clock(), 0.0
 
     def s(self) -> float:
         """The time since it was made [s]."""
         now = self._clock()
         passed = UNKNOWN_S
         if math.isfinite(now):
-            passed = min(now - self._last, UNKNOWN_S)
+            passed = min(UNKNOWN_S, now - self._last)  # UNKNOWN_S also after a beginning that is NaN
             self._last = now
         self._sum += max(passed, 0.0)
         return self._sum

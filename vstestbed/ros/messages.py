@@ -180,7 +180,6 @@ CHANNELS = {
 WIDTHS = {"rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}
 DEPTHS = {"16UC1": (np.dtype(np.uint16), 1e-3), "mono16": (np.dtype(np.uint16), 1e-3), "32FC1": (np.dtype(np.float32), 1.0)}
 """Numbers of each encoding of depths, and their unit [m]: REP 118."""
-SATURATED = 65535  # the largest of 16 bits tells that it is as far or farther
 
 
 def picture_of(message: Message) -> Image:
@@ -208,7 +207,7 @@ def depth_of(message: Message) -> DepthImage:
     rows = _rows(message, kind, 1)[..., 0]
     depths = (rows * np.float32(unit)).astype(np.float32)
     if kind.kind == "u":
-        depths[rows == SATURATED] = np.nan
+        depths[rows == 65535] = np.nan  # the largest of 16 bits: as far or farther
     return depths
 
 
