@@ -16,6 +16,7 @@ from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.controller import FROZEN
+from vstestbed.loop.inputs import OwnClock
 
 TIMEOUT_S, LOST_S, PERIOD_S = 0.5, 0.2, 0.04
 SETTINGS = {"camera.width": 320, "camera.height": 240, "stop.lost_after_s": LOST_S, "target.marker.radius": 0.06}
@@ -275,6 +276,30 @@ def test_a_clock_that_once_tells_no_time_counts_on_afterwards(shown: Any) -> Non
     assert orders[-1].latched and not any(moves(order) for order in orders[14:])
 
 
+@pytest.mark.parametrize("once", [inf, -inf, 1e18, 1e300, -1e300])
+def test_a_clock_that_is_wrong_once_counts_on_afterwards(shown: Any, once: float) -> None:
+    """Of a sum that such a time had entered, a float would lose all the steps that follow."""
+    robot = Robot(shown)
+    right = robot.clock.now
+    robot.clock.now = once
+    robot.hears(Message(0.0), 0.0)
+    robot.clock.now = right
+    for k in range(1, 5):
+        robot.hears(Message(k * PERIOD_S))
+    orders = [robot.hears(Message(4 * PERIOD_S)) for _ in range(40)]
+    assert moves(orders[0]) and orders[-1].latched and not any(moves(order) for order in orders[14:])
+
+
+@pytest.mark.parametrize("first", [nan, inf, -inf])
+def test_a_clock_that_begins_wrong_counts_from_its_first_time_on(first: float) -> None:
+    clock = Clock(first)
+    own = OwnClock(clock)
+    clock.now = 5e5
+    begun = own.s()
+    clock.now += 0.25
+    assert own.s() - begun == 0.25
+
+
 def test_silence_is_counted_by_the_own_clock_where_the_time_that_is_told_stands_still(shown: Any) -> None:
     robot = Robot(shown)
     for k in range(5):
@@ -308,6 +333,69 @@ def test_a_further_camera_that_is_frozen_is_told_and_ends_the_task() -> None:
     assert cycle.latched and "frozen" in cycle.reason
 
 
+class Eyes:
+    """Two cameras: the own one sees the target in its first five pictures, the room's in one at .15 s."""
+
+    def __init__(self) -> None:
+        scenario = vs.load("arm_two_eyes")
+        with vs.Session(scenario, pictures=True) as session:
+            frame = session.reset()
+            self.reading, own = session.episode.plant.reading(), frame.image
+            while "room" not in frame.cameras or frame.cameras["room"].image is None:
+                frame = session.step()
+            room = frame.cameras["room"].image
+        assert own is not None and room is not None
+        self.own, self.room = own, room
+        self.controller, self.clock = vs.Controller(scenario), Clock()
+        self.controller.clock = self.clock
+        self.shown = 0
+
+    def own_picture(self, t: float, arrived: float | None = None) -> vs.Order:
+        """The order by one more picture of the own camera."""
+        self.clock.now += PERIOD_S
+        picture = self.own.copy() if self.shown < 5 else np.full_like(self.own, 90)
+        picture[0, 0] = self.shown % 251
+        self.shown += 1
+        return self.controller.step(picture, t, self.reading, arrived).order
+
+
+@pytest.fixture
+def eyes() -> Eyes:
+    return Eyes()
+
+
+@pytest.mark.parametrize("creeps", [True, False])
+def test_the_last_picture_of_a_further_camera_grows_old_by_the_own_clock(eyes: Eyes, creeps: bool) -> None:
+    """The room's was the last to see the target; its stamp is ahead, or the own stamps stand nearly still."""
+    for k in range(5):
+        eyes.own_picture(k * PERIOD_S)
+    eyes.controller.look("room", eyes.room, 0.15 if creeps else 0.6, eyes.reading)
+    orders = [eyes.own_picture(0.16 + 1e-6 * k if creeps else 0.16 + PERIOD_S * k) for k in range(1, 60)]
+    # as long as an order lasts, two and a half periods of the room's camera, and until the target is lost
+    assert moves(orders[0]) and not any(moves(order) for order in orders[25:]) and orders[-1].latched
+
+
+def test_a_stamp_of_the_future_of_a_further_camera_is_refused_by_name(eyes: Eyes) -> None:
+    for k in range(5):
+        eyes.own_picture(k * PERIOD_S)
+    for t in (0.16 + TIMEOUT_S + 0.01, 100.0, 1e6):
+        with pytest.raises(ParameterError, match=r"^t must be at most 0.66 s, .* from now .* all stamps are of one clock"):
+            eyes.controller.look("room", eyes.room, t, eyes.reading)
+    eyes.controller.look("room", eyes.room, 0.16, eyes.reading)  # nothing has changed
+
+
+def test_pictures_of_one_time_are_taken_all_or_none(eyes: Eyes) -> None:
+    both = {"camera": eyes.own, "room": eyes.room}
+    eyes.controller.step(both, 0.0, eyes.reading, 0.01)
+    assert eyes.controller.step(both, 0.0, eyes.reading, 0.02).notes == ("the picture of 0 s came again",)
+    for wrong in ({"camera": eyes.own[:10], "room": eyes.room}, {"camera": eyes.own, "room": eyes.room[:10]}):
+        with pytest.raises(ParameterError, match="uint8, RGB"):
+            eyes.controller.step(wrong, 0.04, eyes.reading, 0.05)
+    right = eyes.controller.step(both, 0.04, eyes.reading, 0.05)
+    assert not right.notes and right.timing.number == 1 and eyes.controller.others is not None
+    assert eyes.controller.others.perception["room"].before.t == 0.04
+
+
 def test_a_law_that_takes_longer_than_its_command_lasts(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the time of arrival is told. A film, whose caller tells none, has time."""
     robot = Robot(shown)
@@ -322,6 +410,7 @@ def test_a_law_that_takes_longer_than_its_command_lasts(shown: Any, monkeypatch:
         order = robot.hears(Message(k, k + 0.02))
         assert order.stopped and not order.latched and order.reason == "the picture was answered after 0.6 s"
         assert moves(robot.hears(Message(k + 0.5)))
+        assert robot.notes[-1] == "the picture was answered after 0.6 s; with `arrived` the robot is told to stop then"
 
 
 def sequences(rng: np.random.Generator) -> Iterator[tuple[Message, float]]:
@@ -393,6 +482,40 @@ class TestAFrozenCamera:
             robot.hears(Message(1e-6 * k, new=False))
         assert FROZEN in robot.notes
 
+    @pytest.mark.parametrize("begin", [-1000.0, -5.0, 1.8e9])
+    def test_is_told_whatever_the_stamps_begin_with(self, shown: Any, begin: float) -> None:
+        robot = Robot(shown)
+        notes = [FROZEN in (robot.hears(Message(begin + k * PERIOD_S, new=False)) and robot.notes) for k in range(20)]
+        assert notes.index(True) in (13, 14)  # as from 0 s on
+
+    @pytest.mark.parametrize("told", [60.0, 1.8e9])
+    def test_is_told_after_a_silence_of_another_time(self, shown: Any, told: float) -> None:
+        """Who watches asked before the first picture had come, by another clock."""
+        robot = Robot(shown)
+        robot.controller.without_picture(told, robot.reading)
+        notes = [FROZEN in (robot.hears(Message(k * PERIOD_S, new=False)) and robot.notes) for k in range(20)]
+        assert notes.index(True) in (13, 14)
+
+    def test_is_told_after_a_pause_in_which_stamps_stood_still(self, shown: Any) -> None:
+        """The silence was counted by the own clock, and stopped the robot at a time that the stamps reach much later."""
+        robot = Robot(shown, lost_after_s=None)
+        for k in range(5):
+            robot.hears(Message(k * PERIOD_S))
+        robot.clock.now += 10.0
+        assert robot.controller.without_picture(4 * PERIOD_S, robot.reading).stopped
+        notes = [FROZEN in (robot.hears(Message(k * PERIOD_S, new=False)) and robot.notes) for k in range(5, 25)]
+        assert notes.index(True) <= 14
+
+    @pytest.mark.parametrize("latency_s", [0.02, 0.05])
+    def test_is_told_where_stamps_creep_and_commands_are_late(self, latency_s: float) -> None:
+        """By its stamps no picture is of a time at which the robot moved."""
+        scenario = vs.load("arm_ibvs", SETTINGS | {"camera.latency_s": latency_s, "timing.command_latency_s": latency_s})
+        with vs.Session(scenario, pictures=True) as session:
+            image = session.reset().image
+            robot = Robot((scenario, np.array(image), session.episode.plant.reading()))
+        notes = [FROZEN in (robot.hears(Message(1e-6 * k, new=False)) and robot.notes) for k in range(24)]
+        assert TIMEOUT_S <= notes.index(True) * PERIOD_S <= TIMEOUT_S + 2 * latency_s + 3 * PERIOD_S
+
     def test_that_writes_into_one_array_and_changes_is_none(self, shown: Any) -> None:
         """The picture before is not at hand any more: it must not be compared with itself."""
         scenario, image, reading = shown
@@ -419,6 +542,31 @@ class TestAFrozenCamera:
         assert robot.hears(Message(21 * PERIOD_S, new=True)).latched
         robot.controller.reset()
         assert moves(robot.hears(Message(0.0, new=False)))
+
+
+@pytest.mark.parametrize("begin", [-1000.0, -0.3])
+@pytest.mark.parametrize("silence", [None, 60.0])
+def test_what_a_law_knows_of_its_own_motion_depends_on_no_begin_of_the_stamps(begin: float, silence: float | None) -> None:
+    """A law with feedforward is told how far the camera has gone since the exposure, which is by its commands here."""
+    flies = {"robot": {"kind": "free", "start": {"nominal": {"xyz": [0.55, 0.05, 0.7], "rpy_deg": [0, 90, 0]}}}}
+    scenario = vs.load("arm_track_circle", flies | {"camera.latency_s": 0.1, "detector": "blobs"})
+    with vs.Session(scenario, pictures=True) as session:
+        image, reading = session.reset().image, session.episode.plant.reading()
+    assert image is not None
+
+    def told(start: float, asked: float | None) -> list[np.ndarray]:
+        controller, seen = vs.Controller(scenario), []
+        observe = controller._perception.observe
+        controller._perception.observe = lambda *given: seen.append(given[3]) or observe(*given)
+        if asked is not None:
+            controller.without_picture(asked, reading)
+        for k in range(8):
+            controller.step(image, start + k * PERIOD_S, reading)
+        return [np.concatenate([own.twist, own.moved]) for own in seen if own is not None]
+
+    right = told(0.0, None)
+    assert len(right) == 8 and np.abs(right[-1]).max() > 1e-3
+    np.testing.assert_allclose(told(begin, silence), right, atol=1e-9)  # times of a thousand seconds end at 1e-13
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.laws import Command
 from vstestbed.robots import ROBOTS, Mount
 from vstestbed.robots.allocation import LIMITS, Order
 from vstestbed.robots.base import Reading
@@ -35,6 +36,23 @@ def joints_of(robot, rng, k: int):
 
 def test_each_kind_of_robot_is_among_them():
     assert {robot_of(name)[0].kind for name in NAMES} == set(ROBOTS.members)
+
+
+@pytest.mark.parametrize("name", ["arm_ibvs", "omni_ibvs"])
+def test_rates_that_make_another_twist_than_their_law_says_are_named(name):
+    """A law of others that orders velocities of joints or wheels, with a twist that they do not make."""
+    controller = vs.Controller(vs.load(name))
+    robot = controller.scenario.robot
+    q = np.array([0.3, 0.9, -2.8, 0.2, 0.9, -0.5]) if robot.base == "fixed" else robot.start_joints()
+    reading, named = Reading(q, np.zeros_like(q), 0.1), []
+    mount = controller._mount_at(q)
+    model = robot.own_model(reading, mount)
+    for off in (0.0, 0.05):
+        rates = np.full(len(model.names), 0.01)
+        twist = model.J @ rates
+        made = controller._allocate(Command(twist, twist + off * np.eye(6)[3], rates=rates), reading, mount)
+        named.append(Order.of(made).reason)
+    assert named[0] == "" and "it moves another way than was commanded" in named[1]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -3,9 +3,11 @@
 import logging
 import re
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from tests.ros.test_nodes import Wire, spun
 from vstestbed.core.errors import ParameterError
 from vstestbed.ros import messages as m
 from vstestbed.ros.law import LawNode
-from vstestbed.ros.link import connected, rules_of
+from vstestbed.ros.link import Rclpy, connected, rules_of
 from vstestbed.ros.robot import RobotNode
 
 LAW, ROBOT = "vstestbed_law", "vstestbed_robot"
@@ -202,6 +204,25 @@ GARBAGE = {
 }
 GARBAGE["a gigabyte, it says"] = m.to_cdr(m.image(1.0, np.zeros((4, 4, 3), np.uint8)))[:-52] + (1 << 30).to_bytes(4, "little") + bytes(48)
 PICTURE = m.to_cdr(m.image(1.0, np.zeros((4, 4, 3), np.uint8)))
+
+
+def test_sensors_are_heard_from_drivers_that_speak_by_best_effort(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reliable subscription hears none of them (REP 2003), a best-effort one hears both. Commands stay reliable."""
+
+    class Qos(SimpleNamespace):
+        QoSProfile = staticmethod(lambda **given: given)
+        ReliabilityPolicy = SimpleNamespace(BEST_EFFORT="best effort")
+        DurabilityPolicy = SimpleNamespace(TRANSIENT_LOCAL="latched")
+
+    monkeypatch.setitem(sys.modules, "rclpy.qos", Qos())
+    made = []
+    one = Rclpy.__new__(Rclpy)
+    one.node, one._rules, one._names = "vstestbed_law", [], {}
+    one._node = SimpleNamespace(create_subscription=lambda kind, name, heard, quality, raw: made.append(quality))
+    monkeypatch.setattr(one, "_class", lambda kind: kind)
+    for kind in (m.IMAGE, m.COMPRESSED, m.JOINTS, m.IMU, m.TWIST):
+        one.subscribe("~/it", kind, print)
+    assert made == [{"depth": 5, "reliability": "best effort"}] * 4 + [{"depth": 10}]
 
 
 def test_bytes_that_are_no_message_are_passed_over_counted_and_told(caplog: pytest.LogCaptureFixture) -> None:

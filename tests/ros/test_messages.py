@@ -51,6 +51,8 @@ def test_pictures_of_every_encoding_are_read():
     millimetres = np.arange(48, dtype="<u2").reshape(6, 8) * 100
     np.testing.assert_allclose(m.depth_of(as_image(millimetres.tobytes(), "16UC1", 8, 16)), millimetres / 1000)
     np.testing.assert_allclose(m.depth_of(as_image(millimetres.byteswap().tobytes(), "16UC1", 8, 16, big=1)), millimetres / 1000)
+    millimetres_far = np.full((8, 16), 65535, np.uint16)  # at the end of its numbers: farther than any, or nothing
+    assert np.isnan(m.depth_of(as_image(millimetres_far.tobytes(), "16UC1", 8, 16))).all()
     np.testing.assert_allclose(m.depth_of(sent(m.depth_image(0.0, millimetres.astype(np.float32)))), millimetres)
 
 
@@ -115,6 +117,21 @@ def test_readings_of_every_robot_go_there_and_back():
             assert again.range_m == 1.5 and not again.estimate.overturned
         with pytest.raises(ParameterError, match="nothing was heard"):
             m.reading_of(robot, {})
+
+
+@pytest.mark.parametrize("o", [(0.0, 0.0, 0.0, 0.0), (1e-9, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)])
+def test_an_attitude_that_is_none_is_refused_by_name(o):
+    """Zeros are what a driver without an attitude leaves there; level is another thing."""
+    scenario = vs.load("car_pbvs")
+    with vs.Session(scenario) as session:
+        session.reset()
+        imu = m.readings(0.0, scenario.robot, session.episode.plant.reading())["imu"]
+    m.check_finite("imu", imu)
+    imu.orientation.w, imu.orientation.x, imu.orientation.y, imu.orientation.z = o
+    with pytest.raises(ParameterError, match=r"imu.orientation is no unit quaternion; a driver without an attitude sets the first number"):
+        m.check_finite("imu", imu)
+    imu.orientation_covariance[0] = -1.0
+    m.check_finite("imu", imu)
 
 
 def test_a_range_of_humble_is_read():

@@ -331,12 +331,183 @@ def test_a_law_that_hangs_is_watched(shown, monkeypatch):
     assert "stopped: no new order for over 0.2 s" in [x.data for topic, x in wire.shared["said"] if topic == "/vstestbed_law/status"]
 
 
-@pytest.mark.parametrize("watchdog_s", [np.nan, np.inf, -1.0])
+@pytest.mark.parametrize("watchdog_s", [np.nan, np.inf, -1.0, 10.1, 1e6])
 def test_a_watchdog_that_never_bites_is_refused(watchdog_s):
     scenario = vs.load("arm_ibvs")
     for made in (lambda: LawNode(scenario, Wire("a"), watchdog_s), lambda: RobotNode(scenario, Wire("b"), watchdog_s=watchdog_s)):
-        with pytest.raises(ParameterError, match="--watchdog must be > 0 s, and finite"):
+        with pytest.raises(ParameterError, match="--watchdog must be between 0 and 10 s: for so long the last twist may stand"):
             made()
+
+
+@pytest.mark.parametrize("queue_s", [0.0, 3.0, 3600.0])
+@pytest.mark.parametrize("again", ["start", "reset and start"])
+def test_no_new_start_forgets_how_late_pictures_come(shown, clocks, queue_s, again):
+    """Stamps are of another clock: what came soonest before the stop still tells. 0 s: the camera is as it was."""
+    law, begun = Law(shown, clocks), clocks.now
+    for k in range(1, 6):
+        assert law.hears(100.0 + k * PERIOD_S)
+    law.node.stop()
+    law.hears(100.24)
+    clocks.now += queue_s
+    moved = []
+    for _ in range(3):
+        if again != "start":
+            law.node.reset()
+        law.node.start()
+        moved += [law.hears(100.0 + clocks.now + PERIOD_S - begun - queue_s) for _ in range(30)]
+    assert not any(moved) if queue_s else all(moved)
+
+
+def test_a_frozen_picture_moves_nothing_at_a_new_start(shown, clocks):
+    law = Law(shown, clocks)
+    for k in range(1, 6):
+        assert law.hears(100.0 + k * PERIOD_S)
+    clocks.now += 3600.0
+    for _ in range(5):
+        law.node.start()
+        assert not any(law.hears(100.2) for _ in range(30))
+
+
+def test_a_camera_that_was_switched_on_again_is_followed_after_a_new_start(shown, clocks):
+    law = Law(shown, clocks)
+    for k in range(1, 6):
+        assert law.hears(100.0 + k * PERIOD_S)
+    moved = [law.hears(3.0 + k * PERIOD_S) for k in range(30)]
+    assert not any(moved[14:]) and law.node._stopped
+    law.node.start()
+    assert all(law.hears(3.0 + k * PERIOD_S) for k in range(30, 60))
+
+
+def test_a_camera_whose_clock_is_slower_is_followed_for_hours(shown, clocks):
+    """Of quartz that is slow by 100 millionths, a picture a minute for 5 h; without a leak it ends after 1.4 h."""
+    law, begun = Law(shown, clocks, watchdog_s=10.0), clocks.now
+    latest_s, feed = law.scenario.timing.latest_s(law.scenario.camera), law.node.servo
+    feed.began = 0.0
+    ages = []
+    for _ in range(300):
+        clocks.now += 60.0
+        stamp = (clocks.now - begun) * (1 - 1e-4)
+        ages.append(feed._arrived_by(stamp, clocks.now) - stamp)
+    assert max(ages) < 0.02 * latest_s
+    clocks.now += 60.0
+    stamp = (clocks.now - begun) * (1 - 1e-4) - 3.0  # a queue is told all the same
+    assert feed._arrived_by(stamp, clocks.now) - stamp > 2.98
+
+
+class TestAClockThatIsPublished:
+    """`/clock` near to the camera's stamps, which says that time is simulated."""
+
+    def ticks(self, law, t):
+        law.wire.publish("/clock", m.clock(t))
+
+    def test_and_stands_still_takes_no_check_away(self, shown, clocks):
+        law = Law(shown, clocks)
+        self.ticks(law, 100.1)
+        for k in range(1, 6):
+            law.hears(100.0 + k * PERIOD_S)
+        moved = [law.hears(100.2 + 1e-3 * k) for k in range(1, 100)]
+        latest_s = law.scenario.timing.latest_s(law.scenario.camera)
+        assert not any(moved[int((TIMEOUT_S + latest_s) / PERIOD_S) + 1 :]) and law.node._stopped
+
+    def test_and_stands_still_lets_no_slow_law_go_on(self, shown, clocks, monkeypatch):
+        law = Law(shown, clocks)
+        self.ticks(law, 100.1)
+        for k in range(1, 20):
+            law.hears(100.0 + k * PERIOD_S)
+        step = type(law.node.servo.controller.law).step
+
+        def slow(self, *given):
+            clocks.now += 10.0
+            return step(self, *given)
+
+        monkeypatch.setattr(type(law.node.servo.controller.law), "step", slow)
+        assert not any(law.hears(101.0 + k * PERIOD_S) for k in range(5))
+
+    def test_and_runs_tells_how_old_pictures_are(self, shown, clocks):
+        """A queue that grows."""
+        law, moved = Law(shown, clocks), []
+        for k in range(1, 200):
+            now, lag_s = 100.0 + k * PERIOD_S, 0.03 * k
+            self.ticks(law, now)
+            moved.append((law.hears(now - lag_s), lag_s))
+        latest_s = law.scenario.timing.latest_s(law.scenario.camera)
+        assert all(moves == (lag_s <= latest_s) for moves, lag_s in moved) and law.node._simulated
+
+    def test_and_stands_still_until_the_first_twist_is_of_a_robot_that_waits(self, shown, clocks, monkeypatch):
+        """In lockstep, long before `~/start`: the law may take its time for the first picture, too."""
+        law = Law(shown, clocks)
+        self.ticks(law, 0.04)
+        clocks.now += 100.0
+        step = type(law.node.servo.controller.law).step
+
+        def slow(self, *given):
+            clocks.now += 10.0
+            return step(self, *given)
+
+        monkeypatch.setattr(type(law.node.servo.controller.law), "step", slow)
+        assert law.hears(0.04)
+
+
+def test_no_reading_of_the_former_run_is_one_of_this(shown, clocks):
+    """The robot begins anew with other joints, at the same times of its simulation; what was heard while it was stopped is past, too."""
+    law = Law(shown, clocks)
+    former = law.reading.q.copy()
+
+    def runs(pictures):
+        for k in range(1, pictures):
+            law.wire.publish("/clock", m.clock(k * PERIOD_S))
+            yield law.hears(k * PERIOD_S)
+
+    assert all(runs(26))
+    law.node.reset()
+    law.tells(0.5)
+    law.node._turn()
+    law.node.start()
+    law.reading = vs.Reading(former + 0.2, np.zeros(6))
+    for k, moves in enumerate(runs(10), 1):
+        np.testing.assert_array_equal(law.node.servo.senses.at(k * PERIOD_S).q, law.reading.q)
+        np.testing.assert_array_equal(law.node.servo.senses.at().q, law.reading.q)
+        assert moves
+    law.reading = vs.Reading(former + 0.3, np.zeros(6))
+    law.tells(9 * PERIOD_S)  # told again: the newer message counts
+    np.testing.assert_array_equal(law.node.servo.senses.at().q, law.reading.q)
+
+
+class TestACraft:
+    """It cannot stop in the air: where others stop, it holds, and then sinks."""
+
+    @pytest.fixture
+    def craft(self, clocks):
+        scenario = vs.load("quadrotor_perspective", {"detector": "blobs"})
+        with vs.Session(scenario, pictures=True) as session:
+            frame = session.reset()
+            law = Law((scenario, frame.image.copy(), session.episode.plant.reading()), clocks)
+        for k in range(1, 6):
+            assert law.hears(EPOCH + k * PERIOD_S)
+        return law
+
+    def sinks(self, law):
+        """Whether the last twist is downwards, in the body's frame."""
+        v = law.wire.twists()[-1]
+        return bool(v[2] < -0.1) and not v[3:].any()
+
+    def test_sinks_without_pictures_until_it_sees_its_target_again(self, craft, clocks):
+        lost_s = craft.scenario.stop.lost_after[0]
+        held = [craft.hears(EPOCH + 0.2) for _ in range(int((TIMEOUT_S + lost_s) / PERIOD_S) - 2)]
+        assert not any(held[14:])
+        for _ in range(40):
+            craft.hears(EPOCH + 0.2)
+        assert all(craft.hears(EPOCH + 0.2) and self.sinks(craft) for _ in range(20)) and not craft.node._stopped
+        assert "the craft sinks; no new picture for over 0.5 s" in craft.said[-1]
+        assert craft.hears(clocks.time() + PERIOD_S) and craft.said[-1] == "servoing"
+        craft.node.stop()
+        assert not craft.moves  # a person's stop holds it
+
+    def test_sinks_where_its_law_has_failed(self, craft, clocks, monkeypatch):
+        monkeypatch.setattr(type(craft.node.servo.controller.law), "step", lambda *given: 1 / 0)
+        for _ in range(100):
+            craft.hears(clocks.time() + PERIOD_S)
+        assert self.sinks(craft) and "ZeroDivisionError" in craft.said[-1] and "sinks" in craft.said[-1]
 
 
 # The robot's side.
@@ -480,12 +651,64 @@ def test_a_real_clock_and_a_robot_that_moves_by_it():
     assert max(speeds[:10]) < 1e-3 < 0.02 < max(speeds[12:20]) and speeds[-1] < 2e-3 and node.dropped >= 8
 
 
+RESTS = {  # a twist, a rest, and a twist that was sent before the rest and comes after it: stamps, each by the clock at its coming
+    "without a stamp": (0.0, None, -0.02),
+    "of long ago": (0.0, -60.0, -0.02),
+    "somewhat late": (0.0, -0.3, -0.02),
+    "of the future": (0.0, 60.0, -0.02),
+    "after one that was ahead": (0.4, 0.0, 0.1),
+}
+
+
+@pytest.mark.parametrize("rest", RESTS)
+def test_whatever_the_stamp_of_a_rest_no_twist_of_before_it_is_obeyed_and_later_ones_are(clocks, rest):
+    one = Commanded(clocks)
+    moved = []
+    for v, ahead_s, after_s in zip((0.1, 0.0, 0.1), RESTS[rest], (PERIOD_S, PERIOD_S, 0.0), strict=True):
+        stamp = 0.0 if ahead_s is None else clocks.time() + after_s + ahead_s
+        moved.append(any(one.obeys(stamp, v, after_s) or []))
+    assert moved == [True, False, False] and one.node.dropped == 1
+    clocks.now += max(RESTS[rest][0] - PERIOD_S, 0.0)  # of one that was ahead, the next is later
+    assert all(any(one.obeys(clocks.time() + PERIOD_S)) for _ in range(5))
+
+
+def test_what_is_heard_while_it_is_stopped_moves_nothing_afterwards(clocks):
+    one = Commanded(clocks)
+    before = clocks.time()
+    assert one.obeys(before + PERIOD_S)
+    one.node.stop()
+    assert one.obeys(clocks.time() + PERIOD_S) is None
+    late = clocks.time()
+    one.node.start()
+    assert one.now is None
+    clocks.now += PERIOD_S
+    assert one.obeys(late - 0.01, after_s=0.0) is None  # sent before the start
+    assert any(one.obeys(clocks.time() + PERIOD_S))
+
+
+def test_one_command_again_and_again_renews_nothing_whatever_the_clock_is_set_to(clocks):
+    """The machine's clock stands still, so that the stamp never grows old."""
+    one, stamp, began = Commanded(clocks), clocks.time(), clocks.now
+    obeyed = []
+    for _ in range(100):
+        clocks.set_by = began - clocks.now - PERIOD_S
+        obeyed.append(one.obeys(stamp) is not None)
+    assert obeyed[0] and not any(obeyed[14:])
+
+
+def test_a_clock_that_is_set_back_does_not_end_the_commands(clocks):
+    one = Commanded(clocks)
+    assert one.obeys(clocks.time() + PERIOD_S) and not any(one.obeys(clocks.time() + PERIOD_S, 0.0))
+    clocks.set_by = -100.0
+    assert all(any(one.obeys(clocks.time() + PERIOD_S)) for _ in range(5)) and not one.node.dropped
+
+
 def test_a_command_that_was_sent_before_a_stop_and_comes_after_it_is_dropped(shown, clocks):
     scenario, _, _ = shown
     node = RobotNode(scenario, Wire("vstestbed_robot"), pace="wall")
     frame = law.command_frame(scenario)
     for stamp, v, moves in ((0.10, 0.1, True), (0.20, 0.0, False), (0.15, 0.1, False), (0.25, 0.1, True)):
-        clocks.now = 5e5 + 0.3
+        clocks.now = 5e5 + max(0.2, stamp)
         node._hear(m.twist(EPOCH + stamp, v * np.ones(6), frame))
         assert bool(node._command[1].any()) == moves, stamp
     assert node.dropped == 1 and "older than the one in force" in node.refused

@@ -23,7 +23,7 @@ from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import LawFailedError, inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
-from vstestbed.loop.inputs import Inputs, OwnClock, Readings, SightClock, seconds
+from vstestbed.loop.inputs import Inputs, OwnClock, Readings, SightClock, all_or_none, seconds
 from vstestbed.loop.perception import STILL, OtherCameras, Perception, Stillness, observer_of
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
@@ -164,11 +164,13 @@ class Controller:
     It needs no simulator: with a real camera and robot, `step` turns each picture into one order, a velocity or a stop.
 
         controller = vs.Controller(vs.load("arm_ibvs"))
-        cycle = controller.step(image, t, vs.Reading(q, qd))
+        cycle = controller.step(image, t, vs.Reading(q, qd), arrived=now())
         if cycle.stopped:
             robot.stop(cycle.reason)
         else:
             robot.move(cycle.setpoint)
+
+    `arrived` is the time now, on the clock of `t`: without it, the age of a new picture is not known, nor how long the law took.
 
     A stop ends with its cause: a law that measures again orders a velocity again. Once the supervisor has given the task up
     (`cycle.latched`: the target was out of sight for too long, the law failed), `reset` alone ends it.
@@ -204,6 +206,8 @@ class Controller:
         self._needs_motion, self._needs_sight, self._needs_robot = "motion" in inputs, "image" in inputs, "robot" in inputs
         self._needs_own_state = "proprioception" in inputs and bool(scenario.robot.proprioception_names)
         self._latest_s, self._order_s = scenario.timing.latest_s(scenario.camera), scenario.timing.order_s(scenario.camera)
+        delay_s = scenario.camera.latency_s + scenario.timing.command_latency_s
+        self._until_seen = 1 + delay_s / scenario.camera.period
         self.clock: Callable[[], float] = time.monotonic
         self.spent = {"detect": 0.0, "law": 0.0}
         self._busy = threading.Lock()
@@ -226,7 +230,7 @@ class Controller:
         self._at: tuple[float, Reading, Mount] | None = None
         self.guarded = GuardedLaw(self.law)
         self._perception = Perception(s, self.observer, self._views[0])
-        self.others = OtherCameras(s, self.mount.T_flange_camera, self._views[0]) if s.cameras else None
+        self.others = OtherCameras(s, self.mount.T_flange_camera, self._views[0], self._own_s) if s.cameras else None
         self.reference_state = s.goal.begin(s.setup, self._views)
         self.law_state = self.law.init(self._views[0])
         self.supervisor = s.robot.supervisor(s.goal.lands, *s.stop.lost_after)
@@ -283,15 +287,13 @@ class Controller:
         with self._alone():
             self._by_hand = True
             t, depth = seconds(t), self.inputs.depth(depth)
-            if isinstance(picture, Mapping):
-                first = readings[0] if isinstance(readings, tuple) else readings
-                others = {name: self._inputs_of(name).shot(one, t, first) for name, one in picture.items() if name != OWN}
-                if OWN not in picture:
-                    raise ParameterError.missing("picture", f"{OWN}, the law's own camera; others alone go to `look`", list(picture))
-                for name, shot in others.items():
-                    self.see(name, shot)
-                picture = picture[OWN]
-            (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
+            others: dict[str, Exposure] = {}
+            with all_or_none([self.inputs, *self._other_inputs.values()]):
+                if isinstance(picture, Mapping):
+                    others, picture = self._given_together(picture, t, readings)
+                (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
+            for name, shot in others.items():
+                self.see(name, shot)
             if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
                 self.refused += t < self._cycle.t
                 self._stop_if_old(t, arrived, now)
@@ -308,13 +310,22 @@ class Controller:
             shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
             cycle = self.arrive(shot, at, at + self.scenario.timing.command_latency_s, now)
             self._came, self._silent = came, False
-            if arrived is not None or came_again:
-                self._stop_if_slow(now)
+            notes = (*notes, *self._slow(arrived is not None or came_again, now))
             # Copies: who reads the cycle may write to its arrays.
             command, allocation = copy.deepcopy((cycle.command, cycle.allocation))
             notes = (*notes, *self._frozen_for(self._order_s))
             self._cycle = replace(cycle, command=command, allocation=allocation, order=self._in_force(), notes=notes)
             return self._cycle
+
+    def _given_together(
+        self, pictures: Mapping[str, Image | Sequence[Image]], t: float, readings: Reading | Readings
+    ) -> tuple[dict[str, Exposure], Image | Sequence[Image]]:
+        """The new pictures of further cameras, by name, and the own camera's."""
+        if OWN not in pictures:
+            raise ParameterError.missing("picture", f"{OWN}, the law's own camera; others alone go to `look`", list(pictures))
+        first = readings[0] if isinstance(readings, tuple) else readings
+        new = {name: one for name, one in pictures.items() if name != OWN and not self._inputs_of(name).has(t)}
+        return {name: self._inputs_of(name).shot(one, t, first) for name, one in new.items()}, pictures[OWN]
 
     def _in_force(self) -> Order:
         """The order in force, in arrays of its own."""
@@ -337,13 +348,18 @@ class Controller:
         at, by_clock = self._came
         return max(t, at + self._own.s() - by_clock)
 
-    def _stop_if_slow(self, reading: Reading) -> None:
-        """Stop the robot where the law took so long for a picture that its command would have ended."""
+    def _slow(self, stops: bool, reading: Reading) -> tuple[str, ...]:
+        """Where the law took so long for a picture that its command would have ended, stop the robot, or say what would."""
         assert self._came is not None
         at, by_clock = self._came
         took_s = self._own.s() - by_clock
-        if took_s >= self._order_s:
-            self.lapsed(at + took_s, reading, f"the picture was answered after {took_s:.2g} s")
+        if took_s < self._order_s:
+            return ()
+        words = f"the picture was answered after {took_s:.2g} s"
+        if not stops:
+            return (f"{words}; with `arrived` the robot is told to stop then",)
+        self.lapsed(at + took_s, reading, words)
+        return ()
 
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law from the next picture on; the states of all parts stay.
@@ -366,10 +382,14 @@ class Controller:
     def look(self, name: str, picture: Image | Sequence[Image], t: float, readings: Reading) -> None:
         """A picture of a further camera, which the law has at its own camera's next one.
         t: time of the exposure's middle [s]. readings: of the robot's sensors at the exposure. Errors: as of `step`, and ParameterError:
-        the scenario has no camera of this name.
+        the scenario has no camera of this name, or its stamp is of the future.
         """
         with self._alone():
             self._by_hand = True
+            latest = self._now(-math.inf) + self._order_s
+            if self._came is not None and seconds(t) > latest:
+                words = f"{latest:.4g} s, as long as an order lasts from now by the last picture of {OWN} and by the own clock"
+                raise ParameterError.bound("t", "at most", words, t, why="all stamps are of one clock")
             self.see(name, self._inputs_of(name).shot(picture, seconds(t), readings))
 
     def see(self, name: str, shot: Exposure) -> None:
@@ -460,8 +480,12 @@ class Controller:
         where a scenario asks for it.
         """
         if self._by_hand or self.scenario.stop.frozen_after < math.inf:
-            own_s = self._own.s() if self._by_hand else 0.0
-            self._stillness.setdefault(name, Stillness()).add(images, t, own_s, self.ordered)
+            moves = self._order is not None and bool(self._order.twist.any())
+            self._stillness.setdefault(name, Stillness(self._until_seen)).add(images, t, self._own_s(), self.ordered, moves)
+
+    def _own_s(self) -> float:
+        """The own clock [s]; it stands where time is simulated."""
+        return self._own.s() if self._by_hand else 0.0
 
     def _frozen_for(self, least_s: float) -> tuple[str, ...]:
         """What to say of the cameras whose pictures have been the same for so long [s]."""
@@ -541,9 +565,9 @@ class Controller:
         if rates is not None and isinstance(robot, Arm):
             allocation = robot.allocate_rates(rates, reading, mount, period)
         else:
-            if rates is not None:
-                twist = robot.motion_basis(mount, reading.q) @ rates
-            allocation = robot.allocate(twist, reading, mount, period).told(twist)
+            made = twist if rates is None else robot.motion_basis(mount, reading.q) @ rates
+            allocation = robot.allocate(made, reading, mount, period)
+        allocation = allocation.told(twist)  # also of rates that make another one than their law says
         if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
             allocation = robot.pressed(allocation, command.wrench, mount)
         elif command.wrench is not None:

@@ -46,10 +46,12 @@ class CommandHistory:
         self._commands: deque[tuple[float, Profile, Array]] = deque([first], maxlen=REMEMBERED)
 
     def add(self, t: float, twist: Array) -> None:
-        """Velocities (size,) are in force from t [s] on, which is not before the last command; one of the same time takes its place."""
+        """Velocities (size,) are in force from t [s] on, in place of all that were to be from then on; before the first one it rested."""
+        while len(self._commands) > 1 and t < self._commands[-1][0]:
+            self._commands.pop()
         since, before, way = self._commands[-1]
         if t <= since:
-            self._commands[-1] = since, Profile(self._mode, before.before, before.start, twist, self._over_s), way
+            self._commands[-1] = t, Profile(self._mode, before.before, before.start, twist, self._over_s), way
             return
         after = t - since
         slope = before.slope(after) if before.duration else before.start  # of a command that is held it stays zero

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,10 @@ class Inputs:
         self._t: float | None = None
         self._arrived: float | None = None
         self.taken = -1
+
+    def has(self, t: float) -> bool:
+        """Whether its last picture was taken at t [s]."""
+        return t == self._t
 
     def reading(self, reading: Reading) -> Reading:
         """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays."""
@@ -148,6 +153,18 @@ class Inputs:
         return (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",) if arrived - t > self._latest_s else ()
 
 
+@contextmanager
+def all_or_none(inputs: Iterable[Inputs]) -> Iterator[None]:
+    """Of what is given together: where one is refused, none has come."""
+    before = [(one, vars(one).copy()) for one in inputs]
+    try:
+        yield
+    except ParameterError:
+        for one, was in before:
+            vars(one).update(was)
+        raise
+
+
 def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
     try:
         numbers = np.array(given, dtype=float)
@@ -173,7 +190,9 @@ def _seconds(field: str, words: str, t: object) -> float:
 
 
 class OwnClock:
-    """A clock of the receiver, counted forwards alone: where it is set back it goes on from there, and NaN counts as UNKNOWN_S."""
+    """A clock of the receiver, counted forwards alone: where it is set back it goes on from there. What is no finite time counts as
+    UNKNOWN_S, and no step counts for more: of larger sums a float would lose the steps that follow.
+    """
 
     def __init__(self, clock: Callable[[], float]):
         self._clock, self._last, self._sum = clock, clock(), 0.0
@@ -181,9 +200,11 @@ class OwnClock:
     def s(self) -> float:
         """The time since it was made [s]."""
         now = self._clock()
-        passed = now - self._last
-        self._last = now
-        self._sum += UNKNOWN_S if math.isnan(passed) else max(passed, 0.0)
+        passed = UNKNOWN_S
+        if math.isfinite(now):
+            passed = min(UNKNOWN_S, now - self._last)  # UNKNOWN_S also after a beginning that is NaN
+            self._last = now
+        self._sum += max(passed, 0.0)
         return self._sum
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,16 +67,21 @@ def _observer_of(eye: OtherCamera) -> Observer:
 class Stillness:
     """For how long a camera's pictures have been the same to the byte while a velocity was in force [s], `for_s`: it may be frozen.
     Pictures of a robot at rest may be the same in simulation, where nothing is noisy.
+
+    until_seen: how many pictures may be taken from an order on until it acts; stamps that creep do not tell.
     """
 
-    def __init__(self) -> None:
-        self.for_s = 0.0
+    def __init__(self, until_seen: float) -> None:
+        self.for_s, self._until_seen, self._moving = 0.0, until_seen, 0
         self._checksum = -1
         self._last: tuple[float, float] | None = None
 
-    def add(self, images: Sequence[Image | DepthImage | None], t: float, own_s: float, ordered: CommandHistory) -> None:
-        """One more picture, of one image or several, by its stamp and by the own clock [s]; ordered: the velocities in force so far."""
+    def add(self, images: Sequence[Image | DepthImage | None], t: float, own_s: float, ordered: CommandHistory, moves: bool) -> None:
+        """One more picture, of one image or several, by its stamp and by the own clock [s]; ordered: the velocities in force so far.
+        moves: whether the last order is one.
+        """
         checksum = 0
+        self._moving = self._moving + 1 if moves else 0
         for image in images:
             if image is not None:
                 checksum = zlib.crc32(np.ascontiguousarray(image).data, checksum)
@@ -84,8 +89,8 @@ class Stillness:
             self.for_s = 0.0
         elif self._last is not None:
             before, own_before = self._last
-            moves = bool((ordered.displacement(t) != ordered.displacement(before)).any())
-            self.for_s += max(t - before, own_s - own_before) if moves else 0.0
+            moved = self._moving > self._until_seen or bool((ordered.displacement(t) != ordered.displacement(before)).any())
+            self.for_s += max(t - before, own_s - own_before) if moved else 0.0
         self._checksum, self._last = checksum, (t, own_s)
 
 
@@ -160,19 +165,21 @@ def moved_between(robot: Robot, ordered: CommandHistory, before: Exposure, now: 
 
 @dataclass
 class _Latest:
-    """The last exposure of a further camera, and what was observed in it."""
+    """The last exposure of a further camera, what was observed in it, and when it came by the own clock [s]."""
 
     shot: Exposure
     seen: Observation
+    came_s: float
 
 
 class OtherCameras:
     """The further cameras of a controller: their last observations, and what these tell together with the law's camera.
 
-    scenario: of the controller. mount: of the law's camera as calibrated.
+    scenario: of the controller. mount: of the law's camera as calibrated. own_s: the own clock [s], which stands where time is simulated.
     """
 
-    def __init__(self, scenario: Scenario, mount: Array, goal: Goal):
+    def __init__(self, scenario: Scenario, mount: Array, goal: Goal, own_s: Callable[[], float]):
+        self._own_s, self._order_s = own_s, scenario.timing.order_s(scenario.camera)
         self._scenario, self._mount, self.eyes = scenario, mount, scenario.eyes
         start = scenario.robot.start_joints()
         self.perception = {
@@ -186,22 +193,26 @@ class OtherCameras:
     def see(self, name: str, shot: Exposure, ordered: CommandHistory, mount: Mount) -> None:
         """A picture of a further camera has arrived. ordered: the twists ordered of the law's camera, whose mount is `mount`."""
         perception, eye = self.perception[name], self.eyes[name]
-        before, twist = perception.before, STILL
+        before, twist, came_s = perception.before, STILL, self._own_s()
         detection = perception.detect(shot)
         if before is not None and shot.t > before.t and eye.rigid and perception.observer.uses_motion(detection):
             moved = moved_between(eye.robot, ordered, before, shot, mount)
             twist = adjoint(inverse(eye.T_camera_eye(shot.reading.q, self._mount))) @ moved / (shot.t - before.t)
-        self._latest[name] = _Latest(shot, perception.observe(shot, detection, twist))
+        self._latest[name] = _Latest(shot, perception.observe(shot, detection, twist), came_s)
 
     def seen(self) -> dict[str, Observation]:
         """The last observation of each camera."""
         return {name: latest.seen for name, latest in self._latest.items()}
 
     def _fresh(self, t: float) -> Iterator[tuple[str, OtherCamera, _Latest]]:
-        """The cameras whose last picture is not too old to tell of a time [s]."""
+        """The cameras whose last picture is not too old to tell of a time [s]; by the own clock it may be older by as long as an order
+        lasts, which no stamp prolongs.
+        """
+        own_s = self._own_s()
         for name, latest in self._latest.items():
             eye = self.eyes[name]
-            if t - latest.shot.t <= FRESH_PERIODS * eye.camera.period + eye.camera.latency_s:
+            fresh_s = FRESH_PERIODS * eye.camera.period + eye.camera.latency_s
+            if t - latest.shot.t <= fresh_s and own_s - latest.came_s <= fresh_s + self._order_s:
                 yield name, eye, latest
 
     def views(self, shot: Exposure, t: float, goal: Goal | None) -> dict[str, CameraView]:

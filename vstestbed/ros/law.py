@@ -46,6 +46,8 @@ OF_CLOCK_S = 10.0  # stamps this near to `/clock` are of it
 WALL_S = 3600.0  # stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
 WAIT_S = 1.0  # for how long a picture waits for the reading of its exposure, unless the next picture comes first [s]
 RESTART_S = 5.0  # a clock that goes back by more has begun anew [s]
+DRIFT = 2e-4  # by so much a camera's clock may be slower than this machine's; a queue that grows no faster is not noticed [s/s]
+LONGEST_S = 10.0  # a watchdog that lets a twist stand for longer is none [s]
 SET_CLOCKS = "set the clocks of both machines by NTP"
 LATE = 1.5  # a reading this many camera periods away from a picture's exposure is none of it
 
@@ -69,8 +71,9 @@ def sent(scenario: Scenario, mount: Mount, order: Order, q: Array) -> Array:
 def watchdog_of(scenario: Scenario, given: float | None) -> float:
     """The time without the other side after which a node rests [s]; by default for as long as an order lasts. ParameterError: no time."""
     watchdog_s = given or scenario.timing.order_s(scenario.camera)
-    if not 0 < watchdog_s < math.inf:
-        raise ParameterError.bound("--watchdog", ">", "0 s, and finite", given)
+    if not 0 < watchdog_s <= LONGEST_S:
+        words = "for so long the last twist may stand; by default it is as long as an order lasts (`timing.command_timeout_s`)"
+        raise ParameterError.bound("--watchdog", "between", f"0 and {LONGEST_S:g} s", watchdog_s, words)
     return watchdog_s
 
 
@@ -78,12 +81,12 @@ Heard = TypeVar("Heard")
 
 
 def _remember(known: list[tuple[float, Heard]], t: float, heard: Heard) -> None:
-    """Put what was heard in its place by time, once: a reading of an exposure may come after a later one, and is told again."""
+    """Put what was heard in its place by time: a reading of an exposure may come after a later one; of one time the newer counts."""
     if known and t < known[-1][0] - RESTART_S:
         known.clear()
     after = bisect.bisect_left(known, t, key=lambda one: one[0])
-    if after == len(known) or known[after][0] != t:
-        known.insert(after, (t, heard))
+    same = after < len(known) and known[after][0] == t
+    known[after : after + same] = [(t, heard)]
     del known[:-REMEMBERED]
 
 
@@ -123,6 +126,13 @@ class Senses:
                 self.passed.note(topic, t, error)
                 return
             _remember(self._heard[topic], t, message)
+
+    def clear(self) -> None:
+        """Forget all: what is heard from now on may be of another run of the robot, at the same times."""
+        with self._lock:
+            self._joints.clear()
+            for known in self._heard.values():
+                known.clear()
 
     def until(self, stamp: float) -> bool:
         """Whether every topic was heard up to a time [s]."""
@@ -176,13 +186,14 @@ class Feed:
         self._order_s = scenario.timing.order_s(scenario.camera)
         self.began: float | None = None
         self.by_wall = False
-        self._soonest_s = math.inf  # the least of the own clock minus a stamp of another one: of the picture that came soonest
+        # Of the picture that came soonest: the own clock minus its stamp, of another one. It outlives a reset: a queue does, too.
+        self._soonest_s, self._heard_s, self._newest = math.inf, 0.0, -math.inf
         self.depth: Message | None = None
 
     def reset(self) -> None:
-        """Begin the task anew with the next picture."""
+        """Begin the task anew with the next picture. How late pictures came so far is kept, unless stamps begin anew."""
         self.controller.reset()
-        self.began, self.depth, self._soonest_s, self.by_wall = None, None, math.inf, False
+        self.began, self.depth, self.by_wall = None, None, False
 
     @property
     def before(self) -> float | None:
@@ -204,9 +215,7 @@ class Feed:
         if arrived is None and self.by_wall:
             arrived = self._arrived(stamp)
         elif arrived is None and heard is not None:
-            # Of another clock the age is unknown, but not by how much it grows: stamps that hardly advance, or a queue that fills.
-            self._soonest_s = min(self._soonest_s, heard - stamp)
-            arrived = heard - self._soonest_s
+            arrived = self._arrived_by(stamp, heard)
         if self.began is None:
             self.began = stamp
         now = None if arrived is None else max(arrived, stamp) - self.began
@@ -218,6 +227,16 @@ class Feed:
         if stamp - now > self._order_s:
             raise ParameterError(f"the picture's stamp is {stamp - now:.3g} s ahead of this machine's clock; {SET_CLOCKS}")
         return now
+
+    def _arrived_by(self, stamp: float, heard: float) -> float:
+        """When a picture comes, by a clock of which no more is known than this [s]: its age is unknown, but not by how much it grows, of
+        stamps that hardly advance, or a queue that fills.
+        """
+        if self.began is None and stamp < self._newest - RESTART_S:
+            self._soonest_s, self._newest = math.inf, stamp
+        drifted = self._soonest_s + DRIFT * (heard - self._heard_s)
+        self._soonest_s, self._newest, self._heard_s = min(drifted, heard - stamp), max(self._newest, stamp), heard
+        return heard - self._soonest_s
 
     def _depth_at(self, stamp: float, message: Message) -> DepthImage:
         if self._live and abs(time_of(message) - stamp) > self._order_s:
@@ -251,7 +270,9 @@ class LawNode:
         self._picture: tuple[Message, float] | None = None  # with the time at which it was heard
         self._fresh = time.monotonic()  # when the last new picture was heard
         self._moves = self._spins = False  # moves: the twist in force is none of rest
-        self._clock_s = math.nan  # of `/clock`
+        self._clock_s, self._ticked_at = math.nan, -math.inf  # of `/clock`, and when it last advanced, by the own clock
+        self._order_of = -math.inf  # when the twist in force was given, by the own clock: by a picture, when that was heard
+        self._latest_s = scenario.timing.latest_s(scenario.camera)
         self._simulated = False  # the pictures are stamped by `/clock`: time passes while the robot waits for the law
         self._news = threading.Condition()
         self._status = ""
@@ -278,7 +299,16 @@ class LawNode:
             self._news.notify()
 
     def _ticked(self, message: Message) -> None:
-        self._clock_s = message.clock.sec + 1e-9 * message.clock.nanosec
+        told = message.clock.sec + 1e-9 * message.clock.nanosec
+        if told != self._clock_s:
+            self._clock_s, self._ticked_at = told, time.monotonic()
+
+    def _by_clock(self, stamp: float) -> bool:
+        """Whether a stamp is of a `/clock` that runs, and simulated; not of a dead one, or of somebody else. Before the first twist it
+        stands still in lockstep, where the robot waits for one.
+        """
+        runs = time.monotonic() - self._ticked_at < self.watchdog_s or not self._moved
+        return runs and abs(self._clock_s - stamp) < OF_CLOCK_S and abs(self._clock_s - time.time()) > WALL_S
 
     def _deep(self, message: Message) -> None:
         self.servo.depth = message
@@ -286,8 +316,9 @@ class LawNode:
     def start(self) -> tuple[bool, str]:
         """Servo from the next picture on, anew after a stop."""
         with self._news:
-            self._asked_to_reset = self._asked_to_reset or bool(self._stopped)
-            self._stopped = ""
+            if self._stopped:
+                self._asked_to_reset, self._stopped = True, ""
+                self.servo.senses.clear()
         return True, "servoing"
 
     def stop(self, why: str = "asked to stop") -> tuple[bool, str]:
@@ -302,6 +333,7 @@ class LawNode:
         """Forget the task so far, and a stop with it; it stays stopped until `start`."""
         with self._news:
             self._asked_to_reset, self._stopped = True, "not started"
+            self.servo.senses.clear()
             self._rest(self._stopped)
             self._moved = False
         return True, self._stopped
@@ -345,7 +377,7 @@ class LawNode:
         while self._spins:
             time.sleep(min(self.watchdog_s, 0.1) / 4)
             with self._news:
-                if self._moves and not self._simulated and self._silent_s() >= self.watchdog_s:
+                if self._moves and not self._simulated and time.monotonic() - self._order_of >= self.watchdog_s:
                     self._rest(f"no new order for over {self.watchdog_s:g} s")
 
     def _silent_s(self) -> float:
@@ -371,33 +403,38 @@ class LawNode:
 
     def _answered(self, message: Message, heard: float) -> str:
         """Answer a picture that was heard at a time of the own clock [s]; why the robot does not move by it, or ""."""
-        self._wait_for_reading(time_of(message))
-        by_clock = abs(self._clock_s - time_of(message)) < OF_CLOCK_S  # not a `/clock` of somebody else
-        self._simulated = by_clock and abs(self._clock_s - time.time()) > WALL_S
+        stamp = time_of(message)
+        self._wait_for_reading(stamp)
+        self._simulated = self._by_clock(stamp)
+        late = self._simulated and self._clock_s - stamp > self._latest_s
         began, before = time.perf_counter(), self.servo.controller.before
         try:
-            cycle = self.servo.step(message, heard=None if self._simulated else heard)
+            cycle = self.servo.step(message, self._clock_s if late else None, None if self._simulated else heard)
         except ParameterError as error:
             self._rest(str(error))
             return str(error)
         took_s = time.perf_counter() - began
         if self.servo.controller.before is not before:
             self._fresh = time.monotonic() if self._simulated else heard
-        if self._silent_s() >= self.watchdog_s and not cycle.latched:
+        if self._silent_s() >= self.watchdog_s and not self._is_over(cycle.order):
             return next(iter(cycle.notes), f"the last one was answered after {time.monotonic() - heard:.2g} s")
         with self._news:  # held while it is sent: a stop comes before it, and then it is not, or after it
             if self._stopped:
                 return ""
-            self._moved = True
+            self._moved, self._order_of = True, self._fresh
             self._send(self.servo.sent(cycle.order), self._now())
         self.took_s.append(took_s)
-        if cycle.latched:
+        if self._is_over(cycle.order):
             self.stop("; ".join((cycle.reason, *cycle.notes)))
         else:
             doing = "rests" if cycle.stopped else "servoing"
             frozen = next((note for note in cycle.notes if FROZEN in note), "")
             self._tell(": ".join(filter(None, (doing, cycle.reason, frozen))))
         return ""
+
+    def _is_over(self, order: Order) -> bool:
+        """Whether an order is a stop for good: of a craft, once it stands; until then it sinks."""
+        return order.latched and (order.stop == "off" or self.scenario.robot.base != "floating")
 
     def _wait_for_reading(self, stamp: float) -> None:
         """Until the robot's readings of an exposure have come, or the next picture."""
@@ -408,19 +445,33 @@ class LawNode:
             )
 
     def _silent(self, why: str) -> None:
-        """No new picture for too long: rest, and after `stop.lost_after_s` stop. why: of pictures that came and are none to move by."""
+        """No new picture for too long: rest, and after `stop.lost_after_s` stop; a craft, which cannot stop in the air, is told to sink.
+        why: of pictures that came and are none to move by.
+        """
         if self.servo.controller.before is None:
             self._rest(why or "waits for pictures")
             return
         words = f"no {'new ' if why else ''}picture for over {self.watchdog_s:g} s{': ' if why else ''}{why}"
         try:
             order = self.servo.silent(self._silent_s())
+            v = self.servo.sent(order)
         except ParameterError as error:
             self._rest(f"{words}; {error}")
             return
-        self._rest(words)
-        if order.latched:
+        if order.stopped:
+            self._rest(words)
+        else:
+            self._sinks(v, f"{order.reason}; {words}")
+        if self._is_over(order):
             self.stop(f"{order.reason}; {words}")
+
+    def _sinks(self, v: Array, words: str) -> None:
+        """Send the twist (6,) of a descent, which the controller orders anew at each turn."""
+        with self._news:
+            if not self._stopped:
+                self._order_of = time.monotonic()
+                self._send(v, self._now())
+                self._tell(words)
 
 
 def median_ms(seconds: list[float]) -> float:

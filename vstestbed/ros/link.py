@@ -260,8 +260,11 @@ class Rclpy(Link):
         except ImportError:
             return None
 
-    def _quality(self, topic: str) -> Any:
+    def _quality(self, topic: str, sensed: bool = False) -> Any:
+        """The quality of service. sensed: of what a sensor tells, whose driver may speak by best effort."""
         qos: Any = importlib.import_module("rclpy.qos")
+        if sensed:
+            return qos.QoSProfile(depth=5, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
         if topic.endswith(LATCHED):
             return qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         return qos.QoSProfile(depth=10)
@@ -280,7 +283,8 @@ class Rclpy(Link):
         if known is None:
             package = kind.split("/")[0]
             raise EnvironmentLackError(f"messages of {package} are not installed", f"install ros-DISTRO-{package.replace('_', '-')}")
-        self._node.create_subscription(known, self.name(topic), self.reader(topic, kind, heard), self._quality(topic), raw=True)
+        quality = self._quality(topic, kind.startswith("sensor_msgs/"))
+        self._node.create_subscription(known, self.name(topic), self.reader(topic, kind, heard), quality, raw=True)
 
     def serve(self, service: str, answer: Answer) -> None:
 

@@ -204,7 +204,11 @@ def depth_of(message: Message) -> DepthImage:
     if message.encoding not in DEPTHS:
         raise ParameterError.choice("depth.encoding", DEPTHS, message.encoding)
     kind, unit = DEPTHS[message.encoding]
-    return (_rows(message, kind, 1)[..., 0] * np.float32(unit)).astype(np.float32)
+    rows = _rows(message, kind, 1)[..., 0]
+    depths = (rows * np.float32(unit)).astype(np.float32)
+    if kind.kind == "u":
+        depths[rows == 65535] = np.nan  # the largest of 16 bits: as far or farther
+    return depths
 
 
 def _rows(message: Message, kind: np.dtype[Any], channels: int) -> Any:
@@ -318,6 +322,7 @@ def sensors_of(robot: Robot) -> dict[str, str]:
     return topics
 
 
+UNIT = 0.1  # by so much the norm of an attitude's quaternion may differ from 1: of one that was rounded, it is far less
 UNKNOWN = np.zeros(36)
 NONE = np.array([-1.0, *[0.0] * 8])  # a covariance that begins with -1: there is no such measurement
 
@@ -393,14 +398,18 @@ def reading_of(robot: Robot, found: Mapping[str, Message]) -> Reading:
 
 def check_finite(topic: str, message: Message) -> None:
     """Refuse a message of an IMU, an odometry or a range with a number that is none; ParameterError. A range is infinite over nothing."""
+    oriented = False
     if topic == "imu":
-        o = message.orientation
-        numbers = [o.w, o.x, o.y, o.z] if message.orientation_covariance[0] >= 0 else []
+        o, oriented = message.orientation, message.orientation_covariance[0] >= 0
+        numbers = [o.w, o.x, o.y, o.z] if oriented else []
         numbers += three(message.angular_velocity) if message.angular_velocity_covariance[0] >= 0 else []
     else:
         numbers = three(message.twist.twist.linear) if topic == "odom" else [math.atan(message.range)]
     if not np.isfinite(numbers).all():
         raise ParameterError.infinite(topic, numbers)
+    if topic == "imu" and oriented and abs(math.hypot(*numbers[:4]) - 1.0) > UNIT:
+        words = "is no unit quaternion; a driver without an attitude sets the first number of its covariance to -1"
+        raise ParameterError("imu.orientation", words, numbers[:4])
 
 
 def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:

@@ -136,6 +136,7 @@ class RobotNode:
         self.watchdog_s = watchdog_of(self.scenario, watchdog_s)
         self._news = threading.Condition()
         self._command: tuple[float, Array, float] | None = None  # stamp, twist of the camera, when it came
+        self._past = 0.0  # commands of stamps before it came too late: of the last one obeyed, or when it was told to rest
         self._stopped = False
         self._as_told = np.zeros(6), command_frame(scenario)
         self._heard, self._silent = False, False  # a command ever; none for too long
@@ -161,6 +162,7 @@ class RobotNode:
         """Follow commands again."""
         with self._news:
             self._stopped = False
+            self._passes(time.time())
         return True, "the robot follows commands"
 
     def _hear(self, message: Message) -> None:
@@ -178,11 +180,24 @@ class RobotNode:
         age_s = self._age_s(message)
         if v.any() and (self._drops(age_s) or self._outdated(message)):  # a rest is obeyed, whenever it was ordered
             return
+        stamp, came = time_of(message), time.monotonic() - max(age_s, 0.0)
         with self._news:
             in_camera = frame == OPTICAL or (not frame and command_frame(self.scenario) == OPTICAL)
             self._heard, self._as_told = True, (v, frame)
-            self._command = time_of(message), v if in_camera else self._of_body(v), time.monotonic() - max(age_s, 0.0)
+            if self._stopped:
+                return
+            if self._command is not None and 0 != stamp == self._command[0]:  # the same one again
+                came = min(came, self._command[2])
+            self._command = stamp, v if in_camera else self._of_body(v), came
+            self._passes(stamp if v.any() else time.time())
             self._news.notify()
+
+    def _passes(self, t: float) -> None:
+        """Commands stamped before t [s] are past, and those before the newest one; unless the clock has been set back."""
+        self._past = t if self._is_ahead(self._past) else max(self._past, t)
+
+    def _is_ahead(self, t: float) -> bool:
+        return t - time.time() > self.scenario.timing.order_s(self.scenario.camera)
 
     def _age_s(self, message: Message) -> float:
         """How old a command is by its stamp [s]; 0 where it has none, or time is simulated."""
@@ -200,12 +215,12 @@ class RobotNode:
         return True
 
     def _outdated(self, message: Message) -> bool:
-        """Whether a command was stamped before the one in force: one that was sent before a stop, and comes after it."""
-        stamp = time_of(message)
-        if self._pace != "wall" or self._command is None or not 0 < stamp < self._command[0]:
+        """Whether a command was stamped before the one in force, or before the robot was told to rest, whenever that was ordered."""
+        if self._pace != "wall" or not 0 < time_of(message) < self._past or self._is_ahead(self._past):
             return False
         self.dropped += 1
-        self._refuse("a command that is older than the one in force is dropped; does more than one law send commands?")
+        words = "a command that is older than the one in force, or than the last rest, is dropped"
+        self._refuse(f"{words}; does more than one law send commands?")
         return True
 
     def _refuse(self, words: str) -> None:
