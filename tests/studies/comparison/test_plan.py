@@ -127,3 +127,11 @@ def test_the_command_of_a_comparison_repeats_its_values():
     assert words[:3] == ["vstestbed", "compare", "quick"]
     assert settings_of([words[words.index("--set") + 1]]) == {"name": "#1, a"}
     assert vary_of([words[words.index("--vary") + 1]]) == {"law.gain": values}
+
+
+def test_the_margin_is_a_share_from_0_to_a_half_and_a_tenth_where_none_is_given():
+    assert of("arm_ibvs").margin == 0.1
+    assert Comparison(base=("arm_ibvs",), margin=0).margin == 0
+    for margin in (-0.01, 0.51, float("nan")):
+        with pytest.raises((ParameterError, ValueError), match="margin"):
+            Comparison(base=("arm_ibvs",), margin=margin)

@@ -21,6 +21,7 @@ from vstestbed.core.geometry import Pose
 from vstestbed.core.named_files import bundled_comparisons, is_there, place_of_file
 from vstestbed.core.quantity import Seed, TighterBounds
 from vstestbed.core.spec import spec
+from vstestbed.report.comparison.verdict import MARGIN
 from vstestbed.scenario.load import find, load, seeded
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.scenario import Scenario
@@ -166,6 +167,7 @@ class Comparison:
         primary: name of `summary.json` that decides a pair whose successes do not; without one the time to the goal, in which a run that
             failed counts with its limit (`time_to_goal_s`). Every other metric is exploratory; e.g. `final_position_error_m`.
         reference: the controller, by its name in the report, with which each other one is compared; without one all pairs are; e.g. `pbvs`.
+        margin: share of the starts by which a law that is better by its time may reach the goal less often; declared before flying [1].
     """
 
     description: str = ""
@@ -181,6 +183,7 @@ class Comparison:
     metrics: tuple[str, ...] = ()
     primary: str = ""
     reference: str = ""
+    margin: Annotated[float, Ge(0), Le(0.5)] = MARGIN
     places: Marks = field(default_factory=dict, init=False, repr=False, compare=False)
     """Position of each value in its file, or the option that it comes from; a value without one counts as of `--set`."""
 
