@@ -1,6 +1,6 @@
 """Simulated comparisons of which the truth is known, and how often the rule of a verdict is wrong in them.
 
-    python -m tests.long.verdict_worlds          # counts all cells, and writes docs/kept/verdicts.json for the page
+    python -m tests.long.verdict_worlds          # counts all cells, and writes docs/kept/verdicts.csv for the page
 
 A world is a few laws, each with its rate of success and its times, from starts that are common to them. A cell is a world with a number of
 starts; of each, thousands of comparisons are drawn and judged by `words_of`, which is the rule of `vstestbed.report.comparison.verdict`
@@ -9,7 +9,7 @@ for many draws at once (`test_verdicts.py` holds both side by side).
 
 from __future__ import annotations
 
-import json
+import csv
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from scipy import special, stats
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.verdict import ALPHA, FEWEST_UNLIKE, MARGIN, ONE_PICTURE
 
-KEPT = Path(__file__).parents[2] / "docs" / "kept" / "verdicts.json"
+KEPT = Path(__file__).parents[2] / "docs" / "kept" / "verdicts.csv"
 DRAWS = 4000
 STARTS = (10, 20, 30, 50, 100, 200)
 OF_MANY = (20, 50, 100, 200)  # of 13 laws and more fewer starts decide nothing by time
@@ -579,11 +579,14 @@ def study() -> dict[str, list[Cell]]:
 
 
 def main() -> None:
-    """Count all, and write what the page shows."""
-    found = study()
-    KEPT.write_text(
-        json.dumps({name: [one._asdict() for one in cells] for name, cells in found.items()}, indent=1) + "\n", encoding="utf-8"
-    )
+    """Count all, and write what the page shows: a row for each cell."""
+    with KEPT.open("w", encoding="utf-8", newline="") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow(["what", *Cell._fields[:5], "wrong_1", "wrong_2", "wrong_3", *Cell._fields[6:]])
+        for what, cells in study().items():
+            for one in cells:
+                before, wrong, after = one[:5], one.wrong, one[6:]
+                out.writerow([what, *before, *wrong, *after])
 
 
 if __name__ == "__main__":
