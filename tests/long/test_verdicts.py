@@ -12,6 +12,7 @@ import itertools
 import numpy as np
 import pytest
 
+from docs.build.verdicts import Verdicts
 from tests.long import verdict_worlds as worlds
 from tests.long.verdict_worlds import A_BETTER, B_BETTER, TRADE, Cell, World, words_of
 from vstestbed.report.comparison import verdict as rule
@@ -117,3 +118,16 @@ def test_five_starts_have_no_verdict() -> None:
     every = [*worlds.fixed_worlds(), *(w for w in worlds.many_laws() if w.laws < 24), *map(worlds.random_world, range(worlds.RANDOM))]
     for cell in worlds.counted(every, (2, 3, 4, 5)):
         assert (cell.any_verdict, cell.trade) == (0, 0), cell
+
+
+def test_the_kept_counts_are_those_of_the_study() -> None:
+    """Some cells again, of the same seeds: the page shows what the study counts."""
+    kept = {(row["kind"], row["name"], row["n"]): row for row in Verdicts().cells.iter_rows(named=True)}
+    fixed = worlds.fixed_worlds()
+    for i in (0, 17, 40, 61, 90, len(fixed) - 1):
+        for n in (20, 30):
+            found = worlds.cell(fixed[i], n, worlds.DRAWS, np.random.default_rng([2026, i, n]))
+            row = kept[fixed[i].kind, fixed[i].name, n]
+            assert [row[f"wrong_{kind}"] for kind in (1, 2, 3)] == found.wrong
+            assert (row["any_verdict"], row["any_sooner"], row["draws"]) == (found.any_verdict, found.any_sooner, found.draws)
+    assert {row["kind"] for row in kept.values()} >= {world.kind for world in [*fixed, *worlds.many_laws()]}

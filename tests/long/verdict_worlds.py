@@ -1,6 +1,6 @@
 """Simulated comparisons of which the truth is known, and how often the rule of a verdict is wrong in them.
 
-    python -m tests.long.verdict_worlds          # counts all cells, and writes docs/kept/verdicts.csv for the page
+    python -m tests.long.verdict_worlds          # counts all cells, and writes docs/kept/verdicts.csv and intervals.csv for the page
 
 A world is a few laws, each with its rate of success and its times, from starts that are common to them. A cell is a world with a number of
 starts; of each, thousands of comparisons are drawn and judged by `words_of`, which is the rule of `vstestbed.report.comparison.verdict`
@@ -26,6 +26,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.verdict import ALPHA, FEWEST_UNLIKE, MARGIN, ONE_PICTURE
 
 KEPT = Path(__file__).parents[2] / "docs" / "kept" / "verdicts.csv"
+INTERVALS = KEPT.with_name("intervals.csv")
 DRAWS = 4000
 STARTS = (10, 20, 30, 50, 100, 200)
 OF_MANY = (20, 50, 100, 200)  # of 13 laws and more fewer starts decide nothing by time
@@ -189,7 +190,7 @@ def worse_in_both() -> Iterator[World]:
             yield of(
                 kind, f"{rate:g}, {time:g} s / {other:g}, {slower:g} s, limit {limit:g} s", Law(rate, time), Law(other, slower), limit=limit
             )
-    yield of(kind, "little: 1, 4 s / .98, 4.02 s", Law(1, 4, 0.3), Law(0.98, 4.02, 0.3))
+    yield of(kind, "little: 1, 4 s / 0.98, 4.02 s", Law(1, 4, 0.3), Law(0.98, 4.02, 0.3))
     yield of(kind, "little, failures shared", Law(0.9, 4, 0.3), Law(0.88, 4.02, 0.3), shared=1.0)
 
 
@@ -200,9 +201,9 @@ def worse_by_the_margin() -> Iterator[World]:
         for shared in (0.0, 1.0):
             laws = Law(rate, 6), Law(rate - MARGIN, 3)
             yield of(kind, f"{rate:g}, 6 s / {rate - MARGIN:g}, 3 s{', shared' if shared else ''}", *laws, shared=shared)
-    yield of(kind, "1, 25 s / .9, 3 s, limit 30 s", Law(1, 25, 1), Law(0.9, 3, 1), limit=30.0)
-    yield of(kind, "1, 6 s / .85, 3 s", Law(1, 6), Law(0.85, 3))
-    yield of(kind, "1, 9 s / .8, 1.5 s", Law(1, 9, 0.4), Law(0.8, 1.5, 0.1))
+    yield of(kind, "1, 25 s / 0.9, 3 s, limit 30 s", Law(1, 25, 1), Law(0.9, 3, 1), limit=30.0)
+    yield of(kind, "1, 6 s / 0.85, 3 s", Law(1, 6), Law(0.85, 3))
+    yield of(kind, "1, 9 s / 0.8, 1.5 s", Law(1, 9, 0.4), Law(0.8, 1.5, 0.1))
 
 
 def rare_failures() -> Iterator[World]:
@@ -214,7 +215,7 @@ def rare_failures() -> Iterator[World]:
             laws = Law(1, 5, sd), Law(1 - share, 5 - gain, sd)
             yield of(kind, f"1, 5 s / {1 - share:g}, {5 - gain:.2f} s, sd {sd:g} s, limit {limit:g} s", *laws, limit=limit)
     laws = Law(0.9, 5), Law(0.88, 4.4)
-    yield of(kind, "both fail: .9, 5 s / .88, 4.4 s, limit 60 s, shared", *laws, limit=60.0, shared=1.0)
+    yield of(kind, "both fail: 0.9, 5 s / 0.88, 4.4 s, limit 60 s, shared", *laws, limit=60.0, shared=1.0)
 
 
 def knife_edges() -> Iterator[World]:
@@ -237,7 +238,7 @@ def fragile_leads() -> Iterator[World]:
             laws = Law(1, 5, sd), Law(1, 5 - lead, sd, lapse=lapse, lapse_s=more)
             yield of(kind, f"{lead:.2f} s quicker, from {lapse:g} of the starts {more:g} s slower, sd {sd:g} s", *laws, limit=30.0)
     laws = Law(0.95, 5, 0.3), Law(0.93, 4.5, 0.3, lapse=0.1, lapse_s=6.0)
-    yield of(kind, "with failures: .95 / .93", *laws, limit=30.0)
+    yield of(kind, "with failures: 0.95 / 0.93", *laws, limit=30.0)
     yield of(kind, "skewed: exponential", Law(1, 5, 0.05), Law(1, 5.02, 1.0, "exponential"), limit=30.0)
     yield of(kind, "skewed: lognormal", Law(1, 5, 0.05), Law(1, 5.02, 1.5, "lognormal"), limit=60.0)
 
@@ -248,9 +249,9 @@ def ticks() -> Iterator[World]:
     for period in (0.04, 0.2, 1.0):
         yield of(kind, f"{period:g} s, a tenth of it later", Law(1, 5, period / 3), Law(1, 5 + period / 10, period / 3), period=period)
         laws = Law(1, 5, period / 10), Law(0.97, 5 - 0.9 * period, period / 10)
-        yield of(kind, f"{period:g} s, one earlier but .97", *laws, period=period, spread=0.0)
+        yield of(kind, f"{period:g} s, one earlier but 0.97", *laws, period=period, spread=0.0)
         laws = Law(0.98, 5, period / 10), Law(0.95, 5 + period, period / 10)
-        yield of(kind, f"{period:g} s, one later and .95", *laws, period=period, spread=0.0, limit=30.0)
+        yield of(kind, f"{period:g} s, one later and 0.95", *laws, period=period, spread=0.0, limit=30.0)
 
 
 def hard_starts() -> Iterator[World]:
@@ -276,7 +277,7 @@ def strata() -> Iterator[World]:
     tasks = Task(0.9, (Law(1, 4), Law(1, 3))), Task(0.1, (Law(1, 8), Law(0.0, 6)))
     yield World(kind, "always fails in one task of ten: by the margin", tasks)
     tasks = tuple(Task(0.1, (Law(1, 2 + k, 0.2), Law(0.98, 2 + k - 0.15, 0.2))) for k in range(10))
-    yield World(kind, "ten tasks, .02 fail, limit 30 s", tasks, limit=30.0, spread=0.2)
+    yield World(kind, "ten tasks, 0.02 fail, limit 30 s", tasks, limit=30.0, spread=0.2)
     tasks = Task(0.5, (Law(1, 4, 0.1), Law(1, 5, 0.1))), Task(0.5, (Law(1, 6, 0.1), Law(1, 4.9, 0.1, lapse=0.1, lapse_s=3)))
     yield World(kind, "one better in each task, fragile", tasks, limit=30.0)
     tasks = Task(0.94, (Law(1, 4, 0.1), Law(1, 3.9, 0.1))), Task(0.06, (Law(1, 4, 0.1), Law(0.7, 3.9, 0.1)))
@@ -373,8 +374,10 @@ class Words(NamedTuple):
     sooner: NDArray[np.int8]
 
 
-def words_of(flown: Flown, limit: float, period: float = 0.0, strata: NDArray[np.intp] | None = None, margin: float = MARGIN) -> Words:
-    """The words of `judge` on each draw."""
+def words_of(
+    flown: Flown, limit: float | Array, period: float = 0.0, strata: NDArray[np.intp] | None = None, margin: float = MARGIN
+) -> Words:
+    """The words of `judge` on each draw; limit: of all, or (draws, 1)."""
     _, laws, n = flown.reached.shape
     pairs = np.array(list(combinations(range(laws), 2)))
     a, b = pairs[:, 0], pairs[:, 1]
@@ -547,12 +550,61 @@ def _lies(better: NDArray[np.int8], pairs: NDArray[np.intp], rate: Array, time: 
 SOME_SHARED = 0.3  # share of the starts in which both laws fail together, in the cells of the power
 POWER = {  # the second law is the better one
     "a": of("power", "no failure, 1 of 5 s, limit 12 s", Law(1, 5), Law(1, 4)),
-    "b": of("power", "success .85 both, 2 s, limit 12 s", Law(0.85, 5), Law(0.85, 3), shared=SOME_SHARED),
-    "c": of("power", "success .95 both, 1 s, limit 12 s", Law(0.95, 5), Law(0.95, 4), shared=SOME_SHARED),
-    "d": of("power", "success .85, 6 s against .95, 4 s, limit 30 s", Law(0.85, 6), Law(0.95, 4), limit=30.0, shared=SOME_SHARED),
-    "e": of("power", "success .5 against .95", Law(0.5, 5), Law(0.95, 5), shared=SOME_SHARED),
+    "b": of("power", "success 0.85 both, 2 s, limit 12 s", Law(0.85, 5), Law(0.85, 3), shared=SOME_SHARED),
+    "c": of("power", "success 0.95 both, 1 s, limit 12 s", Law(0.95, 5), Law(0.95, 4), shared=SOME_SHARED),
+    "d": of("power", "success 0.85, 6 s against 0.95, 4 s, limit 30 s", Law(0.85, 6), Law(0.95, 4), limit=30.0, shared=SOME_SHARED),
+    "e": of("power", "success 0.5 against 0.95", Law(0.5, 5), Law(0.95, 5), shared=SOME_SHARED),
 }
-TRUE_TRADE = of("a true trade", "1.0, 6 s against .95, 3 s, limit 12 s", Law(1, 6), Law(0.95, 3))
+TRUE_TRADE = of("a true trade", "1.0, 6 s against 0.95, 3 s, limit 12 s", Law(1, 6), Law(0.95, 3))
+
+
+# Beside the limit of time.
+def unlimited_cell(n: int, draws: int, rng: np.random.Generator, share: float = 0.02) -> Cell:
+    """A primary metric without a largest value: the second law's is half of the first's, but from few starts a hundred times as large.
+
+    The worst value is the largest of the runs that were flown, and nobody knows that of the others. Its mean is truly worse.
+    """
+    reached = np.ones((draws, 2, n), dtype=bool)
+    values = rng.normal([[2.0], [1.0]], 0.3, (draws, 2, n))
+    values[:, 1] += 100.0 * (rng.random((draws, n)) < share)
+    worst = values.max(axis=(1, 2))[:, None]
+    better = words_of(Flown(reached, values, reached), worst).better[:, 0]
+    _, a, b, trade = np.bincount(better, minlength=4).tolist()
+    name = f"always arrive, 2 / 1, but 101 from {share:g} of the starts"
+    return Cell("a metric without a limit", name, 2, n, draws, [0, 0, b], a + b, 0, a, b, trade, 0, False)
+
+
+NULLS = {  # differences of mean zero: symmetric and skewed ones, heavy tails, ties
+    "normal": lambda rng, shape: rng.normal(size=shape),
+    "uniform": lambda rng, shape: rng.uniform(-1, 1, shape),
+    "two humps": lambda rng, shape: rng.choice([-1.0, 1.0], shape) + rng.normal(0, 0.2, shape),
+    "half of them zero": lambda rng, shape: np.where(rng.random(shape) < 0.5, 0.0, rng.normal(size=shape)),
+    "Student's t with 2 degrees of freedom": lambda rng, shape: rng.standard_t(2, shape),
+    "one in ten ten times as large": lambda rng, shape: rng.normal(size=shape) * np.where(rng.random(shape) < 0.1, 10, 1),
+    "exponential, mean 0": lambda rng, shape: rng.exponential(size=shape) - 1,
+    "lognormal, mean 0": lambda rng, shape: rng.lognormal(size=shape) - np.exp(0.5),
+}
+
+
+class Interval(NamedTuple):
+    """Student's t of differences of mean zero: share of the intervals that hold the zero, and of those of a shift by one sd that do not."""
+
+    differences: str
+    n: int
+    draws: int
+    covered: int
+    found: int
+
+
+def intervals(draws: int = 20_000) -> Iterator[Interval]:
+    """Of each distribution with 10, 20 and 50 starts."""
+    for name, drawn in NULLS.items():
+        for n in (10, 20, 50):
+            d = drawn(np.random.default_rng([77, n]), (draws, n))
+            half = stats.t.ppf(0.975, n - 1) * d.std(axis=1, ddof=1) / np.sqrt(n)
+            covered = int((np.abs(d.mean(axis=1)) <= half).sum())
+            found = int((np.abs(d.mean(axis=1) + d.std()) > half).sum())
+            yield Interval(name, n, draws, covered, found)
 
 
 def counted(worlds: Sequence[World], starts: Sequence[int] = STARTS, draws: int = DRAWS) -> Iterator[Cell]:
@@ -575,18 +627,20 @@ def study() -> dict[str, list[Cell]]:
         for one in counted(worlds, starts):
             found[name].append(one)
             print(f"{one.kind} | {one.name} | {one.n} | {one.wrong} | {one.any_verdict} | {one.any_sooner} of {one.draws}", flush=True)
+    found["outside"] = [unlimited_cell(n, DRAWS, np.random.default_rng([2026, n])) for n in STARTS]
     return found
 
 
 def main() -> None:
-    """Count all, and write what the page shows: a row for each cell."""
-    with KEPT.open("w", encoding="utf-8", newline="") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(["what", *Cell._fields[:5], "wrong_1", "wrong_2", "wrong_3", *Cell._fields[6:]])
-        for what, cells in study().items():
-            for one in cells:
-                before, wrong, after = one[:5], one.wrong, one[6:]
-                out.writerow([what, *before, *wrong, *after])
+    """Count all, and write what the page shows: a row for each cell, and for each interval."""
+    _write(INTERVALS, Interval._fields, list(intervals()))
+    head = ["what", *Cell._fields[:5], "wrong_1", "wrong_2", "wrong_3", *Cell._fields[6:]]
+    _write(KEPT, head, [[what, *one[:5], *one.wrong, *one[6:]] for what, cells in study().items() for one in cells])
+
+
+def _write(place: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    with place.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([head, *rows])
 
 
 if __name__ == "__main__":
