@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.report.comparison import planning
 from vstestbed.report.comparison.planning import ExpectedPair, fewest, plan_lines
 
-ONE = {"gain": 1, "sd": 1, "limit": 30, "slower": 5}
+ONE: dict[str, Any] = {"gain": 1, "sd": 1, "limit": 30, "slower": 5}
 
 
 def test_the_closed_form_has_the_numbers_of_the_design() -> None:

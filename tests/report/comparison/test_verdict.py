@@ -40,7 +40,7 @@ def nothing_fails(n: int, gain: float = 1.0, sd: float = 1.0, limit: float = LIM
     noise = np.arange(n) - (n - 1) / 2
     noise = noise / noise.std(ddof=1) if n > 1 else noise
     all_reached = np.ones(n, dtype=bool)
-    quicker = slower - gain - sd * noise
+    quicker = np.asarray(slower - gain - sd * noise, dtype=float)
     return rule.test_of(Starts(all_reached, all_reached, np.full(n, slower), quicker, limit), margin)
 
 
@@ -81,6 +81,11 @@ def test_the_interval_as_flown_is_scipys() -> None:
         assert rule.test_of(one).seen == pytest.approx(tuple(expected), rel=1e-10)
 
 
+def one_sided(values: list[float], bound: float) -> float:
+    found: Any = stats.ttest_1samp(values, bound, alternative="greater")
+    return found.pvalue
+
+
 def test_the_imagined_start_is_a_start_more() -> None:
     """Its p-values and interval are scipy's of n + 1 values, the last of them written by hand."""
     for seed in range(8):
@@ -89,10 +94,9 @@ def test_the_imagined_start_is_a_start_more() -> None:
         usual_a, usual_b = one.cost_a[one.reached_a].mean(), one.cost_b[one.reached_b].mean()
         x = one.reached_b.astype(float) - one.reached_a
         d = one.cost_a - one.cost_b
-        for side, sign, other in (("b", 1.0, usual_a), ("a", -1.0, usual_b)):
-            margin = stats.ttest_1samp([*(sign * x), -1.0], -0.1, alternative="greater").pvalue
-            time = stats.ttest_1samp([*(sign * d), other - LIMIT], 0.0, alternative="greater").pvalue
-            assert test.p_cost(side) == pytest.approx(max(margin, time), rel=1e-9)
+        for found, sign, other in ((test.p_cost("b"), 1.0, usual_a), (test.p_cost("a"), -1.0, usual_b)):
+            margin, time = one_sided([*(sign * x), -1.0], -0.1), one_sided([*(sign * d), other - LIMIT], 0.0)
+            assert found == pytest.approx(max(margin, time), rel=1e-9)
         low = stats.ttest_1samp([*-d, usual_b - LIMIT], 0.0).confidence_interval().low
         high = stats.ttest_1samp([*-d, LIMIT - usual_a], 0.0).confidence_interval().high
         assert test.unseen == pytest.approx((low, high), rel=1e-10)
@@ -136,7 +140,7 @@ def test_the_unit_of_the_cost_and_the_order_of_the_starts_change_nothing() -> No
         one = starts(40, (0.1, 0.1), seed, period=0.04)
         order = np.random.default_rng(seed).permutation(40)
         in_ms = one._replace(cost_a=1000 * one.cost_a, cost_b=1000 * one.cost_b, worst=1000 * LIMIT, period=40.0)
-        mixed = Starts(*(values[order] for values in one[:4]), LIMIT, 0.04)
+        mixed = Starts(one.reached_a[order], one.reached_b[order], one.cost_a[order], one.cost_b[order], LIMIT, 0.04)
         expected = judge([rule.test_of(one)])[0]
         for other in (in_ms, mixed):
             found = judge([rule.test_of(other)])[0]
