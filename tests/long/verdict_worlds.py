@@ -428,13 +428,13 @@ def _groups(n: int, strata: NDArray[np.intp] | None) -> list[NDArray[np.intp]]:
 
 def _variances(values: Array, groups: list[NDArray[np.intp]]) -> Array:
     """Of the difference of each two laws, within the groups: (draws, laws, laws)."""
-    n = values.shape[2]
+    several = [group for group in groups if len(group) > 1]
+    n = sum(map(len, several))
     gram = 0.0
-    for group in groups:
-        if len(group) > 1:
-            own = values[:, :, group]
-            centred = own - own.mean(axis=2, keepdims=True)
-            gram = gram + len(group) / (len(group) - 1) / n * (centred @ centred.transpose(0, 2, 1))
+    for group in several:
+        own = values[:, :, group]
+        centred = own - own.mean(axis=2, keepdims=True)
+        gram = gram + len(group) / (len(group) - 1) / n * (centred @ centred.transpose(0, 2, 1))
     diagonal = np.einsum("dkk->dk", gram)
     found = diagonal[:, :, None] + diagonal[:, None, :] - 2 * gram
     rounding = 1e-13 * (diagonal[:, :, None] + diagonal[:, None, :])
