@@ -13,7 +13,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 
-NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"} | {
+NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into", "starts_needed"} | {
     *("Pose", "GroundPose", "Stop", "Noise", "Timing", "World", "Clock", "Calibration", "Session", "Controller", "compare", "dump"),
     *("camera", "robots", "targets", "vision", "laws", "tasks"),
     *(

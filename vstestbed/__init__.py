@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from vstestbed.loop.controller import Controller
     from vstestbed.loop.recording import Recording
     from vstestbed.loop.session import Session, run
+    from vstestbed.report.comparison.planning import starts_needed
     from vstestbed.robots import ROBOTS, Allocation, Mount, Order, Reading, Robot, RobotBase
     from vstestbed.scenario.dump import dump
     from vstestbed.scenario.load import load
@@ -78,6 +79,7 @@ _HOMES = {
     "vstestbed.core.outcome": ("Outcome",),
     "vstestbed.core.planar": ("GroundPose",),
     "vstestbed.core.spec": ("spec",),
+    "vstestbed.report.comparison.planning": ("starts_needed",),
     "vstestbed.studies.comparison": ("compare",),
     "vstestbed.studies.run_folder": ("run_into",),
     "vstestbed.studies.tuning": ("tune",),
@@ -176,6 +178,7 @@ __all__ = [
     "run",
     "run_into",
     "spec",
+    "starts_needed",
     "targets",
     "tasks",
     "testing",

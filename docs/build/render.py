@@ -18,12 +18,15 @@ from typing import Any
 import jinja2
 import polars as pl
 import yaml
+from typer.testing import CliRunner
 
 import vstestbed as vs
 from docs.build import parameters
 from docs.build.conditions import comparison_of, conditions, conditions_line
 from docs.build.kept import Kept, Row
 from docs.build.suite import Suite
+from docs.build.verdicts import Verdicts
+from vstestbed.cli.app import program
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.loop.columns import column_texts
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
@@ -74,7 +77,8 @@ def template(page: Path, kept: Kept) -> jinja2.Template:
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.globals.update(preset=parameters.preset, gain_of=gain_of, verdicts=lambda command: verdicts(kept(command), command))
     made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
-    made.globals.update(table_columns=RUN_COLUMNS.items, suite=functools.cache(Suite))
+    made.globals.update(table_columns=RUN_COLUMNS.items, suite=functools.cache(Suite), verdicts=functools.cache(Verdicts))
+    made.globals.update(plan=plan, needed=functools.cache(vs.starts_needed))
     made.globals.update(grey_kb=(REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3)
     made.filters.update(judged=judged, g=parameters.plain)
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
@@ -105,6 +109,11 @@ def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:
 def _bundled() -> list[vs.Scenario]:
     """All bundled scenarios, loaded once for all pages."""
     return [vs.load(name) for name in bundled_scenarios()]
+
+
+def plan(words: str) -> str:
+    """What `vstestbed compare --plan` prints."""
+    return CliRunner().invoke(program(), ["compare", "--plan", *words.split()]).stdout.rstrip()
 
 
 def comparisons() -> list[tuple[str, str]]:

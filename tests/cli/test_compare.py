@@ -113,3 +113,17 @@ def test_from_python_also_after_the_room_has_been_imported():
     import vstestbed.studies.comparison
 
     assert vs.compare is vstestbed.studies.comparison.compare
+
+
+def test_a_plan_flies_nothing_and_says_how_many_starts_it_needs(command):
+    ended = command("compare", "--plan", "arm_laws", "--seeds", 20)
+    lines = ended.out.splitlines()
+    assert (ended.code, ended.err) == (0, "") and not Path("runs").exists()
+    assert lines[0] == "controllers 3, pairs 3, limit 30 s, margin 0.1, starts 20" and lines[-1] == "20 starts cannot decide by time"
+    with_one = command("compare", "--plan", "arm_laws", "--reference", "arm_pbvs", "--set", "stop.duration_s=60").out
+    assert with_one.startswith("controllers 3, pairs 2, limit 60 s")
+    nominal = command("compare", "--plan", "arm_ibvs", "arm_pbvs").out.splitlines()
+    assert nominal[1] == "it flies the nominal start: never a verdict; --seeds N draws random starts"
+    tasks = command("compare", "--plan", "starts").out  # four laws, seven tasks of five starts
+    assert tasks.startswith("controllers 4, pairs 6, limit 60 s, margin 0.1, starts 35\n")
+    assert command("compare", "--plan").err.startswith("SCENARIO is missing")

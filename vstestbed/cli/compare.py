@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from vstestbed.report.comparison.baseline import BaselineChanges
     from vstestbed.report.scores import Score
+    from vstestbed.studies.comparison import Comparison
     from vstestbed.studies.comparison.folder import ComparisonTable
 
 
@@ -52,6 +54,7 @@ def compare(
         str | None, typer.Option(metavar="METRIC", help="What decides beside success. [default: time to the goal, failures at their limit]")
     ] = None,
     reference: Annotated[str | None, typer.Option(metavar="NAME", help="Compare each with this one. [default: all pairs]")] = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Fly nothing: say how many starts it needs for a verdict.")] = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
@@ -59,7 +62,7 @@ def compare(
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
     from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.report.comparison.baseline import TOLERANCE
-    from vstestbed.studies.comparison import Baseline, Shard, carry_out, must_be_known, prepared
+    from vstestbed.studies.comparison import Baseline, Shard, carry_out, chosen, must_be_known, prepared
 
     must_be_known(executor)
     places = [Path(name) for name in scenarios or []]
@@ -71,14 +74,18 @@ def compare(
         raise ParameterError.needs(option, "the earlier results", why="--baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
     fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
+    if plan and scenarios:
+        asked = chosen(scenarios, settings, vary_of(vary), plugin or [], **fields)
+        typer.echo("\n".join(_plan_lines(asked, force)))
+        return
     share = None if shard is None else Shard.read(shard)
     ready = prepared(scenarios or [], vary_of(vary), out, resume, settings, plugin or [], film, force, before, fields, shard=share)
-    with ready as (runner, plan):
+    with ready as (runner, comparison):
         show_notes(not quiet)
         total = len(runner.jobs)
         try:
             with Counter(total, runner.done, shown) as counter:
-                table = carry_out(runner, plan, jobs, executor, counter.run_done, counter.say, baseline=before, figures=figures)
+                table = carry_out(runner, comparison, jobs, executor, counter.run_done, counter.say, baseline=before, figures=figures)
         except KeyboardInterrupt:
             # counted in the folder: finished runs are there in full, others not at all
             words = f"interrupted: {runner.done} of {total} runs are done; go on with: vstestbed compare --resume --out {runner.folder}"
@@ -87,6 +94,19 @@ def compare(
     _tell(table, as_json, quiet)
     if table.baseline is not None:
         _tell_changes(table.baseline, TOLERANCE if tolerance is None else tolerance, fail, shown)
+
+
+def _plan_lines(asked: Comparison, force: bool) -> Iterator[str]:
+    """How many starts a comparison needs, and how many it plans."""
+    from vstestbed.report.comparison.planning import plan_lines
+    from vstestbed.studies.comparison import controllers
+
+    variants = controllers(asked, force)
+    laws = len(variants) // len(variants.task_runs)
+    pairs = laws - 1 if asked.reference else math.comb(laws, 2)
+    limit = min(variant.scenario.stop.duration_s for variant in variants)
+    starts = sum(map(len, filter(None, variants.task_runs))) or asked.seeds
+    return plan_lines(laws, pairs, limit, starts, asked.margin)
 
 
 def _tell(table: ComparisonTable, as_json: bool, quiet: bool) -> None:
