@@ -75,7 +75,7 @@ def template(page: Path, kept: Kept) -> jinja2.Template:
         strain_waves=parameters.strain_waves,
     )
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
-    made.globals.update(preset=parameters.preset, gain_of=gain_of, verdicts=lambda command: verdicts(kept(command), command))
+    made.globals.update(preset=parameters.preset, gain_of=gain_of, sentences=lambda command: sentences(kept(command), command))
     made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
     made.globals.update(table_columns=RUN_COLUMNS.items, suite=functools.cache(Suite), verdicts=functools.cache(Verdicts))
     made.globals.update(plan=plan, needed=functools.cache(vs.starts_needed))
@@ -133,7 +133,7 @@ def gain_of(comparison: str, law: str) -> float:
     return float(given["cases"]["law"][law]["law"]["gain"])
 
 
-def verdicts(rows: Sequence[Row], command: str) -> str:
+def sentences(rows: Sequence[Row], command: str) -> str:
     """What a comparison has found, in the sentences that its report prints: on all laws, and on each pair.
 
     Raises:
