@@ -21,7 +21,7 @@ from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import find, load, parse
 from vstestbed.scenario.plugins import load_plugins, registries
 from vstestbed.scenario.scenario import Scenario, in_view
-from vstestbed.scenario.yaml_marks import read_value
+from vstestbed.scenario.yaml_marks import plain_mapping, read_value
 
 GOOD = """\
 robot:
@@ -165,6 +165,12 @@ class TestOneMistake:
     def test_nesting_too_deep_for_the_parser(self) -> None:
         """A hundred thousand brackets would overflow the stack of libyaml's composer."""
         assert mistakes("seed: 1\nlaw: " + "[" * 100_000) == ["s.yaml:2:37: is nested more than 32 deep; a scenario needs far less"]
+
+    def test_merges_of_merges_are_gone_through_once(self) -> None:
+        """Nine merges of nine of nine ...: 9^12 ways to one field, of which a loader that goes each would never come back."""
+        merges = "\n".join(["m0: &m0 {a: 1}"] + [f"m{i}: &m{i} {{<<: [{', '.join([f'*m{i - 1}'] * 9)}]}}" for i in range(1, 13)])
+        plain, _ = plain_mapping(f"{merges}\n<<: *m12\n", "s.yaml", "")
+        assert plain["a"] == 1 and plain["m12"] == {"a": 1}
 
     def test_aliases_of_aliases_do_not_fill_the_memory(self) -> None:
         """Nine lists of nine of the one before would be 9^9 = 387 million values."""

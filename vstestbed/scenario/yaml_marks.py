@@ -93,6 +93,7 @@ class _Node:
     text: str = ""
     quoted: bool = False
     parts: list[_Node] = field(default_factory=list)
+    fields: Fields | None = None
 
     @property
     def place(self) -> str:
@@ -159,6 +160,9 @@ def _not_yaml(where: str, words: str) -> ScenarioError:
     return ScenarioError([Mistake(where, "", f"is not YAML: {words}")])
 
 
+Fields = dict[str, tuple[_Node | None, _Node]]  # of a mapping, by name: the nodes of key and value
+
+
 def _scalar(node: _Node, file: str) -> Any:
     """The value of a scalar by YAML 1.2; PyYAML's own are those of 1.1, where `on` is a truth value and `1e3` a text."""
     text = node.text
@@ -215,8 +219,17 @@ def bundled_mapping(path: Path) -> dict[str, Any]:
     return {} if tree is None else _value(tree, str(path))
 
 
-def _fields(node: _Node, file: str) -> dict[str, tuple[_Node | None, _Node]]:
-    """The nodes of key and value of a mapping's fields, by their names; those from a merge key (`<<`) have no key here."""
+def _fields(node: _Node, file: str) -> Fields:
+    """The nodes of key and value of a mapping's fields, by their names; those from a merge key (`<<`) have no key here.
+
+    They are found once: a mapping of merges of merges would be gone through as often as there are ways to it.
+    """
+    if node.fields is None:
+        node.fields = _found_fields(node, file)
+    return node.fields
+
+
+def _found_fields(node: _Node, file: str) -> Fields:
     merged, own = dict[str, tuple[_Node | None, _Node]](), dict[str, tuple[_Node | None, _Node]]()
     for name, value in node.pairs():
         sources = (value.parts if value.kind == "list" else [value]) if name.text == "<<" else []
