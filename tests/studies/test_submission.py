@@ -128,7 +128,7 @@ def test_other_rows_are_refused_by_what_is_wrong_with_them(kind: str, world: Sim
 @pytest.mark.parametrize("name", ["POINTS", "po\u0456nts", "my law", "mine\u200b"])
 def test_a_law_has_a_name_that_looks_like_no_other_in_the_tables(name: str, world: SimpleNamespace) -> None:
     law = world.law.rename(world.folder / f"{name}.yaml")
-    with pytest.raises(ParameterError, match="must have a name of the letters A to Z|a law of the suite"):
+    with pytest.raises(ParameterError, match=r"must have a name of the letters A to Z|a law of the suite"):
         opened(str(law), str(world.suite))
 
 

@@ -228,7 +228,7 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, l
     monkeypatch.setattr(tempfile, "tempdir", str(own))
     began = time.monotonic()
     mark = marked(lab, tmp_path, attack)
-    left = os.listdir(own)
+    left = [path.name for path in own.iterdir()]
     subprocess.run(["rm", "-rf", own], check=True)  # which Python cannot, of folders that are nested deeply
     assert mark.points == (0, 2) and mark.missing, mark.markdown()
     assert not [name for name in left if name.startswith("law_")]
@@ -446,7 +446,8 @@ raise ValueError("done: " + "".join([
 def test_the_filter_of_calls_is_in_force_and_jumps_to_nowhere_else() -> None:
     """Each call that is named is refused, and those that Python and numpy need are not."""
     words = "import ctypes, os; from vstestbed.testing import child; libc = ctypes.CDLL(None, use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
-    words += "child._drop_capabilities(libc); assert child._refuse_calls(libc); first, *others = child.CALLS[os.uname().machine].values(); allowed = ["
+    words += "child._drop_capabilities(libc); assert child._refuse_calls(libc); "
+    words += "first, *others = child.CALLS[os.uname().machine].values(); allowed = ["
     words += (
         "n for those in (*others, child.ALSO) for n in those if libc.syscall(n, -1, -1, -1, -1, -1) != -1 or ctypes.get_errno() != 1]; "
     )
@@ -456,9 +457,7 @@ def test_the_filter_of_calls_is_in_force_and_jumps_to_nowhere_else() -> None:
 
 @pytest.mark.process
 @pytest.mark.skipif(not REFUSES or not child.landlock(), reason="as above")
-def test_where_linux_can_the_process_has_no_power_of_root_no_process_beside_it_and_no_memory_beyond_its_own(
-    lab, own_kinds, tmp_path
-) -> None:
+def test_where_linux_can_the_process_has_no_power_of_root_no_other_process_and_no_more_memory(lab, own_kinds, tmp_path) -> None:
     """Also for root, whose container this may be: nothing of the machine, no devices, no memory that outlives it. No call has arguments
     by which a kernel that allows it would do something.
     """

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field, replace
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -234,16 +235,15 @@ class Child:
 
 def _flatten(place: str) -> None:
     """Move all folders of a folder up into it, so that it can be removed however deeply they are nested."""
-    below = [entry.path for entry in os.scandir(place) if entry.is_dir(follow_symlinks=False)]
+    top = Path(place)
+    below = [path for path in top.iterdir() if path.is_dir() and not path.is_symlink()]
     while below:
         folder = below.pop()
-        os.chmod(folder, 0o700)
-        for entry in [*os.scandir(folder)]:
-            if entry.is_dir(follow_symlinks=False):
-                os.chmod(entry.path, 0o700)  # a folder that may not be written cannot be moved
-                moved = os.path.join(place, secrets.token_hex(8))
-                os.rename(entry.path, moved)
-                below.append(moved)
+        folder.chmod(0o700)
+        for path in [*folder.iterdir()]:
+            if path.is_dir() and not path.is_symlink():
+                path.chmod(0o700)  # a folder that may not be written cannot be moved
+                below.append(path.rename(top / secrets.token_hex(8)))
 
 
 _live = dict[str, Child]()  # the one that was used last, by what was asked for

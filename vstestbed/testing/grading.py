@@ -207,7 +207,8 @@ def read_lab(path: Path) -> Lab:
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a lab needs title, kind and tasks")
     lab = build(Lab, plain, marks, str(path))
-    for i, task in ((i, part) for i, task in enumerate(lab.tasks) for part in task.parts):
+    parts = [(i, part) for i, whole in enumerate(lab.tasks) for part in whole.parts]
+    for i, task in parts:
         named = absolute_files(task.set, path.absolute().parent)
         others = {key: value for key, value in named.items() if key.partition(".")[0] != lab.field.partition(".")[0]}
         try:
@@ -272,8 +273,7 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
 
 def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path | None) -> Iterator[str]:
     """Why the points of a task are not given."""
-    settings = {path.removeprefix("law."): value for path, value in task.set.items() if path.startswith("law.")}
-    like = Likeness(settings)
+    like = Likeness({path.removeprefix("law."): value for path, value in task.set.items()})
     Child.watch = None if task.may_be is None else like
     try:
         own = _runs(lab, task, student, first_seed, beside)
@@ -285,6 +285,13 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
         Child.watch = None
     if same := like.found(task.may_be or ()):
         yield f"Its commands are those of {same}, which is there already."
+    yield from _missed(task, own)
+    if task.better_than is not None:
+        yield from _not_better(own, _runs(lab, task, None, first_seed, beside), task.by)
+
+
+def _missed(task: LabTask, own: list[dict[str, Any]]) -> Iterator[str]:
+    """What runs of a task are short of, by their summaries."""
     good = [row for row in own if row["success"]]
     needed = task.reached if task.reached is not None else 0 if task.better_than is not None else len(own)
     if len(good) < needed:
@@ -299,8 +306,6 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
         missed = bounds.missed(statistics.median(values)) if values else "is unknown, since no run reached the goal"
         if missed:
             yield f"The median of {name} {missed}."
-    if task.better_than is not None:
-        yield from _not_better(own, _runs(lab, task, None, first_seed, beside), task.by)
 
 
 def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path | None) -> list[dict[str, Any]]:
