@@ -17,7 +17,7 @@ SHARED = "depth", "limits", "visibility", "feedforward"  # settings that a law f
 
 
 @spec
-class _Holder:
+class _Beside:
     law: Annotated[Law[Any], LAWS]
 
 
@@ -76,7 +76,7 @@ class Likeness:
                 continue  # to make another of these would end its process
             known = {name: value for name, value in (shared | self.settings).items() if name in made.__dataclass_fields__}
             with suppress(Exception):  # of settings that it has not, or without its file
-                own = _Holder(law={"kind": kind, **known}).law  # pyright: ignore[reportArgumentType] - a block
+                own = _Beside(law={"kind": kind, **known}).law  # pyright: ignore[reportArgumentType] - a block
                 if set(inputs_of(own)) <= given:
                     own.prepare()
                     yield kind, own
