@@ -70,10 +70,26 @@ def test_what_changes_a_cameras_pictures_is_refused_by_name(write):
         ("image_height", None, "image_size must be two whole numbers"),
         ("image_height", 480.5, "image_size must be two whole numbers"),
         ("K", [1, 0, 0, 0, 1, 0, 0, 0, 1], "it has a field twice"),
+        ("rotation", 180, "rotation must be a block of w, x, y, z"),
+        ("translation", {"x": 0.1, "y": 0, "z": 0}, "translation is of the mount, and not the whole of it"),
+        ("z", 0.5, "z is of the mount, and not the whole of it"),
+        ("t", [0.1, 0, 0], "translation_vector is of the mount, and not the whole of it"),
         ("skew", 1, "skew is not read here, and may change the meaning"),
         ("distortion_model", "inverse_brown_conrady", "cannot be drawn here; plumb_bob, rational_polynomial, equidistant"),
     ):
         assert words in refused(read_intrinsics, write(changed(CAMERA_INFO, path, value))), path
+
+
+def test_numbers_of_another_base_are_refused_by_the_text_that_they_have(write):
+    """YAML 1.1 reads 0640 as 416 and 10:00 as 600; OpenCV and YAML 1.2 read 640, and no number."""
+    text = yaml.safe_dump(CAMERA_INFO, sort_keys=False)
+    for field, said in (("image_width", "0640"), ("image_width", "10:40"), ("image_height", "8:00.0"), ("image_height", "-0_17")):
+        number = CAMERA_INFO[field]
+        assert f"{said} (by YAML 1.1 of base 8 or 60)" in refused(
+            read_intrinsics, write(text.replace(f"{field}: {number}", f"{field}: {said}"))
+        )
+    plain = write(text + "time: 12:30:45\nserial: 0123\n")  # these say nothing of the camera
+    assert read_intrinsics(str(plain)) == read_intrinsics(str(write(CAMERA_INFO, "other.yaml")))
 
 
 def test_what_changes_nothing_is_read_as_without_it(write):

@@ -13,7 +13,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import bundled_scenarios
-from vstestbed.loop.columns import Layout, text_of
+from vstestbed.loop.columns import Layout, check_own, text_of
 from vstestbed.sim.scene.scene import Scene
 
 
@@ -86,3 +86,10 @@ def test_a_wrong_name_is_told_with_the_nearest() -> None:
     recording = vs.run(vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 0.2}))
     with pytest.raises(KeyError, match=r"did you mean 'cmd_v.'.*describe log"):
         recording["cmd_v"]
+
+
+def test_a_column_of_a_laws_own_has_a_name_that_a_table_can_have() -> None:
+    for name in ("", "a,b", "1st", "a b", "\u00e9"):
+        with pytest.raises(ParameterError, match=r"of letters, digits and _; works: law_NAME"):
+            check_own((name,))
+    check_own(("law_x1", "Energy"))

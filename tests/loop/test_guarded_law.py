@@ -41,9 +41,10 @@ def wild(value: Any) -> Any:
         (lambda c: replace(c, twist=np.zeros(3)), "gave the twist array([0., 0., 0.]); the twist of a Command must be an array of six"),
         (lambda c: replace(c, twist=NAN), "gave a twist that is not finite, [nan"),
         (lambda c: replace(c, rates=NAN), "gave rates that are not finite, [nan"),
+        (lambda c: replace(c, rates=np.zeros(9)), "gave 9 rates; those of a Command must be the velocities of `Obs"),
         (lambda c: replace(c, free=((1.0, NAN[:, None]),)), "gave free motions that are not finite"),
     ],
-    ids=["ParameterError", "SystemExit", "None", "list", "short", "twist", "rates", "free"],
+    ids=["ParameterError", "SystemExit", "None", "list", "short", "twist", "rates", "nine rates", "free"],
 )
 def test_whatever_it_does_the_robot_is_stopped(value: Any, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(IBVS, "step", wild(value))

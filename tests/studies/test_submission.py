@@ -21,7 +21,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from vstestbed.core.errors import RunFolderError
+from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.loop.isolated import offered
 from vstestbed.studies import submission
 from vstestbed.studies.submission import MOST_TEXT, MOST_UNPACKED, Asked, contents, draws, pack, unpacked
@@ -106,6 +106,7 @@ FORGED_ROWS: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "a column more": (lambda rows: [r | {"weight": 1} for r in rows], "has the columns"),
     "columns in another order": (lambda rows: [dict(reversed(r.items())) for r in rows], "has the columns"),
     "success in other words": (lambda rows: changed(rows, 0, success="yes"), "is no submission"),
+    "a number that is none": (lambda rows: changed(rows, 0, value="nan "), "says success 'true' and value 'nan ' of 'one 0'"),
     "success as a number": (lambda rows: changed(rows, 0, success="1"), "is no submission"),
     "no success": (lambda rows: changed(rows, 0, success=None), "says success None"),
     "a value that is no number": (lambda rows: changed(rows, 0, value=math.nan), "value nan"),
@@ -122,6 +123,26 @@ def test_other_rows_are_refused_by_what_is_wrong_with_them(kind: str, world: Sim
     with pytest.raises(RunFolderError, match=words) as refused:
         unpacked(file, world.folder / "law", world.asked)
     assert str(refused.value).startswith(f"{file}: is no submission (") and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["POINTS", "po\u0456nts", "my law", "mine\u200b"])
+def test_a_law_has_a_name_that_looks_like_no_other_in_the_tables(name: str, world: SimpleNamespace) -> None:
+    law = world.law.rename(world.folder / f"{name}.yaml")
+    with pytest.raises(ParameterError, match=r"must have a name of the letters A to Z|a law of the suite"):
+        opened(str(law), str(world.suite))
+
+
+@pytest.mark.process
+def test_no_law_that_is_judged_takes_its_depths_from_the_truth(world: SimpleNamespace) -> None:
+    """The ideal camera's detector knows the truth, so that a scenario may; a law of one's own in the suite may not."""
+    world.law.write_text("law: {kind: ibvs, depth: oracle}\n")
+    for apart in (False, True):
+        entry = opened(str(world.law), str(world.suite), alone=True, apart=apart)
+        with offered():
+            assert not entry.plans
+        assert all("may not be oracle, the truth, for a law that is judged" in why for why in entry.blank.values()), entry.blank
+    world.suite.write_text(SUITE.replace("gain: 1.0", "gain: 1.0, depth: oracle"))
+    assert opened(None, str(world.suite)).plans
 
 
 def test_a_run_that_crashed_has_the_tasks_limit_and_no_run_lacks_its_number(world: SimpleNamespace) -> None:

@@ -113,6 +113,55 @@ def test_a_field_that_changes_nothing_has_no_point_of_part_a(own_kinds, tmp_path
     assert mark.points == (0, 10) and "max_feature_excursion_px is" in goal and "path_length_m is" in mean
 
 
+RENAMED = """\
+from typing import Literal
+
+import vstestbed as vs
+from vstestbed.laws.base import ConstantGain, Gain
+
+
+@vs.LAWS.add
+@vs.spec
+class Student(vs.LAWS.members["{bundled}"]):
+    kind: Literal["{kind}"] = "{kind}"
+"""
+
+
+@pytest.mark.process
+def test_a_bundled_law_under_another_name_has_no_point_where_the_sheet_does_not_ask_for_it(own_kinds, tmp_path: Path) -> None:
+    """Whatever its gain; of what a sheet asks for one's own, and the bundled one, have all points."""
+    task = {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "set": EXACT, "seeds": 1}
+    file = tmp_path / "student.py"
+
+    def reasons(may_be: list[str]) -> tuple[str, ...]:
+        return grade(read_lab(lab(tmp_path, check=0, tasks=[task | {"may_be": may_be}])), file).results[0].reasons
+
+    file.write_text(RENAMED.format(bundled="pbvs", kind="student") + "    gain: Gain = ConstantGain(value=0.7)\n")
+    assert reasons([]) == reasons(["ibvs"]) == ("Its commands are those of pbvs, which is there already.",)
+    assert reasons(["pbvs"]) == ()
+    student(tmp_path)
+    assert reasons(["ibvs"]) == () and reasons([]) == ("Its commands are those of ibvs, which is there already.",)
+
+
+@pytest.mark.study
+@pytest.mark.process
+@pytest.mark.parametrize(("number", "bundled"), [(1, "pbvs"), (1, "ibvs"), (2, "predictive"), (2, "pbvs"), (3, "pbvs"), (3, "hybrid")])
+def test_a_bundled_law_under_another_name_has_no_point_in_any_lab(number: int, bundled: str, own_kinds, tmp_path: Path) -> None:
+    read = read_lab(LABS / f"lab_{number}.yaml")
+    file = tmp_path / f"{read.kind}.py"
+    fields = '    jacobian: str = "goal"\n    retreat: bool = False\n' if number == 1 else ""
+    file.write_text(RENAMED.format(bundled=bundled, kind=read.kind) + fields)
+    mark = grade(read, file, beside=LABS)
+    assert mark.points == (0, 10), mark.markdown()
+
+
+def test_a_task_is_done_with_all_of_its_settings_or_not_at_all(own_kinds, tmp_path: Path) -> None:
+    task = {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "set": EXACT, "seeds": 1}
+    also = [{"set": {"law.gain": 0.9}, "median": {"time_to_converge_s": {"at_most": 0.1}}}, {"set": {"law.gian": 1}}]
+    late, unknown = grade(read_lab(lab(tmp_path, check=0, tasks=[task | {"also": also}])), student(tmp_path)).results[0].reasons
+    assert late.startswith("The median of time_to_converge_s is") and "gian" in unknown
+
+
 def test_the_suite_of_the_room_is_worth_nothing_without_a_task(own_kinds, tmp_path: Path) -> None:
     never = [LAB["tasks"][0] | {"median": {"time_to_converge_s": {"at_most": 0.1}}}]  # pyright: ignore[reportIndexIssue, reportOperatorIssue]
     mark = grade(read_lab(lab(tmp_path, tasks=never)), student(tmp_path))
@@ -143,6 +192,9 @@ def test_mistakes_of_a_lab_are_the_teachers_and_told_before_any_run(tmp_path: Pa
         ({"tasks": tasks(reached=4)}, r"tasks\.0\.reached: must be at most the 3 runs of `seeds`, got 4"),
         ({"tasks": tasks(median={"path_ratoi": {"at_most": 1}})}, r"tasks\.0\.median: must be one of .*, got 'path_ratoi'"),
         ({"tasks": tasks(scenario="camera_photometric", set={})}, r"tasks\.0: stop\.converged\.error_grey: is told by the law itself"),
+        ({"tasks": tasks(may_be=["pvbs"])}, r"tasks\.0\.may_be: must be one of .*, got 'pvbs'"),
+        ({"tasks": tasks(also=[{"set": {"camera.rate": 10}}])}, r"tasks\.0: camera\.rate: is an unknown field"),
+        ({"tasks": tasks(also=[{"set": {}, "median": {"a": {}}}])}, r"tasks\.0\.also\.0\.median: must be one of .*, got 'a'"),
         ({"tasks": tasks(pionts=3)}, r"tasks\.0\.pionts: is an unknown field; did you mean 'points'"),
     ):
         with pytest.raises(ScenarioError, match=words):

@@ -125,6 +125,17 @@ for i in range(3000):
     os.chdir("d")
 os._exit(0)
 """
+LEAVES_NOTHING["writes on into its folder from a process of its own"] = """
+if os.fork() == 0:
+    os.setsid()
+    end = time.time() + 20
+    while time.time() < end:
+        try: os.makedirs(f"d/{time.time()}")
+        except OSError: pass
+    os._exit(0)
+time.sleep(0.5)
+os._exit(0)
+"""
 LEAVES_NOTHING |= {
     f"forges {name}": FORGED_COMMAND.format(key=key, value=value)
     for name, key, value in (
@@ -217,8 +228,10 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, l
     monkeypatch.setattr(tempfile, "tempdir", str(own))
     began = time.monotonic()
     mark = marked(lab, tmp_path, attack)
+    left = [path.name for path in own.iterdir()]
     subprocess.run(["rm", "-rf", own], check=True)  # which Python cannot, of folders that are nested deeply
     assert mark.points == (0, 2) and mark.missing, mark.markdown()
+    assert not [name for name in left if name.startswith("law_")]
     assert time.monotonic() - began < 60  # s: the task has 2, Python and the package take some to start on a loaded machine
 
 
@@ -433,9 +446,56 @@ raise ValueError("done: " + "".join([
 def test_the_filter_of_calls_is_in_force_and_jumps_to_nowhere_else() -> None:
     """Each call that is named is refused, and those that Python and numpy need are not."""
     words = "import ctypes, os; from vstestbed.testing import child; libc = ctypes.CDLL(None, use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
-    words += "assert child._refuse_calls(libc); first, *others = child.CALLS[os.uname().machine].values(); allowed = ["
+    words += "child._drop_capabilities(libc); assert child._refuse_calls(libc); "
+    words += "first, *others = child.CALLS[os.uname().machine].values(); allowed = ["
     words += (
         "n for those in (*others, child.ALSO) for n in those if libc.syscall(n, -1, -1, -1, -1, -1) != -1 or ctypes.get_errno() != 1]; "
     )
     words += "import threading, numpy; t = threading.Thread(target=numpy.ones, args=(9,)); t.start(); t.join(); print(allowed)"
     assert subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+@pytest.mark.process
+@pytest.mark.skipif(not REFUSES or not child.landlock(), reason="as above")
+def test_where_linux_can_the_process_has_no_power_of_root_no_other_process_and_no_more_memory(lab, own_kinds, tmp_path) -> None:
+    """Also for root, whose container this may be: nothing of the machine, no devices, no memory that outlives it. No call has arguments
+    by which a kernel that allows it would do something.
+    """
+    tries = """
+import ctypes, fcntl, mmap, subprocess
+libc = ctypes.CDLL(None, use_errno=True)
+def tried(name, act):
+    try: found = act()
+    except (OSError, MemoryError): return ""
+    return "" if found == -1 else name + ", "
+def allowed(call, *given):
+    libc.syscall(call, *given)
+    return ctypes.get_errno() != 1 or -1
+def powers():
+    held = ctypes.create_string_buffer(24)
+    libc.capget(b"\\x22\\x05\\x08\\x20" + bytes(4), held)
+    return -1 if held.raw == bytes(24) else 1
+def bounding():
+    return any(libc.prctl(23, n, 0, 0, 0) == 1 for n in range(41)) or -1
+def new_thread_group():
+    return libc.syscall(56 if os.uname().machine == "x86_64" else 220, 17, 0, 0, 0, 0) or os._exit(0)
+ours, theirs = socket.socketpair()
+raise ValueError("done: " + "".join([
+    tried("capabilities", powers),
+    tried("bounding set", bounding),
+    tried("device", lambda: os.mknod("d", 0o20600, os.makedev(1, 3))),
+    tried("socket with a path", lambda: socket.socket(socket.AF_UNIX).bind("s")),
+    tried("fork", lambda: os.fork() or os._exit(0)),
+    tried("clone", new_thread_group),
+    tried("spawn", lambda: subprocess.run(["true"])),
+    tried("shared memory", lambda: mmap.mmap(-1, 9 << 30)),
+    tried("memory file", lambda: os.memfd_create("m")),
+    tried("signals to others", lambda: fcntl.fcntl(ours, fcntl.F_SETOWN, os.getpid())),
+    tried("signals by ioctl", lambda: fcntl.ioctl(ours, 0x8901, (os.getpid()).to_bytes(4, "little"))),
+    tried("typing", lambda: allowed(16 if os.uname().machine == "x86_64" else 29, -1, 0x5412, 0)),
+    tried("own flags", lambda: fcntl.fcntl(ours, fcntl.F_GETFL) and -1),
+    tried("own thread", lambda: threading.Thread(target=np.ones, args=(9,)).start() or -1),
+]) + ".")
+"""
+    mark = marked(lab, tmp_path, tries)
+    assert "done: ." in mark.markdown(), mark.markdown()

@@ -195,6 +195,7 @@ SETUP = [
 STAMP = "frame_id", "seq", "stamp"
 FRAMES = "eye_on_hand", "calibration_type", "tracking_base_frame", "child_frame_id"
 POSE = "x", "y", "z", "qw", "qx", "qy", "qz"
+OF_MOUNT = "R_cam2gripper", "T_cam2gripper", "translation_vector", "transformation", "translation", "rotation", *POSE
 
 
 def _bare(name: object) -> str:
@@ -300,6 +301,7 @@ def _intrinsics_in(plain: Mapping[str, Any]) -> Intrinsics | None:
     size = _size_in(plain)
     _check_whole(plain, size)
     _check_raw(plain)
+    _check_beside(plain)
     model, k = _distortion_in(plain)
     return Intrinsics.of(plain["camera_matrix"], k, size, model, "camera_matrix")
 
@@ -358,6 +360,14 @@ def _check_raw(plain: Mapping[str, Any]) -> None:
     if P.size != 12 or P.reshape(3, 4)[:, 3].any():
         words = f"must have zeros as its fourth column: it has the baseline of a stereo pair; {works}"
         raise ParameterError("projection_matrix", words, short(P.tolist()))
+
+
+def _check_beside(plain: Mapping[str, Any]) -> None:
+    """Refuse fields of a mount that are not the whole of one: they could be meant otherwise."""
+    beside = [name for name in OF_MOUNT if name in plain]
+    if beside and _mount_of(plain) is None:
+        words = f"is of the mount, and not the whole of it; works: {MOUNTS}, or the file without"
+        raise ParameterError(beside[0], words, short(plain[beside[0]]))
 
 
 def _mount_in(plain: Mapping[str, Any]) -> Array | None:

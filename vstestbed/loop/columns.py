@@ -184,9 +184,13 @@ def text_of(name: str) -> ColumnText | None:
 
 
 def check_own(columns: Sequence[str]) -> None:
-    """Refuse columns of a law with names that logs have, of whichever robot: what judges a run reads those that are there."""
-    if taken := [name for name in columns if text_of(name) is not None]:
-        raise ParameterError("law.columns", "must be names that no log has, of whichever robot; works: law_NAME", taken[0])
+    """Refuse columns of a law with names that logs have, of whichever robot, since what judges a run reads those that are there, and
+    names that are none in a table.
+    """
+    plain = re.compile(r"[a-z]\w*", re.ASCII | re.IGNORECASE)
+    if taken := [name for name in columns if text_of(name) is not None or not plain.fullmatch(name)]:
+        words = "must be names that no log has, of whichever robot, of letters, digits and _; works: law_NAME"
+        raise ParameterError("law.columns", words, taken[0])
 
 
 def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:

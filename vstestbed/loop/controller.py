@@ -29,6 +29,7 @@ from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.arm import Arm
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
@@ -48,7 +49,7 @@ class GuardedLaw:
         """
         if not self.failure:
             stepped = self._asked(self._law.step, state, seen, goal, basis)
-            if not self.failure and (wrong := self._wrong(stepped)):
+            if not self.failure and (wrong := self._wrong(stepped, seen)):
                 self.failure = f"law {self._law.kind} {wrong}"
             if not self.failure:
                 self._mode = stepped[1].mode
@@ -79,7 +80,7 @@ class GuardedLaw:
             where = f"{Path(frame.f_code.co_filename).name}, line {line}"
             self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({where})"
 
-    def _wrong(self, stepped: Any) -> str:
+    def _wrong(self, stepped: Any, seen: Observation) -> str:
         """What is wrong with what `step` returned; "" for a state and a command of finite numbers."""
         if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
             got = type(stepped).__name__
@@ -90,7 +91,7 @@ class GuardedLaw:
         modes = len(self._law.modes)
         if modes and not 0 <= command.mode < modes:
             return f"gave the mode {short(command.mode)}; the modes of its commands must be 0 to {modes - 1}"
-        wrong = _wrong_numbers(command, self._law.columns)
+        wrong = _wrong_numbers(command, self._law.columns) or _wrong_rates(command.rates, seen.robot)
         if wrong:
             self._mode = command.mode
         return wrong
@@ -112,6 +113,14 @@ def _wrong_numbers(command: Command, columns: Sequence[str]) -> str:
     if command.row and len(command.row) != len(columns):
         return f"gave {len(command.row)} numbers as the row of its Command, and has the columns {', '.join(columns) or 'none'}"
     return ""
+
+
+def _wrong_rates(rates: Array | None, robot: OwnModel | None) -> str:
+    """What is wrong with velocities of the robot's own that a law orders; "" for as many as the robot has, which it reads."""
+    names = robot.names if robot else ()
+    if rates is None or rates.shape == (len(names),):
+        return ""
+    return f"gave {rates.size} rates; those of a Command must be the velocities of `Observation.robot` ({', '.join(names) or 'not read'})"
 
 
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.

@@ -11,6 +11,7 @@ import atexit
 import json
 import os
 import pickle
+import secrets
 import signal
 import socket
 import subprocess
@@ -20,11 +21,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field, replace
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, VstestbedError
 from vstestbed.core.foreign import reason
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveTime
@@ -97,10 +99,21 @@ class Declared:
             raise ParameterError("modes and columns", "must be plain words", words[0])
 
 
+def honest(depth: Depth) -> None:
+    """Refuse a source of depth that is the truth, to a law that is judged. Raises ParameterError."""
+    if depth.true:
+        works = "another source, such as pnp or estimate"
+        raise ParameterError.excluded("depth", f"{depth.kind}, the truth, for a law that is judged", works=works)
+
+
 class Child:
-    """The process of one law. Class attribute lost: how many ended, or were ended, before they had answered."""
+    """The process of one law.
+
+    Class attributes: lost: how many ended, or were ended, before they had answered. watch: is told of the runs (`testing/likeness.py`).
+    """
 
     lost = 0
+    watch: Any = None
 
     def __init__(self, *law: Any, load_s: float):
         self.ended, self.spent_s = False, 0.0
@@ -125,7 +138,11 @@ class Child:
         theirs.close()
         self.ask(bool, START_S, "ready")
         self.spent_s = 0.0  # that was Python and this package, and no line of the law
-        self.declared = self.ask(lambda said: Declared(**said), load_s, "make", *law)
+        try:
+            self.declared = self.ask(lambda said: Declared(**said), load_s, "make", *law)
+        except VstestbedError:  # of a law that cannot be made nobody has the process, to end it
+            self.close()
+            raise
         self.loaded_s = self.spent_s  # counts as time of its first run
 
     def ask(self, of: Callable[[Any], Answer], seconds: float, method: str, *given: Any) -> Answer:
@@ -208,10 +225,25 @@ class Child:
             printed.seek(max(0, printed.seek(0, os.SEEK_END) - SHOWN))
             for line in printed.read(SHOWN).decode(errors="replace").splitlines():
                 print("  law |", "".join(filter(str.isprintable, line)), file=sys.stderr)
-        try:
-            self._place.cleanup()
-        except Exception as error:  # such as folders that are nested too deeply
-            print(f"  law | its folder {self._place.name} cannot be removed ({reason(error)})", file=sys.stderr)
+        place = self._place.name
+        with suppress(OSError):
+            _flatten(place)
+        self._place.cleanup()
+        if os.path.lexists(place):
+            print(f"  law | its folder {place} is still there, and should be removed", file=sys.stderr)
+
+
+def _flatten(place: str) -> None:
+    """Move all folders of a folder up into it, so that it can be removed however deeply they are nested."""
+    top = Path(place)
+    below = [path for path in top.iterdir() if path.is_dir() and not path.is_symlink()]
+    while below:
+        folder = below.pop()
+        folder.chmod(0o700)
+        for path in [*folder.iterdir()]:
+            if path.is_dir() and not path.is_symlink():
+                path.chmod(0o700)  # a folder that may not be written cannot be moved
+                below.append(path.rename(top / secrets.token_hex(8)))
 
 
 _live = dict[str, Child]()  # the one that was used last, by what was asked for
@@ -247,6 +279,7 @@ class Isolated(Law[int]):
         """Start the process, and take over what the law declares."""
         for name, value in vars(self._child.declared).items():
             object.__setattr__(self, name, value)
+        honest(self.depth)
 
     @property
     def _child(self) -> Child:
@@ -276,6 +309,8 @@ class Isolated(Law[int]):
         child = self._child
         child.spent_s = child.loaded_s
         child.loaded_s = 0.0
+        if Child.watch:
+            Child.watch.begin(self, goal)
         return child.ask(int, min(ANSWER_S, self.run_s), "init", goal)
 
     def step(self, state: int, observation: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
@@ -284,7 +319,10 @@ class Isolated(Law[int]):
         if left <= 0:
             Child.lost += 1
             raise LawFailedError(f"the law took more than {self.run_s:.3g} s in a run")
-        return child.step(min(ANSWER_S, left), state, observation, goal, basis)
+        following, command = child.step(min(ANSWER_S, left), state, observation, goal, basis)
+        if Child.watch:
+            Child.watch.step(observation, goal, basis, command)
+        return following, command
 
 
 def command_of(plain: dict[str, Any], motions: int) -> Command:

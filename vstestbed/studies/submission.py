@@ -218,8 +218,13 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
         cells = pl.read_csv(text, infer_schema=False, n_rows=planned.total() + 1)  # one more tells that there are more
         if cells.columns != COLUMNS:
             raise _refused(file, f"its {RUNS} has the columns {short(cells.columns)}, not {COLUMNS}", works)
+        value = pl.col("value").cast(pl.Float64, strict=False)
+        no_number = value.is_null() & pl.col("value").is_not_null()
+        odd = cells.filter(no_number | ~pl.col("success").is_in(["true", "false"]))
+        for _, _, start, reached, said in odd.iter_rows():
+            raise _refused(file, f"its {RUNS} says success {short(reached)} and value {short(said)} of {short(start)}", works)
         success = pl.col("success").replace_strict({"true": True, "false": False}, return_dtype=pl.Boolean)
-        runs = cells.with_columns(success, pl.col("value").cast(pl.Float64))
+        runs = cells.with_columns(success, value)
     there = Counter(runs.select(KEYS).rows())
     if lacking := planned - there:
         raise _refused(file, f"its {RUNS} lacks {short(next(iter(lacking)))}, of {len(lacking)} runs", works)

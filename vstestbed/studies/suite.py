@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,12 +20,12 @@ from typing import Annotated, Any
 import polars as pl
 from annotated_types import Ge
 
-from vstestbed.core.errors import ParameterError, VstestbedError, nearest
+from vstestbed.core.errors import ParameterError, VstestbedError, nearest, short
 from vstestbed.core.files import make_folder, read_json, write_whole
 from vstestbed.core.named_files import folder, is_there
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
-from vstestbed.loop.isolated import MODULE, Isolated
+from vstestbed.loop.isolated import MODULE, Isolated, honest
 from vstestbed.report.scores import Score, TaskOfSuite, write_scores
 from vstestbed.scenario.load import find
 from vstestbed.scenario.plugins import absolute_files, load_plugins
@@ -39,6 +40,7 @@ from vstestbed.tasks.metrics import Metric
 
 NAME = "VS-1"
 TO_GOAL = "time_to_goal_s"  # the metric of which each failed run has a number
+PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]+")  # of a law in tables, so that no two look alike
 LAW = "law"  # the axis of the laws in each comparison
 HOW = (
     "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit; ranks by it, with "
@@ -198,7 +200,10 @@ class SuiteEntry:
                 self.blank[name, task] = block
                 continue
             try:
-                controllers(changed(own, cases={LAW: {name: {"law": block}}} | own.cases, tasks={}, limit=None, seeds=None))
+                flown = controllers(changed(own, cases={LAW: {name: {"law": block}}} | own.cases, tasks={}, limit=None, seeds=None))
+                if name not in self.suite.laws:
+                    for each in flown:
+                        honest(each.scenario.law.depth)
             except VstestbedError as error:
                 self.blank[name, task] = str(error).splitlines()[0].replace(f"{self.path.parent}/", "")
             else:
@@ -349,7 +354,9 @@ def opened(
     laws, plugins = dict(suite.laws), tuple[str, ...]()
     if file is not None:
         own, law, plugins = law_of_file(file, apart)
-        if own in laws:
+        if not PLAIN_NAME.fullmatch(own):
+            raise ParameterError("LAW_FILE", "must have a name of the letters A to Z, digits, _, . and -", short(own))
+        if own.lower() in map(str.lower, laws):
             raise ParameterError.twice("LAW_FILE", "a law of the suite", own)
         laws = {own: law} if alone else laws | {own: law}
     elif alone:

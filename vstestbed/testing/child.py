@@ -133,6 +133,7 @@ def _plain(value: Any) -> Any:
 CREATE, ADD, RESTRICT = 444, 445, 446  # its system calls, on all architectures
 RIGHTS = 13, 14, 15, 15, 16  # how many rights to files its versions know
 READ_FILE, READ = 0b101, 0b1101  # read and execute; of a folder list it, too
+SPECIAL = 1 << 6 | 1 << 9 | 1 << 10 | 1 << 11  # make devices, sockets and pipes with a path
 SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom", "/proc/cpuinfo", "/sys/devices/system/cpu"
 
 
@@ -143,21 +144,33 @@ def landlock() -> int:
 
 def confine(reads: str) -> None:
     """Limit this process: its memory, files and time; on Linux 5.13 and newer also to reading Python, this package and `reads`, and to
-    writing into its own empty folder; on Linux on the machines of `CALLS` also to system calls that change nothing of others.
+    writing into its own empty folder; on Linux on the machines of `CALLS` also to one process, and to system calls that change nothing
+    of others.
     """
     with suppress(ImportError, ValueError):  # Windows; a lower limit is in force
         import resource
 
-        for kind, most in ((resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_DATA, MEMORY)):
+        # the address space has shared memory, too
+        limits = (resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_AS, MEMORY)
+        for kind, most in limits:
             resource.setrlimit(kind, (most, most))
     if sys.platform != "linux":
         return
     libc = ctypes.CDLL(None)
     libc.prctl(1, signal.SIGKILL)  # end with the parent
-    libc.prctl(38, 1, 0, 0, 0)  # no new privileges, which both that follow ask for
+    libc.prctl(38, 1, 0, 0, 0)  # no new privileges, which those that follow ask for
+    _drop_capabilities(libc)
     if (version := landlock()) >= 1:
         _restrict_files(libc, version, reads)
     _refuse_calls(libc)
+
+
+def _drop_capabilities(libc: ctypes.CDLL) -> None:
+    """Those of root, for good: out of the bounding set, then out of the process; capabilities(7)."""
+    for capability in range(64):
+        libc.prctl(24, capability, 0, 0, 0)
+    libc.prctl(47, 4, 0, 0, 0)  # the ambient ones
+    libc.capset(struct.pack("=Ii", 0x20080522, 0), bytes(24))
 
 
 def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
@@ -170,17 +183,19 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
     for path in map(Path, (Path(__file__).parents[1], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own)):
         if path.exists():
             place = os.open(path, os.O_PATH)
-            rights = every if path == own else READ if path.is_dir() else READ_FILE
+            rights = every & ~SPECIAL if path == own else READ if path.is_dir() else READ_FILE
             libc.syscall(ADD, rules, 1, struct.pack("=Qi", rights, place), 0)
             os.close(place)
     libc.syscall(RESTRICT, rules, 0)
 
 
 # System calls that Landlock leaves open, by machine, each with its number; seccomp(2), bpf(2). A socket pair of its own is none of them.
-ALSO = 425, 428, 429, 430, 432, 438, 442, 452, 463, 466, 469  # io_uring, mounts, pidfd_getfd, modes and attributes: on all machines
+# On all machines: io_uring, mounts, pidfd_getfd, quotactl_fd, memfd_secret, modes and attributes.
+ALSO = 425, 428, 429, 430, 431, 432, 433, 438, 442, 443, 447, 452, 463, 466, 467, 469
 CALLS: dict[str, dict[str, tuple[int, ...]]] = {
     "x86_64": {
-        "audited as, seccomp, prlimit64": (0xC000003E, 317, 302),
+        "audited as, seccomp, prlimit64, clone, fcntl, ioctl": (0xC000003E, 317, 302, 56, 72, 16),
+        "fork, vfork": (57, 58),
         "socket, connect": (41, 42),
         "chmod, chown, utime and their kind": (90, 91, 268, 92, 93, 94, 260, 132, 235, 261, 280),
         "setxattr, removexattr and their kind": (188, 189, 190, 197, 198, 199),
@@ -188,9 +203,15 @@ CALLS: dict[str, dict[str, tuple[int, ...]]] = {
         "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (142, 144, 203, 314, 141, 251),
         "unshare, setns, mount, umount2, pivot_root, chroot": (272, 308, 165, 166, 155, 161),
         "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (321, 323, 248, 249, 250, 256, 279),
+        "shmget, shmat, semget, msgget, mq_open, memfd_create": (29, 30, 64, 68, 240, 319),
+        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (169, 246, 320, 175, 313, 176),
+        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (170, 171, 167, 168, 163, 179, 103),
+        "settimeofday, adjtimex, clock_settime, clock_adjtime": (164, 159, 227, 305),
+        "mknod, mknodat, name_to_handle_at, open_by_handle_at, fanotify_init": (133, 259, 303, 304, 300),
+        "iopl, ioperm, modify_ldt, lookup_dcookie": (172, 173, 154, 212),
     },
     "aarch64": {
-        "audited as, seccomp, prlimit64": (0xC00000B7, 277, 261),
+        "audited as, seccomp, prlimit64, clone, fcntl, ioctl": (0xC00000B7, 277, 261, 220, 25, 29),
         "socket, connect": (198, 203),
         "chmod, chown, utime and their kind": (52, 53, 54, 55, 88),
         "setxattr, removexattr and their kind": (5, 6, 7, 14, 15, 16),
@@ -198,35 +219,56 @@ CALLS: dict[str, dict[str, tuple[int, ...]]] = {
         "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (118, 119, 122, 274, 140, 30),
         "unshare, setns, mount, umount2, pivot_root, chroot": (97, 268, 40, 39, 41, 51),
         "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (280, 282, 217, 218, 219, 238, 239),
+        "shmget, shmat, semget, msgget, mq_open, memfd_create": (194, 196, 190, 186, 180, 279),
+        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (142, 104, 294, 105, 273, 106),
+        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (161, 162, 224, 225, 89, 60, 116),
+        "settimeofday, adjtimex, clock_settime, clock_adjtime": (170, 171, 112, 266),
+        "mknodat, name_to_handle_at, open_by_handle_at, fanotify_init": (33, 264, 265, 262),
+        "lookup_dcookie": (18,),
     },
 }
-LOAD, EQUAL, AT_LEAST, RETURN = 0x20, 0x15, 0x35, 0x06  # instructions of the filter
-ALLOW, REFUSE = 0x7FFF0000, 0x00050001  # the latter with EPERM
+CLONE3 = 435  # on all machines; told that there is none, the C library takes clone, whose flags a filter sees
+LOAD, EQUAL, AT_LEAST, HAS, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06  # instructions of the filter
+ALLOW, REFUSE, NONE = 0x7FFF0000, 0x00050001, 0x00050026  # with EPERM, with ENOSYS
+FIRST, SECOND = 16, 24  # where arguments of a call stand: the low half, on the machines above
+A_THREAD, NAMESPACES = 0x10000, 0x7E020000  # flags of clone
+OWNERS = 8, 10, 15  # of fcntl: whom the kernel signals
+ASKS = 0x5412, 0x541C, 0x8901, 0x8902  # of ioctl: type into a terminal, whom the kernel signals
 
 
 def _refuse_calls(libc: ctypes.CDLL) -> bool:
-    """Have the kernel refuse the calls above, of all threads; prlimit64 of another process, too. Whether it does."""
+    """Have the kernel refuse the calls above, of all threads; other processes' limits and new processes, too. Whether it does."""
     first, *others = CALLS.get(os.uname().machine, {"": ()}).values()
     if not first:
         return False
-    machine, seccomp, prlimit = first
-    refused = [number for those in (*others, ALSO) for number in those]
-    end = 7 + len(refused)  # where it allows; behind it, where it refuses
+    machine, seccomp, prlimit, clone, fcntl, ioctl = first
+    refuse = RETURN, 0, 0, REFUSE
     lines = [
         (LOAD, 0, 0, 4),  # the machine: another one's calls have other numbers
-        (EQUAL, 0, end - 1, machine),
+        *((EQUAL, 1, 0, machine), refuse),
         (LOAD, 0, 0, 0),  # the call
-        (AT_LEAST, end - 3, 0, 1 << 30),  # those of x32
-        (EQUAL, 0, 2, prlimit),
-        (LOAD, 0, 0, 16),  # its process, 0: its own
-        (EQUAL, end - 7, end - 6, 0),
-        *((EQUAL, end - 7 - i, 0, number) for i, number in enumerate(refused)),
-        (RETURN, 0, 0, ALLOW),
-        (RETURN, 0, 0, REFUSE),
+        *((AT_LEAST, 0, 1, 1 << 30), refuse),  # those of x32
+        *((EQUAL, 0, 1, CLONE3), (RETURN, 0, 0, NONE)),
     ]
+    for number in (number for those in (*others, ALSO) for number in those):
+        lines += (EQUAL, 0, 1, number), refuse
+    lines += _where(prlimit, FIRST, (EQUAL, 1, 0, 0))  # its process, 0: its own
+    lines += _where(clone, FIRST, (HAS, 1, 0, A_THREAD), (HAS, 0, 1, NAMESPACES))
+    lines += _where(fcntl, SECOND, *((EQUAL, 0, 1, number) for number in OWNERS))
+    lines += _where(ioctl, SECOND, *((EQUAL, 0, 1, number) for number in ASKS))
+    lines.append((RETURN, 0, 0, ALLOW))
     program = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *line) for line in lines))
     pointer = struct.pack("@HP", len(lines), ctypes.addressof(program))
     return libc.syscall(seccomp, 1, 1, pointer) == 0
+
+
+def _where(call: int, place: int, *tests: tuple[int, int, int, int]) -> list[tuple[int, int, int, int]]:
+    """Lines that refuse a call whose argument one of the tests finds: such a test jumps over the refusal behind it, or not."""
+    lines = [(LOAD, 0, 0, place)]
+    for test in tests:
+        lines += test, (RETURN, 0, 0, REFUSE)
+    lines.append((RETURN, 0, 0, ALLOW))
+    return [(EQUAL, 0, len(lines), call), *lines]
 
 
 if __name__ == "__main__":

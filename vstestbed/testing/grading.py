@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +18,7 @@ from vstestbed.core.named_files import bundled_scenarios, is_there
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
+from vstestbed.laws import LAWS
 from vstestbed.loop.isolated import MODULE, Child, Isolated, offered, shown
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.comparison.pairs import pairs
@@ -28,6 +29,7 @@ from vstestbed.scenario.plugins import absolute_files
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.tasks.metrics import comparable
 from vstestbed.testing.laws import check_law
+from vstestbed.testing.likeness import Likeness
 
 Points = Annotated[float, Ge(0), Le(1000)]
 Block = str | dict[str, Any]
@@ -55,6 +57,22 @@ class Needs:
 
 
 @spec
+class Further:
+    """Further runs of a task, from the same starts.
+
+    Args:
+        set: values by dotted path, put over those of the task; e.g. `{law.jacobian: mean}`.
+        median: limits, as those of the task.
+    """
+
+    set: dict[str, Any]
+    median: dict[str, Needs] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _known_metrics(self.median, "median")
+
+
+@spec
 class LabTask:
     """What a student's kind has to do, for points that are given whole or not at all.
 
@@ -70,6 +88,9 @@ class LabTask:
         better_than: another kind, in place of the student's, than which it has to be better by the verdict of a comparison from these
             starts; e.g. `{kind: ibvs, gain: 0.5}`.
         by: the metric that decides this verdict where both reach the goal alike.
+        also: further settings with which it has to be done, so that a field that changes nothing has no points.
+        may_be: bundled kinds whose commands the student's law may give, those that are to be written; the commands of another one have
+            no points. null: of any.
     """
 
     title: str
@@ -82,13 +103,29 @@ class LabTask:
     median: dict[str, Needs] = field(default_factory=dict)
     better_than: Block | None = None
     by: str = "time_to_goal_s"
+    also: tuple[Further, ...] = ()
+    may_be: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.reached is not None and self.reached > max(self.seeds, 1):
             raise ParameterError.bound("reached", "at most", f"the {max(self.seeds, 1)} runs of `seeds`", self.reached)
-        for name, where in [*((name, "median") for name in self.median), (self.by, "by")]:
-            if name not in comparable():
-                raise ParameterError.choice(where, comparable(), name)
+        _known_metrics(self.median, "median")
+        _known_metrics([self.by], "by")
+        for kind in self.may_be or ():
+            if kind not in LAWS.members:
+                raise ParameterError.choice("may_be", LAWS.members, kind)
+
+    @property
+    def parts(self) -> list[LabTask]:
+        """It, and its further settings as tasks of their own."""
+        others = [replace(self, set=self.set | each.set, median=each.median, better_than=None) for each in self.also]
+        return [self, *others]
+
+
+def _known_metrics(names: Iterable[str], where: str) -> None:
+    for name in names:
+        if name not in comparable():
+            raise ParameterError.choice(where, comparable(), name)
 
 
 @spec
@@ -171,7 +208,8 @@ def read_lab(path: Path) -> Lab:
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a lab needs title, kind and tasks")
     lab = build(Lab, plain, marks, str(path))
-    for i, task in enumerate(lab.tasks):
+    parts = [(i, part) for i, whole in enumerate(lab.tasks) for part in whole.parts]
+    for i, task in parts:
         named = absolute_files(task.set, path.absolute().parent)
         others = {key: value for key, value in named.items() if key.partition(".")[0] != lab.field.partition(".")[0]}
         try:
@@ -200,8 +238,10 @@ def grade(
             results.append(Result("It passes the suite of its room.", lab.check, (refused,) if refused else tuple(_unchecked(lab, place))))
         for task in lab.tasks:
             on_task(task.title)
-            reasons = (refused,) if refused else tuple(_reasons(lab, task, place, first_seed, beside))
-            results.append(Result(task.title, task.points, reasons))
+            reasons = [refused] if refused else []
+            for part in [] if refused else task.parts:
+                reasons += _reasons(lab, part, place, first_seed, beside)
+            results.append(Result(task.title, task.points, tuple(dict.fromkeys(reasons))))
         missing = bool(refused) or Child.lost > lost
     if lab.check and not any(result.given for result in results[1:]):
         results[0] = replace(results[0], reasons=results[0].reasons or ("It does none of the tasks.",))
@@ -234,12 +274,25 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
 
 def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path | None) -> Iterator[str]:
     """Why the points of a task are not given."""
+    like = Likeness({path.removeprefix("law."): value for path, value in task.set.items()})
+    Child.watch = None if task.may_be is None else like
     try:
         own = _runs(lab, task, student, first_seed, beside)
     except Exception as error:  # a refusal's; and whatever the numbers of a law bring about in the loop
         Child.lost += not isinstance(error, VstestbedError)
         yield f"It cannot be run: {error}"
         return
+    finally:
+        Child.watch = None
+    if same := like.found(task.may_be or ()):
+        yield f"Its commands are those of {same}, which is there already."
+    yield from _missed(task, own)
+    if task.better_than is not None:
+        yield from _not_better(own, _runs(lab, task, None, first_seed, beside), task.by)
+
+
+def _missed(task: LabTask, own: list[dict[str, Any]]) -> Iterator[str]:
+    """What runs of a task are short of, by their summaries."""
     good = [row for row in own if row["success"]]
     needed = task.reached if task.reached is not None else 0 if task.better_than is not None else len(own)
     if len(good) < needed:
@@ -254,8 +307,6 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
         missed = bounds.missed(statistics.median(values)) if values else "is unknown, since no run reached the goal"
         if missed:
             yield f"The median of {name} {missed}."
-    if task.better_than is not None:
-        yield from _not_better(own, _runs(lab, task, None, first_seed, beside), task.by)
 
 
 def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path | None) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """A robot's file in a scene: the flange, however its orientation is written, and the actuators that are kept."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,11 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
+import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.robots import Actuation, BodyFile, RobotBase
 from vstestbed.robots.free import Free, FreeStart
 from vstestbed.sim.scene import attach
+from vstestbed.sim.scene.scene import Scene
 
 ROBOT = """
 <mujoco model="r">
@@ -108,3 +111,24 @@ def test_the_ideal_camera_is_a_body_without_mass():
     body, T = attach.add_robot(scene, Free(start=FreeStart(nominal=Pose())), "robot/", None)
     assert body.name == "robot/camera" and body.mocap
     np.testing.assert_array_equal(T, np.eye(4))
+
+
+def test_what_a_file_says_of_views_and_solver_is_the_scenes_without_a_line_of_the_library(tmp_path, capfd, caplog) -> None:
+    """MuJoCo would print what differs with a line of this program's source; what changes the motion is refused."""
+    pictures = '<visual><map znear="0.3"/><global offwidth="300"/></visual><statistic extent="9"/><size memory="1M" nuserdata="3"/>'
+    solver = '<option o_margin="1" integrator="RK4" iterations="3" magnetic="1 0 0"/>'
+    arm = '<body name="a" pos="0 0 0.7"><joint name="j1"/><geom size="0.1"/><body><joint name="j2" axis="0 1 0"/>'
+    arm += '<geom size="0.1"/><site name="flange" pos="0.2 0 0" euler="0 90 0"/></body></body>'
+    (tmp_path / "arm.xml").write_text(f"<mujoco>{pictures}{solver}<worldbody>{arm}</worldbody></mujoco>")
+    (tmp_path / "own.yaml").write_text("""
+robot: {kind: mjcf, file: arm.xml, flange: flange, speed_limits: [1, 1], torque_limits: [5, 5], start: {nominal: {q_deg: [0, 10]}}}
+camera: {kind: perspective, fovy_deg: 60, mount: {xyz: [0, 0, 0.05]}}
+target: {kind: square, side: 0.2, pose: {xyz: [1, 0, 0.7], rpy_deg: [0, -90, 0]}}
+law: ibvs
+goal: {T_camera_target: {xyz: [0, 0, 0.6]}}
+""")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Scene(vs.load(tmp_path / "own.yaml").scene)
+    printed = capfd.readouterr()
+    assert "conflict" not in printed.out + printed.err + caplog.text

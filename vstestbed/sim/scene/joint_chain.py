@@ -16,7 +16,7 @@ from vstestbed.core.named_files import model_path, place_of_file
 from vstestbed.effects.base import places_of
 from vstestbed.effects.body import Change, reshape
 from vstestbed.robots.chain import JointChain, Load
-from vstestbed.sim.scene.model_files import cannot_compile, files_in, read_model
+from vstestbed.sim.scene.model_files import cannot_compile, check_options, files_in, read_model
 
 MOST_JOINTS = 7
 WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
@@ -27,7 +27,9 @@ def compiled(file: str) -> mujoco.MjModel:
     """The model of a file on its own. Raises ParameterError: `file` is not there, or MuJoCo cannot compile it."""
     path = place_of_file(file)
     try:
-        return read_model(path).compile()
+        spec = read_model(path)
+        check_options(spec, path)
+        return spec.compile()
     except ParameterError:
         raise
     except (ValueError, mujoco.FatalError) as error:

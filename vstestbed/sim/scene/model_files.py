@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, short
 from vstestbed.core.foreign import foreign, of_field
 from vstestbed.core.named_files import is_there, model_path
 from vstestbed.effects.base import ASSETS
@@ -79,6 +79,56 @@ def _are_regular(names: list[Path], path: Path) -> None:
             irregular = name.exists() and not name.is_file()
         if irregular:
             raise ParameterError("file", f"names {name}, which is not a regular file; put a regular file there", str(path))
+
+
+MOST = {"replicate": 10_000, "composite": 10_000, "flexcomp": 10_000, "texture": 1 << 26, "hfield": 1 << 24, "size": 1 << 32}
+COUNTS = {"count", "width", "height", "nrow", "ncol", "memory", "nuserdata", "nconmax", "njmax", "nstack", "nkey"}
+"""Attributes of these elements that say how much there is: of an element their product may be as above, of nested copies that of all."""
+COUNTED = re.compile(rf"""</replicate|<({"|".join(MOST)})((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*(/?)""")
+ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*["']([^"']*)""")
+UNITS = {unit: 1 << 10 * (i + 1) for i, unit in enumerate("KMGTPE")}
+
+
+def _is_of_a_size(path: Path) -> None:
+    """Refuse a file that asks for more than a machine has, before MuJoCo makes it, which neither stops nor says why. Raises
+    ParameterError: `file`.
+    """
+    nested = [1.0]
+    for found in COUNTED.finditer(_uncommented(path)):
+        element, attributes, empty = found.groups()
+        if element is None:
+            nested = nested[:-1] or [1.0]
+            continue
+        total = nested[-1] if element == "replicate" else 1.0
+        for name, value in ATTRIBUTE.findall(attributes):
+            with foreign(path, "numbers that say how much there is", of_field("file")):
+                for number in value.split() if name in COUNTS else ():
+                    total *= max(float(number.rstrip("KMGTPE")), 1.0) * UNITS.get(number[-1], 1)
+        if not total <= MOST[element]:
+            words = f"asks for {total:.3g} by <{element}{short(attributes)[1:-1]}>, at most {MOST[element]:.3g} are made; make it smaller"
+            raise ParameterError("file", words, str(path))
+        if element == "replicate" and not empty:
+            nested.append(total)
+
+
+HARMLESS = {"WARMSTART", "SENSOR", "MIDPHASE", "EULERDAMP", "AUTORESET", "NATIVECCD", "MULTICCD", "ISLAND", "ENERGY", "FWDINV", "SLEEP"}
+"""Flags that change no motion here: of reports, of speed, and of an integrator that the scene does not take over."""
+
+
+def check_options(spec: mujoco.MjSpec, path: Path) -> None:
+    """Refuse options of a robot's model that a scene would lose, and that change how it moves. Others are taken over (`attach.py`), or are
+    of the solver, which is the scene's. Raises ParameterError: `file`.
+    """
+    option, plain = spec.option, mujoco.MjSpec().option
+    lost = [name for name in ("gravity", "wind") if tuple(getattr(option, name)) != tuple(getattr(plain, name))]
+    for bits, value in ((mujoco.mjtDisableBit, option.disableflags), (mujoco.mjtEnableBit, option.enableflags)):
+        for name, bit in bits.__members__.items():
+            _, _, flag = name.partition("_")
+            if flag and flag not in HARMLESS and value & int(bit):
+                lost.append(f"flag {flag.lower()}")
+    if lost:
+        words = f"sets the option {lost[0]}, which is not taken over, and changes how the robot moves; remove it from the file"
+        raise ParameterError("file", words, str(path))
 
 
 def _included(path: Path) -> list[Path]:
@@ -221,7 +271,11 @@ def read_model(path: Path) -> mujoco.MjSpec:
     MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, names a package whose folder is not found, or a
     file that is no regular one.
     """
-    _are_regular(_included(path), path)
+    included = _included(path)
+    _are_regular(included, path)
+    for each in (path, *included):
+        if is_there(each):
+            _is_of_a_size(each)
     spec = _parsed(path)
     _are_regular(_named_in(spec, path), path)
     return spec

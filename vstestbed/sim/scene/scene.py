@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import warnings
 from collections.abc import Iterator
 
 import mujoco
@@ -42,6 +44,11 @@ class Root:
         return placed(data.xpos[self.body], data.xmat[self.body])
 
 
+CONFLICT = "Attach conflict"
+"""So MuJoCo begins to tell, twice, that options of a robot's file differ from the scene's: of those that matter `check_options` does."""
+logging.getLogger("absl").addFilter(lambda record: not record.getMessage().startswith(CONFLICT))
+
+
 class Scene:
     """A compiled scene with a dm_control physics on it; `place` puts it into a state, the renderers of `sim/render` draw it.
 
@@ -59,7 +66,9 @@ class Scene:
     def __init__(self, parts: SceneDescription, samples: int = 0):
         self.parts = parts
         self.spec = compose(parts)
-        model = self.spec.compile()
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", CONFLICT)
+            model = self.spec.compile()
         model.vis.quality.offsamples = samples
         self.physics = Physics.from_model(wrapper.MjModel(model))
         self.physics.anisotropy = parts.camera.anisotropy
