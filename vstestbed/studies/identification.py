@@ -364,7 +364,7 @@ def _fitted(errors: _Errors, start: Array, fit: Sequence[Parameter]) -> Array:
     found = least_squares(
         errors,
         np.clip(start, low + 1e-9, high - 1e-9),
-        jac=lambda x: _jacobian(errors, x, fit),
+        jac=lambda x: _jacobian(errors, x, fit),  # type: ignore[arg-type] - its stubs know no function
         bounds=(low, high),
         x_scale=np.array([0.02 if p.shifts else 0.3 * (p.high - p.low) for p in fit]),
         loss="soft_l1",
