@@ -14,7 +14,8 @@ from typing import Any
 
 from vstestbed.core.files import write_whole
 
-FOLDER = Path(__file__).resolve().parents[1] / "kept"
+REPOSITORY = Path(__file__).resolve().parents[2]
+FOLDER = REPOSITORY / "docs" / "kept"
 DIGITS = 5
 """Significant digits that are kept of a number: more than any page shows, fewer than another machine's OpenGL may change."""
 UNSTEADY = re.compile(r"^(folder|wall_time_s|processor_s|real_time_factor|attempts|reason|machine)$|^(time_ms|versions)\b")
@@ -31,10 +32,12 @@ class KeptError(RuntimeError):
 def measured(command: str) -> Any:
     """What a command prints as JSON now, run in an empty folder as a user runs it: `run arm_ibvs`, `compare arm_laws`, `bench --all`.
 
+    Files of the repository are named from its folder: `run arm_insert --plugin tests/examples/pressing.py`.
+
     Raises:
         KeptError: the command failed; with its words.
     """
-    given = shlex.split(command)
+    given = [str(REPOSITORY / word) if (REPOSITORY / word).is_file() else word for word in shlex.split(command)]
     words = [sys.executable, "-m", "vstestbed", *given, "--json", *WORDS.get(given[0], ["--quiet"])]
     with tempfile.TemporaryDirectory() as empty:
         done = subprocess.run(words, cwd=empty, capture_output=True, text=True, check=False)

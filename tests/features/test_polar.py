@@ -105,6 +105,22 @@ class TestAsPrinted:
         assert abs(self.PRINTED.error(s, s_star)[3]) == pytest.approx(np.pi)
         assert abs(self.WEIGHTED.error(s, s_star)[3]) == pytest.approx(np.pi / 4)
 
+    def test_the_arc_tangent_of_a_ratio_has_half_the_circle(self):
+        # Eq. 16.6: opposite points have one angle, and one of them is a half turn off.
+        xy = np.array([[0.1, 0.2], [-0.1, -0.2]])
+        phi = self.PRINTED.measure(xy)[1::2]
+        printed = np.arctan(xy[:, 1] / xy[:, 0])
+        assert printed[0] == printed[1] and abs(phi[0] - phi[1]) == pytest.approx(np.pi)
+        np.testing.assert_allclose(np.hypot(*xy.T)[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), xy, rtol=1e-12)
+
+    def test_the_radius_over_the_picture_s_diagonal_has_another_derivative(self):
+        # r = hypot(u, v)/sqrt(W^2 + H^2) [px/px] of the book's camera: 800 px of focal length, 1000 x 1000 px.
+        x, y, h = 0.1, 0.2, 1e-6
+        share = 800 / np.hypot(1000, 1000)
+        difference = share * (np.hypot(x - h, y) - np.hypot(x + h, y)) / (2 * h)  # along vx at Z = 1
+        row = self.PRINTED.interaction(np.array([[x, y]]), np.ones(1))[0, 0]
+        assert difference / row == pytest.approx(share) and share < 0.6
+
     def test_at_the_centre_itself_there_is_no_angle(self):
         at = np.array([[0.0, 0.0], [0.1, 0.2]])
         assert not self.PRINTED.interaction(at, np.ones(2))[1].any()

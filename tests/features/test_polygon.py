@@ -68,6 +68,15 @@ def test_edge_angle_goes_against_the_turn_of_the_camera():
     assert w_z < 0 < printed  # turned by +0.3, the camera has to turn back
 
 
+def test_a_half_turn_is_no_error_for_an_angle_of_0_to_pi():
+    # Section 16.1 prints theta in [0, pi) for a segment that has a direction.
+    view, goal = picture(rolled(np.pi)[0]), picture(GOAL)
+    d, d_star = view[2] - view[0], goal[2] - goal[0]  # a diagonal of the square
+    printed = [np.arctan2(one[1], one[0]) % np.pi for one in (d, d_star)]
+    assert printed[0] == pytest.approx(printed[1])
+    assert abs(error(rolled(np.pi)[0])[1]) == pytest.approx(np.pi)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_turning_by_the_edge_angle(sign):
     T = inverse(rolled(2.5)[0])

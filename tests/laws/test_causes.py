@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,3 +49,27 @@ def test_ten_pictures_a_second_make_the_difference_of_sizes_sway():
     ratios = {(sigma, hz): flown(sigma, hz)["path_ratio"] for sigma in ("ratio", "log", "difference") for hz in (10.0, 25.0)}
     assert all(1.5 < ratios[sigma, hz] < 1.8 for sigma, hz in ratios if (sigma, hz) != ("difference", 10.0))
     assert ratios["difference", 10.0] > 15
+
+
+@pytest.mark.study
+@pytest.mark.process
+@pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="OpenBLAS has these kernels on x86 alone")
+def test_the_last_bit_of_a_processor_s_linear_algebra_decides_the_way_of_the_difference(tmp_path: Path):
+    """24.92, 26.07 and 24.96 times the straight line by three kernels, and the ratio's way is the same to all printed digits."""
+
+    def flown(kernel: str, sigma: str) -> dict[str, Any]:
+        words = f"run partitioned_book --set detector=oracle --set law.sigma={sigma} --set stop.duration_s=200 --json --quiet --video none"
+        done = subprocess.run(
+            [sys.executable, "-m", "vstestbed", *words.split()],
+            cwd=tmp_path,
+            env={**os.environ, "OPENBLAS_CORETYPE": kernel},
+            capture_output=True,
+            check=True,
+        )
+        return json.loads(done.stdout)
+
+    kernels = ("Haswell", "Sandybridge", "Prescott")  # which all processors of today can run
+    sway, steady = ([flown(kernel, sigma) for kernel in kernels] for sigma in ("difference", "ratio"))
+    assert np.ptp([one["path_ratio"] for one in sway]) > 0.02
+    assert np.ptp([one["path_ratio"] for one in steady]) < 1e-6
+    assert len({one["time_to_converge_s"] for one in sway}) == 1

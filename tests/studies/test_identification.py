@@ -184,3 +184,56 @@ def test_a_misfit_far_beyond_the_noise_is_told(record, caplog):
     wrong = record.with_columns(pl.col("^q_.*$") * 2)
     found = idn.identify(wrong, vs.load("omni_ibvs", PLANAR), [LAG])
     assert found.residual > idn.MISFIT and "does not read what the robot read" in caplog.text
+
+
+ON_ROLLERS = {"camera.latency_s": 0.04, "noise.pixel_sigma_px": 0.3, "detector": "oracle", "timing.command_latency_s": 0.032}
+LACKS = {"robot.rolling_resistance": 0.02}  # which the model that is fitted has not
+
+
+@pytest.mark.parametrize("truth", [{}, LACKS], ids=["identical", "rolling_resistance"])
+def test_a_model_is_tested_on_what_was_left_out_of_its_fit(truth, tmp_path):
+    """A platform on rollers that begins to roll: wheels without noise, whose readings are not smooth from picture to picture.
+
+    Of an identical plant the lag's error is 4e-6 ms, and its interval was 7e-3 ms wide while the motion counted as the sensors' noise.
+    With a rolling resistance that the model lacks the lag is .3 ms off, in no interval of .2 ms, and such a record passed as well read.
+    """
+    scenario = vs.load("omni_ibvs", {**ON_ROLLERS, **truth, "robot.drive_lag_s": 0.08})
+    record = idn.fly(scenario, idn.motion_of(scenario)[:40])
+    found = idn.identify(record, vs.load("omni_ibvs", {**ON_ROLLERS, "robot.drive_lag_s": 0.075}), [LAG])
+    off = abs(float(found.values[0]) - 0.08)
+    page = idn.write(tmp_path, found, "record", "vstestbed identify").read_text(encoding="utf-8")
+    assert ("the robot has what this model lacks" in page) == bool(truth) and idn.INTERVAL in page
+    assert "is predicted by the rest of it with errors of" in page
+    if truth:
+        assert off > 1e-4 and found.residual > 10  # 50 times the noise: the wheels read to 1e-5 rad
+        assert found.half[0] > 1e-4
+    else:
+        assert off < found.half[0] < 20 * max(off, 1e-8)  # a normal error is under a 20th of its 95 % interval in 8 % of all records
+        assert found.residual < 1.2 and found.noise["joints"] == idn.LEAST_NOISE["joint"]
+
+
+def drawn(seed: int, **truth: float) -> tuple[idn.Identified, list[float]]:
+    """What is found of a platform with a drawn lag and latencies, off the clock's steps, and the true values of what is fitted."""
+    rng = np.random.default_rng(seed)
+    lag, latency, camera = (float(rng.uniform(*ends)) for ends in ((0.02, 0.2), (0.0, 0.1), (0.0, 0.08)))
+    given = {"robot.drive_lag_s": lag, "timing.command_latency_s": latency, "camera.latency_s": camera, **truth}
+    scenario = vs.load("omni_ibvs", {**given, "noise.pixel_sigma_px": 0.3, "detector": "oracle"}).with_seed(seed + 1)
+    record = idn.fly(scenario, idn.motion_of(scenario)[:60])
+    return idn.identify(record, vs.load("omni_ibvs"), [LATENCY, STAMPS, LAG]), [latency, 0.0, lag]
+
+
+@pytest.mark.study
+def test_intervals_cover_off_clock_truths_and_a_model_that_lacks_something_is_refused():
+    inside, z = [], []
+    for seed in range(44):
+        found, true = drawn(seed)
+        assert found.residual < idn.MISFIT, seed
+        inside.append(np.abs(found.values - true) <= found.half)
+        z.append(abs(found.values[2] - true[2]) / found.half[2])
+    # 95 % of 44 are 42. The covariance of 60 pictures is itself uncertain, which costs some percent: fewer than 36 of 90 % have a
+    # chance of 3 %.
+    assert (np.sum(inside, axis=0) >= 36).all()
+    assert 0.1 < np.sqrt(np.mean(np.square(z))) < 0.8  # of a normal error whose interval is right 1/1.96; by the motion as noise .01
+    for seed in range(8):
+        found, _ = drawn(seed, **LACKS)
+        assert found.residual > idn.MISFIT, seed

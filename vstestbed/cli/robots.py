@@ -171,4 +171,4 @@ def identify(
     for line in room.lines_of(found):
         typer.echo(f"{line[0]:40s} {line[1]:>12s}   {line[2]}")
     if not quiet:
-        typer.echo(f"  results   {folder} (robot.yaml, report.html)", err=True)
+        typer.echo(f"{room.tested(found)}\n{room.INTERVAL}\n  results   {folder} (robot.yaml, report.html)", err=True)

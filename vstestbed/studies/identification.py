@@ -266,7 +266,7 @@ class Identified:
     """What was found. values, half: of each parameter, and half of its 95 % interval. together: pairs of parameters that the record does
     not tell apart, with the cosine between what they change. noise: standard deviations of what was read, by name [rad, m or px];
     latency_s, jitter_s: of the pictures from stamp to arrival, and of their stamps' distances. residual: RMS of the prediction errors
-    over the noise [1].
+    over the noise, of parts of the record that were left out of the fit [1].
     """
 
     scenario: Scenario
@@ -297,7 +297,7 @@ def identify(
         words = f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}: is it of another robot?"
         raise ParameterError("record", words)
     names, measured, _ = _measured(record, scenario)
-    sigma = np.array([_noise(measured[:, i], "pixel" if "_px_" in name else "joint") for i, name in enumerate(names)])
+    sigma = _noise(measured, names)
     start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
     model = _Model(record, scenario, fit, start, say)
     errors, x = _Errors(model, measured, sigma), start
@@ -307,10 +307,7 @@ def identify(
             errors = errors.whitened(x)
     found = _summed_up(record, scenario, fit, errors, x, sigma)
     if found.residual >= MISFIT:
-        words = (
-            "the simulator does not read what the robot read: its errors are %.3g times the sensors' noise, and what was found may be wrong"
-        )
-        logging.getLogger("vstestbed").warning(words, found.residual)
+        logging.getLogger("vstestbed").warning("the simulator does not read what the robot read")
     return found
 
 
@@ -339,8 +336,12 @@ class _Errors:
 
     def __call__(self, x: Array) -> Array:
         """The whitened errors, flat."""
-        off = self._onward(self.plain(x))
-        return (off if self.W is None else off @ self.W.T).ravel()
+        return self.weighted(self.plain(x)).ravel()
+
+    def weighted(self, off: Array) -> Array:
+        """Errors (n, k), whitened."""
+        off = self._onward(off)
+        return off if self.W is None else off @ self.W.T
 
     def _onward(self, off: Array) -> Array:
         return np.concatenate([off[:1], off[1:] - self.rho * off[:-1]])
@@ -359,14 +360,12 @@ class _Errors:
 def _fitted(errors: _Errors, start: Array, fit: Sequence[Parameter]) -> Array:
     """The least squares from a start, robust against single outliers."""
     low, high = np.array([p.low for p in fit]), np.array([p.high for p in fit])
-    steps = np.array([0.002 if p.shifts else 0.02 * max(abs(s), 0.1 * (p.high - p.low)) for p, s in zip(fit, start, strict=True)])
-    inside = np.clip(start, low + 1e-9, high - 1e-9)
     found = least_squares(
         errors,
-        inside,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        jac=lambda x: _jacobian(errors, x, fit),  # type: ignore[arg-type] - its stubs know no function
         bounds=(low, high),
         x_scale=np.array([0.02 if p.shifts else 0.3 * (p.high - p.low) for p in fit]),
-        diff_step=steps / np.maximum(np.abs(inside), 1e-3),
         loss="soft_l1",
         f_scale=3.0,
         max_nfev=25,
@@ -377,26 +376,60 @@ def _fitted(errors: _Errors, start: Array, fit: Sequence[Parameter]) -> Array:
 
 
 def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, ...], errors: _Errors, x: Array, sigma: Array) -> Identified:
-    """What was found at x: intervals by the covariance s^2 (J^T J)^-1, what is not told apart, and the noise."""
+    """What was found at x: intervals, what is not told apart, the noise, and the test on parts that are left out."""
     names, measured, _ = _measured(record, scenario)
     pixels, t = np.array(["_px_" in name for name in names]), record["t"].to_numpy()
-    J, off = _jacobian(errors, x, fit), errors(x)
-    dof = max(1, len(off) - len(fit))
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J) * (off @ off) / dof), 0.0))
-    sizes = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
-    C = J.T @ J / np.outer(sizes, sizes)  # cosines of what they do to the predictions
+    predicted = errors.model.predicted(x)
+    off, plain = errors.plain(x), _jacobian(errors.plain, x, fit)
+    J = np.stack([errors.weighted(plain[:, :, i]) for i in range(len(fit))], axis=-1)
+    half, without = _interval(J, errors.weighted(off))
+    sizes = np.maximum(np.linalg.norm(J, axis=(0, 1)), 1e-12)
+    C = np.einsum("tki,tkj->ij", J, J) / np.outer(sizes, sizes)  # cosines of what they do to the predictions
     together = [(fit[j].field, fit[i].field, float(C[i, j])) for i in range(len(fit)) for j in range(i) if abs(C[i, j]) > APART]
     for i, p in enumerate(fit):  # of what is not told apart, nothing is known of each alone
         if any(p.field in pair[:2] for pair in together) or sizes[i] < 1e-9:
-            deviation[i] = np.inf
+            half[i] = np.inf
     arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
-    noise = {name: float(np.median(s)) for name, s in {"joints": sigma[~pixels], "markers": sigma[pixels]}.items() if len(s)}
-    half = student.ppf(0.975, dof) * deviation
+    # of the errors, since the motion itself is not smooth from picture to picture
+    own = _noise(measured - predicted, names)
+    noise = {name: float(np.median(s)) for name, s in {"joints": own[~pixels], "markers": own[pixels]}.items() if len(s)}
+    parts = np.array_split(np.arange(len(off)), PARTS)
+    left_out = np.concatenate([off[part] + plain[part] @ change for part, change in zip(parts, without, strict=True)]) * sigma / own
     # A command acts at the next step of the robot's clock, one of some phase to the camera's: within a step nothing tells when it came.
     half += np.array([errors.model.grid_s if p.field == COMMAND_LATENCY else 0.0 for p in fit])
     times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
-    rest = (record, errors.model.predicted(x), measured, names)
-    return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((errors.plain(x) ** 2).mean())), *rest)
+    rest = (record, predicted, measured, names)
+    return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((left_out**2).mean())), *rest)
+
+
+PARTS = 8  # of a record, each left out in its turn
+
+
+def _interval(J: Array, off: Array) -> tuple[Array, Array]:
+    """Half of the 95 % interval of each parameter (p,), and how the parameters change without each part of the record (PARTS, p), by
+    the whitened errors e (n, k) and their Jacobian J (n, k, p), with H = sum J^T J.
+
+    The errors go on in time, most of all where the model lacks something. Their covariances R_l over l moments give
+    H^-1 (sum_l w_l sum_t J_t+l^T R_l J_t) H^-1 (Hjalmarsson & Ljung 1992, IEEE Trans. Automatic Control 37, 1004-1008), with weights that
+    fall to 0 over a quarter of the record (Newey & West 1987, doi:10.2307/1913610). Without a part b the parameters change by
+    -(H - H_b)^-1 sum_not_b J^T e, and spread where the parts do not agree (jackknife of blocks, Kuensch 1989,
+    doi:10.1214/aos/1176347265). The wider of both counts. Neither knows of what changes the readings as a parameter does.
+    """
+    n, most = len(off), len(off) // 4
+    each, g = np.einsum("tki,tkj->tij", J, J), np.einsum("tki,tk->ti", J, off)
+    inverse, S = np.linalg.pinv(each.sum(axis=0)), np.zeros(each.shape[1:])
+    for lag in range(most + 1):
+        R = off[lag:].T @ off[: n - lag] / n
+        one = np.einsum("tki,km,tmj->ij", J[lag:], R, J[: n - lag], optimize=True)
+        S += (1 - lag / (most + 1)) * (one + one.T) / (2 if lag == 0 else 1)
+    by_time = np.maximum(np.diag(inverse @ S @ inverse), 0.0)
+    without = []
+    for part in np.array_split(np.arange(n), PARTS):
+        rest = np.delete(np.arange(n), part)
+        without.append(-np.linalg.pinv(each[rest].sum(axis=0)) @ g[rest].sum(axis=0))
+    by_parts = (PARTS - 1) * np.var(without, axis=0)
+    half = np.maximum(student.ppf(0.975, n) * np.sqrt(by_time), student.ppf(0.975, PARTS - 1) * np.sqrt(by_parts))
+    return half, np.array(without)
 
 
 def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Parameter]) -> Array:
@@ -407,7 +440,7 @@ def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Paramete
         ends = np.clip(x[i] + np.array([-h, h]), p.low, p.high)
         low, high = (errors(np.where(np.arange(len(x)) == i, end, x)) for end in ends)
         columns.append((high - low) / (ends[1] - ends[0]))
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=-1)
 
 
 def _start(p: Parameter, scenario: Scenario) -> float:
@@ -434,10 +467,13 @@ def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Arra
     return moving + pixels, record.select(moving + pixels).to_numpy(), t
 
 
-def _noise(a: Array, what: str) -> float:
-    """Standard deviation of white noise on a smooth signal (n,), by its third differences (Gasser, Sroka & Jennen-Steinmetz 1986)."""
-    d = np.diff(a[np.isfinite(a)], 3)
-    return max(1.4826 * float(np.median(np.abs(d))) / math.sqrt(20), LEAST_NOISE[what]) if len(d) else LEAST_NOISE[what]
+def _noise(a: Array, names: list[str]) -> Array:
+    """Standard deviations (k,) of white noise on smooth signals (n, k), by third differences (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+    out = [LEAST_NOISE["pixel" if "_px_" in name else "joint"] for name in names]
+    for i, column in enumerate(a.T):
+        d = np.abs(np.diff(column[np.isfinite(column)], 3))
+        out[i] = max(out[i], 1.4826 * float(np.median(d)) / math.sqrt(20) if len(d) else 0.0)
+    return np.array(out)
 
 
 _EXACT = {"robot.imu.gyro_sigma_radps": 0.0, "robot.imu.accel_sigma_mps2": 0.0, "robot.range_sigma_m": 0.0}
@@ -547,6 +583,20 @@ def overrides(found: Identified) -> dict[str, float]:
     return {name: float(f"{v:.4g}") for name, v in given.items()}
 
 
+INTERVAL = (
+    "The intervals are as wide as what is left of the prediction errors makes them, by how long these go on and by how far the parts of "
+    "the record disagree. Of a robot that has what the model lacks, they are intervals of the values with which the model fits best."
+)
+
+
+def tested(found: Identified) -> str:
+    """How well parts of the record are predicted that were left out of the fit, in a sentence."""
+    words = f"Each eighth of the record is predicted by the rest of it with errors of {found.residual:.3g} times the sensors' noise (RMS)"
+    if found.residual < MISFIT:
+        return f"{words}; 1 is all that can be asked for."
+    return f"{words}: the robot has what this model lacks, and what was found may be wrong."
+
+
 def lines_of(found: Identified) -> list[list[str]]:
     """Each parameter with its value and its interval."""
     lines = []
@@ -565,7 +615,7 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
 
     write_whole(folder / "robot.yaml", f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}")
     sets = " ".join(f"--set {name}={v:g}" for name, v in overrides(found).items())
-    sentences = [f"The prediction errors are {found.residual:.2f} times the sensors' noise (RMS); 1 is all that can be asked for."]
+    sentences = [tested(found), INTERVAL]
     for a, b, c in found.together:
         sentences.append(
             f"{a} and {b} are not told apart by this record (cosine of what they change {c:.4f}): "

@@ -163,9 +163,10 @@ class GoalInsertion(Task):
         return InsertionMonitor(self, setup, supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
-        """Depth reached [m], and the largest force on the plug [N]."""
+        """Depth reached [m], the largest force on the plug, and its mean over the last second [N]."""
         depth, force = log["insertion_m"], log[FORCE_COLUMN]
-        return {"insertion_m": float(depth[-1]), "largest_force_n": float(np.nanmax(force))}
+        last = force[log["t"] > log["t"][-1] - 1.0]
+        return {"insertion_m": float(depth[-1]), "largest_force_n": float(np.nanmax(force)), "final_force_n": float(np.nanmean(last))}
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
         return at_the_end(log, "task_error_m", DEEP_ENOUGH_M)

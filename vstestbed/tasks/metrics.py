@@ -143,6 +143,7 @@ SOME_RUNS = (
     Metric("swing_frames", "Period of that swing, in frames", better=0, of="any", where="a command that swung"),
     Metric("insertion_m", "Depth of the plug in its socket", "mm", 1e3, better=1, of="any", where=PLUG, tile=True),
     Metric("largest_force_n", "Largest force on the plug", "N", of="any", where=PLUG, tile=True),
+    Metric("final_force_n", "Force on the plug over the last second", "N", better=0, of="any", where=PLUG),
 )
 """The metrics that a summary has where the run has what they tell of."""
 OF_A_RUN = (
