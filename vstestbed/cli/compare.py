@@ -207,6 +207,8 @@ def suite(
         runs = entry.merged(merge, folder, (lambda words: None) if quiet else lambda words: typer.echo(f"{words} ...", err=True))
     else:
         try:
+            if not quiet:
+                typer.echo(entry.effort(share.of if share else 1, jobs), err=True)
             with Counter(entry.total // (share.of if share else 1), 0, not quiet) as counter:
                 runs = entry.fly(folder, jobs, executor, counter.run_done, counter.say, share)
         except KeyboardInterrupt:
@@ -227,7 +229,8 @@ def _ranking(found: Sequence[Score]) -> Iterator[str]:
     from vstestbed.report.scores import overall
 
     for one in overall(found):
-        yield f"{one.law}: mean rank {one.rank:.2f} over {one.tasks} tasks, place {one.place} of the {one.of} laws that flew them"
+        rank = f"mean rank {one.rank.mean:.1f} [{one.rank.low:.1f}, {one.rank.high:.1f}]"
+        yield f"{one.law}: {rank} over {one.tasks} tasks, place {one.place} of the {one.of} laws that flew them"
 
 
 def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, str | None]) -> None:

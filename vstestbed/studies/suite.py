@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,7 @@ from annotated_types import Ge
 from vstestbed.core.errors import ParameterError, VstestbedError, nearest
 from vstestbed.core.files import make_folder, read_json, write_whole
 from vstestbed.core.named_files import folder, is_there
+from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
 from vstestbed.loop.isolated import MODULE, Isolated
@@ -35,15 +37,17 @@ from vstestbed.studies.comparison.plan import TASK, Comparison, Job, Jobs, Varia
 from vstestbed.studies.comparison.record import files_in, is_bundled, needed_files
 from vstestbed.studies.comparison.runs import OnDone
 from vstestbed.studies.comparison.shards import Shard
+from vstestbed.studies.pools import workers
 from vstestbed.tasks.metrics import Metric
 
 NAME = "VS-1"
 TO_GOAL = "time_to_goal_s"  # the metric of which each failed run has a number
 LAW = "law"  # the axis of the laws in each comparison
 HOW = (
-    "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit; ranks by it, with "
-    "bootstrap intervals over starts, which all laws share. The mean of the ranks stands beside its parts. Beyond chance is what both say: "
-    "the paired test against the best mean, after Holm's correction over the task's laws, and the interval of the difference."
+    "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit, with Student's interval, "
+    "as flown; ranks by it, from 1 + the laws that beat a law to as many as it does not beat, by paired t-tests of all pairs of the task's "
+    "laws after Holm's correction. The mean of the ranks stands beside its parts, with bootstrap intervals: on these tasks, from other "
+    "starts, and on tasks like these."
 )
 HIDDEN_FROM, HIDDEN_SEEDS = 1_000_000, 900_000_000  # the random starts that a word draws; those of the plans are the first
 
@@ -59,6 +63,7 @@ class SuiteTask:
         worst: the number of a run that ended early, and the largest that counts, in the summary's unit; null: what the summary says; e.g.
             `0.2`.
         quick: starts of each of the plan's lists with `--quick` [1].
+        run_s: processor time of a run, as it was measured [s]; null: not known; e.g. `0.5`.
     """
 
     plan: str
@@ -66,6 +71,7 @@ class SuiteTask:
     metric: str = TO_GOAL
     worst: float | None = None
     quick: Annotated[int, Ge(1)] = 2
+    run_s: PositiveTime | None = None
 
 
 @spec
@@ -224,6 +230,17 @@ class SuiteEntry:
         """How many runs it has."""
         return sum(len(Jobs(Variants(plan), plan.seeds, plan.first_seed)) for plan in self.plans.values())
 
+    def effort(self, shards: int = 1, jobs: int | None = None) -> str:
+        """How many runs one of so many shards has, and about how long they take here, in words."""
+        runs = {task: len(Jobs(Variants(plan), plan.seeds, plan.first_seed)) / shards for task, plan in self.plans.items()}
+        total = round(sum(runs.values()))
+        known = [n * (self.suite.tasks[task].run_s or math.nan) for task, n in runs.items()]
+        if math.isnan(seconds := sum(known)):
+            return f"{total:,} runs"
+        cores = workers(jobs, total)
+        here = f"here on {cores} core{'s' * (cores > 1)} about {_hours(seconds / cores)}"
+        return f"{total:,} runs, about {_hours(seconds)} of a processor; {here}"
+
     @property
     def about(self) -> dict[str, Any]:
         """What is flown, in plain values: name, hash of the frozen files, laws, starts."""
@@ -337,6 +354,10 @@ class SuiteEntry:
         tasks = {name: TaskOfSuite(Metric.named(task.metric), task.asks) for name, task in self.suite.tasks.items()}
         write_whole(out / "runs.csv", runs.write_csv())
         return write_scores(out, shown, tasks, self.blank, f"Suite {self.path.stem}", about, self.command)
+
+
+def _hours(seconds: float) -> str:
+    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{math.ceil(seconds / 60)} min"
 
 
 def opened(
