@@ -9,9 +9,24 @@ import polars as pl
 import pytest
 
 from docs.build import suite_tuning
-from docs.build.suite_tuning import GROUPS, LAW, TRIALS, Group, gains, record, trial_plan, tuned, unused, with_gains, written
+from docs.build.suite_tuning import (
+    GROUPS,
+    LAW,
+    TRIALS,
+    Group,
+    gains,
+    other_starts,
+    record,
+    trial_plan,
+    trial_scenario,
+    tuned,
+    with_gains,
+    written,
+)
+from vstestbed.core.geometry import Pose
 from vstestbed.laws.base import ConstantGain
-from vstestbed.studies.comparison.plan import TUNED, Jobs, StartTable, controllers, read_comparison
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.comparison.plan import TUNED, Job, Jobs, StartTable, controllers, read_comparison
 from vstestbed.studies.suite import opened
 
 BLOCK = {"kind": "switched", "laws": [{"law": {"kind": "ibvs", "gain": 1.0}}, {"law": {"kind": "partitioned", "gain_z": 2}}], "gain": 3.0}
@@ -113,16 +128,34 @@ def test_trials_fly_the_tasks_of_their_group_from_starts_that_the_suite_does_not
     assert {job.controller.values["late"] for job in found} == {"on time", "80 ms late", "160 ms late"}
     assert min(job.seed or 0 for job in found) == TUNED
     assert {job.controller.scenario.detector.kind for job in found} == {"oracle"}
+    assert all(trial_scenario(job).seed >= TUNED for job in found)
+
+
+def place(job: Job, scenario: Scenario) -> tuple[str, int | None]:
+    """Where a run begins: a place of a list, or what a seed draws."""
+    return str((scenario.robot.start, scenario.goal_poses)), scenario.seed if job.controller.start is None else None
+
+
+def test_of_lists_trials_fly_what_the_suite_leaves_or_the_middles_between_what_it_flies() -> None:
     table = StartTable(each={"camera.rate_hz": tuple(range(1, 21))})
-    others = unused(table, 10, 3).each["camera.rate_hz"]
+    others = other_starts(table, 10, 3).each["camera.rate_hz"]
     assert len(others) == 3 and not {value - 1 for value in others} & set(table.numbers(10))
-    natural = read_comparison(entry.path.parent / "poster.yaml")
-    (listed,) = trial_plan(entry, GROUPS["natural"], {"as it is": dict(entry.suite.laws["pose"].law)}, True).tasks.values()
-    (starts,) = natural.tasks.values()
-    flown = {
-        str(values) for path, values in starts.lists.each.items() for values in [starts.lists.each[path][i] for i in starts.numbers(60)]
-    }
-    assert listed.runs == 6 and not {str(value) for values in listed.each.values() for value in values} & flown
+    turns = StartTable(camera_from_goal=tuple(Pose(rpy_deg=(0, 0, turn)) for turn in (20, 40, 60, 180)), set={"camera.rate_hz": 20})
+    between = other_starts(turns, None, 3)
+    assert [pose.rpy_deg[2] for pose in between.camera_from_goal] == [30, 50, 120] and between.set == turns.set
+    starts = StartTable(
+        each={"robot.start.nominal": ({"xyz": [0, 0, -1], "rpy_deg": [0, 0, 10]}, {"xyz": [0, 0, -2], "rpy_deg": [0, 0, 30]})}
+    )
+    assert other_starts(starts, None, 1).each == {"robot.start.nominal": ({"xyz": [0, 0, -1.5], "rpy_deg": [0, 0, 20]},)}
+    assert other_starts(StartTable(seeds=30), None, 4).seeds == 4
+    entry = opened(None)
+    for group in ("ideal", "arm", "natural"):
+        block = dict(entry.suite.laws["pose"].law)
+        plan = trial_plan(entry, GROUPS[group], {"as it is": block}, True)
+        own = read_comparison(entry.path.parent / entry.suite.tasks[GROUPS[group].plan].plan)
+        tried = {place(job, trial_scenario(job)) for job in Jobs(controllers(plan), None, TUNED)}
+        assert len(tried) == GROUPS[group].starts * len(own.tasks)
+        assert not tried & {place(job, job.scenario()) for job in Jobs(controllers(own), None)}, group
 
 
 def test_the_suite_s_gains_are_those_of_the_record() -> None:

@@ -13,6 +13,7 @@ import shutil
 import sys
 import tempfile
 import time
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,17 +21,23 @@ import numpy as np
 import polars as pl
 
 import vstestbed as vs
+from docs.build.suite_tuning import GROUPS, TRIALS, gains, record
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.statistics import IntervalEstimate, paired_difference
-from vstestbed.report.scores import RESAMPLES, Score, overall, scores
+from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, paired_difference
+from vstestbed.report.scores import RESAMPLES, Score, TaskOfSuite, differences, overall, scores, write_scores
 from vstestbed.studies.comparison.plan import Jobs, controllers, read_comparison
-from vstestbed.studies.suite import fingerprint, opened, read_suite
+from vstestbed.studies.suite import HOW, LAW, fingerprint, opened, read_suite
+from vstestbed.tasks.metrics import Metric
 
 PLACE = Path(__file__).resolve().parents[1] / "research" / "VS-1"
 FORMER = "32187406c2dc"
 FORMER_ORACLE = ("ideal", "border", "tracking", "latency", "calibration", "base", "craft")
 """The files of the first flight, by their hash, and its tasks in which laws saw the oracle and not pictures."""
+
+
+SEARCH_S = {"arm": 70, "latency": 90, "ideal": 20, "tracking": 110, "base": 100, "craft": 110, "natural": 600}
+"""Processor time of the search of a law, of groups of which the record has none [s]: trials times starts times the time of a run."""
 
 
 class Agreement(NamedTuple):
@@ -73,9 +80,71 @@ class Suite:
         """How many starts each law has flown in a task."""
         return len(self.runs.filter(pl.col("task") == task)["start"].unique())
 
-    def all_flew(self) -> list[str]:
-        """The laws that flew all tasks."""
-        return [s.law for s in self.overall if s.tasks == len(self.tasks)]
+    def oracle_tasks(self) -> list[str]:
+        """The tasks in which laws saw the oracle."""
+        return [task for task in self.tasks if self.sees(task) == "oracle"]
+
+    def flew(self, task: str) -> list[str]:
+        """The laws that flew a task."""
+        return [s.law for s in self.scores if s.task == task]
+
+    def has(self, law: str) -> bool:
+        """Whether a law has flown."""
+        return law in self.laws
+
+    def beside(self) -> bool:
+        """Whether CNS's network has flown the starts of the kept runs."""
+        cns = self.all.filter(pl.col("law") == "cns").select("task", "start")
+        return cns.join(self.runs, on=["task", "start"], how="anti").is_empty()
+
+    def open_with_first(self) -> list[str]:
+        """Of the laws that flew as many tasks as the first: those whose mean rank on tasks like these may be as low as its highest."""
+        first = self.overall[0]
+        return [f"`{s.law}`" for s in self.overall[1:] if s.tasks == first.tasks and s.alike.low <= first.alike.high]
+
+    def apart(self, task: str, one: str, other: str) -> bool:
+        """Whether two laws of a task differ beyond chance, among all pairs of its laws."""
+        a, b = self.of(one, task), self.of(other, task)
+        assert a is not None
+        assert b is not None
+        found = differences(np.array([s.values for s in self.scores if s.task == task]))
+        places = [self.flew(task).index(s.law) for s in (a, b)]
+        return found[places[0], places[1]].p < 1 - CONFIDENCE
+
+    def trials(self) -> int:
+        """Trials of each search for gains."""
+        return TRIALS
+
+    def untuned(self) -> list[str]:
+        """The groups of tasks of which laws have gains that are not in the record, with these laws."""
+        there = record()
+        begun = set() if there is None else set(there["group"])
+        some = {group: ", ".join(f"`{law}`" for law in laws) for group, laws in self._lacking.items()}
+        return [f"`{group}`: {laws if group in begun else 'all laws'}" for group, laws in some.items()]
+
+    def tuning_hours(self) -> str:
+        """How long these searches take, by those of the record."""
+        there = record()
+        known = {} if there is None else dict(there.group_by("group").agg(pl.col("processor_s").mean()).iter_rows())
+        seconds = sum(len(laws) * known.get(group, SEARCH_S[group]) for group, laws in self._lacking.items())
+        return f"about {seconds / 3600:.1f} h"
+
+    @cached_property
+    def _lacking(self) -> dict[str, list[str]]:
+        there = record()
+        done = set() if there is None else set(there.select("group", "law").iter_rows())
+        entry = opened(None)
+        lacking: dict[str, list[str]] = {}
+        for name, group in GROUPS.items():
+            laws = entry.plans[group.plan].cases[LAW]
+            left = [law for law, block in laws.items() if any(gains(block[LAW])) and (name, law) not in done]
+            if left:
+                lacking[name] = left
+        return lacking
+
+    def effort(self) -> str:
+        """What a flight takes on one core, in words."""
+        return opened(None).effort(jobs=1).split(";")[0]
 
     def of(self, law: str, task: str) -> Score | None:
         """The score of a law in a task; None where it took no part."""
@@ -157,10 +226,14 @@ def cost() -> None:
 
 def draw() -> None:
     """Make page, tables and figures of the kept runs."""
+    found, entry = Suite(), opened(None)
+    entry.plans  # noqa: B018 - says which laws take no part
+    blank = {key: why for key, why in entry.blank.items() if key[0] in found.laws}
+    tasks = {name: TaskOfSuite(Metric.named(task.metric), task.asks) for name, task in entry.suite.tasks.items()}
+    which = "A former flight, of other tasks than those of now" if found.former else "All starts"
+    about = f"{entry.suite.description}. {which}; files {found.sha256[:12]}. {HOW}"
     with tempfile.TemporaryDirectory() as made:
-        entry = opened(None)
-        entry.plans  # noqa: B018 - says which laws take no part
-        entry.write(Path(made), Suite().runs)
+        write_scores(Path(made), found.runs, tasks, blank, "Suite VS-1", about, entry.command)
         for name in ("report.html", "scores.csv", "ranks.csv", "scores.tex", "figures/ranks.png", "figures/profile.png"):
             shutil.copyfile(Path(made) / name, make_folder(PLACE) / Path(name).name)
 

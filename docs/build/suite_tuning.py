@@ -5,8 +5,9 @@
     python -m docs.build.suite_tuning --again arm       # anew
     python -m docs.build.suite_tuning --write           # the record's gains into scenarios/suite/VS-1.yaml
 
-A trial is a setting of all gains of a law at once. It flies the group's task from random starts that are none of the suite's, in each of
-the task's cases. Its number is the suite's own: the mean of the task's metric, a failure at the task's limit. A law with three gains has
+A trial is a setting of all gains of a law at once. It flies the group's task from starts that are none of the suite's, in each of the
+task's cases: random ones, and of lists of motions the middles between two neighbours (from random starts alone the search finds gains that
+lose large motions). Its number is the suite's own: the mean of the task's metric, a failure at the task's limit. A law with three gains has
 as many trials as one with one. Settings are chosen as `vstestbed tune` does (`studies/search_space.py`). Trials see the oracle, which is
 some ten times quicker than pictures; the best one then flies the same starts with pictures, and both means are in the record. For natural
 features there is no oracle: their trials see pictures; and `ideal` has the oracle itself.
@@ -21,7 +22,7 @@ import os
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,9 @@ import polars as pl
 
 import vstestbed as vs
 from vstestbed.core.files import write_whole
-from vstestbed.studies.comparison.plan import TUNED, Comparison, Jobs, StartTable, changed, controllers, read_comparison
+from vstestbed.core.geometry import Pose
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.comparison.plan import TUNED, Comparison, Job, Jobs, StartTable, changed, controllers, read_comparison
 from vstestbed.studies.search_space import Range, SearchSpace, Trial, next_settings
 from vstestbed.studies.suite import LAW, TO_GOAL, SuiteEntry, opened
 from vstestbed.tasks.metrics import Metric
@@ -50,8 +53,8 @@ class Group:
     """Tasks that are flown with the same gains.
 
     plan: the task whose starts are searched. writes: where the gains stand in a law's block: its own, or that of a task. starts: of a
-    trial, in each case of the plan. low, high: the range of each gain [1/s], searched on a logarithmic scale. set: as of a comparison,
-    for the trials, empty where the task's own detector is theirs. by: what the trials see.
+    trial, in each case of the plan, or of each of its lists. low, high: the range of each gain [1/s], searched on a logarithmic scale.
+    set: as of a comparison, for the trials, empty where the task's own detector is theirs. by: what the trials see.
     """
 
     plan: str
@@ -64,9 +67,9 @@ class Group:
 
 
 GROUPS = {
-    "arm": Group("arm", (LAW,), 12),  # also `border`, `calibration`, `realism`
+    "arm": Group("arm", (LAW,), 3),  # also `border`, `calibration`, `realism`
     "latency": Group("latency", ("latency",), 4),
-    "ideal": Group("ideal", ("ideal",), 12, high=24.0, set={}),  # at 25 pictures a second a gain of 25 ends in one
+    "ideal": Group("ideal", ("ideal",), 3, high=24.0, set={}),  # at 25 pictures a second a gain of 25 ends in one
     "tracking": Group("tracking", ("tracking",), 3),
     "base": Group("base", ("base",), 2),
     "craft": Group("craft", ("craft",), 2, low=0.1, high=4.0),
@@ -102,25 +105,53 @@ def with_gains(block: Mapping[str, Any], values: Mapping[str, object]) -> dict[s
 def trial_plan(entry: SuiteEntry, group: Group, blocks: Mapping[str, Mapping[str, Any]], oracle: bool) -> Comparison:
     """The comparison of a law's blocks, by their names, from the starts of the trials."""
     plan = read_comparison(entry.path.parent / entry.suite.tasks[group.plan].plan)
-    settings, table = dict(plan.set), plan.tasks.get("random")
-    settings |= {} if table is None else dict(table.set)
-    settings |= dict(group.set) if oracle else {}
+    settings = dict(plan.set) | (dict(group.set) if oracle else {})
     cases = {LAW: {name: {LAW: dict(block)} for name, block in blocks.items()}, **plan.cases}
-    if table is None and plan.tasks:
-        (listed,) = plan.tasks.values()
-        return changed(plan, set=settings, cases=cases, tasks={"others": unused(listed, plan.limit, group.starts)}, limit=None)
-    return changed(plan, set=settings, cases=cases, tasks={}, seeds=None, limit=None)
+    tables = {name: other_starts(table, plan.limit, group.starts) for name, table in plan.tasks.items()}
+    return changed(plan, set=settings, cases=cases, tasks=tables, seeds=None, limit=None)
 
 
-def unused(table: StartTable, limit: int | None, number: int) -> StartTable:
-    """So many starts of a list that the suite does not fly, spread over it."""
+def other_starts(table: StartTable, limit: int | None, number: int) -> StartTable:
+    """So many starts like those of a table, none of which the suite flies: random ones, those of its list that are left, or the middles
+    between two neighbours of a list that is flown whole.
+    """
+    if table.seeds is not None:
+        return replace(table, seeds=number)
     flown = set(table.numbers(limit))
     free = [i for i in range(table.runs) if i not in flown]
-    picked = [free[(2 * i + 1) * len(free) // (2 * number)] for i in range(number)]
-    lists = table.lists
-    each = {path: tuple(values[i] for i in picked) for path, values in lists.each.items()}
-    poses = {name: tuple(getattr(lists, name)[i] for i in picked) for name in lists._fields[1:] if getattr(lists, name)}
-    return StartTable(set=table.set, each=each, **poses)
+    lists = {("each", path): values for path, values in table.lists.each.items()}
+    lists |= {(name, ""): getattr(table.lists, name) for name in table.lists._fields[1:] if getattr(table.lists, name)}
+    if free:
+        picked = [free[(2 * i + 1) * len(free) // (2 * number)] for i in range(number)]
+        chosen = {key: tuple(values[i] for i in picked) for key, values in lists.items()}
+    else:
+        picked = [(2 * i + 1) * (table.runs - 1) // (2 * number) for i in range(number)]
+        chosen = {key: tuple(middle(values[i], values[i + 1]) for i in picked) for key, values in lists.items()}
+    each = {path: values for (name, path), values in chosen.items() if name == "each"}
+    return StartTable(set=table.set, each=each, **{name: values for (name, _), values in chosen.items() if name != "each"})
+
+
+def middle(one: Any, other: Any) -> Any:
+    """The middle of two poses, by their numbers; of whatever is the same in both, that."""
+    if isinstance(one, Pose):
+        return Pose(xyz=middle(one.xyz, other.xyz), rpy_deg=middle(one.rpy_deg, other.rpy_deg))
+    if isinstance(one, Mapping):
+        return {key: middle(value, other[key]) for key, value in one.items()}
+    if isinstance(one, Sequence) and not isinstance(one, str):
+        return [middle(a, b) for a, b in zip(one, other, strict=True)]
+    return (one + other) / 2 if isinstance(one, int | float) else one
+
+
+def trial_scenario(job: Job) -> Scenario:
+    """The scenario of a trial's run, whose start and noise no seed of the suite draws."""
+    number = job.seed or 0
+    seed = number if number >= TUNED else TUNED + number
+    if job.controller.start is None:
+        return replace(job, seed=seed).scenario()
+    scenario, unreachable = job.controller.start(number)
+    if unreachable:
+        raise ValueError(f"{job.folder}: {unreachable}")
+    return scenario.with_seed(seed)
 
 
 def flown(entry: SuiteEntry, group: Group, plan: Comparison, worst: float) -> dict[str, list[tuple[bool, float]]]:
@@ -129,7 +160,7 @@ def flown(entry: SuiteEntry, group: Group, plan: Comparison, worst: float) -> di
     found: dict[str, list[tuple[bool, float]]] = {}
     seeds = None if plan.tasks else group.starts
     for job in Jobs(controllers(plan), seeds, TUNED):
-        summary = vs.run(job.scenario()).summary()
+        summary = vs.run(trial_scenario(job)).summary()
         number = summary.get(task.metric)
         value = worst if number is None else float(number)
         if task.worst is not None and not (summary["success"] or summary["outcome"] == "timed_out"):

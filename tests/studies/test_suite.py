@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -239,6 +244,27 @@ def test_shards_of_a_suite_are_put_together_to_what_one_process_leaves(command, 
     assert ended.code == 0, ended.err
     assert Path("merged/runs.csv").read_bytes() == Path("whole/runs.csv").read_bytes()
     assert Path("merged/scores.csv").read_bytes() == Path("whole/scores.csv").read_bytes()
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("share", ["", "1/2"])
+def test_a_flight_that_is_killed_goes_on_and_ends_as_one_that_was_not(command, own: str, tmp_path: Path, share: str) -> None:
+    words = ["suite", "--suite", own, "--jobs", "1", "--quiet", *(["--shard", share] if share else [])]
+    assert command(*words, "--out", "whole").code == 0
+    with subprocess.Popen([sys.executable, "-m", "vstestbed", *words, "--out", "killed"], start_new_session=True) as flight:
+        for _ in range(1200):  # a minute: the machine may be busy
+            if any(Path("killed").rglob("summary.json")):
+                break
+            time.sleep(0.05)
+        os.killpg(flight.pid, signal.SIGKILL)
+    whole, killed = ({path.relative_to(place) for path in Path(place).rglob("summary.json")} for place in ("whole", "killed"))
+    assert 0 < len(killed) < len(whole) and not Path("killed/runs.csv").exists()
+    times = {path: (Path("killed") / path).stat().st_mtime_ns for path in killed}
+    assert command(*words, "--out", "killed").code == 0
+    assert {path: (Path("killed") / path).stat().st_mtime_ns for path in killed} == times  # these are not flown again
+    assert {path.relative_to("killed") for path in Path("killed").rglob("summary.json")} == whole
+    if not share:
+        assert Path("killed/runs.csv").read_bytes() == Path("whole/runs.csv").read_bytes()
 
 
 @pytest.mark.process

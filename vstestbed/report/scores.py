@@ -80,7 +80,7 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
     flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
     values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]  # one that crashed counts as the worst
     means, n = values.mean(axis=1), values.shape[1]
-    ranks, first, behind = rankdata(means), int(np.argmin(means)), _differences(values)
+    ranks, first, behind = rankdata(means), int(np.argmin(means)), differences(values)
     for i, law in enumerate(laws):
         done = reached[i][np.isfinite(reached[i])]
         others = [j for j in range(len(laws)) if j != i]
@@ -97,7 +97,7 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
         )
 
 
-def _differences(values: Array) -> dict[tuple[int, int], IntervalEstimate]:
+def differences(values: Array) -> dict[tuple[int, int], IntervalEstimate]:
     """Mean of each law's values (laws, starts) less each other's, with the p-value after Holm's correction over all pairs."""
     pairs = list(itertools.combinations(range(len(values)), 2))
     found = [paired_difference(values[i], values[j]) for i, j in pairs]
