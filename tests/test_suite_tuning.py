@@ -106,7 +106,7 @@ def test_every_law_has_as_many_trials_however_many_gains(monkeypatch: pytest.Mon
 
     entry = opened(None, quick=True)
     of_limit = trial_plan
-    plans = {law: of_limit(entry, GROUPS["arm"], {"as it is": entry.block(law, "arm")}, True) for law in ("points", "partitioned")}
+    plans = {law: of_limit(entry, GROUPS["arm"], {"as it is": dict(entry.suite.laws[law].law)}, True) for law in ("points", "partitioned")}
     for law, number in (("points", 1), ("partitioned", 3)):
         tried.clear()
         monkeypatch.setattr(suite_tuning, "flown", least_at_two)

@@ -128,7 +128,8 @@ def other_starts(table: StartTable, limit: int | None, number: int) -> StartTabl
         picked = [(2 * i + 1) * (table.runs - 1) // (2 * number) for i in range(number)]
         chosen = {key: tuple(middle(values[i], values[i + 1]) for i in picked) for key, values in lists.items()}
     each = {path: values for (name, path), values in chosen.items() if name == "each"}
-    return StartTable(set=table.set, each=each, **{name: values for (name, _), values in chosen.items() if name != "each"})
+    of_camera, of_target = (chosen.get((name, ""), ()) for name in ("camera_from_goal", "target_from_goal"))
+    return StartTable(set=table.set, each=each, camera_from_goal=of_camera, target_from_goal=of_target)
 
 
 def middle(one: Any, other: Any) -> Any:
@@ -162,7 +163,7 @@ def flown(entry: SuiteEntry, group: Group, plan: Comparison, worst: float) -> di
     for job in Jobs(controllers(plan), seeds, TUNED):
         summary = vs.run(trial_scenario(job)).summary()
         number = summary.get(task.metric)
-        value = worst if number is None else float(number)
+        value = float(number) if isinstance(number, int | float) else worst
         if task.worst is not None and not (summary["success"] or summary["outcome"] == "timed_out"):
             value = worst
         scale = Metric.named(task.metric).scale

@@ -203,13 +203,14 @@ def suite(
     show_notes(not quiet)
     folder = make_folder(out if out is not None and out.exists() else new_folder(Path("runs") / "suite", out, "give a new one"))
     entry.mark(folder)
+    say = (lambda words: None) if quiet else lambda words: typer.echo(words, err=True)
     if merge:
-        runs = entry.merged(merge, folder, (lambda words: None) if quiet else lambda words: typer.echo(f"{words} ...", err=True))
+        runs = entry.merged(merge, folder, say)
     else:
         try:
-            if not quiet:
-                typer.echo(entry.effort(share.of if share else 1, jobs), err=True)
-            with Counter(entry.total // (share.of if share else 1), 0, not quiet) as counter:
+            shards = share.of if share else 1
+            say(entry.effort(shards, jobs))
+            with Counter(entry.total // shards, 0, not quiet) as counter:
                 runs = entry.fly(folder, jobs, executor, counter.run_done, counter.say, share)
         except KeyboardInterrupt:
             typer.echo(f"interrupted; go on with the same command and --out {folder}", err=True)

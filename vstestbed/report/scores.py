@@ -22,6 +22,7 @@ from vstestbed.tasks.metrics import Metric
 FIGURES = "figures"  # the page's figures for a paper
 RESAMPLES = 2000  # of starts, and of tasks, for intervals of mean ranks
 FARTHEST = 10.0  # right end of the profile: times the best law's number
+MEAN_RANKS = ["law", "tasks", "place", "of", "mean_rank", "low", "high", "alike_low", "alike_high"]
 COLOURED = 5  # laws that the profile draws in colours
 
 
@@ -81,17 +82,17 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
     values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]  # one that crashed counts as the worst
     means, n = values.mean(axis=1), values.shape[1]
     ranks, first, behind = rankdata(means), int(np.argmin(means)), differences(values)
+    beaten = [pair for pair, one in behind.items() if _beyond_chance(one)]
     for i, law in enumerate(laws):
         done = reached[i][np.isfinite(reached[i])]
-        others = [j for j in range(len(laws)) if j != i]
-        beaten_by = sum(_beyond_chance(behind[i, j]) for j in others)
-        beats = sum(_beyond_chance(behind[j, i]) for j in others)
+        beaten_by = sum(pair[0] == i for pair in beaten)
+        beats = sum(pair[1] == i for pair in beaten)
         yield Score(
             task,
             law,
             success_rate(int(done.sum()), len(done)),
             paired_difference(values[i], np.zeros(n)),
-            IntervalEstimate(ranks[i], 1.0 + beaten_by, float(len(laws) - beats), n),
+            IntervalEstimate(ranks[i], 1 + beaten_by, len(laws) - beats, n),
             IntervalEstimate(0.0, 0.0, 0.0, n) if i == first else behind[i, first],
             values[i],
         )
@@ -130,22 +131,19 @@ def overall(found: Sequence[Score]) -> list[Standing]:
         by.setdefault(score.law, {})[score.task] = score
     standings: list[Standing] = []
     for tasks in dict.fromkeys(tuple(own) for own in by.values()):
-        named = [law for law, own in by.items() if own.keys() >= set(tasks)]
-        ranks, alike = _mean_ranks([np.array([by[law][task].values for law in named]) for task in tasks])
-        for law, rank, other in zip(named, ranks, alike, strict=True):
-            if len(by[law]) == len(tasks):
-                better = sum(one.mean < rank.mean for one in ranks)
-                standings.append(Standing(law, rank, other, len(tasks), 1 + better, len(named)))
+        named = {law: [own[task].values for task in tasks] for law, own in by.items() if own.keys() >= set(tasks)}
+        standings += [one for one in _standings(named) if len(by[one.law]) == len(tasks)]
     return sorted(standings, key=lambda one: (-one.tasks, one.rank.mean))
 
 
-def _mean_ranks(tasks: Sequence[Array]) -> tuple[list[IntervalEstimate], list[IntervalEstimate]]:
-    """Mean rank of each law over tasks, each (laws, starts), ties sharing their places: with the bootstrap interval over starts, and with
-    that over starts and tasks, which one task does not have.
+def _standings(flown: Mapping[str, Sequence[Array]]) -> list[Standing]:
+    """Where laws stand by their values in the same tasks, ties sharing their places; the intervals are bootstrap percentiles, and one task
+    says nothing of others.
     """
     from scipy.stats import rankdata
 
-    rng = np.random.default_rng(0)
+    rng, tail = np.random.default_rng(0), 50 * (1 - CONFIDENCE)
+    tasks = [np.array(values) for values in zip(*flown.values(), strict=True)]  # each (laws, starts)
     mean = np.mean([rankdata(values.mean(axis=1)) for values in tasks], axis=0)
     resampled = []
     for values in tasks:
@@ -153,17 +151,20 @@ def _mean_ranks(tasks: Sequence[Array]) -> tuple[list[IntervalEstimate], list[In
         resampled.append(rankdata(values[:, starts].mean(axis=2), axis=0).T)
     ranks = np.array(resampled)  # (tasks, RESAMPLES, laws)
     which = rng.integers(0, len(tasks), (RESAMPLES, len(tasks)))
-    of_it = rng.integers(0, RESAMPLES, which.shape)
-    alike = ranks[which, of_it].mean(axis=1)
-    if len(tasks) == 1:
-        alike[:] = np.nan
-    return _intervals(mean, ranks.mean(axis=0)), _intervals(mean, alike)
-
-
-def _intervals(mean: Array, samples: Array) -> list[IntervalEstimate]:
-    tail = 50 * (1 - CONFIDENCE)
-    ends = np.percentile(samples, [tail, 100 - tail], axis=0)
-    return [IntervalEstimate(*one, RESAMPLES) for one in np.vstack([mean, ends]).T.tolist()]
+    alike = ranks[which, rng.integers(0, RESAMPLES, which.shape)] if len(tasks) > 1 else np.swapaxes(ranks, 0, 1) * np.nan
+    here = np.percentile(ranks.mean(axis=0), [tail, 100 - tail], axis=0)
+    there = np.percentile(alike.mean(axis=1), [tail, 100 - tail], axis=0)
+    return [
+        Standing(
+            law,
+            IntervalEstimate(mean[i], *here[:, i]),
+            IntervalEstimate(mean[i], *there[:, i]),
+            len(tasks),
+            1 + int((mean < mean[i]).sum()),
+            len(flown),
+        )
+        for i, law in enumerate(flown)
+    ]
 
 
 def profile(runs: pl.DataFrame) -> dict[str, Array]:
@@ -193,8 +194,9 @@ def write_scores(
     found = scores(runs)
     write_whole(out / "scores.csv", _table(found, tasks).write_csv())
     write_whole(out / "scores.tex", latex(found, tasks))
-    write_whole(out / "ranks.csv", _mean_rank_table(overall(found)).write_csv())
     ranked, by = overall(found), {(s.law, s.task): s for s in found}
+    means = [(s.law, s.tasks, s.place, s.of, *s.rank[:3], *s.alike[1:3]) for s in ranked]
+    write_whole(out / "ranks.csv", pl.DataFrame(means, MEAN_RANKS, orient="row").fill_nan(None).write_csv())
     lines = [
         [
             s.law,
@@ -231,15 +233,6 @@ def _table(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> pl.DataF
         for name in ("rate", "value", "rank", "gap"):
             row |= {f"{name}_{end}": number for end, number in zip(("mean", "low", "high"), getattr(s, name)[:3], strict=True)}
         rows.append(row | {"gap_p": s.gap.p})
-    return pl.DataFrame(rows).with_columns(pl.selectors.float().fill_nan(None))
-
-
-def _mean_rank_table(ranked: Sequence[Standing]) -> pl.DataFrame:
-    """The mean ranks as a table, a row a law."""
-    rows = []
-    for s in ranked:
-        row = {"law": s.law, "tasks": s.tasks, "place": s.place, "of": s.of, "mean_rank": s.rank.mean}
-        rows.append(row | {"low": s.rank.low, "high": s.rank.high, "alike_low": s.alike.low, "alike_high": s.alike.high})
     return pl.DataFrame(rows).with_columns(pl.selectors.float().fill_nan(None))
 
 

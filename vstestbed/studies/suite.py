@@ -228,18 +228,20 @@ class SuiteEntry:
     @property
     def total(self) -> int:
         """How many runs it has."""
-        return sum(len(Jobs(Variants(plan), plan.seeds, plan.first_seed)) for plan in self.plans.values())
+        return sum(map(self._runs, self.plans))
 
     def effort(self, shards: int = 1, jobs: int | None = None) -> str:
         """How many runs one of so many shards has, and about how long they take here, in words."""
-        runs = {task: len(Jobs(Variants(plan), plan.seeds, plan.first_seed)) / shards for task, plan in self.plans.items()}
-        total = round(sum(runs.values()))
-        known = [n * (self.suite.tasks[task].run_s or math.nan) for task, n in runs.items()]
-        if math.isnan(seconds := sum(known)):
-            return f"{total:,} runs"
-        cores = workers(jobs, total)
-        here = f"here on {cores} core{'s' * (cores > 1)} about {_hours(seconds / cores)}"
-        return f"{total:,} runs, about {_hours(seconds)} of a processor; {here}"
+        hours = sum(self._runs(task) * (self.suite.tasks[task].run_s or math.nan) for task in self.plans) / shards / 3600
+        runs = self.total // shards
+        if math.isnan(hours):
+            return f"{runs:,} runs"
+        cores = workers(jobs, runs)
+        return f"{runs:,} runs, about {hours:.1f} processor hours; here, {cores} at a time, about {hours / cores:.1f} h"
+
+    def _runs(self, task: str) -> int:
+        plan = self.plans[task]
+        return len(Jobs(Variants(plan), plan.seeds, plan.first_seed))
 
     @property
     def about(self) -> dict[str, Any]:
@@ -354,10 +356,6 @@ class SuiteEntry:
         tasks = {name: TaskOfSuite(Metric.named(task.metric), task.asks) for name, task in self.suite.tasks.items()}
         write_whole(out / "runs.csv", runs.write_csv())
         return write_scores(out, shown, tasks, self.blank, f"Suite {self.path.stem}", about, self.command)
-
-
-def _hours(seconds: float) -> str:
-    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{math.ceil(seconds / 60)} min"
 
 
 def opened(
