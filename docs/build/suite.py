@@ -26,6 +26,7 @@ from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, paired_difference
 from vstestbed.report.scores import RESAMPLES, Score, TaskOfSuite, differences, overall, scores, write_scores
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Jobs, controllers, read_comparison
 from vstestbed.studies.suite import HOW, LAW, fingerprint, opened, read_suite
 from vstestbed.tasks.metrics import Metric
@@ -75,6 +76,10 @@ class Suite:
         if self.sha256.startswith(FORMER):
             return "oracle" if task in FORMER_ORACLE else "pictures"
         return sees(task)
+
+    def moves(self, task: str) -> str:
+        """How the robot of a task moves; no task has changed in that."""
+        return moves(task)
 
     def starts(self, task: str) -> int:
         """How many starts each law has flown in a task."""
@@ -186,12 +191,21 @@ class Suite:
         return Agreement(found, left_out[least], least, left_out[most], most)
 
 
+def _scenarios(task: str) -> list[Scenario]:
+    suite, path = read_suite()
+    return [one.scenario for one in controllers(read_comparison(path.parent / suite.tasks[task].plan))]
+
+
 def sees(task: str) -> str:
     """What laws see in a task of now."""
-    suite, path = read_suite()
-    plan = read_comparison(path.parent / suite.tasks[task].plan)
-    kinds = {one.scenario.detector.kind for one in controllers(plan)}
-    return "oracle" if kinds == {"oracle"} else "pictures"
+    return "oracle" if {one.detector.kind for one in _scenarios(task)} == {"oracle"} else "pictures"
+
+
+def moves(task: str) -> str:
+    """How the robot of a task moves: `ideal`, as it is ordered, or with its `dynamics`."""
+    robots = [one.robot for one in _scenarios(task)]
+    ideal = all(robot.kind == "free" or getattr(robot, "actuation", "") == "ideal" for robot in robots)
+    return "ideal" if ideal else "dynamics"
 
 
 def _spearman(a: Array, b: Array) -> Array:
