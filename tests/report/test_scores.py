@@ -36,7 +36,8 @@ def test_scores_are_successes_restricted_means_and_ranks_with_intervals() -> Non
     )
     # paired starts: 5 s between them are beyond doubt though times spread as much
     assert {law: s.rank[:3] for law, s in found.items()} == {"slow": (2, 2, 2), "fast": (1, 1, 1), "fails": (3, 3, 3)}
-    assert overall(list(found.values())) == [("fast", 1.0, 1, 1, 3), ("slow", 2.0, 1, 2, 3), ("fails", 3.0, 1, 3, 3)]
+    stand = [(one.law, one.rank[:3], one.tasks, one.place, one.of) for one in overall(list(found.values()))]
+    assert stand == [("fast", (1, 1, 1), 1, 1, 3), ("slow", (2, 2, 2), 1, 2, 3), ("fails", (3, 3, 3), 1, 3, 3)]
 
 
 def test_a_law_that_declines_tasks_is_placed_over_none_that_flew_them() -> None:
@@ -75,12 +76,54 @@ def test_a_run_that_crashed_counts_as_the_longest_and_a_start_that_is_missing_fo
     assert [s.value.mean for s in scores(missing)] == [3.0, 4.0] and [s.rate.n for s in scores(missing)] == [2, 3]
 
 
-def test_equal_laws_share_their_place_and_close_ones_have_wide_ranks() -> None:
+def test_equal_laws_share_their_place_and_close_ones_have_the_ranks_that_tests_of_pairs_leave_open() -> None:
+    """Six laws of one distribution, and one that is 5 s behind them all: resampled ranks of the six were 1 to 4, 2 to 6, ..."""
     rng = np.random.default_rng(2)
-    a, noise = rng.uniform(1, 9, 30), rng.normal(0, 1, 30)
-    found = {s.law: s for s in scores(rows({"a": list(a), "same": list(a), "near": list(a + noise - noise.mean())}))}
-    assert found["a"].rank.mean == found["same"].rank.mean
-    assert found["near"].rank.low < found["near"].rank.high
+    hard = rng.uniform(1, 9, 30)  # how hard a start is, the same for all
+    laws = {f"p{i}": list(hard + rng.normal(0, 1, 30)) for i in range(5)}
+    found = {s.law: s for s in scores(rows(laws | {"same": laws["p0"], "last": list(hard + 5 + rng.normal(0, 1, 30))}, 99))}
+    assert found["p0"].rank.mean == found["same"].rank.mean
+    assert {s.rank[1:3] for law, s in found.items() if law != "last"} == {(1, 6)}
+    assert found["last"].rank[:3] == (7, 7, 7)
+
+
+@pytest.mark.study
+def test_the_ranks_in_a_task_hold_all_true_ones_at_once() -> None:
+    """Twelve laws a twentieth of their spread apart, of which resampled ranks held all in one of two flights."""
+    rng, held, flights = np.random.default_rng(11), 0, 200
+    for _ in range(flights):
+        hard = rng.normal(20, 1, 20)
+        table = rows({f"law{i}": list(hard + 0.05 * i + rng.normal(0, 1, 20)) for i in range(12)}, 99)
+        held += all(s.rank.low <= place <= s.rank.high for place, s in enumerate(scores(table), 1))
+    assert held >= 0.95 * flights - 2 * (0.95 * 0.05 * flights) ** 0.5  # 95 %, less two standard deviations of the number of flights
+
+
+def tasks_of(*means: dict[str, float], starts: int = 30, spread: float = 0.3) -> pl.DataFrame:
+    """Tasks `t0`, `t1`, ... in which laws have these means, with noise of their own."""
+    rng = np.random.default_rng(7)
+    tables = []
+    for i, of_task in enumerate(means):
+        table = rows({law: list(mean + rng.normal(0, spread, starts)) for law, mean in of_task.items()}, 99)
+        tables.append(table.with_columns(task=pl.lit(f"t{i}")))
+    return pl.concat(tables)
+
+
+def test_mean_ranks_have_an_interval_on_these_tasks_and_a_wider_one_on_tasks_like_these() -> None:
+    """`odd` is 3 s before `even` in two tasks and behind it in two: from other starts nothing changes, of other tasks much would."""
+    good, bad = {"odd": 2.0, "even": 5.0}, {"odd": 5.0, "even": 2.0}
+    found = {one.law: one for one in overall(scores(tasks_of(good, bad, good, bad)))}
+    assert found["odd"].rank[:3] == (1.5, 1.5, 1.5)
+    assert found["odd"].alike[:3] == (1.5, 1.0, 2.0)
+    (alone, _) = overall(scores(tasks_of(good)))
+    assert alone.rank[:3] == (1, 1, 1) and np.isnan(alone.alike[1:3]).all()  # of one task nothing is known of others
+
+
+def test_a_mean_rank_is_among_the_laws_that_flew_all_its_tasks() -> None:
+    """`guest` is the first of one task that all flew: the mean ranks of the others, who flew both, are without it."""
+    both = {"a": 3.0, "b": 4.0}
+    found = {one.law: one for one in overall(scores(tasks_of(both | {"guest": 1.0}, both)))}
+    assert (found["a"].rank.mean, found["b"].rank.mean) == (1, 2)  # before: 1.5 and 2.5
+    assert (found["guest"].rank.mean, found["guest"].of) == (1, 3)
 
 
 def test_behind_beyond_chance_is_said_of_paired_starts_and_corrected_for_the_number_of_laws() -> None:
@@ -107,7 +150,21 @@ def test_page_and_tables_name_units_blanks_and_chances(tmp_path: Path) -> None:
     tasks = {"t": TaskOfSuite(Metric.named("tracking_rms_m"), "to follow")}
     write_scores(tmp_path, table, tasks, {("odd", "t"): "it has no wheels"}, "Suite X", "About it", "vstestbed suite")
     text = (tmp_path / "report.html").read_text()
-    assert all(words in text for words in ("Beyond chance", "1 of 1", "it has no wheels", "to follow", "Profile", "rank 1 (1 to 1)"))
-    assert r"fast & 7/7, 4 m \\" in (tmp_path / "scores.tex").read_text()
+    assert all(
+        words in text
+        for words in (
+            "Beyond chance",
+            "1 of 1",
+            "it has no wheels",
+            "to follow",
+            "Profile",
+            "rank 1 (1 to 1)",
+            "1.0 of 1 tasks",
+            "[1.0, 1.0] on these",
+        )
+    )
+    assert r"fast & 1.0 [1.0, 1.0] & 7/7, 4 m \\" in (tmp_path / "scores.tex").read_text()
+    ranks = pl.read_csv(tmp_path / "ranks.csv")
+    assert ranks.row(0) == ("fast", 1, 1, 2, 1.0, 1.0, 1.0, None, None)
     scored = pl.read_csv(tmp_path / "scores.csv")
     assert scored["gap_mean"].to_list() == [5.0, 0.0] and scored["metric"][0] == "Camera from its goal, RMS [m]"

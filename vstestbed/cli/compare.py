@@ -234,11 +234,14 @@ def suite(
     show_notes(not quiet)
     folder = make_folder(out if out is not None and out.exists() else new_folder(Path("runs") / "suite", out, "give a new one"))
     entry.mark(folder)
+    say = (lambda words: None) if quiet else lambda words: typer.echo(words, err=True)
     if merge:
-        runs = entry.merged(merge, folder, (lambda words: None) if quiet else lambda words: typer.echo(f"{words} ...", err=True))
+        runs = entry.merged(merge, folder, say)
     else:
         try:
-            with Counter(entry.total // (share.of if share else 1), 0, not quiet) as counter:
+            shards = share.of if share else 1
+            say(entry.effort(shards, jobs))
+            with Counter(entry.total // shards, 0, not quiet) as counter:
                 runs = entry.fly(folder, jobs, executor, counter.run_done, counter.say, share)
         except KeyboardInterrupt:
             typer.echo(f"interrupted; go on with the same command and --out {folder}", err=True)
@@ -258,7 +261,8 @@ def _ranking(found: Sequence[Score]) -> Iterator[str]:
     from vstestbed.report.scores import overall
 
     for one in overall(found):
-        yield f"{one.law}: mean rank {one.rank:.2f} over {one.tasks} tasks, place {one.place} of the {one.of} laws that flew them"
+        rank = f"mean rank {one.rank.mean:.1f} [{one.rank.low:.1f}, {one.rank.high:.1f}]"
+        yield f"{one.law}: {rank} over {one.tasks} tasks, place {one.place} of the {one.of} laws that flew them"
 
 
 def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, str | None]) -> None:

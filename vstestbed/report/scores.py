@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
@@ -20,8 +20,9 @@ from vstestbed.report.pages import write_page
 from vstestbed.tasks.metrics import Metric
 
 FIGURES = "figures"  # the page's figures for a paper
-RESAMPLES = 2000  # of the starts, for intervals of means and ranks
+RESAMPLES = 2000  # of starts, and of tasks, for intervals of mean ranks
 FARTHEST = 10.0  # right end of the profile: times the best law's number
+MEAN_RANKS = ["law", "tasks", "place", "of", "mean_rank", "low", "high", "alike_low", "alike_high"]
 COLOURED = 5  # laws that the profile draws in colours
 
 
@@ -37,9 +38,10 @@ class TaskOfSuite:
 class Score:
     """How a law did in a task.
 
-    rate: of success, with its Wilson interval. value: mean of the task's metric, a failure at the task's limit, with its bootstrap interval
-    over starts. rank: 1 is the best by that mean, with the interval of the same bootstrap, in which all laws share the starts. gap: how far
-    the mean is from the best law's, with the p-value of the paired test after Holm's correction over the task's laws.
+    rate: of success, with its Wilson interval. value: mean of the task's metric, a failure at the task's limit, with Student's interval,
+    as flown. rank: 1 is the best by that mean; its interval is from 1 + the laws that beat it to as many as it does not beat, in tests of
+    all pairs (Mogstad, Romano, Shaikh & Wilhelm 2024, doi:10.1093/restud/rdad006). gap: how far the mean is from the best law's, with
+    the p-value of that test. values: on the starts that all laws of the task flew.
     """
 
     task: str
@@ -48,11 +50,17 @@ class Score:
     value: IntervalEstimate
     rank: IntervalEstimate
     gap: IntervalEstimate
+    values: Array
 
     @property
     def behind(self) -> bool:
-        """Whether the law is behind the best one beyond chance: by the test and by the interval."""
-        return self.gap.p < 1 - CONFIDENCE and self.gap.low > 0
+        """Whether the law is behind the best one beyond chance."""
+        return _beyond_chance(self.gap)
+
+
+def _beyond_chance(more: IntervalEstimate) -> bool:
+    """Whether a difference is more than 0 by the test and by the interval."""
+    return more.p < 1 - CONFIDENCE and more.low > 0
 
 
 def scores(runs: pl.DataFrame) -> list[Score]:
@@ -66,56 +74,47 @@ def _by_start(runs: pl.DataFrame, name: str, laws: Sequence[str]) -> Array:
 
 
 def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
+    from scipy.stats import rankdata
+
     laws = runs["law"].unique(maintain_order=True).to_list()
     reached, values = _by_start(runs, "success", laws), _by_start(runs, "value", laws)
     flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
     values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]  # one that crashed counts as the worst
-    mean, low, high = _resampled(values)
-    rank, best, last = _ranks(values)
-    n, first = values.shape[1], int(np.argmin(mean))
-    gaps = [paired_difference(own, values[first]) for own in values]
-    adjusted = holm([gap.p if i != first else float("nan") for i, gap in enumerate(gaps)])
+    means, n = values.mean(axis=1), values.shape[1]
+    ranks, first, behind = rankdata(means), int(np.argmin(means)), differences(values)
+    beaten = [pair for pair, one in behind.items() if _beyond_chance(one)]
     for i, law in enumerate(laws):
         done = reached[i][np.isfinite(reached[i])]
+        beaten_by = sum(pair[0] == i for pair in beaten)
+        beats = sum(pair[1] == i for pair in beaten)
         yield Score(
             task,
             law,
             success_rate(int(done.sum()), len(done)),
-            IntervalEstimate(mean[i], low[i], high[i], n),
-            IntervalEstimate(rank[i], best[i], last[i], n),
-            gaps[i]._replace(p=adjusted[i]),
+            paired_difference(values[i], np.zeros(n)),
+            IntervalEstimate(ranks[i], 1 + beaten_by, len(laws) - beats, n),
+            IntervalEstimate(0.0, 0.0, 0.0, n) if i == first else behind[i, first],
+            values[i],
         )
 
 
-def _starts(n: int) -> NDArray[np.intp]:
-    """Resamples of n starts, the same for all laws (RESAMPLES, n)."""
-    return np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
-
-
-def _ends(samples: Array) -> tuple[Array, Array]:
-    tail = 50 * (1 - CONFIDENCE)
-    low, high = np.percentile(samples, [tail, 100 - tail], axis=0)
-    return low, high
-
-
-def _resampled(values: Array) -> tuple[Array, Array, Array]:
-    """Means of each law's values (laws, starts), with the ends of their intervals."""
-    return values.mean(axis=1), *_ends(values[:, _starts(values.shape[1])].mean(axis=2).T)
-
-
-def _ranks(values: Array) -> tuple[Array, Array, Array]:
-    """Ranks of the laws by their mean (laws, starts), ties sharing the mean of their places, with the ends of their intervals."""
-    from scipy.stats import rankdata
-
-    means = values[:, _starts(values.shape[1])].mean(axis=2).T
-    return rankdata(values.mean(axis=1)), *_ends(rankdata(means, axis=1))
+def differences(values: Array) -> dict[tuple[int, int], IntervalEstimate]:
+    """Mean of each law's values (laws, starts) less each other's, with the p-value after Holm's correction over all pairs."""
+    pairs = list(itertools.combinations(range(len(values)), 2))
+    found = [paired_difference(values[i], values[j]) for i, j in pairs]
+    adjusted = {pair: one._replace(p=p) for pair, one, p in zip(pairs, found, holm([one.p for one in found]), strict=True)}
+    return adjusted | {(j, i): one.turned() for (i, j), one in adjusted.items()}
 
 
 class Standing(NamedTuple):
-    """Where a law stands over the tasks that it flew, among the `of` laws that flew all of these, by the mean of the ranks in them."""
+    """Where a law stands over the tasks that it flew, among the `of` laws that flew all of these, by the mean of its ranks among them.
+
+    rank: with the interval on these tasks, from other starts. alike: that on tasks like these, from other starts and of other tasks.
+    """
 
     law: str
-    rank: float
+    rank: IntervalEstimate
+    alike: IntervalEstimate
     tasks: int
     place: int
     of: int
@@ -127,15 +126,45 @@ def overall(found: Sequence[Score]) -> list[Standing]:
     Laws are compared on the same tasks alone: who declines a hard task does not pass a law that flew it, which keeps its place among those
     that flew it, too; and no law is placed over one that flew fewer tasks than itself.
     """
-    ranks: dict[str, dict[str, float]] = {}
+    by: dict[str, dict[str, Score]] = {}
     for score in found:
-        ranks.setdefault(score.law, {})[score.task] = score.rank.mean
+        by.setdefault(score.law, {})[score.task] = score
     standings: list[Standing] = []
-    for law, own in ranks.items():
-        means = {other: float(np.mean([of[task] for task in own])) for other, of in ranks.items() if own.keys() <= of.keys()}
-        better = sum(mean < means[law] for mean in means.values())
-        standings.append(Standing(law, means[law], len(own), 1 + better, len(means)))
-    return sorted(standings, key=lambda one: (-one.tasks, one.rank))
+    for tasks in dict.fromkeys(tuple(own) for own in by.values()):
+        named = {law: [own[task].values for task in tasks] for law, own in by.items() if own.keys() >= set(tasks)}
+        standings += [one for one in _standings(named) if len(by[one.law]) == len(tasks)]
+    return sorted(standings, key=lambda one: (-one.tasks, one.rank.mean))
+
+
+def _standings(flown: Mapping[str, Sequence[Array]]) -> list[Standing]:
+    """Where laws stand by their values in the same tasks, ties sharing their places; the intervals are bootstrap percentiles, and one task
+    says nothing of others.
+    """
+    from scipy.stats import rankdata
+
+    rng, tail = np.random.default_rng(0), 50 * (1 - CONFIDENCE)
+    tasks = [np.array(values) for values in zip(*flown.values(), strict=True)]  # each (laws, starts)
+    mean = np.mean([rankdata(values.mean(axis=1)) for values in tasks], axis=0)
+    resampled = []
+    for values in tasks:
+        starts = rng.integers(0, values.shape[1], (RESAMPLES, values.shape[1]))  # the same for all laws
+        resampled.append(rankdata(values[:, starts].mean(axis=2), axis=0).T)
+    ranks = np.array(resampled)  # (tasks, RESAMPLES, laws)
+    which = rng.integers(0, len(tasks), (RESAMPLES, len(tasks)))
+    alike = ranks[which, rng.integers(0, RESAMPLES, which.shape)] if len(tasks) > 1 else np.swapaxes(ranks, 0, 1) * np.nan
+    here = np.percentile(ranks.mean(axis=0), [tail, 100 - tail], axis=0)
+    there = np.percentile(alike.mean(axis=1), [tail, 100 - tail], axis=0)
+    return [
+        Standing(
+            law,
+            IntervalEstimate(mean[i], *here[:, i]),
+            IntervalEstimate(mean[i], *there[:, i]),
+            len(tasks),
+            1 + int((mean < mean[i]).sum()),
+            len(flown),
+        )
+        for i, law in enumerate(flown)
+    ]
 
 
 def profile(runs: pl.DataFrame) -> dict[str, Array]:
@@ -166,10 +195,12 @@ def write_scores(
     write_whole(out / "scores.csv", _table(found, tasks).write_csv())
     write_whole(out / "scores.tex", latex(found, tasks))
     ranked, by = overall(found), {(s.law, s.task): s for s in found}
+    means = [(s.law, s.tasks, s.place, s.of, *s.rank[:3], *s.alike[1:3]) for s in ranked]
+    write_whole(out / "ranks.csv", pl.DataFrame(means, MEAN_RANKS, orient="row").fill_nan(None).write_csv())
     lines = [
         [
             s.law,
-            f"{s.rank:.2f} of {s.tasks} tasks",
+            [f"{s.rank.mean:.1f} of {s.tasks} tasks", f"{_ends(s.rank)} on these", f"{_ends(s.alike)} on tasks like these"],
             f"{s.place} of {s.of}",
             *(_cell(by.get((s.law, task)), one) for task, one in tasks.items()),
         ]
@@ -182,7 +213,7 @@ def write_scores(
     ]
     if blank:
         tables.append(("Without part", ["law", "task", "why"], [[law, task, why] for (law, task), why in blank.items()]))
-    of_ranks = "Rank by the mean of each task's number, 1 is the best, with 95 % bootstrap intervals over starts; no mark: not flown."
+    of_ranks = "Rank by the mean of each task's number, 1 is the best, as tests of all pairs leave it open; no mark: not flown."
     of_profile = "Of the starts that a law flew: on which share it needed at most so many times the best law's number; a failure never."
     place = make_folder(out / FIGURES)
     plots = [
@@ -203,6 +234,10 @@ def _table(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> pl.DataF
             row |= {f"{name}_{end}": number for end, number in zip(("mean", "low", "high"), getattr(s, name)[:3], strict=True)}
         rows.append(row | {"gap_p": s.gap.p})
     return pl.DataFrame(rows).with_columns(pl.selectors.float().fill_nan(None))
+
+
+def _ends(one: IntervalEstimate) -> str:
+    return f"[{one.low:.1f}, {one.high:.1f}]" if one.low == one.low else "-"
 
 
 def _chances(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> list[list[str]]:
@@ -276,13 +311,13 @@ def _drawn_profile(runs: pl.DataFrame, order: Sequence[str], place: Path) -> str
 
 
 def latex(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> str:
-    """The table of a paper: laws by tasks, successes and the mean of each task's number."""
+    """The table of a paper: laws by tasks, their mean rank, successes and the mean of each task's number."""
     by = {(s.law, s.task): s for s in found}
-    lines = [r"\begin{tabular}{l" + "r" * len(tasks) + "}", " & ".join(["law", *tasks]) + r" \\ \hline"]
-    for law in (one.law for one in overall(found)):
+    lines = [r"\begin{tabular}{lr" + "r" * len(tasks) + "}", " & ".join(["law", "mean rank", *tasks]) + r" \\ \hline"]
+    for law, rank, *_ in overall(found):
         words = [
             f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.value.mean:.3g} {one.metric.unit}" if (s := by.get((law, t))) else "--"
             for t, one in tasks.items()
         ]
-        lines.append(" & ".join([law.replace("_", r"\_"), *words]) + r" \\")
+        lines.append(" & ".join([law.replace("_", r"\_"), f"{rank.mean:.1f} {_ends(rank)}", *words]) + r" \\")
     return "\n".join([*lines, r"\end{tabular}", ""])

@@ -190,8 +190,10 @@ def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEn
     main = about.get("file") if isinstance(about, dict) else None
     if not isinstance(main, str) or f"{LAW_FOLDER}/{main}" not in found or not main.endswith((".py", ".yaml", ".yml")):
         raise _refused(file, f"its {ABOUT} names no file of a law that it holds")
-    if about.get("sha256") != fingerprint(*read_suite(asked.suite)):
-        raise RunFolderError(file, f"is of another suite than {asked.suite} of this version", "check it with the version that it names")
+    flown, ours = about.get("sha256"), fingerprint(*read_suite(asked.suite))
+    if flown != ours:
+        why = f"was flown on another {asked.suite}, of the files {str(flown)[:12]!r} and not {ours[:12]!r}"
+        raise RunFolderError(file, why, "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`, then `vstestbed submit DIR`")
     for name in found:
         if name.startswith(f"{LAW_FOLDER}/"):
             place = into / PurePosixPath(name).relative_to(LAW_FOLDER)

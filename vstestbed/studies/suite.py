@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 import shlex
@@ -23,6 +24,7 @@ from annotated_types import Ge
 from vstestbed.core.errors import ParameterError, VstestbedError, nearest, short
 from vstestbed.core.files import make_folder, read_json, write_whole
 from vstestbed.core.named_files import folder, is_there
+from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
 from vstestbed.loop.isolated import MODULE, Isolated, honest
@@ -36,6 +38,7 @@ from vstestbed.studies.comparison.plan import TASK, Comparison, Job, Jobs, Varia
 from vstestbed.studies.comparison.record import files_in, is_bundled, needed_files
 from vstestbed.studies.comparison.runs import OnDone
 from vstestbed.studies.comparison.shards import Shard
+from vstestbed.studies.pools import workers
 from vstestbed.tasks.metrics import Metric
 
 NAME = "VS-1"
@@ -43,9 +46,10 @@ TO_GOAL = "time_to_goal_s"  # the metric of which each failed run has a number
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]+")  # of a law in tables, so that no two look alike
 LAW = "law"  # the axis of the laws in each comparison
 HOW = (
-    "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit; ranks by it, with "
-    "bootstrap intervals over starts, which all laws share. The mean of the ranks stands beside its parts. Beyond chance is what both say: "
-    "the paired test against the best mean, after Holm's correction over the task's laws, and the interval of the difference."
+    "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit, with Student's interval, "
+    "as flown; ranks by it, from 1 + the laws that beat a law to as many as it does not beat, by paired t-tests of all pairs of the task's "
+    "laws after Holm's correction. The mean of the ranks stands beside its parts, with bootstrap intervals: on these tasks, from other "
+    "starts, and on tasks like these."
 )
 HIDDEN_FROM, HIDDEN_SEEDS = 1_000_000, 900_000_000  # the random starts that a word draws; those of the plans are the first
 
@@ -61,6 +65,7 @@ class SuiteTask:
         worst: the number of a run that ended early, and the largest that counts, in the summary's unit; null: what the summary says; e.g.
             `0.2`.
         quick: starts of each of the plan's lists with `--quick` [1].
+        run_s: processor time of a run, as it was measured [s]; null: not known; e.g. `0.5`.
     """
 
     plan: str
@@ -68,6 +73,7 @@ class SuiteTask:
     metric: str = TO_GOAL
     worst: float | None = None
     quick: Annotated[int, Ge(1)] = 2
+    run_s: PositiveTime | None = None
 
 
 @spec
@@ -227,7 +233,20 @@ class SuiteEntry:
     @property
     def total(self) -> int:
         """How many runs it has."""
-        return sum(len(Jobs(Variants(plan), plan.seeds, plan.first_seed)) for plan in self.plans.values())
+        return sum(map(self._runs, self.plans))
+
+    def effort(self, shards: int = 1, jobs: int | None = None) -> str:
+        """How many runs one of so many shards has, and about how long they take here, in words."""
+        hours = sum(self._runs(task) * (self.suite.tasks[task].run_s or math.nan) for task in self.plans) / shards / 3600
+        runs = self.total // shards
+        if math.isnan(hours):
+            return f"{runs:,} runs"
+        cores = workers(jobs, runs)
+        return f"{runs:,} runs, about {hours:.1f} processor hours; here, {cores} at a time, about {hours / cores:.1f} h"
+
+    def _runs(self, task: str) -> int:
+        plan = self.plans[task]
+        return len(Jobs(Variants(plan), plan.seeds, plan.first_seed))
 
     @property
     def about(self) -> dict[str, Any]:
