@@ -16,7 +16,7 @@ from docs.build.render import REPOSITORY, SOURCES, template
 
 FOLDERS = [REPOSITORY / "docs" / "exercises", REPOSITORY / "docs" / "results"]
 MEASURED = sorted(page.relative_to(REPOSITORY) for folder in FOLDERS for page in folder.glob("*.md"))
-NO_RUNS = {"docs/results/conclusions.md": "its comparisons are simulated: no robot and no camera is in them"}
+NO_RUNS = {"docs/results/verdicts.md": "its comparisons are simulated: no robot and no camera is in them"}
 HEADING = re.compile(r"^#+ .*$", re.MULTILINE)
 CODE = re.compile(r"^ {4}.*$|^```.*?^```|`[^`]*`|\]\([^)]*\)|<[^>]*>", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])(\d+\.\d+|\d+ of \d+|\d+ (%|mm|cm|px|ms|N|deg|degrees)(?!\w))")

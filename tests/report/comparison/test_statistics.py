@@ -80,7 +80,7 @@ def real(d: np.ndarray) -> bool:
 @pytest.mark.study
 @pytest.mark.parametrize("kind", NULLS)
 def test_false_alarms_power_and_coverage_are_those_of_the_page(kind: str) -> None:
-    """docs/results/conclusions.md; 3 standard errors of 1000 comparisons of a 5 % test are 2.1 %."""
+    """docs/results/verdicts.md; 3 standard errors of 1000 comparisons of a 5 % test are 2.1 %."""
     rng = np.random.default_rng(77)
     for n, most in zip((10, 20, 50), SKEWED.get(kind, (0.05,) * 3), strict=True):
         draws = [NULLS[kind](rng, n) for _ in range(1000)]
