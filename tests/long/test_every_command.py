@@ -180,7 +180,7 @@ def fault(form: Form, words: tuple[str, ...], command: Command) -> tuple[Ended, 
     ]
     said = ", ".join(filter(None, found))
     sentence = ended.err.strip().splitlines()[-1 if ended.code in (0, 3) else 0 :]
-    line = f"{time.process_time() - began:6.1f} s {ended.code} {' '.join(words)}: {' / '.join(sentence)[:300]} {said and 'FAULT ' + said}"
+    line = f"{time.process_time() - began:6.1f} s {ended.code} {' '.join(words)}: {' / '.join(sentence)[-300:]} {said and 'FAULT ' + said}"
     if file := os.environ.get("VSTESTBED_CODES"):
         with Path(file).open("a", encoding="utf-8") as codes_file:
             codes_file.write(line.rstrip() + "\n")

@@ -114,8 +114,8 @@ def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> 
 #
 # References: Spong 1987, doi:10.1115/1.3143860 (the plant); Franklin, Powell & Workman, Digital Control of Dynamic Systems
 # (zero-order hold; a delay of part of a period).
-FIRST, FACTOR, FINE = 1e-3, 1.02, 1e-6
-"""The first crossing is sought upwards from this g in steps of this factor, then by bisection to this share."""
+FIRST, FACTOR, FINE, MOST = 1e-3, 1.02, 1e-6, 1e3
+"""The first crossing is sought upwards from this g in steps of this factor, up to MOST, then by bisection to this share."""
 
 
 def sampled(arm: LinearArm, period_s: float) -> tuple[Array, Array]:
@@ -134,8 +134,12 @@ def sampled(arm: LinearArm, period_s: float) -> tuple[Array, Array]:
     return both[:states, :states], both[:states, states:]
 
 
-def linear_gain_limit(arm: LinearArm, delay_frames: float, period_s: float) -> float:
-    """The g = gain * period at which a pole first leaves the unit circle; delay_frames: also a part of a frame."""
+def linear_gain_limit(arm: LinearArm, delay_frames: float, period_s: float) -> float | None:
+    """The g = gain * period at which a pole first leaves the unit circle; delay_frames: also a part of a frame.
+
+    None where none does up to MOST, at which an error of one is answered by a thousand a picture: servos whose speeds are ordered
+    and that do not integrate follow without delay, so that such a model has no limit.
+    """
     F, G = _loop(arm, delay_frames, period_s)
 
     def unstable(g: float) -> bool:
@@ -144,6 +148,8 @@ def linear_gain_limit(arm: LinearArm, delay_frames: float, period_s: float) -> f
     high = FIRST
     while not unstable(high):
         high *= FACTOR
+        if high > MOST:
+            return None
     low = high / FACTOR
     while high - low > FINE * high:
         middle = (low + high) / 2
@@ -284,6 +290,9 @@ def prepared(scenario: Scenario) -> Scenario:
     if settled.robot.base != "fixed":
         why = "the limit of a loop that answers in all six directions alike is what is found"
         raise ParameterError.fixed("robot.kind", "free or puma560", settled.robot.kind, why=why)
+    if isinstance(settled.robot, Arm) and settled.robot.controller.takes_wrench:
+        why = "servos of speeds are in the loop whose limit is found, and this controller is told forces besides"
+        raise ParameterError.fixed("robot.controller", "velocity or computed_torque", settled.robot.controller.kind, why=why)
     robot = settled.robot.idealised() if isinstance(settled.robot, Arm) else settled.robot
     flown = uninterrupted(run(replace(settled, robot=robot)))
     if not flown.outcome.success:

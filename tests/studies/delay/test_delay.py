@@ -176,6 +176,7 @@ def test_ideal_servos_hardly_lag(arm):
         ("omni_ibvs", {}, "must be free or puma560"),
         ("partitioned_book", {}, "one gain for all directions"),
         ("camera_photometric", {}, "works on whole pictures"),
+        ("arm_insert", {}, "must be velocity or computed_torque"),
         ("ibvs_retreat", {"goal.T_camera_target": {"xyz": [0, 0, 1]}}, None),
     ],
 )

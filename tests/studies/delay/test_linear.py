@@ -33,7 +33,7 @@ def soft(scenario: Scenario, k: float, damping_s: float) -> Scenario:
 def test_an_elastic_arm_goes_unstable_where_two_masses_say(at_goal: Scenario, k: float, damping_s: float, d: int) -> None:
     scenario = soft(at_goal, k, damping_s)
     g = linear_gain_limit(linear_arm(scenario.robot), d, PERIOD)
-    assert g < 0.75 * closed_form(d)  # the elasticity lowers it
+    assert g is not None and g < 0.75 * closed_form(d)  # the elasticity lowers it
     start = displaced(scenario)
     assert growth(start, 0.97 * g / PERIOD, d) < 1 < growth(start, 1.03 * g / PERIOD, d)
 
@@ -75,7 +75,7 @@ def test_the_servos_of_a_real_arm_explain_its_limit() -> None:
     """With the Panda's servos the theory of the delay alone is off by 40 %; the linear arm is not."""
     at_goal = prepared(vs.load("arm_panda"))
     g = linear_gain_limit(linear_arm(at_goal.robot), 0, PERIOD)
-    assert g < 0.62 * closed_form(0)
+    assert g is not None and g < 0.62 * closed_form(0)
     start = displaced(at_goal)
     assert growth(start, 0.97 * g / PERIOD, 0) < 1 < growth(start, 1.03 * g / PERIOD, 0)
 
