@@ -447,7 +447,6 @@ class TestAClockThatIsPublished:
         monkeypatch.setattr(type(law.node.servo.controller.law), "step", slow)
         assert law.hears(0.04)
 
-
     @pytest.mark.parametrize("took_s", [0.02, 0.2, 1.0])
     def test_and_waits_for_the_law_counts_how_long_the_target_is_out_of_sight(self, shown, clocks, monkeypatch, took_s):
         """In lockstep, for .4 s of 1 s; by the own clock the target would be lost."""

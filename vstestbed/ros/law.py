@@ -334,7 +334,7 @@ class LawNode:
         self._of_clock = self._of_clock or (runs and near)
         if runs and self._of_clock:
             self.servo.clock_told(self._clock_s, self._ticked_at)
-        return runs and self._of_clock or near and not self._moved
+        return (runs and self._of_clock) or (near and not self._moved)
 
     def _arrived(self, stamp: float) -> float | None:
         """When a picture came by `/clock`, where it is late [s]. ParameterError: its stamp is of the future."""
