@@ -384,6 +384,38 @@ def test_a_stamp_of_the_future_of_a_further_camera_is_refused_by_name(eyes: Eyes
     eyes.controller.look("room", eyes.room, 0.16, eyes.reading)  # nothing has changed
 
 
+def test_recorded_pictures_of_a_further_camera_go_on_in_a_gap_of_the_own(eyes: Eyes) -> None:
+    """Fed at full speed: by the own clock no time passes."""
+    for k in range(5):
+        eyes.own_picture(k * PERIOD_S)
+    for k in range(30):
+        eyes.controller.look("room", eyes.room, 0.2 + k * 0.1, eyes.reading)
+
+
+def test_a_further_cameras_picture_that_counts_for_nothing_is_told(eyes: Eyes) -> None:
+    """By its stamp it is new; the own clock has gone on, such as through a slow law."""
+    eyes.own_picture(0.0)
+    eyes.controller.look("room", eyes.room, 0.01, eyes.reading)
+    eyes.clock.now += 2.0
+    cycle = eyes.controller.step(eyes.own, PERIOD_S, eyes.reading)
+    assert "room: the last picture came 2 s ago: it counts for nothing" in cycle.notes
+
+
+@pytest.mark.parametrize("took_s", [0.2, 1.0])
+def test_where_time_is_simulated_the_own_clock_stands(shown: Any, took_s: float) -> None:
+    """Each picture takes so long; the target is hidden for .4 s by the stamps, of 1 s after which it is lost."""
+    robot = Robot(shown, lost_after_s=1.0)
+    robot.controller.simulates(True)
+    image, orders = robot.image, []
+    for k in range(40):
+        robot.image = np.full_like(image, 90) if 10 <= k < 20 else image
+        orders.append(robot.hears(Message(k * PERIOD_S), took_s))
+    assert not orders[15].latched and orders[15].stopped and all(moves(order) for order in orders[20:])
+    robot.controller.simulates(False)  # from now on it counts
+    assert moves(robot.hears(Message(40 * PERIOD_S)))
+    assert not moves(robot.hears(Message(40 * PERIOD_S), TIMEOUT_S + 0.01))
+
+
 def test_pictures_of_one_time_are_taken_all_or_none(eyes: Eyes) -> None:
     both = {"camera": eyes.own, "room": eyes.room}
     eyes.controller.step(both, 0.0, eyes.reading, 0.01)

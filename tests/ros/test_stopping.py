@@ -447,6 +447,175 @@ class TestAClockThatIsPublished:
         monkeypatch.setattr(type(law.node.servo.controller.law), "step", slow)
         assert law.hears(0.04)
 
+    @pytest.mark.parametrize("took_s", [0.02, 0.2, 1.0])
+    def test_and_waits_for_the_law_counts_how_long_the_target_is_out_of_sight(self, shown, clocks, monkeypatch, took_s):
+        """In lockstep, for .4 s of 1 s; by the own clock the target would be lost."""
+        scenario = vs.load("arm_ibvs", SETTINGS | {"stop.lost_after_s": 1.0})
+        law, good = Law((scenario, *shown[1:]), clocks), shown[1]
+        self.works_for(law, monkeypatch, lambda: took_s)
+        moved = []
+        for k in range(1, 50):
+            self.ticks(law, 50.0 + k * PERIOD_S)
+            law.image = np.full_like(good, 90) if 20 <= k < 30 else good
+            moved.append(law.hears(50.0 + k * PERIOD_S, 0.01))
+        assert sum(moved) == 39 and moved[-1] and not law.node._stopped
+
+    def works_for(self, law, monkeypatch, took_s, meanwhile=lambda: None):
+        """A law that takes so long for a picture [s]."""
+        step = type(law.node.servo.controller.law).step
+
+        def slow(self, *given):
+            law.clocks.now += took_s()
+            meanwhile()
+            return step(self, *given)
+
+        monkeypatch.setattr(type(law.node.servo.controller.law), "step", slow)
+
+    @pytest.mark.parametrize("took_s", [0.6, 3.0])
+    def test_and_waits_is_answered_at_once_where_a_slow_first_picture_was_told_again(self, shown, clocks, monkeypatch, took_s):
+        """The robot tells it again while the law is at work; the copy is answered by the order in force."""
+        law, took = Law(shown, clocks), iter([took_s])
+        self.works_for(law, monkeypatch, lambda: next(took, 0.01))
+        self.ticks(law, 50.04)
+        assert law.hears(50.04)
+        first = law.wire.twists()[-1]
+        self.ticks(law, 50.04)
+        assert law.hears(50.04, 0.001, new=False)
+        np.testing.assert_array_equal(law.wire.twists()[-1], first)
+        for k in range(2, 10):
+            self.ticks(law, 50.0 + k * PERIOD_S)
+            assert law.hears(50.0 + k * PERIOD_S)
+
+    @pytest.mark.parametrize("late_s", [3.0, 11.0, 60.0])
+    @pytest.mark.parametrize("again", ["nothing", "start", "reset and start"])
+    def test_and_has_run_tells_of_a_queue_of_whatever_age(self, shown, clocks, late_s, again):
+        """After a break; so late, stamps might be taken for those of another clock."""
+        law, begun = Law(shown, clocks), clocks.now
+
+        def hears(late_s):
+            now = 100.0 + clocks.now + PERIOD_S - begun
+            self.ticks(law, now)
+            return law.hears(now - late_s)
+
+        assert all(hears(0.0) for _ in range(10))
+        clocks.now += late_s
+        if again != "nothing":
+            law.node.stop()
+            law.node._turn()
+        if again == "reset and start":
+            law.node.reset()
+        law.node.start()
+        assert not any(hears(late_s) for _ in range(20)) and "late" in law.said[-1]
+
+    def test_and_ends_hands_over_to_the_own_clock(self, shown, clocks):
+        """What comes with it is followed, and a queue is late."""
+        law, begun = Law(shown, clocks), clocks.now
+        for k in range(1, 60):
+            if k < 10:
+                self.ticks(law, 100.0 + k * PERIOD_S)
+            assert law.hears(100.0 + k * PERIOD_S)
+        clocks.now += 3.0
+        assert not any(law.hears(100.0 + clocks.now + PERIOD_S - begun - 3.0) for _ in range(20))
+
+    def test_and_is_far_behind_a_stamp_refuses_it(self, shown, clocks):
+        law = Law(shown, clocks)
+        for k in range(1, 6):
+            self.ticks(law, 100.0 + k * PERIOD_S)
+            assert law.hears(100.0 + k * PERIOD_S)
+        self.ticks(law, 100.24)
+        assert not law.hears(160.24) and law.said[-1] == "stopped: the picture's stamp is 60 s ahead of /clock"
+
+    def test_and_runs_on_stops_a_law_that_takes_too_long(self, shown, clocks, monkeypatch):
+        law = Law(shown, clocks)
+        for k in range(1, 6):
+            self.ticks(law, 100.0 + k * PERIOD_S)
+            assert law.hears(100.0 + k * PERIOD_S)
+        begun = clocks.now - 0.2
+        self.works_for(law, monkeypatch, lambda: TIMEOUT_S + 0.1, lambda: self.ticks(law, 100.0 + clocks.now - begun))
+        for _ in range(5):
+            self.ticks(law, 100.0 + clocks.now + PERIOD_S - begun)
+            assert not law.hears(100.0 + clocks.now + PERIOD_S - begun)
+        assert any("the last one was answered after 0.6 s" in words for words in law.said)
+
+    def test_and_runs_on_while_the_law_hangs_is_watched(self, shown, clocks):
+        """As the second thread asks it."""
+        law = Law(shown, clocks)
+        for k in range(1, 6):
+            self.ticks(law, 100.0 + k * PERIOD_S)
+            assert law.hears(100.0 + k * PERIOD_S)
+        clocks.now += 10.0
+        assert law.node._since(*law.node._order_of) == 0.0  # it stands: in lockstep the law has time
+        self.ticks(law, 100.2 + TIMEOUT_S)
+        assert law.node._since(*law.node._order_of) == pytest.approx(TIMEOUT_S)
+
+    def test_and_goes_to_and_fro_stands_still(self, shown, clocks):
+        """Two values in turn are no time that goes on."""
+        law = Law(shown, clocks)
+        for k in range(1, 6):
+            self.ticks(law, 100.0 + k * PERIOD_S)
+            assert law.hears(100.0 + k * PERIOD_S)
+        moved = []
+        for k in range(1, 100):
+            self.ticks(law, 100.2 + 0.001 * (k % 2))
+            moved.append(law.hears(100.2 + 1e-3 * k))
+        latest_s = law.scenario.timing.latest_s(law.scenario.camera)
+        assert not any(moved[int((TIMEOUT_S + latest_s) / PERIOD_S) + 1 :]) and law.node._stopped
+
+    def test_and_begins_anew_is_followed_after_a_new_start(self, shown, clocks):
+        law = Law(shown, clocks)
+        for _ in range(3):
+            for k in range(1, 20):
+                self.ticks(law, k * PERIOD_S)
+                assert law.hears(k * PERIOD_S, 0.2)
+            law.node.reset()
+            law.node.start()
+
+
+@pytest.mark.parametrize("ahead_s", [1.0, 3.0, 6.0])
+def test_one_stamp_ahead_is_forgotten_with_its_task(shown, clocks, ahead_s):
+    law, begun = Law(shown, clocks), clocks.now
+    for k in range(1, 20):
+        assert law.hears(100.0 + k * PERIOD_S)
+    law.hears(100.0 + clocks.now + PERIOD_S - begun + ahead_s)
+    for _ in range(40):
+        law.hears(100.0 + clocks.now + PERIOD_S - begun)
+    assert law.node._stopped
+    law.node.start()
+    assert all(law.hears(100.0 + clocks.now + PERIOD_S - begun) for _ in range(30))
+
+
+def test_what_the_status_says_of_a_camera_whose_clock_was_set(shown, clocks):
+    law, begun = Law(shown, clocks), clocks.now
+    for k in range(1, 6):
+        law.hears(100.0 + k * PERIOD_S)
+    for _ in range(20):
+        law.hears(97.0 + clocks.now - begun)
+    law.node.start()
+    law.hears(97.0 + clocks.now - begun)
+    assert law.said[-1].endswith("by the node's own clock; if the camera's was set or started anew, start this node anew")
+
+
+def test_a_zero_stamp_begins_nothing(shown, clocks):
+    """First after a new start, before pictures that have waited for 3 s."""
+    law, begun = Law(shown, clocks), clocks.now
+    for k in range(1, 20):
+        assert law.hears(100.0 + k * PERIOD_S)
+    law.node.stop()
+    clocks.now += 3.0
+    law.node.start()
+    moved = [law.hears(0.0)] + [law.hears(100.0 + clocks.now + PERIOD_S - begun - 3.0) for _ in range(30)]
+    assert not any(moved)
+
+
+def test_stamps_of_this_machine_stay_so_over_a_new_start(shown, clocks):
+    law, begun = Law(shown, clocks), clocks.now
+    for k in range(1, 20):
+        assert law.hears(EPOCH + k * PERIOD_S)
+    law.node.stop()
+    clocks.now += 3700.0
+    law.node.start()
+    assert not any(law.hears(EPOCH + clocks.now + PERIOD_S - begun - 3650.0) for _ in range(20))
+
 
 def test_no_reading_of_the_former_run_is_one_of_this(shown, clocks):
     """The robot begins anew with other joints, at the same times of its simulation; what was heard while it was stopped is past, too."""
@@ -670,6 +839,26 @@ def test_whatever_the_stamp_of_a_rest_no_twist_of_before_it_is_obeyed_and_later_
     assert moved == [True, False, False] and one.node.dropped == 1
     clocks.now += max(RESTS[rest][0] - PERIOD_S, 0.0)  # of one that was ahead, the next is later
     assert all(any(one.obeys(clocks.time() + PERIOD_S)) for _ in range(5))
+
+
+@pytest.mark.parametrize("skew_s", [-0.45, -0.1, 0.0, 0.3])
+def test_after_a_rest_right_commands_are_obeyed_whatever_the_skew(clocks, skew_s):
+    one = Commanded(clocks)
+    for k in range(40):
+        obeyed = one.obeys(clocks.time() + PERIOD_S + skew_s, 0.0 if k % 5 == 4 else 0.1)
+        assert any(obeyed) == (k % 5 != 4), k
+    one.node.stop()
+    one.node.start()
+    assert any(one.obeys(clocks.time() + PERIOD_S + skew_s)) and not one.node.dropped
+
+
+def test_a_skew_that_drops_commands_is_named(clocks):
+    """It is not known yet: the robot was started before the first command."""
+    one = Commanded(clocks)
+    one.node.start()
+    assert one.obeys(clocks.time() + PERIOD_S - 0.3) is None
+    words = "all stamps were 0.3 s or more behind this clock; set the clocks of both machines by NTP"
+    assert one.said[-1].endswith(words)
 
 
 def test_what_is_heard_while_it_is_stopped_moves_nothing_afterwards(clocks):

@@ -220,6 +220,7 @@ class Controller:
         self.clock: Callable[[], float] = time.monotonic
         self.spent = {"detect": 0.0, "law": 0.0}
         self._busy = threading.Lock()
+        self._own = OwnClock(lambda: self.clock())
         self._begin()
 
     def reset(self) -> None:
@@ -249,7 +250,6 @@ class Controller:
         self.inputs = Inputs(s)
         self._other_inputs = {name: Inputs(eye) for name, eye in s.eyes.items()}
         self._cycle: Cycle | None = None
-        self._own = OwnClock(lambda: self.clock())
         self._given: tuple[float, float] | None = None  # stamp of the newest picture given to `step`, and the own clock at its first coming
         self._came: tuple[float, float] | None = None  # when the last picture that was used came, by stamps and by the own clock [s]
         self._sight = SightClock()
@@ -314,6 +314,7 @@ class Controller:
                 self._given = t, self._own.s()
             assert self._given is not None
             came = at, self._given[1]
+            notes = notes if self.others is None else (*notes, *self.others.forgotten(at))
             self._sight.tick(*came)
             images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
             shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
@@ -395,9 +396,9 @@ class Controller:
         """
         with self._alone():
             self._by_hand = True
-            latest = self._now(-math.inf) + self._order_s
+            latest = max(self._now(-math.inf), self._inputs_of(name).newest) + self._order_s
             if self._came is not None and seconds(t) > latest:
-                words = f"{latest:.4g} s, as long as an order lasts from now by the last picture of {OWN} and by the own clock"
+                words = f"{latest:.4g} s, as long as an order lasts from now by the last pictures of {OWN} and {name} and by the own clock"
                 raise ParameterError.bound("t", "at most", words, t, why="all stamps are of one clock")
             self.see(name, self._inputs_of(name).shot(picture, seconds(t), readings))
 
@@ -491,6 +492,10 @@ class Controller:
         if self._by_hand or self.scenario.stop.frozen_after < math.inf:
             moves = self._order is not None and bool(self._order.twist.any())
             self._stillness.setdefault(name, Stillness(self._until_seen)).add(images, t, self._own_s(), self.ordered, moves)
+
+    def simulates(self, stands: bool) -> None:
+        """Whether time is simulated from now on, and stamps alone tell it: the own clock stands."""
+        self._own.stand(stands)
 
     def _own_s(self) -> float:
         """The own clock [s]; it stands where time is simulated."""

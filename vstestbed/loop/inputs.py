@@ -39,6 +39,11 @@ class Inputs:
         self._arrived: float | None = None
         self.taken = -1
 
+    @property
+    def newest(self) -> float:
+        """When its last picture was taken [s]."""
+        return -math.inf if self._t is None else self._t
+
     def has(self, t: float) -> bool:
         """Whether its last picture was taken at t [s]."""
         return t == self._t
@@ -191,11 +196,17 @@ def _seconds(field: str, words: str, t: object) -> float:
 
 class OwnClock:
     """A clock of the receiver, counted forwards alone: where it is set back it goes on from there. What is no finite time counts as
-    UNKNOWN_S, and no step counts for more: of larger sums a float would lose the steps that follow.
+    UNKNOWN_S, and no step counts for more: of larger sums a float would lose the steps that follow. Where time is simulated it stands.
     """
 
     def __init__(self, clock: Callable[[], float]):
         self._clock, self._last, self._sum = clock, clock(), 0.0
+        self._stands = False
+
+    def stand(self, stands: bool) -> None:
+        """Stand from now on, or go on."""
+        self.s()
+        self._stands = stands
 
     def s(self) -> float:
         """The time since it was made [s]."""
@@ -204,7 +215,8 @@ class OwnClock:
         if math.isfinite(now):
             passed = min(UNKNOWN_S, now - self._last)  # UNKNOWN_S also after a beginning that is NaN
             self._last = now
-        self._sum += max(passed, 0.0)
+        if not self._stands:
+            self._sum += max(passed, 0.0)
         return self._sum
 
 

@@ -204,16 +204,27 @@ class OtherCameras:
         """The last observation of each camera."""
         return {name: latest.seen for name, latest in self._latest.items()}
 
+    def forgotten(self, t: float) -> tuple[str, ...]:
+        """What to say of cameras whose last picture is not too old at a time [s] by its stamp, but by the own clock."""
+        fresh, own_s, notes = {name for name, _, _ in self._fresh(t)}, self._own_s(), list[str]()
+        for name, latest in self._latest.items():
+            if t - latest.shot.t <= self._fresh_s(name) and name not in fresh:
+                notes.append(f"{name}: the last picture came {own_s - latest.came_s:.2g} s ago: it counts for nothing")
+        return tuple(notes)
+
+    def _fresh_s(self, name: str) -> float:
+        camera = self.eyes[name].camera
+        return FRESH_PERIODS * camera.period + camera.latency_s
+
     def _fresh(self, t: float) -> Iterator[tuple[str, OtherCamera, _Latest]]:
         """The cameras whose last picture is not too old to tell of a time [s]; by the own clock it may be older by as long as an order
         lasts, which no stamp prolongs.
         """
         own_s = self._own_s()
         for name, latest in self._latest.items():
-            eye = self.eyes[name]
-            fresh_s = FRESH_PERIODS * eye.camera.period + eye.camera.latency_s
+            fresh_s = self._fresh_s(name)
             if t - latest.shot.t <= fresh_s and own_s - latest.came_s <= fresh_s + self._order_s:
-                yield name, eye, latest
+                yield name, self.eyes[name], latest
 
     def views(self, shot: Exposure, t: float, goal: Goal | None) -> dict[str, CameraView]:
         """The views of the further cameras beside a picture `shot` of the law's camera that has arrived at t [s]. goal: in force; None

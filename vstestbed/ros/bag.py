@@ -367,6 +367,8 @@ class _Feeding:
         servo.controller.clock = lambda: event.arrived  # the recorder's, so that a repeated picture is as old as it was
         passes = 1.0 if servo.before is None else stamp - servo.before
         timely = 0 <= late < servo.scenario.timing.order_s(servo.scenario.camera)
+        if timely:  # stamps are of the recorder's clock, which counts; of another one time may have been simulated
+            servo.controller.simulates(False)
         try:
             if passes < -RESTART_S:
                 servo.senses.at(stamp)  # one wrong stamp alone, of which there are no readings, begins nothing

@@ -42,12 +42,13 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Cycle
 
 REMEMBERED = 400  # readings of each topic, two seconds of joints at 200 Hz
-OF_CLOCK_S = 10.0  # stamps this near to `/clock` are of it
+OF_CLOCK_S = 10.0  # stamps this near to a running `/clock` are of it, and so are all that follow
 WALL_S = 3600.0  # stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
 WAIT_S = 1.0  # for how long a picture waits for the reading of its exposure, unless the next picture comes first [s]
 RESTART_S = 5.0  # a clock that goes back by more has begun anew [s]
 DRIFT = 2e-4  # by so much a camera's clock may be slower than this machine's; a queue that grows no faster is not noticed [s/s]
 LONGEST_S = 10.0  # a watchdog that lets a twist stand for longer is none [s]
+CLOCK_SET = "by the node's own clock; if the camera's was set or started anew, start this node anew"
 SET_CLOCKS = "set the clocks of both machines by NTP"
 LATE = 1.5  # a reading this many camera periods away from a picture's exposure is none of it
 
@@ -183,17 +184,20 @@ class Feed:
         self.controller = Controller(scenario)
         self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
         self.mount = Mount.of(scenario.believed_camera.mount.T)
-        self._order_s = scenario.timing.order_s(scenario.camera)
+        self._order_s, self._latest_s = scenario.timing.order_s(scenario.camera), scenario.timing.latest_s(scenario.camera)
         self.began: float | None = None
-        self.by_wall = False
-        # Of the picture that came soonest: the own clock minus its stamp, of another one. It outlives a reset: a queue does, too.
-        self._soonest_s, self._heard_s, self._newest = math.inf, 0.0, -math.inf
+        self.controller.simulates(not live)
+        # Which clock stamps are of, and how late pictures came, outlive a reset: a queue does, too.
+        self.by_wall, self.hint = False, ""
+        # The own clock minus the stamp, of another clock: of the task's first picture, and the sooner ones of two that followed each other.
+        self._first_s = self._soonest_s = math.inf
+        self._last, self._newest, self._heard_s = (-math.inf, math.inf), -math.inf, 0.0
         self.depth: Message | None = None
 
     def reset(self) -> None:
         """Begin the task anew with the next picture. How late pictures came so far is kept, unless stamps begin anew."""
         self.controller.reset()
-        self.began, self.depth, self.by_wall = None, None, False
+        self.began, self.depth, self._first_s = None, None, math.inf
 
     @property
     def before(self) -> float | None:
@@ -211,11 +215,14 @@ class Feed:
         given = self.senses.at(stamp), self.senses.at()
         depth = None if self.depth is None else self._depth_at(stamp, self.depth)
         # Once it is the clock of this machine, a stamp far from it is wrong. One of 0, before a driver has begun, tells nothing.
-        self.by_wall = self.by_wall or (self._live and abs(time.time() - stamp) < WALL_S)
+        self.by_wall, self.hint = self.by_wall or (self._live and abs(time.time() - stamp) < WALL_S), ""
+        if self._live:
+            self.controller.simulates(heard is None)
         if arrived is None and self.by_wall:
             arrived = self._arrived(stamp)
         elif arrived is None and heard is not None:
             arrived = self._arrived_by(stamp, heard)
+            self.hint = CLOCK_SET if arrived - stamp > self._latest_s else ""
         if self.began is None:
             self.began = stamp
         now = None if arrived is None else max(arrived, stamp) - self.began
@@ -230,13 +237,26 @@ class Feed:
 
     def _arrived_by(self, stamp: float, heard: float) -> float:
         """When a picture comes, by a clock of which no more is known than this [s]: its age is unknown, but not by how much it grows, of
-        stamps that hardly advance, or a queue that fills.
+        stamps that hardly advance, or a queue that fills. A single stamp that is ahead counts for no longer than its task.
         """
-        if self.began is None and stamp < self._newest - RESTART_S:
-            self._soonest_s, self._newest = math.inf, stamp
-        drifted = self._soonest_s + DRIFT * (heard - self._heard_s)
-        self._soonest_s, self._newest, self._heard_s = min(drifted, heard - stamp), max(self._newest, stamp), heard
-        return heard - self._soonest_s
+        if stamp == 0:  # it tells nothing
+            return heard - min(self._first_s, self._soonest_s, heard)
+        behind_s, drift_s = heard - stamp, DRIFT * (heard - self._heard_s)
+        if self._first_s == math.inf and stamp < self._newest - RESTART_S:
+            self._soonest_s, self._last, self._newest = math.inf, (-math.inf, math.inf), -math.inf
+        self._first_s = behind_s if self._first_s == math.inf else self._first_s + drift_s
+        self._soonest_s += drift_s
+        if stamp != self._last[0]:
+            self._soonest_s = min(self._soonest_s, max(behind_s, self._last[1]))
+            self._newest = max(self._newest, min(stamp, self._last[0]))
+            self._last = stamp, behind_s
+        self._heard_s = heard
+        return heard - min(self._first_s, self._soonest_s, behind_s)
+
+    def clock_told(self, now: float, heard: float) -> None:
+        """The `/clock` of the stamps told a time [s], when the own clock told another: where it ends, that goes on from there."""
+        self._first_s = self._soonest_s = heard - now
+        self._last, self._newest, self._heard_s = (now, heard - now), now, heard
 
     def _depth_at(self, stamp: float, message: Message) -> DepthImage:
         if self._live and abs(time_of(message) - stamp) > self._order_s:
@@ -267,13 +287,15 @@ class LawNode:
         self.watchdog_s = watchdog_of(scenario, watchdog_s)
         self._stopped = "" if started else "not started"
         self._asked_to_reset = self._moved = False  # moved: it has sent a twist since it was reset
-        self._picture: tuple[Message, float] | None = None  # with the time at which it was heard
-        self._fresh = time.monotonic()  # when the last new picture was heard
+        self._picture: tuple[Message, float, float] | None = None  # with the times of the own clock and `/clock` at which it was heard
+        self._fresh, self._fresh_clock_s = time.monotonic(), math.nan  # when the last new picture was heard
         self._moves = self._spins = False  # moves: the twist in force is none of rest
         self._clock_s, self._ticked_at = math.nan, -math.inf  # of `/clock`, and when it last advanced, by the own clock
-        self._order_of = -math.inf  # when the twist in force was given, by the own clock: by a picture, when that was heard
+        self._clock_anew = False  # its next time counts, although it may be an earlier one
+        self._order_of = -math.inf, math.nan  # when the twist in force was given, by both clocks: by a picture, when that was heard
         self._latest_s = scenario.timing.latest_s(scenario.camera)
-        self._simulated = False  # the pictures are stamped by `/clock`: time passes while the robot waits for the law
+        self._of_clock = False  # the pictures are stamped by a `/clock` that has run
+        self._simulated = False  # and it runs: pictures, orders and the law's work are as old as it says, and in lockstep it stands
         self._news = threading.Condition()
         self._status = ""
         self.took_s: list[float] = []
@@ -295,20 +317,36 @@ class LawNode:
 
     def _seen(self, message: Message) -> None:
         with self._news:
-            self._picture = message, time.monotonic()  # the newest: one that the law had no time for is past
+            self._picture = message, time.monotonic(), self._clock_s  # the newest: one that the law had no time for is past
             self._news.notify()
 
     def _ticked(self, message: Message) -> None:
         told = message.clock.sec + 1e-9 * message.clock.nanosec
-        if told != self._clock_s:
-            self._clock_s, self._ticked_at = told, time.monotonic()
+        if self._clock_anew or not told <= self._clock_s:  # of two clocks the later one counts
+            self._clock_s, self._ticked_at, self._clock_anew = told, time.monotonic(), False
 
     def _by_clock(self, stamp: float) -> bool:
         """Whether a stamp is of a `/clock` that runs, and simulated; not of a dead one, or of somebody else. Before the first twist it
-        stands still in lockstep, where the robot waits for one.
+        stands still in lockstep, where the robot waits for one. Once stamps were of it, one that is far from it is late, or wrong.
         """
-        runs = time.monotonic() - self._ticked_at < self.watchdog_s or not self._moved
-        return runs and abs(self._clock_s - stamp) < OF_CLOCK_S and abs(self._clock_s - time.time()) > WALL_S
+        runs = time.monotonic() - self._ticked_at < self.watchdog_s
+        near = abs(self._clock_s - stamp) < OF_CLOCK_S and abs(self._clock_s - time.time()) > WALL_S
+        self._of_clock = self._of_clock or (runs and near)
+        if runs and self._of_clock:
+            self.servo.clock_told(self._clock_s, self._ticked_at)
+        return (runs and self._of_clock) or (near and not self._moved)
+
+    def _arrived(self, stamp: float) -> float | None:
+        """When a picture came by `/clock`, where it is late [s]. ParameterError: its stamp is of the future."""
+        if not self._simulated:
+            return None
+        if stamp - self._clock_s > OF_CLOCK_S:
+            raise ParameterError(f"the picture's stamp is {stamp - self._clock_s:.3g} s ahead of /clock")
+        return self._clock_s if self._clock_s - stamp > self._latest_s else None
+
+    def _since(self, own_s: float, clock_s: float) -> float:
+        """The time since two clocks told these times [s], by the one that counts: in lockstep `/clock` stands while the law is at work."""
+        return self._clock_s - clock_s if self._simulated else time.monotonic() - own_s
 
     def _deep(self, message: Message) -> None:
         self.servo.depth = message
@@ -317,7 +355,7 @@ class LawNode:
         """Servo from the next picture on, anew after a stop."""
         with self._news:
             if self._stopped:
-                self._asked_to_reset, self._stopped = True, ""
+                self._asked_to_reset, self._clock_anew, self._stopped = True, True, ""
                 self.servo.senses.clear()
         return True, "servoing"
 
@@ -332,7 +370,7 @@ class LawNode:
     def reset(self) -> tuple[bool, str]:
         """Forget the task so far, and a stop with it; it stays stopped until `start`."""
         with self._news:
-            self._asked_to_reset, self._stopped = True, "not started"
+            self._asked_to_reset, self._clock_anew, self._stopped = True, True, "not started"
             self.servo.senses.clear()
             self._rest(self._stopped)
             self._moved = False
@@ -377,12 +415,12 @@ class LawNode:
         while self._spins:
             time.sleep(min(self.watchdog_s, 0.1) / 4)
             with self._news:
-                if self._moves and not self._simulated and time.monotonic() - self._order_of >= self.watchdog_s:
+                if self._moves and self._since(*self._order_of) >= self.watchdog_s:
                     self._rest(f"no new order for over {self.watchdog_s:g} s")
 
     def _silent_s(self) -> float:
-        """For how long no new picture has been heard [s], by this machine's clock that no one sets."""
-        return time.monotonic() - self._fresh
+        """For how long no new picture has been heard [s], by this machine's clock that no one sets, or by `/clock`."""
+        return max(time.monotonic() - self._fresh, self._since(self._fresh, self._fresh_clock_s))
 
     def _turn(self) -> None:
         """Wait for a picture with its reading, and answer it; without a new one for too long, stop."""
@@ -394,42 +432,44 @@ class LawNode:
                 self._asked_to_reset = False
                 self.servo.reset()
         if stopped:
-            self._fresh = time.monotonic()
+            self._fresh, self._fresh_clock_s = time.monotonic(), self._clock_s
             self._rest(stopped)
             return
         why = "" if heard is None else self._answered(*heard)
         if self._silent_s() >= self.watchdog_s and not self._stopped:
             self._silent(why)
 
-    def _answered(self, message: Message, heard: float) -> str:
-        """Answer a picture that was heard at a time of the own clock [s]; why the robot does not move by it, or ""."""
-        stamp = time_of(message)
+    def _answered(self, message: Message, heard: float, clock_s: float) -> str:
+        """Answer a picture that was heard at these times of the own clock and `/clock` [s]; why the robot does not move by it, or ""."""
+        stamp, clock_s = time_of(message), min(self._clock_s, clock_s)  # it may have begun anew
         self._wait_for_reading(stamp)
         self._simulated = self._by_clock(stamp)
-        late = self._simulated and self._clock_s - stamp > self._latest_s
         began, before = time.perf_counter(), self.servo.controller.before
         try:
-            cycle = self.servo.step(message, self._clock_s if late else None, None if self._simulated else heard)
+            cycle = self.servo.step(message, self._arrived(stamp), None if self._simulated else heard)
         except ParameterError as error:
             self._rest(str(error))
             return str(error)
         took_s = time.perf_counter() - began
         if self.servo.controller.before is not before:
             self._fresh = time.monotonic() if self._simulated else heard
+            if self._clock_s != self._fresh_clock_s and self._simulated:
+                self._ticked_at = self._fresh  # in lockstep it waited for this answer
+            self._fresh_clock_s = clock_s
         if self._silent_s() >= self.watchdog_s and not self._is_over(cycle.order):
-            return next(iter(cycle.notes), f"the last one was answered after {time.monotonic() - heard:.2g} s")
+            return next(iter(cycle.notes), f"the last one was answered after {self._since(heard, clock_s):.2g} s")
         with self._news:  # held while it is sent: a stop comes before it, and then it is not, or after it
             if self._stopped:
                 return ""
-            self._moved, self._order_of = True, self._fresh
+            self._moved, self._order_of = True, (self._fresh, self._fresh_clock_s)
             self._send(self.servo.sent(cycle.order), self._now())
         self.took_s.append(took_s)
         if self._is_over(cycle.order):
-            self.stop("; ".join((cycle.reason, *cycle.notes)))
+            self.stop("; ".join(filter(None, (cycle.reason, *cycle.notes, self.servo.hint))))
         else:
             doing = "rests" if cycle.stopped else "servoing"
             frozen = next((note for note in cycle.notes if FROZEN in note), "")
-            self._tell(": ".join(filter(None, (doing, cycle.reason, frozen))))
+            self._tell(": ".join(filter(None, (doing, cycle.reason, frozen, self.servo.hint))))
         return ""
 
     def _is_over(self, order: Order) -> bool:
@@ -469,7 +509,7 @@ class LawNode:
         """Send the twist (6,) of a descent, which the controller orders anew at each turn."""
         with self._news:
             if not self._stopped:
-                self._order_of = time.monotonic()
+                self._order_of = time.monotonic(), self._clock_s
                 self._send(v, self._now())
                 self._tell(words)
 

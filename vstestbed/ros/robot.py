@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import threading
 import time
 from collections.abc import Iterable
@@ -137,6 +138,7 @@ class RobotNode:
         self._news = threading.Condition()
         self._command: tuple[float, Array, float] | None = None  # stamp, twist of the camera, when it came
         self._past = 0.0  # commands of stamps before it came too late: of the last one obeyed, or when it was told to rest
+        self._least_age_s = math.inf  # of all commands: clocks may differ by so much
         self._stopped = False
         self._as_told = np.zeros(6), command_frame(scenario)
         self._heard, self._silent = False, False  # a command ever; none for too long
@@ -162,7 +164,7 @@ class RobotNode:
         """Follow commands again."""
         with self._news:
             self._stopped = False
-            self._passes(time.time())
+            self._passes(self._latest())
         return True, "the robot follows commands"
 
     def _hear(self, message: Message) -> None:
@@ -178,6 +180,8 @@ class RobotNode:
             self._refuse(str(error))
             return
         age_s = self._age_s(message)
+        if time_of(message) and abs(age_s) <= self.scenario.timing.order_s(self.scenario.camera):
+            self._least_age_s = min(self._least_age_s, age_s)
         if v.any() and (self._drops(age_s) or self._outdated(message)):  # a rest is obeyed, whenever it was ordered
             return
         stamp, came = time_of(message), time.monotonic() - max(age_s, 0.0)
@@ -189,12 +193,16 @@ class RobotNode:
             if self._command is not None and 0 != stamp == self._command[0]:  # the same one again
                 came = min(came, self._command[2])
             self._command = stamp, v if in_camera else self._of_body(v), came
-            self._passes(stamp if v.any() else time.time())
+            self._passes(stamp if v.any() else self._latest())
             self._news.notify()
 
     def _passes(self, t: float) -> None:
         """Commands stamped before t [s] are past, and those before the newest one; unless the clock has been set back."""
         self._past = t if self._is_ahead(self._past) else max(self._past, t)
+
+    def _latest(self) -> float:
+        """The latest stamp that a command may have which was sent before now [s]: the law's clock may be behind this one."""
+        return time.time() - (max(self._least_age_s, 0.0) if math.isfinite(self._least_age_s) else 0.0)
 
     def _is_ahead(self, t: float) -> bool:
         return t - time.time() > self.scenario.timing.order_s(self.scenario.camera)
@@ -220,7 +228,9 @@ class RobotNode:
             return False
         self.dropped += 1
         words = "a command that is older than the one in force, or than the last rest, is dropped"
-        self._refuse(f"{words}; does more than one law send commands?")
+        behind = self._least_age_s > 2 * self.scenario.camera.period
+        skew = f"all stamps were {self._least_age_s:.2g} s or more behind this clock; {SET_CLOCKS}"
+        self._refuse(f"{words}; {skew if behind else 'does more than one law send commands?'}")
         return True
 
     def _refuse(self, words: str) -> None:
