@@ -90,13 +90,14 @@ class _Standing:
         return " ".join(filter(None, words))
 
     def _verdicts(self, reference: bool) -> str:
-        starts = counted(max((p.seeds for p in self.pairs), default=0), "start")
+        most = max((p.seeds for p in self.pairs), default=0)
+        starts = f"{most} starts each" if most != 1 else "one start"
         if self.best is not None:
             others = "all others" if len(self.labels) > 2 else self._named(self.beaten[self.best])
             return f"{self.labels[self.best]} is better than {others}."
         if not self.losers:
             shown = "none of them" if len(self.labels) > 2 else "neither"
-            return f"No verdict: {starts} each show {shown} better."
+            return f"No verdict: {starts} show{'s' * (most == 1)} {shown} better."
         if reference or len(self.pairs) < len(self.labels) * (len(self.labels) - 1) // 2:
             return self._against(starts)
         unbeaten = [i for i in self.beaten if i not in self.losers]
@@ -113,7 +114,7 @@ class _Standing:
         words = [f"{self._named(better)} {'is' if len(better) == 1 else 'are'} better than {self.labels[a]}"] if better else []
         words += [f"{self.labels[a]} is better than {self._named(worse)}"] if worse else []
         left = len(self.pairs) - len(better) - len(worse)
-        rest = f" Of {counted(left, 'other pair')} {starts} each do not tell." if left else ""
+        rest = f" Of {counted(left, 'other pair')} {starts} do{'es' * ('one' in starts)} not tell." if left else ""
         return f"{'; '.join(words)}.{rest}"
 
     def _sooner(self) -> str:
