@@ -129,11 +129,13 @@ def _options(command: Any, experiment: str | None) -> list[str]:
 def _interrupted_at_last() -> Iterator[None]:
     """Ctrl-C half a second after a command has said that it waits for it; and after LONGEST_S, whatever it does."""
     echo, patch = typer.echo, pytest.MonkeyPatch()
+    timers: list[threading.Timer] = []
 
     def said(message: Any = None, *given: Any, **named: Any) -> None:
         echo(message, *given, **named)
         if UNTIL_STOPPED in str(message):
-            threading.Timer(0.5, signal.raise_signal, [signal.SIGINT]).start()
+            timers.append(threading.Timer(0.5, signal.raise_signal, [signal.SIGINT]))
+            timers[-1].start()
 
     def hangs(*_: object) -> None:
         raise TimeoutError(f"no end after {LONGEST_S:g} s")
@@ -144,6 +146,8 @@ def _interrupted_at_last() -> Iterator[None]:
     try:
         yield
     finally:
+        for timer in timers:  # of a command that has ended by itself
+            timer.cancel()
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
         patch.undo()
