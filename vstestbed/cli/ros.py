@@ -153,7 +153,7 @@ def _fly(
     if bag is not None:
         must_be_new(bag, "give a new folder with --bag")
     node = RobotNode(given, link, pace, truth, watchdog, ended)  # refuses before anything is written
-    _waits(quiet, "waits for commands")
+    _waits(quiet, f"simulates {given.name}")
     folder = new_folder(given, out)
     given = given.but(description=f"{given.description} {BY_HAND} commanded from outside.".strip())  # before it flies: it is written first
     with Progress(given, shown=not quiet) as progress, nullcontext() if bag is None else Bag(make_parents(bag)) as node.record:
