@@ -11,8 +11,9 @@ import polars as pl
 
 from tests.report.comparison.comparisons import build
 from vstestbed.report.canvas import publish, save, style
-from vstestbed.report.comparison.figures import Data, distributions, each_run, medians, read_series
+from vstestbed.report.comparison.figures import Data, differences, distributions, each_run, medians, read_series
 from vstestbed.report.comparison.page import _measured
+from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.results import ComparisonResults
 
 PICTURE = "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]}, draw_markers: false}"
@@ -92,6 +93,16 @@ def test_a_metric_that_no_run_has_makes_no_panel(tmp_path: Path) -> None:
     assert [m.name for m in data.shown] == ["path_ratio", "peak_speed_mps"]
     with style():
         assert sum(axes.get_visible() for axes in distributions(data, 5.0).axes) == 2
+
+
+def test_metrics_without_a_pair_make_no_figure_of_differences(tmp_path: Path) -> None:
+    """Nobody reaches the goal: of the pairs the time to the goal alone has numbers, and it is not among the metrics that are shown."""
+    frame = build(tmp_path, {"slow": 0.8, "fast": 1.6}, 6, {("slow", seed): "timed_out" for seed in range(6)})
+    comparison = ComparisonResults(frame, (), ("path_ratio",))
+    found = pairs(comparison)
+    assert found[0].differences["time_to_goal_s"].n == 6
+    with style():
+        assert differences(read_series(tmp_path, comparison, found), 5.0) is None
 
 
 def test_long_names_are_inside_the_figure(tmp_path: Path) -> None:

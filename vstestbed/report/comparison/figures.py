@@ -209,11 +209,11 @@ def differences(data: Data, width_in: float) -> Figure | None:
     """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
     # all pairs of up to four controllers; of more, each controller against the first
     rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
-    if not any(d.n >= FEWEST for p in rows for d in p.differences.values()):
+    shown = [m for m in data.shown if any(p.differences.get(m.name, NOTHING).n >= FEWEST for p in rows)]
+    if not shown:
         return None  # a single controller, or so few seeds on which both reached the goal that intervals would hide all else
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
     height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
-    shown = [m for m in data.shown if any(m.name in p.differences and p.differences[m.name].n for p in rows)]
     grid, figure = metric_panels(shown, width_in, height, 5, names)
     for axes, metric in zip(grid, shown, strict=True):
         axes.axvline(0, color=INK, linewidth=0.8)
