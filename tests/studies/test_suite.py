@@ -164,7 +164,7 @@ def test_a_quick_suite_leaves_scores_and_a_page_goes_on_and_knows_itself(command
     page = Path("found/report.html").read_text()
     assert "Without part" in page and "rank 1" in page and "<svg" in page
     assert f"vstestbed suite {tmp_path / 'mine.yaml'} --suite {own} --quick" in page
-    assert "points & 4/4" in Path("found/scores.tex").read_text()
+    assert "points & 2.0 [2.0, 2.0] & 4/4" in Path("found/scores.tex").read_text()
     about = json.loads(Path("found/suite.json").read_text())
     assert about["suite"] == "own" and list(about["laws"]) == ["points", "line", "mine"]
     before = Path("found/scores.csv").read_bytes()
