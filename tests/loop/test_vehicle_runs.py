@@ -33,10 +33,10 @@ class TestCar:
         assert "by its own estimate" in parked.reason
 
     def test_its_steering_does_not_hunt_where_it_ends(self, parked):
-        near = parked["position_error_m"] < 0.2
-        # .06 to .3 rad from seed to seed; with noise times 6.5 / rho^2 it was 2 to 3
-        assert np.abs(np.diff(parked["q_steering"][near])).sum() < 0.5
-        assert np.ptp(parked["q_steering"][parked["t"] > parked["t"][-1] - 1]) < 0.1
+        steering = parked["q_steering"][parked["position_error_m"] < 0.2]
+        travel, net = np.abs(np.diff(steering)).sum(), abs(steering[-1] - steering[0])
+        # Back and forth: .15 to .63 rad from seed to seed; with noise times 6.5 / rho^2 it was 1.5 to 2.7.
+        assert travel - net < 0.8
 
     def test_its_page_tells_of_a_steering_that_hunts(self):
         end = {"stop__converged": {"position_m": 0.2, "rotation_deg": 10, "hold_s": 0.2}}

@@ -37,8 +37,14 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 #
 #     (k_alpha - k_beta) n / (k_rho rho^2),     tan(gamma) of a car with the wheelbase L by L times that,
 #
-# with 1, 4, -2.5 and L = 1 m by 2.6 for n = 1 mm at rho = 5 cm. Near the goal the curvature is therefore the mean of those of the frames,
-# weighed by the inverse variance of their noise, rho^4; the last ones count for little, and the car arrives on an arc.
+# with 1, 4, -2.5 and L = 1 m by 2.6 for n = 1 mm at rho = 5 cm. Near the goal the curvature therefore follows that of a frame, w / v, the
+# more slowly, the nearer it is:
+#
+#     curvature += (rho / average_m)^3 (w / v - curvature),     the first one within average_m as it is.
+#
+# The noise that a frame adds, n rho, then vanishes towards the goal, and the car arrives on an arc. With the square it would add
+# the same everywhere; with the fourth power, or the mean of all frames there, the feedback is gone where play, a slippery floor or
+# small gains still need it.
 #
 # Reference: Aicardi, Casalino, Bicchi & Balestrino 1995, doi:10.1109/100.388294 (the coordinates); Astolfi 1999, doi:10.1115/1.2802429;
 # Corke 2017, Robotics, Vision & Control, section 4.1.4, eqs 4.10 to 4.13, doi:10.1007/978-3-319-54413-7; Brockett 1983, in Differential
@@ -83,9 +89,9 @@ def polar_law(place: Array, goal: Array, direction: Array, gains: Gains, speed_l
     return direction * v * scale, (k_alpha * alpha + k_beta * beta) * scale
 
 
-PoseState = tuple[int, bool, float, float]
-"""Forward (1) or reverse (-1), chosen at the first known place (0 before); whether the goal has been reached; the mean curvature within
-`average_m` [1/m] and the sum of its weights [m^4], 0 farther off."""
+PoseState = tuple[int, bool, float | None]
+"""Forward (1) or reverse (-1), chosen at the first known place (0 before); whether the goal has been reached; the smoothed curvature
+within `average_m` [1/m], None farther off."""
 
 
 @spec
@@ -95,15 +101,15 @@ class PoseController(Law[PoseState]):
     The equations and their stability are at the head of `laws.pose_controller`. With `direction: auto` the vehicle drives forward or in
     reverse, depending on which end faces the goal at the start. Nearer than `rest_m` it stands still for good; also within
     `pass_m` once the goal is abeam or behind, where it has just been missed and the law would drive round for another attempt. Within
-    `average_m` the curvature is sum(rho^4 w / v) / sum(rho^4) over the frames there, since the law multiplies the noise of the place by
-    (k_alpha - k_beta) / (k_rho rho^2).
+    `average_m` the curvature follows w / v with the weight (rho / average_m)^3 of a frame, since the law multiplies the noise of the place
+    by (k_alpha - k_beta) / (k_rho rho^2).
 
     Args:
         k_rho, k_alpha, k_beta: gains [1/s]; the textbook's by default. 1, 4, -2.5 suit starts from anywhere better.
         direction: `auto`, `forward` or `reverse`.
         rest_m: distance from the goal at which the vehicle stops [m]; must be under `stop.converged.position_m`.
         pass_m: distance within which a goal that is not ahead counts as reached [m].
-        average_m: distance from the goal within which the curvature is averaged [m]; 0: it never is.
+        average_m: distance from the goal within which the curvature is smoothed [m]; 0: it never is.
         speed_mps: largest speed [m/s].
         depth: source of the vehicle's place: `pnp` of three or more landmarks, or `floor`, for which two suffice.
         limits: largest speed and rate of the commanded camera twist.
@@ -140,7 +146,7 @@ class PoseController(Law[PoseState]):
         return 3 if isinstance(self.depth, PnP) else 2
 
     def init(self, goal: Goal) -> PoseState:
-        return 0, False, 0.0, 0.0
+        return 0, False, None
 
     def step(self, state: PoseState, observation: Observation, goal: Goal, basis: Array) -> tuple[PoseState, Command]:
         """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
@@ -158,11 +164,13 @@ class PoseController(Law[PoseState]):
         rho, alpha, _ = polar(place, there, np.array(direction))
         # |alpha| > 90 degrees: the goal is no longer ahead in the driving direction.
         if state[1] or rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2):
-            return (direction, True, 0.0, 0.0), 0.0, 0.0
+            return (direction, True, None), 0.0, 0.0
         gains = (self.k_rho, self.k_alpha, self.k_beta)
         v, w = (float(x) for x in polar_law(place, there, np.array(direction), gains, self.speed_mps, self.rest_m))
         if rho >= self.average_m:
-            return (direction, False, 0.0, 0.0), v, w
-        curvature, weight = state[2], state[3] + float(rho) ** 4
-        curvature += float(rho) ** 4 / weight * (w / v - curvature)
-        return (direction, False, curvature, weight), v, v * curvature
+            return (direction, False, None), v, w
+        curvature = w / v
+        if state[2] is not None:
+            weight = (float(rho) / self.average_m) ** 3
+            curvature = state[2] + weight * (curvature - state[2])
+        return (direction, False, curvature), v, v * curvature
