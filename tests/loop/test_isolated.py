@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -31,6 +35,15 @@ def same_apart(name: str, frames: int = 12) -> None:
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_law_apart_leaves_the_same_log(name: str, own_kinds: None) -> None:
     same_apart(name)
+
+
+@pytest.mark.process
+def test_it_computes_with_the_kernels_of_its_loop() -> None:
+    """Who sets OpenBLAS's kernels gets them on both sides: with others the last bits differ."""
+    asked = "from tests.loop.test_isolated import same_apart; same_apart('arm_qp')"
+    environment = {**os.environ, "OPENBLAS_CORETYPE": "Prescott"}
+    ended = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
 
 
 @pytest.mark.study

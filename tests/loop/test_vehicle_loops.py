@@ -140,7 +140,7 @@ def test_a_compass_that_points_wrongly_turns_the_car_by_more_than_its_bias(alpha
     along the believed heading drifts aside by v delta, which landmarks take away with tau: the goal's bearing is e off besides.
     """
     bias, rho = 2.0, 1.0
-    law = {"law.k_rho": rho, "law.k_alpha": alpha, "law.k_beta": beta}
+    law = {"law.k_rho": rho, "law.k_alpha": alpha, "law.k_beta": beta, "law.average_m": 0}
     start = {"robot.start.nominal": {"x": 5, "y": 3.5, "heading_deg": 90}, "robot.compass": {"sigma_deg": 0, "bias_deg": bias}}
     rows = vs.run(vs.load("car_pbvs", CAR | law | start | {"stop.duration_s": 5.5})).rows
     e = rho * LANDMARKS_S * bias

@@ -49,7 +49,9 @@ JACOBIAN = "jacobian"  # in place of an answer: it is asked for at the positions
 LARGEST = 1e9  # number of a command, in any unit: the loop computes with its square
 MOST_MODES = 1000  # those of a law; which it has, the loop checks
 SHOWN = 2000  # bytes of what the process printed, and of its sentences
-INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT"  # of the environment
+ARITHMETIC = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "MKL_CBWR"
+"""What chooses the kernels of linear algebra: with others the child rounds otherwise than the loop's process."""
+INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT", *ARITHMETIC  # of the environment
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
