@@ -139,7 +139,7 @@ def improvement(a: ArrayLike, b: ArrayLike) -> IntervalEstimate:
         return NOTHING
     finite = np.isfinite(a) & np.isfinite(b)
     tied = a == b
-    tied[finite] |= np.abs(a[finite] - b[finite]) <= _rounding(a[finite], b[finite])
+    tied[finite] |= np.abs(a[finite] - b[finite]) <= rounding(a[finite], b[finite])
     better, worse = int((~tied & (b < a)).sum()), int((~tied & (b > a)).sum())
     return share_of((better + tied.sum() / 2) / len(a), len(a), sign_test(better, worse))
 
@@ -173,12 +173,12 @@ def paired_difference(a: ArrayLike, b: ArrayLike) -> IntervalEstimate:
     `a`, `b`: one value a seed, shape (N,), in the same order of seeds; NaN or None where a run has none.
     Reference: Student 1908, doi:10.1093/biomet/6.1.1.
     """
-    d, rounding = _differences(a, b)
+    d, least = _differences(a, b)
     n = len(d)
     if n < 2:
         return IntervalEstimate(float(d[0]), n=1) if n else NOTHING
     mean = float(d.mean())
-    if np.ptp(d) <= rounding:
+    if np.ptp(d) <= least:
         return IntervalEstimate(mean, mean, mean, n, float(mean == 0))
     return _student(mean, float(d.std(ddof=1)) / math.sqrt(n), n - 1)._replace(n=n)
 
@@ -191,7 +191,8 @@ def _student(mean: float, error: float, free: int) -> IntervalEstimate:
     return IntervalEstimate(mean, mean - half, mean + half, free + 1, 2 * float(stdtr(free, -abs(mean) / error)))
 
 
-def _rounding(a: Array, b: Array) -> float:
+def rounding(a: Array, b: Array) -> float:
+    """The difference up to which values of a and b are equal."""
     return max(ROUNDING * float(np.abs([a, b]).max(initial=0.0)), LEAST)
 
 
@@ -199,10 +200,10 @@ def _differences(a: ArrayLike, b: ArrayLike) -> tuple[Array, float]:
     """Sorted a - b of the pairs with two finite values, 0 for those that are equal up to rounding; and what rounding is."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     known = np.isfinite(a) & np.isfinite(b)
-    rounding = _rounding(a[known], b[known])
+    least = rounding(a[known], b[known])
     d = np.sort(a[known] - b[known])  # sorted: the order of the seeds changes no digit of the mean
-    d[np.abs(d) <= rounding] = 0.0
-    return d, rounding
+    d[np.abs(d) <= least] = 0.0
+    return d, least
 
 
 def interquartile_mean(values: ArrayLike) -> IntervalEstimate:
