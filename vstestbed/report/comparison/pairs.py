@@ -106,8 +106,9 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     Three families of tests, each adjusted by Holm: those of the verdicts of all pairs, those of who is sooner, and all exploratory ones.
     """
     n, reference = len(comparison.controllers), comparison.reference_index
-    every = n <= MOST_PAIRED and not comparison.reference
-    chosen = list(combinations(range(n), 2)) if every else [(reference, b) for b in range(n) if b != reference]
+    chosen = [(reference, b) for b in range(n) if b != reference]
+    if has_every_pair(n, comparison.reference):
+        chosen = list(combinations(range(n), 2))
     common = [_Common(comparison, a, b) for a, b in chosen]
     tests = [test_of(one.starts, comparison.margin) for one in common]
     found = []
@@ -120,6 +121,11 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
         found.append(Pair(one.a, one.b, one.primary, test, verdict, one.late, differences, improvements))
     adjusted = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
     return [replace(pair, adjusted=dict(zip(pair.exploratory, adjusted, strict=False))) for pair in found]
+
+
+def has_every_pair(controllers: int, reference: str) -> bool:
+    """Whether so many controllers are compared all with all, and not each with one of them."""
+    return controllers <= MOST_PAIRED and not reference
 
 
 def _as_flown(test: PairTest, primary: Metric) -> stats.IntervalEstimate:

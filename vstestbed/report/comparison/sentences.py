@@ -196,12 +196,13 @@ def short_title(metric: Metric) -> str:
 
 def _costs(pair: Pair, b: str) -> str:
     """`mean time of pbvs -1.01 s [-1.16, -0.86] as flown, [-1.77, -0.22] with failures not yet seen (p = 0.006)`."""
-    d, unit = pair.differences[pair.primary.name], pair.primary.unit if pair.test.has_cost or pair.seeds == 1 else ""
+    d = pair.differences[pair.primary.name]
+    unit = f" {pair.primary.unit}" if pair.primary.unit and math.isfinite(d.mean) else ""
     seen = f" {bracket(d.low, d.high)} as flown" if math.isfinite(d.low) else ""
     low, high = pair.deciding
     unseen = f", {bracket(low, high)} with failures not yet seen" if math.isfinite(low) else ""
     p = f" ({p_text(pair.verdict.p_cost)})" if pair.verdict.by_cost else ""
-    return f"mean {short_title(pair.primary)} of {b} {plain(d.mean)}{f' {unit}' if unit else ''}{seen}{unseen}{p}"
+    return f"mean {short_title(pair.primary)} of {b} {plain(d.mean)}{unit}{seen}{unseen}{p}"
 
 
 def plain(value: float) -> str:
