@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.statistics import holm, rounding, sign_test
+from vstestbed.report.comparison.statistics import MeanEstimate, holm, rounding, sign_test
 
 ALPHA: Final = 0.05  # of all verdicts together, and of all words on who is sooner together
 MARGIN: Final = 0.1  # share of the starts by which a better one may reach the goal less often
@@ -81,32 +81,6 @@ class MeanOfStarts(NamedTuple):
         mean = (self.n * self.mean + value) / (self.n + 1)
         spread = (self.n - 1) * self.variance + self.n / (self.n + 1) * (value - self.mean) ** 2
         return MeanEstimate(mean, math.sqrt(spread / self.n / (self.n + 1)), self.free + 1)
-
-
-class MeanEstimate(NamedTuple):
-    """A mean with its standard error and degrees of freedom, of which Student's t gives p-values and intervals."""
-
-    mean: float
-    error: float
-    free: float
-
-    def p_over(self, bound: float) -> float:
-        """One-sided p-value against a mean of at most `bound`."""
-        from scipy.special import stdtr
-
-        return float(stdtr(self.free, -self._t(bound)))
-
-    def _t(self, bound: float) -> float:
-        """Where all values are equal the error is 0, and nothing is left to chance."""
-        distance = self.mean - bound
-        return distance / self.error if self.error > 0 else math.copysign(math.inf, distance) if distance else 0.0
-
-    def interval(self, confidence: float = 1 - ALPHA) -> tuple[float, float]:
-        """Both ends of the two-sided interval."""
-        from scipy.special import stdtrit
-
-        half = float(stdtrit(self.free, (1 + confidence) / 2)) * self.error
-        return self.mean - half, self.mean + half
 
 
 def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> MeanOfStarts:
@@ -346,11 +320,11 @@ def _verdict(test: PairTest, success: float, cost: float, sooner: float, others_
     return Verdict(
         decision,
         better,
-        more_often is not None,
-        cheaper is not None,
-        first,
-        sign_test(test.only_a, test.only_b) if math.isnan(success) else success,
-        cost,
-        sign_test(test.wins_a, test.wins_b) if math.isnan(sooner) else sooner,
-        test.needs(others_open) if decision == "none" else None,
+        by_success=more_often is not None,
+        by_cost=cheaper is not None,
+        sooner=first,
+        p_success=sign_test(test.only_a, test.only_b) if math.isnan(success) else success,
+        p_cost=cost,
+        p_sooner=sign_test(test.wins_a, test.wins_b) if math.isnan(sooner) else sooner,
+        needs=test.needs(others_open) if decision == "none" else None,
     )
