@@ -381,11 +381,9 @@ def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, .
     off, plain = errors.plain(x), _jacobian(errors.plain, x, fit)
     J = np.stack([errors.weighted(plain[:, :, i]) for i in range(len(fit))], axis=-1)
     half, without = _interval(J, errors.weighted(off))
-    sizes = np.maximum(np.linalg.norm(J, axis=(0, 1)), 1e-12)
-    C = np.einsum("tki,tkj->ij", J, J) / np.outer(sizes, sizes)  # cosines of what they do to the predictions
-    together = [(fit[j].field, fit[i].field, float(C[i, j])) for i in range(len(fit)) for j in range(i) if abs(C[i, j]) > APART]
+    together = _together(fit, J)
     for i, p in enumerate(fit):  # of what is not told apart, nothing is known of each alone
-        if any(p.field in pair[:2] for pair in together) or sizes[i] < 1e-9:
+        if any(p.field in pair[:2] for pair in together) or np.linalg.norm(J[:, :, i]) < 1e-9:
             half[i] = np.inf
     arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
     # of the errors, since the motion itself is not smooth from picture to picture
@@ -398,6 +396,14 @@ def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, .
     times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
     rest = (record, predicted, measured, names)
     return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((left_out**2).mean())), *rest)
+
+
+def _together(fit: Sequence[Parameter], J: Array) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that the record does not tell apart, with the cosine between what they do to the predictions, J (n, k, p)."""
+    sizes = np.maximum(np.linalg.norm(J, axis=(0, 1)), 1e-12)
+    cosines = np.einsum("tki,tkj->ij", J, J) / np.outer(sizes, sizes)
+    pairs = [(i, j) for i in range(len(fit)) for j in range(i) if abs(cosines[i, j]) > APART]
+    return [(fit[j].field, fit[i].field, float(cosines[i, j])) for i, j in pairs]
 
 
 PARTS = 8  # of a record, each left out in its turn

@@ -114,13 +114,17 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     found = []
     for one, test, verdict in zip(common, tests, judge(tests), strict=True):
         explored = n <= MOST_CONTROLLERS or reference in (one.a, one.b)
-        metrics = [metric for metric in comparison.shown if explored and metric != one.primary]
-        differences = {one.primary.name: _as_flown(test, one.primary)}
-        differences |= {metric.name: one.difference(metric) for metric in metrics}
-        improvements = {metric.name: one.improvement(metric) for metric in metrics}
-        found.append(Pair(one.a, one.b, one.primary, test, verdict, one.late, differences, improvements))
+        found.append(_pair(one, test, verdict, comparison.shown if explored else ()))
     adjusted = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
     return [replace(pair, adjusted=dict(zip(pair.exploratory, adjusted, strict=False))) for pair in found]
+
+
+def _pair(one: _Common, test: PairTest, verdict: Verdict, shown: Sequence[Metric]) -> Pair:
+    """A pair with its exploratory differences, whose p-values are still to be adjusted."""
+    metrics = [metric for metric in shown if metric != one.primary]
+    differences = {one.primary.name: _as_flown(test, one.primary)} | {metric.name: one.difference(metric) for metric in metrics}
+    improvements = {metric.name: one.improvement(metric) for metric in metrics}
+    return Pair(one.a, one.b, one.primary, test, verdict, one.late, differences, improvements)
 
 
 def has_every_pair(controllers: int, reference: str) -> bool:

@@ -303,17 +303,15 @@ def _open(adjusted: Sequence[float]) -> int:
     return sum(p > ALPHA for p in adjusted)
 
 
+def _called(p: float, side: Side) -> Side | None:
+    """The side, where its test has decided."""
+    return side if p <= ALPHA else None
+
+
 def _verdict(test: PairTest, success: float, cost: float, sooner: float, others_open: int) -> Verdict:
     """The verdict on a pair by its adjusted p-values; others_open: tests of other pairs that have decided nothing."""
-    more_often: Side | None = None
-    cheaper: Side | None = None
-    first: Side | None = None
-    if success <= ALPHA:
-        more_often = "b" if test.only_b > test.only_a else "a"
-    if cost <= ALPHA:
-        cheaper = test.cheaper
-    if sooner <= ALPHA:
-        first = "b" if test.wins_b > test.wins_a else "a"
+    more_often = _called(success, "b" if test.only_b > test.only_a else "a")
+    cheaper = _called(cost, test.cheaper)
     trade = more_often is not None and cheaper is not None and more_often != cheaper
     better = None if trade else more_often or cheaper
     decision: Decision = "trade" if trade else "none" if better is None else "better"
@@ -322,7 +320,7 @@ def _verdict(test: PairTest, success: float, cost: float, sooner: float, others_
         better,
         by_success=more_often is not None,
         by_cost=cheaper is not None,
-        sooner=first,
+        sooner=_called(sooner, "b" if test.wins_b > test.wins_a else "a"),
         p_success=sign_test(test.only_a, test.only_b) if math.isnan(success) else success,
         p_cost=cost,
         p_sooner=sign_test(test.wins_a, test.wins_b) if math.isnan(sooner) else sooner,
