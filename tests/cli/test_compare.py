@@ -126,4 +126,12 @@ def test_a_plan_flies_nothing_and_says_how_many_starts_it_needs(command):
     assert nominal[1] == "it flies the nominal start: never a verdict; --seeds N draws random starts"
     tasks = command("compare", "--plan", "starts").out  # four laws, seven tasks of five starts
     assert tasks.startswith("controllers 4, pairs 6, limit 60 s, margin 0.1, starts 35\n")
+    gains = ",".join(map(str, range(1, 31)))  # of more than 24 each is compared with the first
+    assert command("compare", "--plan", "arm_ibvs", "--vary", f"law.gain={gains}").out.startswith("controllers 30, pairs 29,")
     assert command("compare", "--plan").err.startswith("SCENARIO is missing")
+
+
+def test_a_reference_that_is_no_controller_is_refused_before_anything_flies(command, quick: Path, tmp_path: Path):
+    given = ("compare", quick, "--vary", "law.gain=1,2", "--out", tmp_path / "out", "--reference")
+    ended = command(*given, "pbvs")
+    assert ended.err.startswith("reference must be one of gain=1, gain=2, got 'pbvs'") and not (tmp_path / "out").exists()

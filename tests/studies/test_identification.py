@@ -140,7 +140,14 @@ def test_records_without_enough_in_them_are_refused(record, tmp_path):
 
 
 def test_what_is_no_record_or_no_parameter_is_refused(record, tmp_path):
-    for words in ("robot.drive_lag_s", "robot.drive_lag_s=1..0", "=0..1", "a=b..c"):
+    for words in (
+        "robot.drive_lag_s",
+        "robot.drive_lag_s=1..0",
+        "=0..1",
+        "a=b..c",
+        "robot.drive_lag_s=0..inf",
+        "timing.command_latency_s=x0.5..x2",
+    ):
         with pytest.raises(ParameterError, match="--fit needs the form"):
             Parameter.of(words)
     assert Parameter.of("robot.servo_kv=x0.5..x2") == Parameter("robot.servo_kv", 0.5, 2.0, factor=True)

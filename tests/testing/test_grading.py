@@ -12,6 +12,7 @@ from tests.shortcuts import one_quick
 from vstestbed.cli.tools import text_of
 from vstestbed.core.errors import ScenarioError
 from vstestbed.testing.grading import Needs, grade, read_lab
+from vstestbed.testing.likeness import Likeness
 
 LABS = Path(__file__).parents[2] / "docs" / "course"
 LAW = '''\
@@ -141,6 +142,14 @@ def test_a_bundled_law_under_another_name_has_no_point_where_the_sheet_does_not_
     assert reasons(["pbvs"]) == ()
     student(tmp_path)
     assert reasons(["ibvs"]) == () and reasons([]) == ("Its commands are those of ibvs, which is there already.",)
+
+
+def test_a_law_that_orders_nothing_is_like_none() -> None:
+    like = Likeness({})
+    like.apart = {"ibvs": 0.0, "pbvs": 0.0}
+    assert like.found(()) == ""
+    like.size = 1.0
+    assert like.found(()) == "ibvs" and like.found(("pbvs",)) == ""
 
 
 @pytest.mark.study

@@ -98,12 +98,13 @@ def compare(
 
 def _plan_lines(asked: Comparison, force: bool) -> Iterator[str]:
     """How many starts a comparison needs, and how many it plans."""
+    from vstestbed.report.comparison.pairs import has_every_pair
     from vstestbed.report.comparison.planning import plan_lines
     from vstestbed.studies.comparison import controllers
 
     variants = controllers(asked, force)
     laws = len(variants) // len(variants.task_runs)
-    pairs = laws - 1 if asked.reference else math.comb(laws, 2)
+    pairs = math.comb(laws, 2) if has_every_pair(laws, asked.reference) else laws - 1
     limit = min(variant.scenario.stop.duration_s for variant in variants)
     starts = sum(map(len, filter(None, variants.task_runs))) or asked.seeds
     return plan_lines(laws, pairs, limit, starts, asked.margin)

@@ -63,7 +63,7 @@ def motion_of(scenario: Scenario) -> pl.DataFrame:
     sizes = np.array([linear if np.linalg.norm(basis[:3, i]) > 0.5 else angular for i in range(n)])
     if n == 6:  # camera twists
         sizes = np.array([linear] * 3 + [angular] * 3)
-    rest, step = (np.zeros((round(rate * REST_S), n)), round(rate * STEP_S))
+    rest, step = np.zeros((round(rate * REST_S), n)), round(rate * STEP_S)
     parts = [rest]
     for i in range(n):
         one = np.zeros((4 * step, n))
@@ -114,10 +114,8 @@ def _undisturbed(scenario: Scenario) -> Scenario:
 
 def read_record(path: Path) -> pl.DataFrame:
     """A record, from its file or the folder that has it. RunFolderError: none there, or one without the columns of one."""
-    file, works = (
-        path / RECORD if path.is_dir() else path,
-        "a file or folder of `vstestbed excite`, with columns t, arrived, u_0, ..., q_..., u_px_0, ...",
-    )
+    file = path / RECORD if path.is_dir() else path
+    works = "a file or folder of `vstestbed excite`, with columns t, arrived, u_0, ..., q_..., u_px_0, ..."
     if not file.exists():
         raise RunFolderError(path, f"has no {RECORD}", works)
     plain_file(file, works, MOST_RECORD, RunFolderError)
@@ -224,8 +222,8 @@ class Parameter:
             made = cls(field.strip(), float(low.lstrip("x")), float(high.lstrip("x")), low.startswith("x"))
         except ValueError:
             made = None
-        if made is None or not (made.field and dots and made.low < made.high):
-            form = "FIELD=LOW..HIGH, such as robot.drive_lag_s=0.001..0.5; with xLOW..xHIGH as a factor"
+        if made is None or not (made.field and dots and -math.inf < made.low < made.high < math.inf) or (made.factor and made.shifts):
+            form = "FIELD=LOW..HIGH, such as robot.drive_lag_s=0.001..0.5; with xLOW..xHIGH as a factor, of no latency"
             raise ParameterError.form("--fit", form, words)
         return made
 
@@ -383,11 +381,9 @@ def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, .
     off, plain = errors.plain(x), _jacobian(errors.plain, x, fit)
     J = np.stack([errors.weighted(plain[:, :, i]) for i in range(len(fit))], axis=-1)
     half, without = _interval(J, errors.weighted(off))
-    sizes = np.maximum(np.linalg.norm(J, axis=(0, 1)), 1e-12)
-    C = np.einsum("tki,tkj->ij", J, J) / np.outer(sizes, sizes)  # cosines of what they do to the predictions
-    together = [(fit[j].field, fit[i].field, float(C[i, j])) for i in range(len(fit)) for j in range(i) if abs(C[i, j]) > APART]
+    together = _together(fit, J)
     for i, p in enumerate(fit):  # of what is not told apart, nothing is known of each alone
-        if any(p.field in pair[:2] for pair in together) or sizes[i] < 1e-9:
+        if any(p.field in pair[:2] for pair in together) or np.linalg.norm(J[:, :, i]) < 1e-9:
             half[i] = np.inf
     arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
     # of the errors, since the motion itself is not smooth from picture to picture
@@ -400,6 +396,14 @@ def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, .
     times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
     rest = (record, predicted, measured, names)
     return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((left_out**2).mean())), *rest)
+
+
+def _together(fit: Sequence[Parameter], J: Array) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that the record does not tell apart, with the cosine between what they do to the predictions, J (n, k, p)."""
+    sizes = np.maximum(np.linalg.norm(J, axis=(0, 1)), 1e-12)
+    cosines = np.einsum("tki,tkj->ij", J, J) / np.outer(sizes, sizes)
+    pairs = [(i, j) for i in range(len(fit)) for j in range(i) if abs(cosines[i, j]) > APART]
+    return [(fit[j].field, fit[i].field, float(cosines[i, j])) for i, j in pairs]
 
 
 PARTS = 8  # of a record, each left out in its turn
@@ -445,13 +449,13 @@ def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Paramete
 
 def _start(p: Parameter, scenario: Scenario) -> float:
     """Where the search begins: at the scenario's value, a factor at 1; in the middle where there is none."""
-    if p.field == STAMPS or p.factor:
-        return 1.0 if p.factor else 0.0
+    if p.factor:
+        return 1.0
+    if p.shifts:
+        return 0.0 if p.field == STAMPS else 0.03
     now: Any = scenario
     for part in p.field.split("."):
         now = getattr(now, part, None)
-    if p.field == COMMAND_LATENCY:
-        return 0.03
     return float(now) if isinstance(now, int | float) and now else (0.05 if p.low > 0 else 0.5 * (p.low + p.high))
 
 
@@ -575,9 +579,10 @@ def robot_preset(found: Identified) -> dict[str, Any]:
 
 def overrides(found: Identified) -> dict[str, float]:
     """The scenario's other fields that were found, by their paths."""
-    latency = {p.field: v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.field == COMMAND_LATENCY}
-    late = next((v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.field == STAMPS), 0.0)
-    given = {"camera.latency_s": max(found.latency_s + late, 0.0), **{name: max(v, 0.0) for name, v in latency.items()}}
+    shifts = {p.field: v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.shifts}
+    given = {"camera.latency_s": max(found.latency_s + shifts.get(STAMPS, 0.0), 0.0)}
+    if COMMAND_LATENCY in shifts:
+        given[COMMAND_LATENCY] = max(shifts[COMMAND_LATENCY], 0.0)
     if "markers" in found.noise:
         given["noise.pixel_sigma_px"] = found.noise["markers"]
     return {name: float(f"{v:.4g}") for name, v in given.items()}
@@ -626,14 +631,11 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
     sentences.append(
         f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median), which are {1e3 * found.jitter_s:.2f} ms uneven."
     )
+    if found.residual >= MISFIT:
+        head = "The simulator does not read what the robot read"
+    else:
+        head = "Not all is told apart" if found.together else "The simulator reads what the robot read"
     good = found.residual < MISFIT and not found.together
-    head = (
-        "The simulator reads what the robot read"
-        if good
-        else "The simulator does not read what the robot read"
-        if found.residual >= MISFIT
-        else "Not all is told apart"
-    )
     tables = [("What was found", ["Parameter", "Value", "95 % interval"], lines_of(found))]
     with style():
         plots = [("Read, and predicted", publish(_drawn(found), "predicted", "Readings and predictions", None), CAPTION)]

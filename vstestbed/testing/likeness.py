@@ -49,12 +49,13 @@ class Likeness:
         """A frame of it: what it was given, and what it ordered."""
         size = float(command.twist @ command.twist)
         self.size += size
-        for kind, law in [*(self.laws or {}).items()]:
+        laws = self.laws or {}
+        for kind, law in list(laws.items()):
             try:
                 self.states[kind], other = law.step(self.states[kind], seen, goal, basis)
             except Exception:  # it cannot fly this task
                 self.apart.pop(kind)
-                self.laws.pop(kind)  # pyright: ignore[reportOptionalMemberAccess]
+                laws.pop(kind)
                 continue
             along = float(command.twist @ other.twist)
             square = float(other.twist @ other.twist)
@@ -62,7 +63,7 @@ class Likeness:
 
     def found(self, allowed: tuple[str, ...]) -> str:
         """The bundled kind whose commands are the law's, "" where none, or one that is allowed."""
-        alike = [kind for kind, apart in self.apart.items() if apart <= ALIKE**2 * self.size]
+        alike = [kind for kind, apart in self.apart.items() if self.size > 0 and apart <= ALIKE**2 * self.size]
         if not alike or set(alike) & set(allowed):
             return ""
         return min(alike, key=lambda kind: self.apart[kind])

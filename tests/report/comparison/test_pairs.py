@@ -61,6 +61,25 @@ def test_five_starts_and_one_cannot_decide() -> None:
     assert none.better is None and none.verdict.needs is None
 
 
+def test_just_over_the_margin_is_told_as_more_than_the_margin() -> None:
+    text = said(flown([*WAVE[:29]], [t - 9 for t in WAVE[:29]]))
+    assert "B may fail up to 11 points more often (margin 10)." in text
+
+
+def test_one_pair_has_two_tests() -> None:
+    """Six starts, from which B alone arrives: each test has a p of .03, and both together .06."""
+    text = said(flown([None] * 6, WAVE[:6]))
+    assert "Alone the test of time would decide (p = 0.029); among all tests of the comparison it does not." in text
+
+
+def test_controllers_with_other_starts() -> None:
+    rows = [(n, k, True, WAVE[k], 12.0) for n, most in (("a", 50), ("b", 20), ("c", 30)) for k in range(most)]
+    frame = pl.DataFrame(rows, schema=["scenario", "seed", "success", "time_to_converge_s", "limit_s"], orient="row")
+    assert "No verdict: 20 to 30 starts show none of them better." in said(ComparisonResults(frame, (), ("time_to_converge_s",)))
+    apart = frame.filter((pl.col("scenario") == "a") & (pl.col("seed") < 5) | (pl.col("scenario") == "b") & (pl.col("seed") > 5))
+    assert "No verdict: they share no start." in said(ComparisonResults(apart, (), ("time_to_converge_s",)))
+
+
 def test_no_difference_is_told_with_the_number_of_starts() -> None:
     rng = np.random.default_rng(1)
     a = rng.normal(10, 1, 20)
@@ -113,6 +132,32 @@ def test_both_are_counted_up_to_the_earlier_limit() -> None:
     assert pair.differences[RESTRICTED.name].mean == 0.0 and pair.test.worst == 10.0
 
 
+def test_an_arrival_after_the_limit_of_the_other_one_is_a_failure() -> None:
+    """A may fly 60 s and needs 25; B may fly 20 s, and reaches the goal from every other start."""
+    comparison = flown([25.0] * 40, [18.0 if k % 2 else None for k in range(40)], limit=60.0, limit_b=20.0)
+    (pair,) = pairs(comparison)
+    assert (pair.test.only_a, pair.test.only_b, pair.better) == (0, 20, 1)
+    assert "A from 0 (p under 0.001)" in said(comparison) and "40 arrivals later than the other one may fly count as failures." in said(
+        comparison
+    )
+
+
+def test_a_metric_that_no_run_has_decides_nothing() -> None:
+    (pair,) = pairs(comparison := ComparisonResults(flown([*WAVE], [*WAVE]).table, (), (), primary="insertion_m"))
+    assert math.isnan(pair.test.p_either) and pair.verdict.decision == "none"
+    assert "of B unknown. No run has a number for depth of the plug in its socket." in said(comparison)
+
+
+def test_the_worst_of_a_metric_of_which_more_is_better_has_its_own_sign() -> None:
+    margins = [40.0 - 0.1 * k for k in range(50)] + [-5.0 - 0.1 * k for k in range(50)]
+    frame = flown([*WAVE], [*WAVE]).table.with_columns(min_border_margin_px=pl.Series(margins))
+    comparison = ComparisonResults(frame, (), (), primary="min_border_margin_px")
+    (pair,) = pairs(comparison)
+    row = pair_records(comparison, [pair], ["words"]).filter(metric="min_border_margin_px").row(0, named=True)
+    assert pair.better == 0 and row["limit"] == pytest.approx(-9.9)
+    assert row["difference"] == pytest.approx(-45.0) and row["low"] <= row["seen_low"] <= -45.0 <= row["seen_high"] < row["high"] < 0
+
+
 def test_a_limit_prices_a_failure_that_nobody_has_seen() -> None:
     """The same times are a verdict with a limit of 12 s, and none with one of 100 s; a table that does not tell takes the failures'."""
     quicker = [t - 1 for t in WAVE]
@@ -149,6 +194,8 @@ def test_tasks_are_strata_so_that_their_means_do_not_count_as_spread() -> None:
     assert one.test.saved.mean == pytest.approx(two.test.saved.mean)
     assert math.sqrt(one.test.saved.variance) > 3 and math.sqrt(two.test.saved.variance) < 0.12
     assert two.seeds == 60 and two.test.saved.free == 58
+    as_flown = two.differences[RESTRICTED.name]
+    assert as_flown.mean == one.differences[RESTRICTED.name].mean and as_flown.high - as_flown.low < 0.06  # of one sample it is 1.6
 
 
 def test_one_seed_and_one_controller_claim_nothing() -> None:

@@ -66,6 +66,19 @@ def test_an_open_pair_says_how_many_starts_like_these_it_needs() -> None:
     assert judge([nothing_fails(20, gain=1e-9)])[0].needs is None  # too many
 
 
+def test_so_many_starts_decide_also_where_a_test_of_success_joins_that_of_time() -> None:
+    """Of 20 starts 3 and 2 differ, too few for a test of success; of the starts that are needed there is one."""
+    a, b = np.ones(20, dtype=bool), np.ones(20, dtype=bool)
+    a[:2] = b[2:5] = False
+
+    def decided(times: int) -> rule.Verdict:
+        found = rule.test_of(Starts(*(np.tile(x, times) for x in (a, b, np.where(a, 5.0, 12.0), np.where(b, 5.0, 12.0))), 12.0))
+        return judge([found])[0]
+
+    needs = decided(1).needs
+    assert needs is not None and [decided(times).decision for times in (needs // 20 - 1, needs // 20 + 2)] == ["none", "better"]
+
+
 def test_the_sign_test_is_scipys() -> None:
     for one in range(12):
         for other in range(12):

@@ -49,6 +49,18 @@ def test_one_seed_gives_every_controller_the_same_start_and_other_seeds_others(q
     assert [j.scenario().seed for j in made] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
+def test_scenarios_of_one_name_are_refused_since_a_table_has_them_as_one(quick: Path, tmp_path: Path):
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.yaml").write_text(f"name: same\n{quick.read_text()}")
+    with pytest.raises(ParameterError, match="two scenarios of the name same, one and other; give each its own `name`"):
+        controllers(of(tmp_path / "one.yaml", tmp_path / "other.yaml"))
+
+
+def test_what_only_describes_a_run_cannot_decide(quick: Path):
+    with pytest.raises(ParameterError, match="primary must be a number of which more is better, or less; this one describes a run"):
+        Comparison(base=(str(quick),), primary="frames")
+
+
 def test_seeds_that_draw_nothing_are_refused_with_the_reason():
     with pytest.raises(ParameterError, match=r"polar_book.*robot.start.random is missing, and nothing else is random: every seed would"):
         controllers(Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None}))

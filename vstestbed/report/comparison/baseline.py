@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.report.comparison.results import ControllerResults
-from vstestbed.report.comparison.statistics import paired_difference, paired_success, sign_test
+from vstestbed.report.comparison.statistics import paired_difference, sign_test
 from vstestbed.report.marks import number, signed
 from vstestbed.report.pages import NO_CELL, Cell
 from vstestbed.tasks.metrics import Metric
@@ -114,9 +114,9 @@ class BaselineChanges:
 def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequence[Metric], settings: Sequence[str]) -> ControllerChange:
     """The changes of one controller, of which both tables have the same runs in every row."""
     old, new = ControllerResults(label, before), ControllerResults(label, now)
-    both = paired_success(old.success, new.success)
-    chance = sign_test(both.only_a, both.only_b, "greater")
-    lost, gained = (_runs(new, old.success & ~new.success), _runs(old, ~old.success & new.success))
+    lost = _runs(new, old.success & ~new.success)
+    gained = _runs(old, ~old.success & new.success)
+    chance = sign_test(len(lost), len(gained), "greater")
     return ControllerChange(
         label,
         len(now),

@@ -34,6 +34,7 @@ class Pair:
     primary: Metric  # the metric that decides where success does not
     test: PairTest
     verdict: Verdict
+    late: int  # arrivals after the limit of the other one, which count as failures
     # b minus a by metric, in its display unit, as flown: of the primary metric over all common seeds, of the others, which are
     # exploratory, over the seeds on which both reached the goal (all seeds for `every_pair`)
     differences: dict[str, stats.IntervalEstimate]
@@ -81,6 +82,11 @@ class Pair:
         low, high = self.test.unseen
         return (-high, -low) if self.primary.better > 0 else (low, high)
 
+    @property
+    def worst(self) -> float:
+        """What a failure costs: the limit of time, or the worst value of the primary metric, in its display unit."""
+        return -self.test.worst if self.primary.better > 0 else self.test.worst
+
     def turned(self) -> Pair:
         """The same pair with a and b exchanged."""
         return replace(
@@ -100,19 +106,38 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     Three families of tests, each adjusted by Holm: those of the verdicts of all pairs, those of who is sooner, and all exploratory ones.
     """
     n, reference = len(comparison.controllers), comparison.reference_index
-    every = n <= MOST_PAIRED and not comparison.reference
-    chosen = list(combinations(range(n), 2)) if every else [(reference, b) for b in range(n) if b != reference]
+    chosen = [(reference, b) for b in range(n) if b != reference]
+    if has_every_pair(n, comparison.reference):
+        chosen = list(combinations(range(n), 2))
     common = [_Common(comparison, a, b) for a, b in chosen]
     tests = [test_of(one.starts, comparison.margin) for one in common]
     found = []
     for one, test, verdict in zip(common, tests, judge(tests), strict=True):
         explored = n <= MOST_CONTROLLERS or reference in (one.a, one.b)
-        metrics = [metric for metric in comparison.shown if explored and metric != one.primary]
-        differences = {metric.name: one.difference(metric) for metric in (one.primary, *metrics)}
-        improvements = {metric.name: one.improvement(metric) for metric in metrics}
-        found.append(Pair(one.a, one.b, one.primary, test, verdict, differences, improvements))
+        found.append(_pair(one, test, verdict, comparison.shown if explored else ()))
     adjusted = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
     return [replace(pair, adjusted=dict(zip(pair.exploratory, adjusted, strict=False))) for pair in found]
+
+
+def _pair(one: _Common, test: PairTest, verdict: Verdict, shown: Sequence[Metric]) -> Pair:
+    """A pair with its exploratory differences, whose p-values are still to be adjusted."""
+    metrics = [metric for metric in shown if metric != one.primary]
+    differences = {one.primary.name: _as_flown(test, one.primary)} | {metric.name: one.difference(metric) for metric in metrics}
+    improvements = {metric.name: one.improvement(metric) for metric in metrics}
+    return Pair(one.a, one.b, one.primary, test, verdict, one.late, differences, improvements)
+
+
+def has_every_pair(controllers: int, reference: str) -> bool:
+    """Whether so many controllers are compared all with all, and not each with one of them."""
+    return controllers <= MOST_PAIRED and not reference
+
+
+def _as_flown(test: PairTest, primary: Metric) -> stats.IntervalEstimate:
+    """The mean of b - a of the primary metric over all common starts, in its display unit, with failures as the rule counts them."""
+    if not test.n:
+        return stats.NOTHING
+    found = stats.IntervalEstimate(test.saved.negative().mean, *test.seen, test.n, test.p_either)
+    return found.turned() if primary.better > 0 else found
 
 
 def against(all_pairs: Sequence[Pair], reference: int) -> list[Pair]:
@@ -131,8 +156,15 @@ class _Common:
         shared = [(i, where[start]) for i, start in enumerate(self._first.starts) if start in where]
         self._rows_a: list[int] = [i for i, _ in shared]
         self._rows_b: list[int] = [k for _, k in shared]
-        self.reached_a: NDArray[np.bool_] = self._first.success[self._rows_a]
-        self.reached_b: NDArray[np.bool_] = self._second.success[self._rows_b]
+        self._times_a, self._times_b = self._first.values(RESTRICTED)[self._rows_a], self._second.values(RESTRICTED)[self._rows_b]
+        limits_a, limits_b = self._first.limits[self._rows_a], self._second.limits[self._rows_b]
+        self._limits = np.fmin(limits_a, limits_b)  # both are judged by the earlier one
+        arrived_a, arrived_b = self._first.success[self._rows_a], self._second.success[self._rows_b]
+        late_a = arrived_a & (limits_a > self._limits) & (self._times_a > self._limits)
+        late_b = arrived_b & (limits_b > self._limits) & (self._times_b > self._limits)
+        self.late = int(late_a.sum() + late_b.sum())
+        self.reached_a: NDArray[np.bool_] = arrived_a & ~late_a
+        self.reached_b: NDArray[np.bool_] = arrived_b & ~late_b
 
     @property
     def starts(self) -> Starts:
@@ -148,11 +180,9 @@ class _Common:
 
     def _times(self) -> tuple[Array, Array, float]:
         """Times to the goal, a failure at the earlier of both limits; and the greatest of these limits."""
-        a = self._first.values(RESTRICTED)[self._rows_a]
-        b = self._second.values(RESTRICTED)[self._rows_b]
-        limits = np.fmin(self._first.limits[self._rows_a], self._second.limits[self._rows_b])
+        a, b = self._times_a, self._times_b
         # a table of an earlier version in which nothing failed does not tell its limit: it is the longest time or more
-        limits = np.where(np.isnan(limits), np.nanmax([*a, *b, 0.0]), limits)
+        limits = np.where(np.isnan(self._limits), np.nanmax([*a, *b, 0.0]), self._limits)
         a = np.where(self.reached_a, np.fmin(a, limits), limits)
         b = np.where(self.reached_b, np.fmin(b, limits), limits)
         return a, b, float(limits.max(initial=0.0))
@@ -162,7 +192,7 @@ class _Common:
         metric = self.primary
         known = np.concatenate([_less(controller, metric) for controller in self._comparison.controllers])
         known = known[np.isfinite(known)]
-        worst = float(known.max(initial=-math.inf)) if len(known) else 0.0
+        worst = float(known.max()) if len(known) else math.nan  # no run has it
         a = _less(self._first, metric)[self._rows_a]
         b = _less(self._second, metric)[self._rows_b]
         if not metric.every_run:
@@ -171,11 +201,7 @@ class _Common:
         return np.where(np.isfinite(a), a, worst), np.where(np.isfinite(b), b, worst), worst
 
     def difference(self, metric: Metric) -> stats.IntervalEstimate:
-        """The mean of b - a; of the primary metric over all common starts, with failures as the rule counts them."""
-        if metric == self.primary:
-            starts = self.starts
-            sign = -1.0 if metric.better > 0 else 1.0
-            return stats.paired_difference(sign * starts.cost_b, sign * starts.cost_a)
+        """The mean of b - a of an exploratory metric."""
         x, y = self._first.values(metric)[self._rows_a], self._second.values(metric)[self._rows_b]
         if metric == RESTRICTED:
             x, y, _ = self._times()

@@ -23,31 +23,20 @@ _OF_CONTROLLER: Final = (
     *("controller", "metric", "title", "unit", "better", "runs", "succeeded", "success", "success_low", "success_high"),
     *("median", "q1", "q3", "median_runs", "iqm", "iqm_low", "iqm_high", "iqm_runs"),
 )
+_WORDS_OF_PAIR: Final = (
+    *("controller", "against", "verdict", "better_one", "by", "sooner_one"),
+    *("role", "metric", "title", "unit", "better"),
+)
+_COUNTS_OF_PAIR: Final = ("only_a", "only_b", "both", "neither", "wins_a", "wins_b", "needs")
 _OF_PAIR: Final = (
-    *("controller", "against", "verdict", "better_one", "by", "sooner_one", "role", "metric", "title", "unit", "better"),
+    *_WORDS_OF_PAIR,
     *("difference", "low", "high", "seen_low", "seen_high", "pairs", "margin", "limit", "p_success", "p_time", "p_sooner"),
-    *("only_a", "only_b", "both", "neither", "wins_a", "wins_b", "needs", "sentence"),
+    *(*_COUNTS_OF_PAIR, "sentence"),
     *("p", "p_holm", "significant", "improvement", "improvement_low", "improvement_high", "improvement_pairs"),
     *("improvement_p", "improvement_p_holm", "improvement_significant"),
 )
-_COUNTS: Final = (
-    *("runs", "succeeded", "median_runs", "iqm_runs", "pairs", "improvement_pairs"),
-    *("only_a", "only_b", "both", "neither", "wins_a", "wins_b", "needs"),
-)
-_WORDS: Final = (
-    "controller",
-    "against",
-    "verdict",
-    "better_one",
-    "by",
-    "sooner_one",
-    "role",
-    "metric",
-    "title",
-    "unit",
-    "better",
-    "sentence",
-)
+_COUNTS: Final = (*_COUNTS_OF_PAIR, "runs", "succeeded", "median_runs", "iqm_runs", "pairs", "improvement_pairs")
+_WORDS: Final = (*_WORDS_OF_PAIR, "sentence")
 
 
 def write_records(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: Sequence[Pair], found: Findings) -> None:
@@ -88,7 +77,7 @@ def _of_pair(comparison: ComparisonResults, pair: Pair, sentence: str) -> dict[s
         "by": " and ".join(by) or None,
         "sooner_one": None if pair.sooner is None else labels[pair.sooner],
         "margin": test.margin,
-        "limit": float(test.worst),
+        "limit": pair.worst,
         "p_success": verdict.p_success,
         "p_time": verdict.p_cost,
         "p_sooner": verdict.p_sooner,
@@ -130,39 +119,48 @@ def pair_records(comparison: ComparisonResults, all_pairs: Sequence[Pair], sente
     role: `primary` of success and of the primary metric, which make the verdict; `exploratory` of the others. Of the primary metric `low`
     and `high` are with failures not yet seen, `seen_low` and `seen_high` as flown. `improvement`: probability that `controller` is better.
     """
-    rows: list[dict[str, Any]] = []
-    for pair, sentence in zip(all_pairs, sentences, strict=True):
-        of_pair, n = _of_pair(comparison, pair, sentence), pair.seeds
-        test = pair.test
-        more = stats.IntervalEstimate((test.only_b - test.only_a) / n, n=n) if n else stats.NOTHING
-        share = stats.share_of((test.only_b + (test.both + test.neither) / 2) / n, n) if n else stats.NOTHING
-        found = {SUCCESS: (more, share)}
-        found |= {m: (pair.differences[m.name], pair.improvements.get(m.name, stats.NOTHING)) for m in _ordered(pair)}
-        for metric, (d, i) in found.items():
-            own: dict[str, Any] = {"role": "exploratory", "difference": d.mean, "low": d.low, "high": d.high, "p": d.p}
-            own |= {"seen_low": d.low, "seen_high": d.high}
-            if metric == SUCCESS:
-                p = stats.sign_test(test.only_a, test.only_b)
-                own |= {"role": "primary", "p": p, "p_holm": pair.verdict.p_success}
-            elif metric == pair.primary:
-                own |= {"role": "primary", "p": test.p_either, "p_holm": pair.verdict.p_cost}
-                own |= {"low": of_pair["low"], "high": of_pair["high"]}
-            else:
-                own |= {"p_holm": pair.adjusted[metric.name, "difference"]}
-            rows.append(
-                of_pair
-                | _named(metric)
-                | own
-                | {"pairs": d.n, "significant": pair.is_real(metric.name)}
-                | _estimate(i, "improvement", "improvement_low", "improvement_high", "improvement_pairs")
-                | {"improvement_p": i.p, "improvement_p_holm": pair.adjusted.get((metric.name, "improvement"))}
-                | {"improvement_significant": metric.name in pair.improvements and pair.is_real(metric.name, "improvement")}
-            )
+    rows = [
+        _of_pair(comparison, pair, sentence) | _of_metric(pair, metric)
+        for pair, sentence in zip(all_pairs, sentences, strict=True)
+        for metric in (SUCCESS, *map(Metric.named, pair.differences))
+    ]
     return _records(rows, _OF_PAIR)
 
 
-def _ordered(pair: Pair) -> list[Metric]:
-    return [Metric.named(name) for name in pair.differences]
+def _of_metric(pair: Pair, metric: Metric) -> dict[str, Any]:
+    """What a pair has of a metric: its difference, with that of the primary one also the interval that decides; tests; improvement."""
+    name = metric.name
+    difference, improvement = pair.differences.get(name, stats.NOTHING), pair.improvements.get(name, stats.NOTHING)
+    if metric == SUCCESS:
+        difference, improvement = _of_success(pair)
+    decides = {SUCCESS.name: pair.verdict.p_success, pair.primary.name: pair.verdict.p_cost}
+    low, high = pair.deciding if metric == pair.primary else (difference.low, difference.high)
+    return {
+        **_named(metric),
+        "role": "primary" if name in decides else "exploratory",
+        "difference": difference.mean,
+        "low": low,
+        "high": high,
+        "seen_low": difference.low,
+        "seen_high": difference.high,
+        "pairs": difference.n,
+        "p": difference.p,
+        "p_holm": decides[name] if name in decides else pair.adjusted[name, "difference"],
+        "significant": pair.is_real(name),
+        **_estimate(improvement, "improvement", "improvement_low", "improvement_high", "improvement_pairs"),
+        "improvement_p": improvement.p,
+        "improvement_p_holm": pair.adjusted.get((name, "improvement")),
+        "improvement_significant": name in pair.improvements and pair.is_real(name, "improvement"),
+    }
+
+
+def _of_success(pair: Pair) -> tuple[stats.IntervalEstimate, stats.IntervalEstimate]:
+    """The difference in the share of the starts from which both reached the goal, and the probability that b does better, ties one half."""
+    test, n = pair.test, pair.seeds
+    if not n:
+        return stats.NOTHING, stats.NOTHING
+    difference = stats.IntervalEstimate((test.only_b - test.only_a) / n, n=n, p=stats.sign_test(test.only_a, test.only_b))
+    return difference, stats.share_of((test.only_b + (test.both + test.neither) / 2) / n, n)
 
 
 def _named(metric: Metric) -> dict[str, Any]:

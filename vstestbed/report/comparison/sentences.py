@@ -52,8 +52,6 @@ def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> Findin
         return Findings(_alone(comparison))
     standing = _Standing(labels, list(all_pairs))
     overall, cautions = standing.overall(bool(comparison.reference)), censoring(comparison)
-    best = standing.best
-    decided = best is not None and len(standing.beaten[best]) == len(labels) - 1
     if comparison.settings:
         overall = f"{comparison.settings} {overall}"
     shown = range(len(all_pairs))
@@ -61,7 +59,9 @@ def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> Findin
         most = max(standing.beaten, key=lambda i: len(standing.beaten[i]))
         shown = [i for i, p in enumerate(all_pairs) if most in (p.a, p.b)][:MOST_SHOWN]
     sentences = tuple(pair_text(pair, labels) for pair in all_pairs)
-    return Findings(overall, "good" if decided and not comparison.settings else "open", tuple(cautions), sentences, tuple(shown))
+    return Findings(
+        overall, "good" if standing.best is not None and not comparison.settings else "open", tuple(cautions), sentences, tuple(shown)
+    )
 
 
 def _alone(comparison: ComparisonResults) -> str:
@@ -75,6 +75,7 @@ class _Standing:
 
     def __init__(self, labels: list[str], all_pairs: list[Pair]):
         self.labels, self.pairs = labels, all_pairs
+        self.most = max((p.seeds for p in all_pairs), default=0)
         everybody = range(len(labels))
         self.beaten = {i: [p.a + p.b - i for p in all_pairs if p.better == i] for i in everybody}  # a + b - i: the other of the pair
         self.losers = {i for those in self.beaten.values() for i in those}
@@ -90,16 +91,13 @@ class _Standing:
         return " ".join(filter(None, words))
 
     def _verdicts(self, reference: bool) -> str:
-        most = max((p.seeds for p in self.pairs), default=0)
-        starts = f"{most} starts each" if most != 1 else "one start"
         if self.best is not None:
             others = "all others" if len(self.labels) > 2 else self._named(self.beaten[self.best])
             return f"{self.labels[self.best]} is better than {others}."
         if not self.losers:
-            shown = "none of them" if len(self.labels) > 2 else "neither"
-            return f"No verdict: {starts} show{'s' * (most == 1)} {shown} better."
+            return self._undecided()
         if reference or len(self.pairs) < len(self.labels) * (len(self.labels) - 1) // 2:
-            return self._against(starts)
+            return self._against()
         unbeaten = [i for i in self.beaten if i not in self.losers]
         if not unbeaten:
             return "No verdict on the best: they beat each other in a circle."
@@ -107,14 +105,27 @@ class _Standing:
             return f"The best is {self._named(unbeaten)}: each other one is beaten, though not each by it."
         return f"The best is among {self._named(unbeaten)}: each other one is beaten."
 
-    def _against(self, starts: str) -> str:
+    def _undecided(self) -> str:
+        if self.most == 0:
+            return "No verdict: they share no start."
+        shown = "none of them" if len(self.labels) > 2 else "neither"
+        return f"No verdict: {self._starts(f'show {shown} better', f'shows {shown} better')}."
+
+    def _starts(self, several: str, one: str) -> str:
+        """What the starts say: `50 starts each ...`, of pairs with different numbers of starts `20 to 50 starts ...`, `one start ...`."""
+        if self.most == 1:
+            return f"one start {one}"
+        least = min(p.seeds for p in self.pairs)
+        return f"{self.most} starts each {several}" if least == self.most else f"{least} to {self.most} starts {several}"
+
+    def _against(self) -> str:
         """Where each is compared with a reference alone."""
         a = self.pairs[0].a
         better, worse = [p.b for p in self.pairs if p.better == p.b], self.beaten[a]
         words = [f"{self._named(better)} {'is' if len(better) == 1 else 'are'} better than {self.labels[a]}"] if better else []
         words += [f"{self.labels[a]} is better than {self._named(worse)}"] if worse else []
         left = len(self.pairs) - len(better) - len(worse)
-        rest = f" Of {counted(left, 'other pair')} {starts} do{'es' * ('one' in starts)} not tell." if left else ""
+        rest = f" Of {counted(left, 'other pair')} {self._starts('do not tell', 'does not tell')}." if left else ""
         return f"{'; '.join(words)}.{rest}"
 
     def _sooner(self) -> str:
@@ -154,7 +165,7 @@ def pair_text(pair: Pair, labels: Sequence[str]) -> str:
     if pair.seeds == 0:
         return f"{b} and {a} share no seed: they cannot be compared."
     words = f"{_lead(pair, a, b)}: {_goals(pair, a, b)}; {_costs(pair, b)}"
-    return " ".join(filter(None, (f"{words}.", _sooner(pair, labels), _why_open(pair, labels))))
+    return " ".join(filter(None, (f"{words}.", _late(pair), _sooner(pair, labels), _why_open(pair, labels))))
 
 
 def _lead(pair: Pair, a: str, b: str) -> str:
@@ -185,12 +196,13 @@ def short_title(metric: Metric) -> str:
 
 def _costs(pair: Pair, b: str) -> str:
     """`mean time of pbvs -1.01 s [-1.16, -0.86] as flown, [-1.77, -0.22] with failures not yet seen (p = 0.006)`."""
-    d, unit = pair.differences[pair.primary.name], pair.primary.unit
+    d = pair.differences[pair.primary.name]
+    unit = f" {pair.primary.unit}" if pair.primary.unit and math.isfinite(d.mean) else ""
     seen = f" {bracket(d.low, d.high)} as flown" if math.isfinite(d.low) else ""
     low, high = pair.deciding
     unseen = f", {bracket(low, high)} with failures not yet seen" if math.isfinite(low) else ""
     p = f" ({p_text(pair.verdict.p_cost)})" if pair.verdict.by_cost else ""
-    return f"mean {short_title(pair.primary)} of {b} {plain(d.mean)}{f' {unit}' if unit else ''}{seen}{unseen}{p}"
+    return f"mean {short_title(pair.primary)} of {b} {plain(d.mean)}{unit}{seen}{unseen}{p}"
 
 
 def plain(value: float) -> str:
@@ -201,6 +213,13 @@ def plain(value: float) -> str:
 def bracket(low: float, high: float) -> str:
     """An interval: `[-1.16, -0.86]`."""
     return f"[{plain(low)}, {plain(high)}]"
+
+
+def _late(pair: Pair) -> str:
+    if not pair.late:
+        return ""
+    failures = "counts as a failure" if pair.late == 1 else "count as failures"
+    return f"{counted(pair.late, 'arrival')} later than the other one may fly {failures}."
 
 
 def _sooner(pair: Pair, labels: Sequence[str]) -> str:
@@ -222,23 +241,27 @@ def _why_open(pair: Pair, labels: Sequence[str]) -> str:
 
 def _reason(pair: Pair, side: Side, labels: Sequence[str]) -> str:
     """Which of both conditions the one that did better does not hold."""
-    name = labels[pair.a if side == "a" else pair.b]
-    saved = pair.test.saved.mean if side == "b" else -pair.test.saved.mean
-    d = pair.differences[pair.primary.name]
-    if not (saved > 0 and d.excludes_zero):
-        return f"Such a difference in {short_title(pair.primary)} can be chance."
-    if not pair.test.is_reliable(side):
-        points = 100 * pair.test.points_less(side)
-        return f"{name} may fail up to {points:.0f} points more often (margin {100 * pair.test.margin:.0f})."
-    if pair.test.p_either > ALPHA:
+    test, cost = pair.test, short_title(pair.primary)
+    if not test.has_cost:
+        return f"No run has a number for {cost}."
+    saved = test.saved.mean if side == "b" else -test.saved.mean
+    if saved <= 0 or not pair.differences[pair.primary.name].excludes_zero:
+        return f"Such a difference in {cost} can be chance."
+    less = test.points_less(side)
+    if less > test.margin:
+        name = labels[pair.a if side == "a" else pair.b]
+        return f"{name} may fail up to {math.ceil(100 * less)} points more often (margin {100 * test.margin:g})."
+    if test.p_either > ALPHA:
         return "A failure not yet seen could cost more than is gained."
-    return f"Alone this pair would be decided ({p_text(pair.test.p_either)}); it is one of many."
+    return f"Alone the test of {cost} would decide ({p_text(test.p_either)}); among all tests of the comparison it does not."
 
 
 def _needs(pair: Pair) -> str:
     needs = pair.verdict.needs
+    if not pair.test.has_cost:
+        return ""
     if needs is None:
-        return "" if pair.seeds < 2 else f" More than {MOST_STARTS} starts like these would be needed."
+        return f" More than {MOST_STARTS} starts like these would be needed."
     return f" About {needs} starts like these would settle it."
 
 

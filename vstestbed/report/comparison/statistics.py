@@ -47,14 +47,30 @@ class IntervalEstimate(NamedTuple):
 NOTHING: Final = IntervalEstimate(math.nan)
 
 
-class PairedSuccess(NamedTuple):
-    """Numbers of seeds on which only a, only b, both, neither succeeded; `p`: two-sided p-value of McNemar's exact test."""
+class MeanEstimate(NamedTuple):
+    """A mean with its standard error and degrees of freedom, of which Student's t gives p-values and intervals."""
 
-    only_a: int
-    only_b: int
-    both: int
-    neither: int
-    p: float
+    mean: float
+    error: float
+    free: float
+
+    def t(self, bound: float) -> float:
+        """Student's t against a mean of `bound`. Where all values are equal the error is 0, and nothing is left to chance."""
+        distance = self.mean - bound
+        return distance / self.error if self.error > 0 else math.copysign(math.inf, distance) if distance else 0.0
+
+    def p_over(self, bound: float) -> float:
+        """One-sided p-value against a mean of at most `bound`."""
+        from scipy.special import stdtr
+
+        return float(stdtr(self.free, -self.t(bound)))
+
+    def interval(self) -> tuple[float, float]:
+        """Both ends of the two-sided interval."""
+        from scipy.special import stdtrit
+
+        half = float(stdtrit(self.free, (1 + CONFIDENCE) / 2)) * self.error
+        return self.mean - half, self.mean + half
 
 
 def success_rate(successes: int, n: int) -> IntervalEstimate:
@@ -97,20 +113,11 @@ def quartiles(values: Iterable[float | None]) -> tuple[float, float, float, int]
     return q1, median, q3, len(known)
 
 
-def paired_success(a: ArrayLike, b: ArrayLike) -> PairedSuccess:
-    """Successes (N,) of two controllers on the same seeds, with McNemar's exact test: the sign test on the seeds where they disagree.
-
-    Reference: McNemar 1947, doi:10.1007/BF02295996.
-    """
-    a, b = np.asarray(a, dtype=bool), np.asarray(b, dtype=bool)
-    only_a, only_b = int((a & ~b).sum()), int((~a & b).sum())
-    return PairedSuccess(only_a, only_b, int((a & b).sum()), int((~a & ~b).sum()), sign_test(only_a, only_b))
-
-
 def sign_test(one: int, other: int, alternative: str = "two-sided") -> float:
     """P-value of the exact sign test that both counts have the same expectation; `greater`: against one > other.
 
-    Twice the smaller tail of Bin(one + other, 1/2), at most 1; or the tail of counts of `one` or more.
+    Twice the smaller tail of Bin(one + other, 1/2), at most 1; or the tail of counts of `one` or more. Of the starts from which one of two
+    controllers alone reached the goal it is McNemar's test (1947, doi:10.1007/BF02295996).
     """
     from scipy.special import bdtr
 
@@ -139,7 +146,7 @@ def improvement(a: ArrayLike, b: ArrayLike) -> IntervalEstimate:
         return NOTHING
     finite = np.isfinite(a) & np.isfinite(b)
     tied = a == b
-    tied[finite] |= np.abs(a[finite] - b[finite]) <= _rounding(a[finite], b[finite])
+    tied[finite] |= np.abs(a[finite] - b[finite]) <= rounding(a[finite], b[finite])
     better, worse = int((~tied & (b < a)).sum()), int((~tied & (b > a)).sum())
     return share_of((better + tied.sum() / 2) / len(a), len(a), sign_test(better, worse))
 
@@ -173,25 +180,19 @@ def paired_difference(a: ArrayLike, b: ArrayLike) -> IntervalEstimate:
     `a`, `b`: one value a seed, shape (N,), in the same order of seeds; NaN or None where a run has none.
     Reference: Student 1908, doi:10.1093/biomet/6.1.1.
     """
-    d, rounding = _differences(a, b)
+    d, least = _differences(a, b)
     n = len(d)
     if n < 2:
         return IntervalEstimate(float(d[0]), n=1) if n else NOTHING
     mean = float(d.mean())
-    if np.ptp(d) <= rounding:
+    if np.ptp(d) <= least:
         return IntervalEstimate(mean, mean, mean, n, float(mean == 0))
-    return _student(mean, float(d.std(ddof=1)) / math.sqrt(n), n - 1)._replace(n=n)
+    found = MeanEstimate(mean, float(d.std(ddof=1)) / math.sqrt(n), n - 1)
+    return IntervalEstimate(mean, *found.interval(), n, 2 * found._replace(mean=abs(mean)).p_over(0.0))
 
 
-def _student(mean: float, error: float, free: int) -> IntervalEstimate:
-    """A mean with its standard error: Student's interval with so many degrees of freedom, and the two-sided p-value of zero."""
-    from scipy.special import stdtr, stdtrit
-
-    half = float(stdtrit(free, (1 + CONFIDENCE) / 2)) * error
-    return IntervalEstimate(mean, mean - half, mean + half, free + 1, 2 * float(stdtr(free, -abs(mean) / error)))
-
-
-def _rounding(a: Array, b: Array) -> float:
+def rounding(a: Array, b: Array) -> float:
+    """The difference up to which values of a and b are equal."""
     return max(ROUNDING * float(np.abs([a, b]).max(initial=0.0)), LEAST)
 
 
@@ -199,10 +200,10 @@ def _differences(a: ArrayLike, b: ArrayLike) -> tuple[Array, float]:
     """Sorted a - b of the pairs with two finite values, 0 for those that are equal up to rounding; and what rounding is."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     known = np.isfinite(a) & np.isfinite(b)
-    rounding = _rounding(a[known], b[known])
+    least = rounding(a[known], b[known])
     d = np.sort(a[known] - b[known])  # sorted: the order of the seeds changes no digit of the mean
-    d[np.abs(d) <= rounding] = 0.0
-    return d, rounding
+    d[np.abs(d) <= least] = 0.0
+    return d, least
 
 
 def interquartile_mean(values: ArrayLike) -> IntervalEstimate:
@@ -233,4 +234,4 @@ def interquartile_mean(values: ArrayLike) -> IntervalEstimate:
     h = len(middle)
     if deviations == 0:
         return IntervalEstimate(mean, mean, mean, n)
-    return _student(mean, math.sqrt(deviations / (h * (h - 1))), h - 1)._replace(n=n, p=math.nan)
+    return IntervalEstimate(mean, *MeanEstimate(mean, math.sqrt(deviations / (h * (h - 1))), h - 1).interval(), n)

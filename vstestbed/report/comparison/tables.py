@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import polars as pl
 
-from vstestbed.report.comparison.pairs import MOST_PAIRED, Of, Pair, against
+from vstestbed.report.comparison.pairs import Of, Pair, against, has_every_pair
 from vstestbed.report.comparison.records import CONTROLLERS, VERDICTS
 from vstestbed.report.comparison.results import ComparisonResults, ControllerResults, Means
 from vstestbed.report.comparison.sentences import p_text
@@ -58,7 +58,7 @@ def _verdicts(comparison: ComparisonResults, all_pairs: list[Pair]) -> list[tupl
     heads = ["Pair", "Better", "Reached the goal", comparison.primary_metric.label, "Arrives first", "Starts that would settle it"]
     lines = [_verdict_line(pair, labels) for pair in all_pairs]
     tables = [("", heads, lines)]
-    if 2 < len(labels) <= MOST_PAIRED and not comparison.reference:
+    if len(labels) > 2 and has_every_pair(len(labels), comparison.reference):
         of = {(p.a, p.b): p for p in all_pairs} | {(p.b, p.a): p for p in all_pairs}
         cells = [[_won(of[i, k], i) if i != k else NO_CELL for k in range(len(labels))] for i in range(len(labels))]
         tables.append(("", ["Row is ... than column", *labels], [[_name(name), *line] for name, line in zip(labels, cells, strict=True)]))

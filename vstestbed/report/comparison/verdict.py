@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.statistics import holm, sign_test
+from vstestbed.report.comparison.statistics import MeanEstimate, holm, rounding, sign_test
 
 ALPHA: Final = 0.05  # of all verdicts together, and of all words on who is sooner together
 MARGIN: Final = 0.1  # share of the starts by which a better one may reach the goal less often
@@ -62,6 +62,10 @@ class MeanOfStarts(NamedTuple):
     variance: float
     free: float
 
+    def negative(self) -> MeanOfStarts:
+        """That of the values with the other sign."""
+        return self._replace(mean=0.0 - self.mean)
+
     def times(self, factor: float) -> MeanOfStarts:
         """As many values like these by a factor."""
         n = round(self.n * factor)
@@ -77,32 +81,6 @@ class MeanOfStarts(NamedTuple):
         mean = (self.n * self.mean + value) / (self.n + 1)
         spread = (self.n - 1) * self.variance + self.n / (self.n + 1) * (value - self.mean) ** 2
         return MeanEstimate(mean, math.sqrt(spread / self.n / (self.n + 1)), self.free + 1)
-
-
-class MeanEstimate(NamedTuple):
-    """A mean with its standard error and degrees of freedom, of which Student's t gives p-values and intervals."""
-
-    mean: float
-    error: float
-    free: float
-
-    def p_over(self, bound: float) -> float:
-        """One-sided p-value against a mean of at most `bound`."""
-        from scipy.special import stdtr
-
-        return float(stdtr(self.free, -self._t(bound)))
-
-    def _t(self, bound: float) -> float:
-        """Where all values are equal the error is 0, and nothing is left to chance."""
-        distance = self.mean - bound
-        return distance / self.error if self.error > 0 else math.copysign(math.inf, distance) if distance else 0.0
-
-    def interval(self, confidence: float = 1 - ALPHA) -> tuple[float, float]:
-        """Both ends of the two-sided interval."""
-        from scipy.special import stdtrit
-
-        half = float(stdtrit(self.free, (1 + confidence) / 2)) * self.error
-        return self.mean - half, self.mean + half
 
 
 def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> MeanOfStarts:
@@ -170,13 +148,19 @@ class PairTest:
         """Of the exact test that both arrive first equally often; NaN where it cannot be under ALPHA."""
         return sign_test(self.wins_a, self.wins_b) if self.wins_a + self.wins_b >= FEWEST_UNLIKE else math.nan
 
+    @property
+    def has_cost(self) -> bool:
+        """Whether the cost can be tested: of two starts or more, and where any run has it."""
+        return self.n >= 2 and math.isfinite(self.saved.mean)
+
     def p_cost(self, side: Side, starts: float = 1.0) -> float:
-        """One-sided, that `side` is better by its cost; of so many times more starts like these."""
-        sign, other = (1.0, self.usual_a) if side == "b" else (-1.0, self.usual_b)
-        if self.n < 2:
+        """One-sided, that `side` is better by its cost; of so many times more starts like these. NaN where there is no test."""
+        if side == "a":
+            return self.turned().p_cost("b", starts)
+        if not self.has_cost:
             return math.nan
-        reached = self.reached._replace(mean=sign * self.reached.mean).times(starts).with_imagined(-1.0)
-        saved = self.saved._replace(mean=sign * self.saved.mean).times(starts).with_imagined(other - self.worst)
+        reached = self.reached.times(starts).with_imagined(-1.0)
+        saved = self.saved.times(starts).with_imagined(self.usual_a - self.worst)
         return max(reached.p_over(-self.margin), saved.p_over(0.0))
 
     @property
@@ -187,37 +171,31 @@ class PairTest:
     @property
     def p_either(self) -> float:
         """Two-sided, that one of both is better by its cost."""
-        return min(1.0, 2 * min(self.p_cost("a"), self.p_cost("b"))) if self.n >= 2 else math.nan
+        return min(1.0, 2 * min(self.p_cost("a"), self.p_cost("b"))) if self.has_cost else math.nan
 
     @property
     def seen(self) -> tuple[float, float]:
         """Both ends of the interval of the mean cost of b - a as flown: Student's."""
-        saved = self.saved
-        if self.n < 2:
+        if not self.has_cost:
             return math.nan, math.nan
-        return MeanEstimate(-saved.mean, math.sqrt(saved.variance / saved.n), saved.free).interval()
+        costs = self.saved.negative()
+        return MeanEstimate(costs.mean, math.sqrt(costs.variance / costs.n), costs.free).interval()
 
     @property
     def unseen(self) -> tuple[float, float]:
         """Both ends of the interval of the mean cost of b - a with a failure not yet seen: of b at the upper end, of a at the lower."""
-        if self.n < 2:
+        if not self.has_cost:
             return math.nan, math.nan
-        costs = self.saved._replace(mean=-self.saved.mean)
+        costs = self.saved.negative()
         low, _ = costs.with_imagined(self.usual_b - self.worst).interval()
         _, high = costs.with_imagined(self.worst - self.usual_a).interval()
         return low, high
 
     def points_less(self, side: Side) -> float:
         """By which share of the starts `side` may reach the goal less often: the far end of the two-sided interval."""
-        sign = 1.0 if side == "b" else -1.0
-        low, _ = self.reached._replace(mean=sign * self.reached.mean).with_imagined(-1.0).interval()
+        reached = self.reached if side == "b" else self.reached.negative()
+        low, _ = reached.with_imagined(-1.0).interval()
         return -low
-
-    def is_reliable(self, side: Side, level: float = ALPHA) -> bool:
-        """Whether `side` reaches the goal at most a margin less often than the other, two-sided at this level."""
-        sign = 1.0 if side == "b" else -1.0
-        reached = self.reached._replace(mean=sign * self.reached.mean).with_imagined(-1.0)
-        return 2 * reached.p_over(-self.margin) <= level
 
     def turned(self) -> PairTest:
         """The same with a and b exchanged."""
@@ -229,20 +207,21 @@ class PairTest:
             wins_b=self.wins_a,
             usual_a=self.usual_b,
             usual_b=self.usual_a,
-            reached=self.reached._replace(mean=-self.reached.mean),
-            saved=self.saved._replace(mean=-self.saved.mean),
+            reached=self.reached.negative(),
+            saved=self.saved.negative(),
         )
 
-    def needs(self, open_tests: int = 1) -> int | None:
-        """How many starts like these would decide the pair, where so many tests are open; None: more than MOST_STARTS."""
-        if self.n < 2:
+    def needs(self, others: int = 0) -> int | None:
+        """How many starts like these would decide the pair, where so many tests of other pairs are open; None: more than MOST_STARTS."""
+        if not self.has_cost:
             return None
 
         def decided(n: int) -> bool:
             factor = n / self.n
             cost = 2 * min(self.p_cost("a", factor), self.p_cost("b", factor))
             only_a, only_b = (round(count * factor) for count in (self.only_a, self.only_b))
-            return min(cost, sign_test(only_a, only_b)) * open_tests <= ALPHA
+            own = 2 if only_a + only_b >= FEWEST_UNLIKE else 1
+            return min(cost, sign_test(only_a, only_b)) * (own + others) <= ALPHA
 
         return least(decided, self.n)
 
@@ -283,6 +262,7 @@ def test_of(starts: Starts, margin: float = MARGIN) -> PairTest:
     """The tests of one pair."""
     a, b = starts.reached_a, starts.reached_b
     saved = np.asarray(starts.cost_a - starts.cost_b, dtype=float)
+    saved[np.abs(saved) <= rounding(starts.cost_a, starts.cost_b)] = 0.0
     later = saved if starts.time_a is None or starts.time_b is None else starts.time_a - starts.time_b  # a than b
     tied = (~a & ~b) | (a & b & (np.abs(later) <= starts.period * ONE_PICTURE))
     first_b = ~tied & np.where(a == b, later > 0, b)
@@ -311,34 +291,38 @@ def judge(tests: Sequence[PairTest]) -> list[Verdict]:
     n = len(tests)
     adjusted = holm([*(test.p_success for test in tests), *(test.p_either for test in tests)])
     sooner = holm([test.p_sooner for test in tests])
-    still_open = sum(p > ALPHA for p in adjusted)
+    still_open = _open(adjusted)
     return [
-        _verdict(test, success, cost, first, still_open)
+        _verdict(test, success, cost, first, still_open - _open([success, cost]))
         for test, success, cost, first in zip(tests, adjusted[:n], adjusted[n:], sooner, strict=True)
     ]
 
 
-def _verdict(test: PairTest, success: float, cost: float, sooner: float, still_open: int) -> Verdict:
-    more_often: Side | None = None
-    cheaper: Side | None = None
-    first: Side | None = None
-    if success <= ALPHA:
-        more_often = "b" if test.only_b > test.only_a else "a"
-    if cost <= ALPHA:
-        cheaper = test.cheaper
-    if sooner <= ALPHA:
-        first = "b" if test.wins_b > test.wins_a else "a"
+def _open(adjusted: Sequence[float]) -> int:
+    """How many tests have decided nothing; NaN is no test."""
+    return sum(p > ALPHA for p in adjusted)
+
+
+def _called(p: float, side: Side) -> Side | None:
+    """The side, where its test has decided."""
+    return side if p <= ALPHA else None
+
+
+def _verdict(test: PairTest, success: float, cost: float, sooner: float, others_open: int) -> Verdict:
+    """The verdict on a pair by its adjusted p-values; others_open: tests of other pairs that have decided nothing."""
+    more_often = _called(success, "b" if test.only_b > test.only_a else "a")
+    cheaper = _called(cost, test.cheaper)
     trade = more_often is not None and cheaper is not None and more_often != cheaper
     better = None if trade else more_often or cheaper
     decision: Decision = "trade" if trade else "none" if better is None else "better"
     return Verdict(
         decision,
         better,
-        more_often is not None,
-        cheaper is not None,
-        first,
-        sign_test(test.only_a, test.only_b) if math.isnan(success) else success,
-        cost,
-        sign_test(test.wins_a, test.wins_b) if math.isnan(sooner) else sooner,
-        test.needs(max(still_open, 1)) if decision == "none" else None,
+        by_success=more_often is not None,
+        by_cost=cheaper is not None,
+        sooner=_called(sooner, "b" if test.wins_b > test.wins_a else "a"),
+        p_success=sign_test(test.only_a, test.only_b) if math.isnan(success) else success,
+        p_cost=cost,
+        p_sooner=sign_test(test.wins_a, test.wins_b) if math.isnan(sooner) else sooner,
+        needs=test.needs(others_open) if decision == "none" else None,
     )

@@ -17,7 +17,7 @@ from vstestbed.core.registry import REGISTRIES
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
-from vstestbed.studies.comparison.folder import GROUP, Baseline, ComparisonTable, finish, table_of
+from vstestbed.studies.comparison.folder import GROUP, Baseline, ComparisonTable, finish, must_have_reference, table_of
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, Variant, Variants, chosen, controllers, read_comparison
 from vstestbed.studies.comparison.record import (
     PLAN,
@@ -201,6 +201,7 @@ def prepared(
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
             _check_workers_find(found)
+            must_have_reference(comparison, found)
             every = Share(Jobs(found, comparison.seeds, comparison.first_seed), shard or Shard())
             if baseline is not None:
                 baseline.must_match(comparison, every)

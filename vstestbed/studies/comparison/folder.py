@@ -25,7 +25,7 @@ from vstestbed.loop.recording import read_summary
 from vstestbed.report.comparison.baseline import BaselineChanges, change_of
 from vstestbed.report.comparison.results import TIME, ComparisonResults, shown_by_default
 from vstestbed.scenario.dump import flow_text
-from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
+from vstestbed.studies.comparison.plan import AMOUNT, TASK, Comparison, Job, Variant
 from vstestbed.studies.comparison.record import moved_plugins
 from vstestbed.studies.comparison.tuning_record import settings_of
 
@@ -162,6 +162,15 @@ def finish(
     film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
     write_comparison_report(folder, results_of(table, comparison), command_of(comparison), film, plugins, call, paper)
+
+
+def must_have_reference(comparison: Comparison, found: Iterable[Variant]) -> None:
+    """Refuse a reference that is none of the controllers, before anything runs. Raises ParameterError: with their names."""
+    if comparison.reference:
+        rows = [{"scenario": variant.scenario.name, **_as_text(variant.values), "seed": 0} for variant in found]
+        axes = tuple(axis for axis in comparison.varied if axis != TASK)
+        planned = ComparisonResults(pl.DataFrame(rows, infer_schema_length=None, strict=False), axes, reference=comparison.reference)
+        _ = planned.reference_index
 
 
 def results_of(table: pl.DataFrame, comparison: Comparison) -> ComparisonResults:

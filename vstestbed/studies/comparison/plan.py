@@ -26,7 +26,7 @@ from vstestbed.scenario.load import find, load, seeded
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import Key, Marks, build, marks_under, place_of, plain_mapping, text_of
-from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, comparable, own_metrics
+from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Metric, comparable, own_metrics
 
 
 class StartLists(NamedTuple):
@@ -240,6 +240,8 @@ class Comparison:
         for place, name in (*(("metrics", name) for name in self.metrics), *([("primary", self.primary)] if self.primary else [])):
             if name not in (known := comparable()):
                 raise ParameterError.choice(place, known, name)
+        if self.primary and Metric.named(self.primary).better == 0:
+            raise ParameterError("primary", "must be a number of which more is better, or less; this one describes a run", self.primary)
 
     def _check_axes(self) -> None:
         for path, values in self.axes.items():
@@ -494,8 +496,12 @@ def controllers(comparison: Comparison, force: bool = False) -> Variants:
             where = comparison.places.get(("base", i))
             raise (error if where is None else ScenarioError([Mistake(where, f"base.{i}", str(error))])) from None
     found = Variants(comparison)
-    for _ in itertools.islice(found, MOST_RUNS):  # loads them
-        pass
+    file_of: dict[str, str] = {}
+    for variant in itertools.islice(found, MOST_RUNS):  # loads them
+        name, file = variant.scenario.name, variant.folder.split("/")[1]
+        if file_of.setdefault(name, file) != file:  # the table would have both as one controller
+            words = f"has two scenarios of the name {name}, {file_of[name]} and {file}; give each its own `name`"
+            raise ParameterError("base", words, list(comparison.base))
     return found
 
 
