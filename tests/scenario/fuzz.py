@@ -348,8 +348,10 @@ UNKNOWN = re.compile(
 def _not_numbers(recording: vs.Recording) -> Iterator[str]:
     """Columns that hold no number where one is promised."""
     on_line = recording.scenario.target.painted_route is not None  # a line has no goal pose
+    further = "|".join(map(re.escape, recording.scenario.cameras)) or "(?!)"
+    of_further = re.compile(rf"(?:{further})_(?:t|{UNKNOWN.pattern})")  # before its first picture, too
     for name, column in zip(recording.columns, recording.table.T, strict=True):
-        may = UNKNOWN.fullmatch(name) or (on_line and name in ("position_error_m", "rotation_error_rad"))
+        may = UNKNOWN.fullmatch(name) or of_further.fullmatch(name) or (on_line and name in ("position_error_m", "rotation_error_rad"))
         if np.isinf(column).any() or (np.isnan(column).any() and not may):
             yield f"no number in {re.sub('[0-9]+', 'N', name)}"
 
