@@ -25,5 +25,7 @@ os._exit(0)  # not after the second timer
 
 @pytest.mark.process
 def test_ctrl_c_is_heard_while_a_result_is_waited_for():
-    done = subprocess.run([sys.executable, "-c", WAITS], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", WAITS], capture_output=True, text=True, timeout=60, check=True
+    )
     assert done.stdout == "interrupted at once\n"

@@ -1,4 +1,6 @@
-"""Pictures by OpenGL in any thread, in any order, several at once: the same bytes, no words, a clean end of the process."""
+"""Pictures by OpenGL in any thread, in any order, several at once: the same bytes, no words, a
+clean end of the process.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,10 @@ same = log() == pathlib.Path(sys.argv[1]).read_text()
 print(before, same, flush=True)
 print(child(refused), log() == log())
 """
-REFUSED = "no OpenGL: this process is a fork of one that has drawn with it; start processes with multiprocessing's method spawn"
+REFUSED = (
+    "no OpenGL: this process is a fork of one that has drawn with it; start processes with"
+    " multiprocessing's method spawn"
+)
 
 
 @pytest.mark.process
