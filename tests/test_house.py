@@ -299,8 +299,10 @@ def test_files_are_written_in_one_place():
 
 def test_the_finder_of_writers_finds():
     text = """
-p.open("w"); open(p, "ab"); open(p, mode=m); p.open(); open(p, "rb"); p.write_text(t); df.write_csv(p); df.write_csv(); fig.savefig(p)
-b = io.BytesIO(); df.write_parquet(b); json.dump(x, f); json.dumps(x); np.save(p, x); cv2.imwrite(p, i); cv2.VideoWriter(p); os.open(p, 0)
+p.open("w"); open(p, "ab"); open(p, mode=m); p.open(); open(p, "rb")
+p.write_text(t); df.write_csv(p); df.write_csv(); fig.savefig(p)
+b = io.BytesIO(); df.write_parquet(b); json.dump(x, f); json.dumps(x)
+np.save(p, x); cv2.imwrite(p, i); cv2.VideoWriter(p); os.open(p, 0)
 """
     names = [name for name, _ in writes([*ast.walk(ast.parse(text))])]
     assert sorted(names) == sorted(

@@ -141,7 +141,8 @@ def test_an_ideal_run_needs_neither_mujoco_nor_opencv_nor_opengl(
         absent = ["mujoco", "dm_control", "cv2", "OpenGL"]
         sys.modules.update(dict.fromkeys(absent))  # importing one of them fails
         import vstestbed as vs
-        print(vs.run(vs.load("ibvs_book", {"detector": "oracle", "law.depth": "oracle"})).outcome.name)"""
+        scenario = vs.load("ibvs_book", {"detector": "oracle", "law.depth": "oracle"})
+        print(vs.run(scenario).outcome.name)"""
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=vstestbed_process[1],
@@ -173,7 +174,8 @@ def test_a_run_imports_nothing_before_it_needs_it(
                 if frame.timing.number == 0:
                     print([m for m in {late} if m in sys.modules])
         from pathlib import Path
-        vs.run_into(Path({str(tmp_path)!r}), vs.load("arm_ibvs", {{"stop.duration_s": 0.1}}), "none", [Watch()], report=False)"""
+        scenario = vs.load("arm_ibvs", {{"stop.duration_s": 0.1}})
+        vs.run_into(Path({str(tmp_path)!r}), scenario, "none", [Watch()], report=False)"""
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=vstestbed_process[1],

@@ -1,8 +1,10 @@
 """The suite's kept runs, and what the pages make of them.
 
     vstestbed suite --out flown
-    python -m docs.build.suite flown/runs.csv      # keeps them as scenarios/suite/VS-1.csv, and makes docs/research/VS-1/ again
-    python -m docs.build.suite --cost              # processor time of a run of each task here, for `run_s` in VS-1.yaml
+    python -m docs.build.suite flown/runs.csv
+        # keeps them as scenarios/suite/VS-1.csv, and makes docs/research/VS-1/ again
+    python -m docs.build.suite --cost
+        # processor time of a run of each task here, for `run_s` in VS-1.yaml
 
 Several files are one after the other: of laws that were flown apart.
 """

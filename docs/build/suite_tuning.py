@@ -1,9 +1,9 @@
 """The search for all gains of the suite's laws, one budget for each group of tasks, and its record.
 
-    python -m docs.build.suite_tuning                   # all that is missing in scenarios/suite/VS-1_tuned.csv
-    python -m docs.build.suite_tuning arm latency       # of these groups alone
-    python -m docs.build.suite_tuning --again arm       # anew
-    python -m docs.build.suite_tuning --write           # the record's gains into scenarios/suite/VS-1.yaml
+    python -m docs.build.suite_tuning               # all missing in scenarios/suite/VS-1_tuned.csv
+    python -m docs.build.suite_tuning arm latency   # of these groups alone
+    python -m docs.build.suite_tuning --again arm   # anew
+    python -m docs.build.suite_tuning --write       # the record's gains into VS-1.yaml there
 
 A trial is a setting of all gains of a law at once. It flies the group's task from starts that are
 none of the suite's, in each of the task's cases: random ones, and of lists of motions the middles

@@ -1,7 +1,8 @@
 """A recurrent policy for views of a square, which has learned to predict;
 `tests/long/train_recurrent.py` made its weights.
 
-    u_k = M(h_k) [d_k, d_k - d_(k-1), u_(k-1), ..., u_(k-6)],   d = phi(markers) - phi(goal),   h_k = GRU(h_(k-1), x_k)
+    u_k = M(h_k) [d_k, d_k - d_(k-1), u_(k-1), ..., u_(k-6)],
+    d   = phi(markers) - phi(goal),   h_k = GRU(h_(k-1), x_k)
 
 phi is a perceptron of the markers in units of the goal's view, x are the markers, their change and
 the last command, and the matrix M (6, 84) is read from the memory h: features are learned, and so

@@ -331,14 +331,15 @@ def test_files_of_other_libraries_are_told_from_damaged_ones(write, tmp_path):
     gigabytes were some of the answers.
     """
     visp = (
-        "<?xml"
-        ' version="1.0"?>\n<root><camera><name>Camera</name><image_width>640</image_width></camera></root>'
+        '<?xml version="1.0"?>\n'
+        "<root><camera><name>Camera</name><image_width>640</image_width></camera></root>"
     )
     deep, twice = (
         "[" * 3000,
         OPENCV.replace("</opencv_storage>", "<camera_matrix>1</camera_matrix></opencv_storage>"),
     )
     bomb = "a: &a [x, x, x, x]\nb: &b [*a, *a, *a]\ncamera_matrix: [*b, *b]\n"
+    wider = yaml.safe_dump(changed(CAMERA_INFO, "image_width", 800))
     for name, text, words in (
         ("visp.xml", visp, "its XML is not OpenCV's"),
         ("deep.yaml", f"K: {deep}", "cannot be read"),
@@ -352,13 +353,7 @@ def test_files_of_other_libraries_are_told_from_damaged_ones(write, tmp_path):
         ("twice.xml", twice, "it has a field twice"),
         ("twice.yaml", "K: [1]\nK: [2]", "it has a field twice"),
         ("twice.json", '{"K": [1], "K": [2]}', "it has a field twice"),
-        (
-            "two.yaml",
-            (
-                f"{yaml.safe_dump(CAMERA_INFO)}---\n{yaml.safe_dump(changed(CAMERA_INFO, 'image_width', 800))}"
-            ),
-            "several calibrations",
-        ),
+        ("two.yaml", f"{yaml.safe_dump(CAMERA_INFO)}---\n{wider}", "several calibrations"),
         ("bomb.yaml", bomb, "it has aliases"),
         ("large.yaml", "#" * 2_000_000, "it has 2 MiB, at most 1 are read"),
         ("zeros.yaml", "K: [1]\0", "it has bytes of zeros"),

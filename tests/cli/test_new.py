@@ -215,7 +215,8 @@ class Mine(vs.LawBase):
         u = -self.gain * np.linalg.pinv(L @ basis) @ (observation.xy - goal.xy).ravel()
         return state, self.limits.command(u, basis)
 
-recording = vs.run(vs.load("ibvs_book", {"law": "mine", "detector": "oracle", "camera.rate_hz": 25.0}))
+scenario = vs.load("ibvs_book", {"law": "mine", "detector": "oracle", "camera.rate_hz": 25.0})
+recording = vs.run(scenario)
 print(recording.outcome.name, recording.scenario.law.gain)
 """
 

@@ -38,7 +38,10 @@ REASONS = {
         studies/calibration.py LEAST_M MOST_M
         tasks/metrics.py LEAST"""
     ),
-    "the size of a robot that exists, of its parts and its sensors, or a tolerance of what is that large": (
+    (
+        "the size of a robot that exists, of its parts and its sensors, or a tolerance of what is"
+        " that large"
+    ): (
         """
         effects/links.py Payload.com_m Payload.edge_m
         effects/rotors.py ROTOR_M
@@ -51,13 +54,15 @@ REASONS = {
         robots/compound.py DECK_M
         robots/flight.py RESUME_M
         robots/mjcf.py WIND_UP_M WIND_UP_RAD
-        robots/omni.py OmniParameters.track_m OmniParameters.wheel_radius_m OmniParameters.wheelbase_m
+        robots/omni.py OmniParameters.track_m OmniParameters.wheel_radius_m
+        robots/omni.py OmniParameters.wheelbase_m
         robots/own_model.py OwnModel.unit_m
         robots/puma560.py ELBOW FOREARM OFFSET SHOULDER UPPER_ARM
         robots/quadrotor.py FAR_M FlightPose.xyz LOWEST_M Quadrotor.range_sigma_m STANDING_M
         robots/rotors.py HUB_M QuadrotorParameters.arm_m QuadrotorParameters.rotor_radius_m
         sim/plant.py EXACT_M
-        sim/scene/compose.py BEHIND_LENS_M HOUSING_M PAD_HALF_M POST_RADIUS_M SOCKET_BOTTOM_M SOCKET_SIDES
+        sim/scene/compose.py BEHIND_LENS_M HOUSING_M PAD_HALF_M POST_RADIUS_M SOCKET_BOTTOM_M
+        sim/scene/compose.py SOCKET_SIDES
         sim/scene/model_report.py APART_DEG APART_M CLEAR_M DISTANCES_M MOUNTS_M
         studies/calibration.py POSE_SIGMA
         studies/delay.py OFF OFF_WITH_FRICTION"""
@@ -71,7 +76,10 @@ REASONS = {
         vision/floor_pose.py SETTLED
         vision/lines.py Lines.reach_m"""
     ),
-    "the room that is drawn: its floor, lamps and views from outside, which no law sees, and shadows": (
+    (
+        "the room that is drawn: its floor, lamps and views from outside, which no law sees, and"
+        " shadows"
+    ): (
         """
         effects/floor.py HALF_M
         live/page.py FLOOR_M GRID_M LAYER_M LONGEST_M SHORTEST_M
@@ -86,7 +94,10 @@ REASONS = {
         sim/scene/scenery.py SAME_HEIGHT_M
         sim/scene/world.py AWAY DISC_HALF_M"""
     ),
-    "the most of a length that is a share of the scene where that is small, or whose ratio to it drops out": (
+    (
+        "the most of a length that is a share of the scene where that is small, or whose ratio to"
+        " it drops out"
+    ): (
         """
         imaging/depth.py NEAREST_M
         sim/scene/compose.py BEHIND_SHEET_M FAR_START_M NEAR_START_M PITCH_M
@@ -97,16 +108,18 @@ REASONS = {
         effects/floor.py UnevenFloor.correlation_m UnevenFloor.rms_m
         features/depth.py Constant.depth_m Estimate.initial_m
         features/points.py StereoPoint.baseline_m
-        imaging/depth.py DepthSensor.far_m Stereo.baseline_m Stereo.far_m Stereo.near_m StructuredLight.baseline_m
-        imaging/depth.py StructuredLight.far_m StructuredLight.near_m TimeOfFlight.far_m TimeOfFlight.near_m
+        imaging/depth.py DepthSensor.far_m Stereo.baseline_m Stereo.far_m Stereo.near_m
+        imaging/depth.py StructuredLight.baseline_m StructuredLight.far_m StructuredLight.near_m
+        imaging/depth.py TimeOfFlight.far_m TimeOfFlight.near_m
         laws/pose_controller.py PoseController.average_m PoseController.pass_m PoseController.rest_m
-        sim/scene/world.py Clutter.radius_m Clutter.size_m Decoy.radius Floor.tile_m Plate.height Plate.width
-        sim/scene/world.py WindowPane.height WindowPane.width
+        sim/scene/world.py Clutter.radius_m Clutter.size_m Decoy.radius Floor.tile_m
+        sim/scene/world.py Plate.height Plate.width WindowPane.height WindowPane.width
         studies/calibration.py Board.marker_m Board.square_m
         targets/base.py Pad.side Socket.depth Socket.radius Socket.wall
         targets/ground_lines.py GroundLines.look_m
         targets/markers.py RoundMarker.radius Stripe.width_m Tag.size
-        targets/route.py CircularRoute.radius_m FigureEight.length_m FigureEight.width_m Straight.length_m
+        targets/route.py CircularRoute.radius_m FigureEight.length_m FigureEight.width_m
+        targets/route.py Straight.length_m
         tasks/following.py GoalLine.band_m
         tasks/insertion.py GoalInsertion.standoff_m GoalInsertion.within_m
         tasks/landing.py GoalLanding.commit_m GoalLanding.pad_m GoalLanding.within_m

@@ -8,7 +8,9 @@ import pytest
 WAITS = """\
 import os, signal, threading, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import polars  # gives SIGINT the flag SA_RESTART, with which a lock that is waited for without an end does not hear of it
+# polars gives SIGINT the flag SA_RESTART, with which a lock that is waited for without an end does
+# not hear of it.
+import polars
 from concurrent.futures import Future
 from vstestbed.core.shares import result_of
 

@@ -116,8 +116,10 @@ class TestDrag:
 
 ROTORS = """
 <mujoco><option gravity="0 0 0" timestep="1e-4"/><worldbody><body name="base"><freejoint/>
-<inertial pos="0 0 0" mass="4" diaginertia=".082 .082 .149"/>{}</body></worldbody><actuator>{}</actuator></mujoco>"""
-ONE = """<body name="r{0}"><joint name="j{0}" axis="0 0 1"/><inertial pos="0 0 0" mass="1e-6" diaginertia="{1} {1} {2}"/></body>"""
+<inertial pos="0 0 0" mass="4" diaginertia=".082 .082 .149"/>{}</body></worldbody>
+<actuator>{}</actuator></mujoco>"""
+ONE = """<body name="r{0}"><joint name="j{0}" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="1e-6" diaginertia="{1} {1} {2}"/></body>"""
 
 
 class TestInertia:

@@ -29,27 +29,27 @@ class Conformance(test_utils.EnvironmentTestMixin):
 
 
 class TestArm(Conformance, absltest.TestCase):
-    settings = {
+    settings = {  # noqa: RUF012 - a test's
         "scenario": "arm_ibvs",
         "observation": "both",
         "overrides": {"stop.duration_s": 0.4},
-    }  # noqa: RUF012 - a test's
+    }
 
 
 @pytest.mark.study
 class TestCar(Conformance, absltest.TestCase):
-    settings = {
+    settings = {  # noqa: RUF012 - a test's
         "scenario": "car_pbvs",
         "overrides": {"stop.duration_s": 0.4},
         "reward": "negative_error",
-    }  # noqa: RUF012 - a test's
+    }
 
 
 class TestIdealCamera(Conformance, absltest.TestCase):
-    settings = {
+    settings = {  # noqa: RUF012 - a test's
         "scenario": "ibvs_book",
         "overrides": {"detector": "oracle", "stop.duration_s": 1.0},
-    }  # noqa: RUF012 - a test's
+    }
 
 
 @pytest.mark.opengl

@@ -182,7 +182,8 @@ def test_a_policy_as_a_law_is_shown_the_same_and_its_actions_mean_the_same(
     motions = scenario.robot.motion_basis(mount, scenario.robot.start_joints()).shape[1]
     source = f"""import numpy as np
 def act(shown):
-    sums = [np.sum(np.sin(shown[key])) for key in ("markers", "seen", "goal", "agent_pos") if key in shown]
+    keys = [key for key in ("markers", "seen", "goal", "agent_pos") if key in shown]
+    sums = [np.sum(np.sin(shown[key])) for key in keys]
     return 0.1 * np.sin(np.arange({motions}) + sum(sums))
 """
     (tmp_path / "mine.py").write_text(source, encoding="utf-8")

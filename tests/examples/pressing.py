@@ -1,7 +1,9 @@
-"""A hybrid law, as a plugin: pictures across the axis of a hole, the force at the wrist along it.
+r"""A hybrid law, as a plugin: pictures across the axis of a hole, the force at the wrist along it.
 
 From this folder:
-`vstestbed run arm_insert --plugin pressing --set law=pressing --set goal.press_n=null --set goal.seat_s=2`.
+
+    vstestbed run arm_insert --plugin pressing --set law=pressing \
+        --set goal.press_n=null --set goal.seat_s=2
 
 Reference: Raibert & Craig 1981, doi:10.1115/1.3139652.
 """

@@ -88,7 +88,7 @@ def test_old_pictures_of_a_queue_and_one_that_comes_again_move_nothing(monkeypat
     law.close()
 
 
-def test_a_link_that_stalls_stops_the_robot_and_a_picture_that_was_too_long_on_its_way_does_not_move_it(
+def test_a_link_that_stalls_stops_the_robot_and_a_picture_long_on_its_way_does_not_move_it(
     monkeypatch,
 ):
     """Bytes come all the time, each sooner than the silence that stops;

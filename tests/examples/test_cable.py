@@ -40,9 +40,11 @@ def test_its_tension_is_that_of_its_length(command, own_kinds, tmp_path: Path) -
         *(np.array(log[f"cam_q{c}"]) for c in "wxyz"),
     )
     to_flange = inverse(scenario.camera.mount.T)[:3, 3]
-    R = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                  [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                  [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]).transpose(2, 0, 1)  # fmt: skip
+    R = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]).transpose(2, 0, 1)  # fmt: skip
     length = np.linalg.norm(p + R @ to_flange - [0, 0, 1.5], axis=1)
     found = np.array(log["cable_n"])
     assert found.max() > 10

@@ -23,7 +23,9 @@ class Linear:
     def __call__(self, current, goal, seen):
         self.calls.append((current, goal, seen))
         x, y, one = current[:, 0], current[:, 1], np.ones(len(current))
-        L = np.stack([np.stack([-one, 0 * x, x, x * y, -1 - x * x, y], 1), np.stack([0 * x, -one, y, 1 + y * y, -x * y, -x], 1)], 1)
+        rows_x = np.stack([-one, 0 * x, x, x * y, -1 - x * x, y], 1)
+        rows_y = np.stack([0 * x, -one, y, 1 + y * y, -x * y, -x], 1)
+        L = np.stack([rows_x, rows_y], 1)
         return -self.gain * np.linalg.pinv(L[seen].reshape(-1, 6)) @ (current - goal)[seen].ravel()
 """
 

@@ -278,7 +278,8 @@ class Sees:
 
     def act(self, o):
         self.all.append(o)
-        here, there = (o[name].astype(float).mean(axis=(0, 1)) for name in ("pixels", "goal_pixels"))
+        pictures = o["pixels"], o["goal_pixels"]
+        here, there = (picture.astype(float).mean(axis=(0, 1)) for picture in pictures)
         return np.r_[0, 0, 0.1, 0, 0, 0.001 * (here - there).sum()]
 """
 

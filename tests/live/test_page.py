@@ -319,8 +319,10 @@ SHOWN = f"""(() => {{
     if (!img?.naturalWidth) return null;
     [c.width, c.height] = [img.naturalWidth, img.naturalHeight];
     const x = c.getContext('2d'); x.drawImage(img, 0, 0);
-    const bar = Math.floor(c.width / {BARS}), row = x.getImageData(0, c.height - {HIGH} / 2, c.width, 1).data;
-    const number = [...Array({BARS}).keys()].reduce((n, i) => n + (row[4 * Math.floor((i + 0.5) * bar)] > 128 ? 1 << i : 0), 0);
+    const bar = Math.floor(c.width / {BARS});
+    const row = x.getImageData(0, c.height - {HIGH} / 2, c.width, 1).data;
+    const white = i => row[4 * Math.floor((i + 0.5) * bar)] > 128;
+    const number = [...Array({BARS}).keys()].reduce((n, i) => n + (white(i) ? 1 << i : 0), 0);
     return [{FRAME}, number];
 }})()"""
 """Numbers of the frames in the words and in the picture of a page, which has its number in black

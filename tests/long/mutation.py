@@ -1,5 +1,7 @@
 """Would a test notice?
-`python tests/long/mutation.py [--rooms laws tasks vision] [--tests DIR ...] [--sample N] [--seed N] [--jobs N]`.
+
+    python tests/long/mutation.py [--rooms laws tasks vision] [--tests DIR ...] [--sample N]
+        [--seed N] [--jobs N]
 
 A mutant is the package with one operator, comparison, sign, truth value or number of one file
 changed. The tests that run the changed line should fail; a mutant under which they all pass has

@@ -1,7 +1,8 @@
 """Simulated comparisons of which the truth is known, and how often the rule of a verdict is wrong
 in them.
 
-    python -m tests.long.verdict_worlds          # counts all cells, and writes docs/kept/verdicts.csv and intervals.csv for the page
+    python -m tests.long.verdict_worlds
+        # counts all cells, and writes docs/kept/verdicts.csv and intervals.csv for the page
 
 A world is a few laws, each with its rate of success and its times, from starts that are common to
 them. A cell is a world with a number of starts; of each, thousands of comparisons are drawn and

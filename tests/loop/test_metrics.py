@@ -186,10 +186,12 @@ def test_a_run_without_frames_has_a_summary(scenario: Scenario):
 
 
 def test_every_promised_name_is_there(scenario: Scenario):
-    promised = """scenario outcome success reason seed sim_time_s frames frames_lost time_to_converge_s final_error_px
-        final_position_error_m final_rotation_error_deg path_length_m path_ratio max_retreat_m max_rotation_deg
-        max_feature_excursion_px min_border_margin_px peak_speed_mps peak_rate_radps saturated_fraction wall_time_s
-        real_time_factor time_ms versions"""
+    promised = """
+        scenario outcome success reason seed sim_time_s frames frames_lost time_to_converge_s
+        final_error_px final_position_error_m final_rotation_error_deg path_length_m path_ratio
+        max_retreat_m max_rotation_deg max_feature_excursion_px min_border_margin_px
+        peak_speed_mps peak_rate_radps saturated_fraction wall_time_s real_time_factor time_ms
+        versions"""
     for frames in (0, 3):
         assert set(promised.split()) <= set(recording(scenario, frames).summary())
 

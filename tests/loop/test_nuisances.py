@@ -7,11 +7,13 @@ rightly.
 | blur | sim/test_timing `TestBlur` | sim/test_timing `test_a_blurred_run_converges` |
 | brightness and colour drift | here, by numbers and in the picture | here |
 | moving shadows | here | here |
-| lens, exposure, sensor, stream | camera/test_optics, ...; sim/render/test_lens_effects, ... | sim/render/test_imaging |
+| lens, exposure, sensor, stream | camera/test_optics, ...; | sim/render/test_imaging |
+| | sim/render/test_lens_effects, ... | |
 | dropout of markers | here | here |
 | partial hiding | here; vision/test_blobs | here |
 | false blobs | here; vision/test_false_blobs | here; studies/test_nuisances |
-| distortion that nobody knows of | camera/test_calibration | test_calibrated_loops; studies/test_nuisances |
+| distortion that nobody knows of | camera/test_calibration | test_calibrated_loops; |
+| | | studies/test_nuisances |
 | depth error | camera/test_calibration | test_calibrated_loops; the maps of test_convergence |
 """
 

@@ -129,9 +129,7 @@ def test_a_run_that_crashed_counts_as_the_longest_and_a_start_that_is_missing_fo
     ] == [2, 3]
 
 
-def test_equal_laws_share_their_place_and_close_ones_have_the_ranks_that_tests_of_pairs_leave_open() -> (
-    None
-):
+def test_equal_laws_share_their_place_and_close_ones_have_the_ranks_that_tests_leave_open() -> None:
     """Six laws of one distribution, and one that is 5 s behind them all: resampled ranks of the six
     were 1 to 4, 2 to 6, ...
     """

@@ -481,13 +481,8 @@ class TestUrdf:
             ("collision", '<sphere radius=".1"/>'),
         )
         links = ["base", "one", "two", "tool0"]
-        text = [
-            "<link name='base'/>",
-            (
-                "<link"
-                f" name='one'>{self.LINK}{''.join(self.SHAPE.format(*shape) for shape in shapes)}</link>"
-            ),
-        ]
+        drawn = "".join(self.SHAPE.format(*shape) for shape in shapes)
+        text = ["<link name='base'/>", f"<link name='one'>{self.LINK}{drawn}</link>"]
         round_end = self.SHAPE.format("collision", '<sphere radius=".05"/>')
         text += [f"<link name='two'>{self.LINK}{round_end}</link>", "<link name='tool0'/>"]
         ends = self.HINGE.format(0, 1), self.HINGE.format(1, 0), '<origin xyz="0 0 .2"/>'
@@ -594,12 +589,17 @@ class TestCoupledJoints:
     gripper's beyond the arm stay.
     """
 
-    ARM = """<mujoco><worldbody>{world}<body name="one"><joint name="a" range="-90 90"/><geom size=".1" mass="1"/>
-        <body name="two" pos="0 0 .3"><joint name="b" axis="0 1 0" range="-90 90"/><geom size=".1" mass="1"/>
-        <body name="three" pos="0 0 .3"><joint name="c" axis="0 1 0" range="-90 90"/><geom size=".1" mass="1"/><site name="hand"/>
+    ARM = """<mujoco><worldbody>{world}
+        <body name="one"><joint name="a" range="-90 90"/><geom size=".1" mass="1"/>
+        <body name="two" pos="0 0 .3"><joint name="b" axis="0 1 0" range="-90 90"/>
+        <geom size=".1" mass="1"/>
+        <body name="three" pos="0 0 .3"><joint name="c" axis="0 1 0" range="-90 90"/>
+        <geom size=".1" mass="1"/><site name="hand"/>
         <body name="left"><joint name="l" type="slide"/><geom size=".1" mass="1"/></body>
         <body name="right"><joint name="r" type="slide"/><geom size=".1" mass="1"/></body>
-        </body></body></body></worldbody><tendon><fixed name="t"><joint joint="b" coef="1"/><joint joint="c" coef="1"/></fixed></tendon>
+        </body></body></body></worldbody>
+        <tendon><fixed name="t">
+        <joint joint="b" coef="1"/><joint joint="c" coef="1"/></fixed></tendon>
         <equality>{equality}</equality></mujoco>"""
 
     @pytest.mark.parametrize(

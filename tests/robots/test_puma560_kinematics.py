@@ -122,7 +122,8 @@ def test_resolved_rate_is_bounded_at_and_around_singularities():
             for _ in range(20):
                 twist = rng.normal(size=6)
                 dq = resolved_rate(jacobian(q + size * rng.normal(size=6)), twist, UPPER_ARM)
-                # |dq| <= |scaled twist| / threshold everywhere, as the docstring proves; 1e-9 for rounding.
+                # |dq| <= |scaled twist| / threshold everywhere, as the docstring proves; 1e-9 for
+                # rounding.
                 assert np.linalg.norm(dq) <= np.linalg.norm(twist * SCALE) / 0.05 * (1 + 1e-9)
 
 

@@ -435,11 +435,18 @@ def test_a_packed_file_takes_half_of_the_free_space_at_most(taken, scenario, tmp
         replay(bag, scenario)
 
 
-VIEW = """DROP TABLE message_definitions; CREATE VIEW message_definitions AS WITH RECURSIVE n(id) AS
-    (SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT id, 'a' AS topic_type, 'ros2msg' AS encoding, '' AS encoded_message_definition,
-    '' AS type_description_hash FROM n"""
-GROWN = """ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER,
-    data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL); INSERT INTO messages SELECT id, topic_id, timestamp FROM old"""
+VIEW = """
+    DROP TABLE message_definitions;
+    CREATE VIEW message_definitions AS
+    WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n)
+    SELECT id, 'a' AS topic_type, 'ros2msg' AS encoding, '' AS encoded_message_definition,
+        '' AS type_description_hash
+    FROM n"""
+GROWN = """
+    ALTER TABLE messages RENAME TO old;
+    CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER,
+        data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL);
+    INSERT INTO messages SELECT id, topic_id, timestamp FROM old"""
 NESTED = "UPDATE topics SET offered_qos_profiles = '" + "[" * 100_000 + "'"
 
 

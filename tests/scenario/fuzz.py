@@ -119,10 +119,20 @@ WORDS = st.sampled_from(
     ]
 )
 ODD = st.one_of(
-    st.none(), st.booleans(), FLOATS, INTS, WORDS, st.sampled_from(TYPES), st.just([]), st.just({}), st.just([[]]), st.just([None] * 3),
-    st.lists(FLOATS, max_size=7), st.dictionaries(st.sampled_from(["kind", "x", "", "1"]), st.one_of(FLOATS, WORDS), max_size=2),
+    st.none(),
+    st.booleans(),
+    FLOATS,
+    INTS,
+    WORDS,
+    st.sampled_from(TYPES),
+    st.just([]),
+    st.just({}),
+    st.just([[]]),
+    st.just([None] * 3),
+    st.lists(FLOATS, max_size=7),
+    st.dictionaries(st.sampled_from(["kind", "x", "", "1"]), st.one_of(FLOATS, WORDS), max_size=2),
     st.just([0] * 500),
-)  # fmt: skip
+)
 
 
 @functools.cache
@@ -333,13 +343,17 @@ def specs(draw: st.DrawFn) -> bytes:
 
 
 SNIPPETS = [
-    "\t", "\x00", "\x07", "\x1b[31m", "\x85", "\ufeff", "\u2028", "&a ", "*a", "&a [*a]", "!!python/object:os.system ", "!!binary ",
-    "!!set ", "!!omap ", "!!int ", "!!float ", "!!timestamp ", "!tag ", "<<: *a\n", "? ", ": ", "- ", "| ", "> ", "{", "}", "[", "]", "{{",
-    "'", '"', "#", "%YAML 3.0\n", "%TAG ! x\n", "---\n", "...\n", "? [1, 2]\n: 3\n", "? {a: b}\n: 3\n", "~: 1\n", "1: 2\n", "true: 1\n",
-    "2001-01-01: 1\n", "2001-12-14t21:59:43.10-05:00", "0x7fffffffffffffffff", "0b1", "0o17", "1_000", "1e999", "-.inf", ".nan",
-    "12:30:45", "=", "@", "`", "9" * 5000, "\\", "\r", "\r\n", "é", "\U0001f600", "[" * 40 + "]" * 40, "[" * 3000, "{a: " * 500,
-    "- " * 2000, "&" + "a" * 2000 + " x", "x" * 50_000, "# " + "x" * 50_000 + "\n", "\n" * 10_000, "!!merge x", "<<: [1]\n", "<<: x\n",
-    "!<tag:yaml.org,2002:int> x", "2001-99-99", "!!timestamp 2001-99-99", "!!int 0x", "!!float x", "!!bool 3", "0x", "1e", "0b2",
+    "\t", "\x00", "\x07", "\x1b[31m", "\x85", "\ufeff", "\u2028", "&a ", "*a", "&a [*a]",
+    "!!python/object:os.system ", "!!binary ", "!!set ", "!!omap ", "!!int ", "!!float ",
+    "!!timestamp ", "!tag ", "<<: *a\n", "? ", ": ", "- ", "| ", "> ", "{", "}", "[", "]", "{{",
+    "'", '"', "#", "%YAML 3.0\n", "%TAG ! x\n", "---\n", "...\n", "? [1, 2]\n: 3\n",
+    "? {a: b}\n: 3\n", "~: 1\n", "1: 2\n", "true: 1\n", "2001-01-01: 1\n",
+    "2001-12-14t21:59:43.10-05:00", "0x7fffffffffffffffff", "0b1", "0o17", "1_000", "1e999",
+    "-.inf", ".nan", "12:30:45", "=", "@", "`", "9" * 5000, "\\", "\r", "\r\n", "é", "\U0001f600",
+    "[" * 40 + "]" * 40, "[" * 3000, "{a: " * 500, "- " * 2000, "&" + "a" * 2000 + " x",
+    "x" * 50_000, "# " + "x" * 50_000 + "\n", "\n" * 10_000, "!!merge x", "<<: [1]\n", "<<: x\n",
+    "!<tag:yaml.org,2002:int> x", "2001-99-99", "!!timestamp 2001-99-99", "!!int 0x", "!!float x",
+    "!!bool 3", "0x", "1e", "0b2",
 ]  # fmt: skip
 BOMB = "\n".join(
     ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]

@@ -90,6 +90,7 @@ def test_a_texture_is_tiled_if_any_material_repeats_it():
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><asset>{texture("plain")}{texture("shared")}{texture("uniform")}
         <material name="a" texture="plain" texrepeat=".5 1"/><material name="b" texture="shared"/>
-        <material name="c" texture="shared" texrepeat="1 9"/><material name="d" texture="uniform" texuniform="true"/></asset></mujoco>"""
+        <material name="c" texture="shared" texrepeat="1 9"/>
+        <material name="d" texture="uniform" texuniform="true"/></asset></mujoco>"""
     )
     assert repeated(model).tolist() == [False, True, True]

@@ -28,7 +28,8 @@ FILE = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
 <body name="link" pos="0 0 1"><inertial pos="0.6 0 0" mass="1.5" diaginertia="0.05 0.1 0.1"/>
 <joint name="swing" axis="{axis}" armature="{rotor}"/>
 <body name="tip" pos="0.6 0 0"><inertial pos="0 0 0" mass="0.5" diaginertia="0.001 0.001 0.001"/>
-<joint name="roll" axis="1 0 0" armature="0.01"/><site name="flange"/></body></body></worldbody></mujoco>"""
+<joint name="roll" axis="1 0 0" armature="0.01"/><site name="flange"/></body></body>
+</worldbody></mujoco>"""
 TARGET = TARGETS.members["square"](side=0.2, pose=Pose(xyz=(2, 0, 1), rpy_deg=(0, 90, 0)))
 
 

@@ -139,7 +139,9 @@ CLAIMS: dict[str, Callable[[Files], Files]] = {
 }
 FILES: dict[str, Callable[[Files], Files]] = {
     "a module of the program": more("vstestbed/__init__.py", "raise SystemExit(0)"),
-    "a module of the program beside the law": more("law/vstestbed/__init__.py", "raise SystemExit(0)"),
+    "a module of the program beside the law": more(
+        "law/vstestbed/__init__.py", "raise SystemExit(0)"
+    ),
     "sitecustomize": more("law/sitecustomize.py", "import os\nos._exit(0)"),
     "conftest": more("law/conftest.py", "import os\nos._exit(0)"),
     "json in place of Python's": more("law/json.py", "import os\nos._exit(0)"),

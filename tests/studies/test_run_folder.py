@@ -128,10 +128,12 @@ class TestWhatARunLeaves:
 
     def test_every_figure_of_the_summary(self, filmed: Path) -> None:
         summary = json.loads((filmed / "summary.json").read_text(encoding="utf-8"))
-        promised = """scenario outcome success reason seed sim_time_s frames frames_lost time_to_converge_s final_error_px
-            final_position_error_m final_rotation_error_deg path_length_m path_ratio max_retreat_m max_rotation_deg
-            max_feature_excursion_px min_border_margin_px peak_speed_mps peak_rate_radps saturated_fraction wall_time_s
-            real_time_factor time_ms versions"""
+        promised = """
+            scenario outcome success reason seed sim_time_s frames frames_lost time_to_converge_s
+            final_error_px final_position_error_m final_rotation_error_deg path_length_m path_ratio
+            max_retreat_m max_rotation_deg max_feature_excursion_px min_border_margin_px
+            peak_speed_mps peak_rate_radps saturated_fraction wall_time_s real_time_factor time_ms
+            versions"""
         assert set(promised.split()) <= set(summary)
         assert set(summary["time_ms"]) == {"physics", "render", "detect", "law", "record", "video"}
         assert set(summary["versions"]) >= {

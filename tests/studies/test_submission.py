@@ -121,24 +121,42 @@ FORGED_ROWS: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "one left out": (lambda rows: rows[1:], "lacks .'only', 'mine', 'one 0'., of 1 runs"),
     "one double": (lambda rows: [*rows, rows[0]], "there twice"),
     "a better one beside it": (lambda rows: [*rows, rows[0] | {"value": 1.0}], "there twice"),
-    "an invented start": (lambda rows: [*rows, rows[0] | {"start": "one 99"}], "'one 99'.*not of the plan"),
+    "an invented start": (
+        lambda rows: [*rows, rows[0] | {"start": "one 99"}],
+        "'one 99'.*not of the plan",
+    ),
     "a start by another spelling": (lambda rows: changed(rows, 0, start="one 00"), "lacks"),
-    "a task that is declined": (lambda rows: [*rows, rows[0] | {"task": "declined"}], "'declined'.*not of the plan"),
-    "a task that is not there": (lambda rows: [*rows, rows[0] | {"task": "easy"}], "'easy'.*not of the plan"),
-    "a law of the suite, worse": (lambda rows: [*rows, *(r | {"law": "points", "value": 20.0} for r in rows)], "'points'.*not of the plan"),
+    "a task that is declined": (
+        lambda rows: [*rows, rows[0] | {"task": "declined"}],
+        "'declined'.*not of the plan",
+    ),
+    "a task that is not there": (
+        lambda rows: [*rows, rows[0] | {"task": "easy"}],
+        "'easy'.*not of the plan",
+    ),
+    "a law of the suite, worse": (
+        lambda rows: [*rows, *(r | {"law": "points", "value": 20.0} for r in rows)],
+        "'points'.*not of the plan",
+    ),
     "another law's name": (lambda rows: changed(rows, 0, law="Mine"), "lacks"),
     "no rows": (lambda rows: [r | {"task": "easy"} for r in rows][:1], "lacks"),
     "a column more": (lambda rows: [r | {"weight": 1} for r in rows], "has the columns"),
-    "columns in another order": (lambda rows: [dict(reversed(r.items())) for r in rows], "has the columns"),
+    "columns in another order": (
+        lambda rows: [dict(reversed(r.items())) for r in rows],
+        "has the columns",
+    ),
     "success in other words": (lambda rows: changed(rows, 0, success="yes"), "is no submission"),
-    "a number that is none": (lambda rows: changed(rows, 0, value="nan "), "says success 'true' and value 'nan ' of 'one 0'"),
+    "a number that is none": (
+        lambda rows: changed(rows, 0, value="nan "),
+        "says success 'true' and value 'nan ' of 'one 0'",
+    ),
     "success as a number": (lambda rows: changed(rows, 0, success="1"), "is no submission"),
     "no success": (lambda rows: changed(rows, 0, success=None), "says success None"),
     "a value that is no number": (lambda rows: changed(rows, 0, value=math.nan), "value nan"),
     "an endless value": (lambda rows: changed(rows, 0, value=-math.inf), "value -inf"),
     "a value in words": (lambda rows: [r | {"value": "fast"} for r in rows], "is no submission"),
     "reached, without a value": (lambda rows: changed(rows, 0, value=None), "value None"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", FORGED_ROWS)
@@ -431,10 +449,19 @@ MEMBERS: dict[str, tuple[Callable[[zipfile.ZipFile], object], str]] = {
     "a link": (member("law/x.py", b"/etc/passwd", mode=0o120777), "is a link"),
     "a pipe": (member("law/x.py", mode=0o010644), "is a link"),
     "another compression": (member("law/x.py", compress_type=zipfile.ZIP_BZIP2), "packed in a way"),
-    "a large record": (member("environment.json", bytes(MOST_TEXT + 1), compress_type=zipfile.ZIP_DEFLATED), "at most 1 are read"),
-    "a bomb": (member("law/x.npy", bytes(MOST_UNPACKED), compress_type=zipfile.ZIP_DEFLATED), "128 MiB are unpacked"),
-    "very many": (lambda packed: [member(f"law/{i}")(packed) for i in range(1001)], "has 1005 files"),
-}  # fmt: skip
+    "a large record": (
+        member("environment.json", bytes(MOST_TEXT + 1), compress_type=zipfile.ZIP_DEFLATED),
+        "at most 1 are read",
+    ),
+    "a bomb": (
+        member("law/x.npy", bytes(MOST_UNPACKED), compress_type=zipfile.ZIP_DEFLATED),
+        "128 MiB are unpacked",
+    ),
+    "very many": (
+        lambda packed: [member(f"law/{i}")(packed) for i in range(1001)],
+        "has 1005 files",
+    ),
+}
 
 
 @pytest.mark.parametrize("kind", MEMBERS)
@@ -475,17 +502,26 @@ BYTES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "a part lost": (lambda b: b[:40] + b[60:], "no plain zip"),
     "an empty archive": (lambda b: b"PK\5\6" + bytes(18), "no plain zip"),
     "two archives": (lambda b: b + b, "no plain zip"),
-    "a record of larger archives": (lambda b: b[:-22] + b"PK\6\7" + bytes(16) + b[-22:], "no plain zip"),
+    "a record of larger archives": (
+        lambda b: b[:-22] + b"PK\6\7" + bytes(16) + b[-22:],
+        "no plain zip",
+    ),
     "encrypted": (lambda b: patched(b, b"PK\1\2", 8, b"\1\0"), "is a link, encrypted"),
     "strong encryption": (lambda b: patched(b, b"PK\1\2", 8, b"\x40\0"), "is a link, encrypted"),
     "members hidden in a comment": (hidden, "it has 3 files and counts 4"),
     "an unknown compression": (lambda b: patched(b, b"PK\1\2", 10, b"\x63\0"), "packed in a way"),
     "a size that lies": (lambda b: patched(b, b"PK\1\2", 24, struct.pack("<I", 7)), "Bad CRC-32"),
-    "a size of 4 GiB": (lambda b: patched(b, b"PK\1\2", 24, b"\xfe\xff\xff\xff"), "128 MiB are unpacked"),
+    "a size of 4 GiB": (
+        lambda b: patched(b, b"PK\1\2", 24, b"\xfe\xff\xff\xff"),
+        "128 MiB are unpacked",
+    ),
     "a wrong sum": (lambda b: patched(b, b"PK\1\2", 16, b"1234"), "Bad CRC-32"),
     "another name at its place": (lambda b: patched(b, b"PK\3\4", 30, b"low/"), "differ"),
-    "a name with a zero": (lambda b: b.replace(b"law/mine.yaml", b"law/min\0.yaml"), "is no file of one|is a link"),
-}  # fmt: skip
+    "a name with a zero": (
+        lambda b: b.replace(b"law/mine.yaml", b"law/min\0.yaml"),
+        "is no file of one|is a link",
+    ),
+}
 
 
 @pytest.mark.parametrize("kind", BYTES)

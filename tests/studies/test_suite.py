@@ -68,7 +68,8 @@ WEIGHTS = np.load(Path(__file__).parent / "weights.npy")
 
 
 def act(observation):
-    return np.clip(WEIGHTS @ (observation["goal"] - observation["markers"]).ravel() * gains.GAIN, -1, 1)
+    offset = (observation["goal"] - observation["markers"]).ravel()
+    return np.clip(WEIGHTS @ offset * gains.GAIN, -1, 1)
 """
 
 

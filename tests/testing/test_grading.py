@@ -46,10 +46,24 @@ LAB = {
     "check": 1,
     "tasks": [
         {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "set": EXACT, "seeds": 3},
-        {"title": "Soon.", "points": 3, "scenario": "ibvs_book", "set": EXACT | {"law.gain": 1.2}, "seeds": 3, "median": SOON},
-        {"title": "Better.", "points": 4, "scenario": "ibvs_book", "set": EXACT, "seeds": 8, "better_than": {"kind": "pbvs", "gain": 0.02}},
+        {
+            "title": "Soon.",
+            "points": 3,
+            "scenario": "ibvs_book",
+            "set": EXACT | {"law.gain": 1.2},
+            "seeds": 3,
+            "median": SOON,
+        },
+        {
+            "title": "Better.",
+            "points": 4,
+            "scenario": "ibvs_book",
+            "set": EXACT,
+            "seeds": 8,
+            "better_than": {"kind": "pbvs", "gain": 0.02},
+        },
     ],
-}  # fmt: skip
+}
 
 
 def lab(folder: Path, **changes: object) -> Path:

@@ -77,7 +77,10 @@ json.dumps = forged
 FORGED = """
 import vstestbed.testing.child as child
 dumps, asked = json.dumps, []
-json.dumps = lambda answer, **how: dumps({answer}) if asked.append(1) or len(asked) > {first} else dumps(answer, **how)
+def forged(answer, **how):
+    asked.append(1)
+    return dumps({answer} if len(asked) > {first} else answer, **how)
+json.dumps = forged
 """
 LEAVES_NOTHING = {
     "ends its process as it is loaded": "os._exit(0)",
@@ -609,7 +612,8 @@ def powers():
 def bounding():
     return any(libc.prctl(23, n, 0, 0, 0) == 1 for n in range(41)) or -1
 def new_thread_group():
-    return libc.syscall(56 if os.uname().machine == "x86_64" else 220, 17, 0, 0, 0, 0) or os._exit(0)
+    clone = 56 if os.uname().machine == "x86_64" else 220
+    return libc.syscall(clone, 17, 0, 0, 0, 0) or os._exit(0)
 ours, theirs = socket.socketpair()
 raise ValueError("done: " + "".join([
     tried("capabilities", powers),
@@ -622,7 +626,7 @@ raise ValueError("done: " + "".join([
     tried("shared memory", lambda: mmap.mmap(-1, 9 << 30)),
     tried("memory file", lambda: os.memfd_create("m")),
     tried("signals to others", lambda: fcntl.fcntl(ours, fcntl.F_SETOWN, os.getpid())),
-    tried("signals by ioctl", lambda: fcntl.ioctl(ours, 0x8901, (os.getpid()).to_bytes(4, "little"))),
+    tried("signals by ioctl", lambda: fcntl.ioctl(ours, 0x8901, os.getpid().to_bytes(4, "little"))),
     tried("typing", lambda: allowed(16 if os.uname().machine == "x86_64" else 29, -1, 0x5412, 0)),
     tried("own flags", lambda: fcntl.fcntl(ours, fcntl.F_GETFL) and -1),
     tried("own thread", lambda: threading.Thread(target=np.ones, args=(9,)).start() or -1),

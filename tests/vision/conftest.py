@@ -30,12 +30,16 @@ TakePicture = Callable[..., Picture]
 # target's z = 0.
 SCENE = """
 <mujoco>
-  <visual><headlight active="0"/><quality offsamples="{multisampling}" shadowsize="0"/><map znear="0.01" zfar="50"/>
+  <visual><headlight active="0"/>
+    <quality offsamples="{multisampling}" shadowsize="0"/><map znear="0.01" zfar="50"/>
     <global offwidth="{width}" offheight="{height}"/></visual>
   <statistic extent="1" center="0 0 1"/>
-  <asset><texture name="sky" type="skybox" builtin="flat" rgb1=".6 .6 .6" width="16" height="96"/></asset>
+  <asset>
+    <texture name="sky" type="skybox" builtin="flat" rgb1=".6 .6 .6" width="16" height="96"/>
+  </asset>
   <worldbody>
-    <light type="directional" dir="0.3 0.5 1" ambient=".3 .3 .3" diffuse=".6 .6 .6" specular="0 0 0" castshadow="false"/>
+    <light type="directional" dir="0.3 0.5 1" ambient=".3 .3 .3" diffuse=".6 .6 .6"
+           specular="0 0 0" castshadow="false"/>
     <camera name="eye" pos="0 0 0" xyaxes="1 0 0 0 -1 0" fovy="{fovy}"/>
     <body name="target" mocap="true">{markers}</body>
     {extra}

@@ -245,16 +245,20 @@ READ: Mapping[str, Sequence[str]] = {
 """
 # fmt: off
 ABOUT = [
-    "camera_name", "name", "comment", "comments", "description", "serial", "serial_number", "date", "time",
-    "calibration_time", "calibration_date", "nframes", "nr_of_frames", "number_of_frames", "flags", "flag_value",
-    "board_width", "board_height", "square_size", "marker_size", "fix_aspect_ratio", "aspect_ratio", "rms",
-    "rms_error", "error", "reprojection_error", "mean_reprojection_error", "avg_reprojection_error",
-    "per_view_reprojection_errors", "per_view_errors", "extrinsic_parameters", "image_points", "grid_points",
+    "camera_name", "name", "comment", "comments", "description", "serial", "serial_number",
+    "date", "time", "calibration_time", "calibration_date",
+    "nframes", "nr_of_frames", "number_of_frames", "flags", "flag_value",
+    "board_width", "board_height", "square_size", "marker_size", "fix_aspect_ratio",
+    "aspect_ratio", "rms", "rms_error", "error",
+    "reprojection_error", "mean_reprojection_error", "avg_reprojection_error",
+    "per_view_reprojection_errors", "per_view_errors", "extrinsic_parameters",
+    "image_points", "grid_points",
     "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
 ]
 """Fields that say how a calibration was made, and change nothing."""
 SETUP = [
-    "name", "namespace", "namespace_prefix", "move_group", "move_group_namespace", "freehand_robot_movement",
+    "name", "namespace", "namespace_prefix", "move_group", "move_group_namespace",
+    "freehand_robot_movement",
     "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
 ]
 # fmt: on

@@ -1,14 +1,14 @@
 """The exceptions that vstestbed raises for foreseen failures.
 
     VstestbedError
-    ├── ScenarioError          a scenario file that cannot be run: all mistakes at once      exit 2
-    │   └── PluginError        a plugin that is not there or cannot be imported              exit 2
-    ├── ParameterError         one parameter out of its range (also a ValueError)            exit 2
-    │   └── UnreachableError   a start at which the robot cannot stand                       exit 2
-    ├── OutputError            a result folder that cannot be written                        exit 2 or 4
-    ├── RunFolderError         a folder without a readable run                               exit 2
-    ├── SessionError           a session that cannot do what it is asked in its state        exit 2
-    └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space                exit 4
+    ├── ScenarioError          a scenario file that cannot be run: all mistakes at once  exit 2
+    │   └── PluginError        a plugin that is not there or cannot be imported          exit 2
+    ├── ParameterError         one parameter out of its range (also a ValueError)        exit 2
+    │   └── UnreachableError   a start at which the robot cannot stand                   exit 2
+    ├── OutputError            a result folder that cannot be written                    exit 2 or 4
+    ├── RunFolderError         a folder without a readable run                           exit 2
+    ├── SessionError           a session that cannot do what it is asked in its state    exit 2
+    └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space            exit 4
 
 Each class takes data and composes its own message, which includes a remedy.
 The end of a *run* (target lost, joint limit, ...) is no exception: see `core.outcome.Outcome`.

@@ -5,8 +5,10 @@ any experiment, and keep what is computed from the numbers finite and in memory.
 is a valid length, its square is infinite, and a singular value decomposition of infinities may
 never return.
 
-    radius: PositiveLength = 0.02                       # of a physical quantity
-    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 1.0    # with a tighter bound of this one field
+    radius: PositiveLength = 0.02
+        # of a physical quantity
+    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 1.0
+        # with a tighter bound of this one field
 """
 
 from __future__ import annotations

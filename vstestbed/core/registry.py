@@ -1,7 +1,8 @@
 """What is registered: the spec classes, and the registries with the kinds of each block; and spec
 objects as plain values.
 
-MARKERS = Registry("marker", Disc, Sphere)   # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
+MARKERS = Registry("marker", Disc, Sphere)
+    # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
 marker: Annotated[Marker, MARKERS]
 """
 

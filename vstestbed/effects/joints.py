@@ -57,11 +57,15 @@ class Gears:
     """Elastic gears with play: a joint is two masses, the rotor of its motor and the link, with a
     spring and a damper between them.
 
-    J theta'' = tau - f,  M(q) q'' + ... = f,  f = k s + c (theta' - q'),  s = theta - q beyond the play: 0 within +-b/2, with
-    the rotor's inertia J (the armature of the file, times the squared gear ratio), its angle theta on the joint's side, and
-    c = k damping_s. Motor, its friction, servo and encoder are on the rotor's side, as in industrial arms; the camera is behind the
-    spring. A link alone, of inertia M, vibrates at sqrt(k/M) before a rotor that stands and at sqrt(k (1/J + 1/M)) before a free one,
-    with the damping ratio w damping_s / 2 at w. The damping acts within the play, too, as that of the lubricant.
+    J theta'' = tau - f,  M(q) q'' + ... = f,  f = k s + c (theta' - q'),
+    s = theta - q beyond the play: 0 within +-b/2,
+
+    with the rotor's inertia J (the armature of the file, times the squared gear ratio), its angle
+    theta on the joint's side, and c = k damping_s. Motor, its friction, servo and encoder are on
+    the rotor's side, as in industrial arms; the camera is behind the spring. A link alone, of
+    inertia M, vibrates at sqrt(k/M) before a rotor that stands and at sqrt(k (1/J + 1/M)) before a
+    free one, with the damping ratio w damping_s / 2 at w. The damping acts within the play, too, as
+    that of the lubricant.
 
     The stiffness of `strain_wave` grows with the torque, in stages: k is its first one, and s bends
     at the stages' ends.
@@ -129,9 +133,12 @@ class Encoders:
     """What the encoders read: the angle in whole counts, with the error of a graduation that is not
     centred on its shaft.
 
-    q = c round(p / c),  p = theta + e sin(turns theta),  c = 2 pi / counts;  q' = c round(p' window_s / c) / window_s: the counts of a
-    window, as counters measure speed. e [rad] is the eccentricity over the graduation's radius, divided by `turns`. The servos have
-    the angle without these errors. Joints that slide are read exactly.
+    q = c round(p / c),  p = theta + e sin(turns theta),  c = 2 pi / counts;
+    q' = c round(p' window_s / c) / window_s:
+
+    the counts of a window, as counters measure speed. e [rad] is the eccentricity over the
+    graduation's radius, divided by `turns`. The servos have the angle without these errors. Joints
+    that slide are read exactly.
 
     The kinematic error of a strain wave gear between an encoder on the motor and the link has the
     same form: twice in a turn of the motor, so that `turns` is twice the ratio (Tuttle & Seering

@@ -3,7 +3,8 @@
 
     import gymnasium, vstestbed.env
 
-    env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels")  # one id for each bundled scenario
+    # One id for each bundled scenario:
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels")
     env = vstestbed.env.make("my.yaml", reward="sparse")  # any other
     env = vstestbed.env.dm("arm_ibvs")  # a dm_env.Environment
 

@@ -90,9 +90,13 @@ def line_interaction(rho: Array, theta: Array, plane: Array) -> Array:
     """L (..., 2, 6) of lines rho, theta (...) in the planes A X + B Y + C Z + D = 0, plane (...,
     4), in the camera frame.
 
-    rho_dot   = (c vx + s vy - rho vz) l_rho + (1 + rho^2) (s wx - c wy),      l_rho = (A rho c + B rho s + C)/D
-    theta_dot = (c vx + s vy - rho vz) l_theta - rho (c wx + s wy) - wz,       l_theta = (A s - B c)/D
-    c = cos theta, s = sin theta; any plane that contains the line but not the camera's centre (D = 0, a ParameterError) gives the same L.
+    rho_dot   = (c vx + s vy - rho vz) l_rho + (1 + rho^2) (s wx - c wy),
+                l_rho = (A rho c + B rho s + C)/D
+    theta_dot = (c vx + s vy - rho vz) l_theta - rho (c wx + s wy) - wz,
+                l_theta = (A s - B c)/D
+    c = cos theta, s = sin theta; any plane that contains the line but not the camera's centre
+    (D = 0, a ParameterError) gives the same L.
+
     Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350.
     """
     rho, theta, plane = (np.asarray(v, dtype=float) for v in (rho, theta, plane))
@@ -171,8 +175,9 @@ def line_on_floor(
     normal N = R (cos theta, sin theta, -rho) in the base frame, which meets the floor in N_x X +
     N_y Y = N . t:
 
-        y   = (N . t - N_x X) / N_y          lateral position (left positive) at X = `ahead` (...) [m]
-        phi = atan(-N_x / N_y)               direction, in (-pi/2, pi/2)
+        y    = (N . t - N_x X) / N_y         lateral position (left positive) at X = `ahead` (...)
+                                             [m]
+        phi  = atan(-N_x / N_y)              direction, in (-pi/2, pi/2)
         dy   = -dN . ((X, y, 0) - t) / N_y,  dphi = (N_x dN_y - N_y dN_x) / (N_x^2 + N_y^2)
 
     The interaction matrix of (y, phi) is J L, with J (..., 2, 2) and L (..., 2, 6) that of (rho,
@@ -211,7 +216,8 @@ class Segment(Feature):
 
     With (x1, y1) and (x2, y2) the first two of the markers in sight:
 
-    xc = (x1 + x2)/2,  yc = (y1 + y2)/2,  l = hypot(x1 - x2, y1 - y2),  alpha = atan2(y1 - y2, x1 - x2),  s = (xc, yc, l, alpha)
+    xc = (x1 + x2)/2,  yc = (y1 + y2)/2,  l = hypot(x1 - x2, y1 - y2),
+    alpha = atan2(y1 - y2, x1 - x2),  s = (xc, yc, l, alpha)
 
     and normalised s = (xc/l, yc/l, 1/l, alpha): where the segment faces the camera, xc/l and yc/l
     do not change with the distance. The segment has a direction, so that a rotation by any angle is

@@ -264,7 +264,8 @@ def _third_order_sizes(m: MomentSet) -> dict[str, Any]:
 def _third_order(m: MomentSet) -> dict[str, Any]:
     """With a = |c30|^2, b = |c21|^2, z = c30 conj(c21)^3 and D = (a + 3 b)^2 - 16 Re z:
 
-    c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D,  c4 = 16 Im z / D,  c5 = (b - a) (a - 9 b) / D,  c6 = (a - 9 b)^2 / D.
+    c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D,  c4 = 16 Im z / D,
+    c5 = (b - a) (a - 9 b) / D,               c6 = (a - 9 b)^2 / D.
     """
     c30, c21 = m.complex(3, 0), m.complex(2, 1)
     a, b, z = square(c30), square(c21), c30 * (c21 * c21 * c21).conj()
@@ -565,10 +566,13 @@ class Ellipse(Feature):
     are `rows`.
 
     xg, yg         the centre
-    n20, n11, n02  second central moments of the region within, by its area a: for half axes A and B, the first at the angle t,
-                   n20 = (A^2 cos^2 t + B^2 sin^2 t)/4, n11 = (A^2 - B^2) sin t cos t/4, n02 = (A^2
-                   sin^2 t + B^2 cos^2 t)/4
-    xn, yn, an     xg/sqrt(a), yg/sqrt(a), 1/sqrt(a), a = pi A B = 4 pi sqrt(n20 n02 - n11^2), as those of `moments`
+    n20, n11, n02  second central moments of the region within, by its area a: for half axes A and
+                   B, the first at the angle t,
+                   n20 = (A^2 cos^2 t + B^2 sin^2 t)/4,
+                   n11 = (A^2 - B^2) sin t cos t/4,
+                   n02 = (A^2 sin^2 t + B^2 cos^2 t)/4
+    xn, yn, an     xg/sqrt(a), yg/sqrt(a), 1/sqrt(a),
+                   a = pi A B = 4 pi sqrt(n20 n02 - n11^2), as those of `moments`
 
     The ellipse is the conic that fits the markers best. L is that of the region's moments
     (`MomentSet`), whose third order vanishes, with the plane of the outline, 1/Z = A x + B y + C,

@@ -56,7 +56,8 @@ class StereoPoint(Feature):
     which d is known is that of `law.depth`: with `stereo` the pair measures d itself, also one that
     is not parallel.
 
-    x_dot, y_dot as of `point`; with w = 1/Z: d_dot = b w_dot,  w_dot = w^2 vz + w y wx - w x wy,  and x_r = x - d.
+    x_dot, y_dot as of `point`; with w = 1/Z:
+    d_dot = b w_dot,  w_dot = w^2 vz + w y wx - w x wy,  and x_r = x - d.
 
     Args:
         form: `disparity`, rows x1, y1, d1, x2, ...; or `pair`, rows x_l1, x_r1, y1, x_l2, ...
@@ -179,7 +180,8 @@ class Spherical(Bearings):
     theta1, phi1, theta2, ...
 
     theta_dot = -cos theta (c vx + s vy)/R + sin theta vz/R + s wx - c wy
-    phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,   c = cos phi, s = sin phi
+    phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,
+    c = cos phi, s = sin phi
 
     R is the range, not the depth. theta lies in [0, pi]; an arc sine would map points behind the
     equator to the front. On the axis, ahead and behind, phi is undefined, and its row zero.

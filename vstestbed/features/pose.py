@@ -70,8 +70,9 @@ def rotation_interaction(theta_u: Array) -> Array:
     """L_w (..., 3, 3) with (theta u)_dot = L_w w for R_dot = R [w]x, of theta u (..., 3) [rad],
     theta <= pi.
 
-    L_w = I + S/2 + c S^2,  S = [theta u]x,  c = (1 - (theta/2) cot(theta/2))/theta^2; below 0.1 rad the series
-    1/12 + theta^2/720 + theta^4/30240, whose next term is under 1e-12.
+    L_w = I + S/2 + c S^2,  S = [theta u]x,  c = (1 - (theta/2) cot(theta/2))/theta^2;
+    below 0.1 rad the series 1/12 + theta^2/720 + theta^4/30240, whose next term is under 1e-12.
+
     Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345, in the frame of w.
     """
     theta2 = np.sum(np.square(theta_u), axis=-1)
@@ -105,7 +106,9 @@ def translation_interaction(T: Array, pose: Literal["cdMc", "cMcd", "cMo"]) -> A
 def log_depth_interaction(xy: Array, depth: Array) -> Array:
     """L (..., N, 6) of the logarithm of each point's depth, xy (..., N, 2) and depth (..., N) [m].
 
-    (log Z)_dot = -vz/Z - y wx + x wy.  Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345.
+    (log Z)_dot = -vz/Z - y wx + x wy.
+
+    Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345.
     """
     L = np.zeros((*depth.shape, 6))
     L[..., 2], L[..., 3], L[..., 4] = -1 / depth, -xy[..., 1], xy[..., 0]

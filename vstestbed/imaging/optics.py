@@ -69,8 +69,10 @@ class Optics:
     At r, the distance from the principal point in units of that of the picture's farthest corner,
     and theta, the angle between a pixel's ray and the optical axis:
 
-    brightness    (1 - vignetting r^2), and with `cos4` cos^4 theta times that: the natural one of a lens whose aperture is seen aslant
-    red, blue     are magnified about the principal point by 1 + red_px / R and 1 + blue_px / R, R being the corner's distance [px]
+    brightness    (1 - vignetting r^2), and with `cos4` cos^4 theta times that: the natural one of a
+                  lens whose aperture is seen aslant
+    red, blue     are magnified about the principal point by 1 + red_px / R and 1 + blue_px / R, R
+                  being the corner's distance [px]
     defocus       each point a disc as large as its depth makes it, seen in the whole picture
 
     Defocus is composed of layers of depth, from far to near, each blurred by the mean disc of its

@@ -38,8 +38,12 @@ class SensorNoise:
     """The linear model of EMVA 1288, in electrons: the quantum efficiency, which makes them of
     photons, is in the light already.
 
-    A pixel collects on average  mu_e = (1 + prnu n_r) white_e * value / 255 * light * time / nominal_s  electrons, value being the
-    rendered one. With the gain g of `camera.exposure`, the number n_e of Poisson's distribution (shot noise) and n_d of the normal one,
+    A pixel collects on average
+
+    mu_e = (1 + prnu n_r) white_e * value / 255 * light * time / nominal_s
+
+    electrons, value being the rendered one. With the gain g of `camera.exposure`, the number n_e of
+    Poisson's distribution (shot noise) and n_d of the normal one,
 
     y = round(K g (min(n_e + dark_noise_e n_d, full_well_e) + dsnu_e n_o) + black_level_dn),
 

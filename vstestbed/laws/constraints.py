@@ -184,9 +184,9 @@ def velocity_bounds(
     the accelerations had to give way.
 
     Speed towards a limit: at most (distance - margin) / damper_s (velocity damper), beyond the
-    margin away from it at that rate;
-    |rates| <= speed; |rates - ordered| <= acceleration period. Bounds of position win over those of speed, these over those of
-    acceleration, so that low <= high always.
+    margin away from it at that rate; |rates| <= speed; |rates - ordered| <= acceleration period.
+    Bounds of position win over those of speed, these over those of acceleration, so that
+    low <= high always.
 
     margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a
     period [s]. accelerate: whether accelerations count.

@@ -87,7 +87,9 @@ def white_noise(order: int, dt: float, density: float) -> Array:
     """Process noise (order, order) over dt [s], where the derivative after the highest one in the
     state is white noise.
 
-    Q_ij = density dt^(2k-1-i-j) / ((k-1-i)! (k-1-j)! (2k-1-i-j)), k = order.  Reference: Bar-Shalom et al. 2001, eqs 6.2.2-4, 6.2.3-2.
+    Q_ij = density dt^(2k-1-i-j) / ((k-1-i)! (k-1-j)! (2k-1-i-j)), k = order.
+
+    Reference: Bar-Shalom et al. 2001, eqs 6.2.2-4, 6.2.3-2.
     """
     k, f = order, math.factorial
     return density * np.array(

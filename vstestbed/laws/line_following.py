@@ -45,8 +45,9 @@ class LineFollowing(Law[LineState]):
     tan(phi), with m = (x_n + x_f) / 2, and the rows of y(m) and phi follow from those of (rho,
     theta) by the chain rule. The law has two conditions, for straight lines and for bends:
 
-        e = y(x_e) - y*,  x_e = x_n x_f / (x_n + x_f)       -lambda e  = J_y B u
-        kappa = tan(phi) / (m + y* tan(phi))                -v kappa   = J_phi B u      (only for bases with lateral motion)
+        e = y(x_e) - y*,  x_e = x_n x_f / (x_n + x_f)    -lambda e  = J_y B u
+        kappa = tan(phi) / (m + y* tan(phi))             -v kappa   = J_phi B u
+                                                         (only for bases with lateral motion)
 
     J_y is evaluated for the line moved sideways to its desired position: there a turn w changes y
     by -(m + y* tan(phi)) w. For the observed line, far beside the vehicle, that lever, m + y
@@ -58,8 +59,9 @@ class LineFollowing(Law[LineState]):
     hence J_y is taken at m, and not at x_e, where that of a straight line would be. Both together
     leave no error at constant curvature. With a small offset y0 and heading error psi (kinematics):
 
-        car:   y0_dot = v psi,  psi_dot = -(lambda x_e + v) psi / m - lambda y0 / m          (near and far close together and
-               lambda = 2 v / m: pure pursuit of the point at m, damping .707)
+        car:   y0_dot = v psi,  psi_dot = -(lambda x_e + v) psi / m - lambda y0 / m
+               (near and far close together and lambda = 2 v / m: pure pursuit of the point at m,
+               damping .707)
         omni:  psi_dot = -v psi / m,  y0_dot = -lambda y0 + (v - lambda x_e) psi
 
     Far from the line lambda |e| is limited to v tan(approach), which gives a straight approach at

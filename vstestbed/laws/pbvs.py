@@ -20,12 +20,19 @@ _THETA_U = ThetaU()
 class PBVS(ErrorLaw):
     """u = -lambda pinv(L B) e with e = (t - t*, theta u); the camera twist is v = B u.
 
-    The rotation is theta u of R = R_goal_camera; the translation t and its rows of L are one of three:
-    `cdMc`  t of the camera in the goal frame,      L_t = [R, 0]: the camera moves on a straight line to its goal;
-    `cMcd`  t of the goal in the camera frame,      L_t = [-I, [t]x]: the goal moves on a straight line in the camera frame;
-    `cMo`   t of the target in the camera frame,    L_t = [-I, [t]x]: the target's origin moves on a straight line in the camera
-    frame to its place at the goal, so that it stays in view.
-    The pose comes from the markers' pixels and the known target (perspective-n-point); its errors enter the law.
+    The rotation is theta u of R = R_goal_camera; the translation t and its rows of L are one of
+    three:
+
+    `cdMc`  t of the camera in the goal frame,     L_t = [R, 0]:
+            the camera moves on a straight line to its goal;
+    `cMcd`  t of the goal in the camera frame,     L_t = [-I, [t]x]:
+            the goal moves on a straight line in the camera frame;
+    `cMo`   t of the target in the camera frame,   L_t = [-I, [t]x]:
+            the target's origin moves on a straight line in the camera frame to its place at the
+            goal, so that it stays in view.
+
+    The pose comes from the markers' pixels and the known target (perspective-n-point); its errors
+    enter the law.
 
     For `feedforward` the target's displacement between two frames is that of the poses,
     log(T_before T_now^-1), less the camera's own.

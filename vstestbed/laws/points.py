@@ -164,10 +164,14 @@ class Visibility:
     The border is that of the image; for fisheye and catadioptric lenses also the image circle (and
     the blind spot of a mirror). A marker is lost when its edge passes the border, not its centre.
 
-    With d the distance of a marker's edge to a border, d0 the margin and x = d/d0, the field is the negative gradient of the
-    potential (1/x - 1)^2 / 2: the desired image velocity inwards is  f = strength (1/x - 1)/x^2  [px/s], zero beyond the margin. The
-    camera follows it in the least-squares sense, u = pinv(L B) f with the rows of the pixels in the margin. One marker at the border
-    pans the camera; all of them, as in a large rotation, make it retreat.
+    With d the distance of a marker's edge to a border, d0 the margin and x = d/d0, the field is the
+    negative gradient of the potential (1/x - 1)^2 / 2: the desired image velocity inwards is
+
+    f = strength (1/x - 1)/x^2  [px/s],
+
+    zero beyond the margin. The camera follows it in the least-squares sense, u = pinv(L B) f with
+    the rows of the pixels in the margin. One marker at the border pans the camera; all of them, as
+    in a large rotation, make it retreat.
 
     Args:
         margin_px: d0 [px]; 0 switches the field off.

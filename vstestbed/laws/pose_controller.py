@@ -24,7 +24,9 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 # can. With rho the distance and theta the heading, driving forward:
 #
 #     alpha = angle to the goal - theta           beta = heading of the goal - theta - alpha
-#     rho_dot = -v cos(alpha)     alpha_dot = v sin(alpha) / rho - w     beta_dot = -v sin(alpha) / rho
+#     rho_dot   = -v cos(alpha)
+#     alpha_dot = v sin(alpha) / rho - w
+#     beta_dot  = -v sin(alpha) / rho
 #     v = k_rho rho,  w = k_alpha alpha + k_beta beta
 #
 # is stable for k_rho > 0, k_beta < 0, k_alpha > k_rho. In reverse the vehicle's rear is taken as
@@ -42,12 +44,15 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 # turns the bearing by n / rho; beta has the opposite, and v is k_rho rho, so that curvature and
 # steering are off by
 #
-#     (k_alpha - k_beta) n / (k_rho rho^2),     tan(gamma) of a car with the wheelbase L by L times that,
+#     (k_alpha - k_beta) n / (k_rho rho^2),   tan(gamma) of a car with the wheelbase L by L times
+#                                             that,
 #
 # with 1, 4, -2.5 and L = 1 m by 2.6 for n = 1 mm at rho = 5 cm. Near the goal the curvature
 # therefore follows that of a frame, w / v, the more slowly, the nearer it is:
 #
-#     curvature += (rho / average_m)^3 (w / v - curvature),     the first one within average_m as it is.
+#     curvature += (rho / average_m)^3 (w / v - curvature),
+#
+# the first one within average_m as it is.
 #
 # The noise that a frame adds, n rho, then vanishes towards the goal, and the car arrives on an arc.
 # With the square it would add the same everywhere; with the fourth power, or the mean of all frames
@@ -94,7 +99,8 @@ def polar_law(
 ) -> tuple[Array, Array]:
     """Speed and yaw rate towards the goal, scaled together to the speed limit.
 
-    v = direction k_rho rho,  w = k_alpha alpha + k_beta beta,  both times min(1, speed_limit / |v|); rest where rho < rest_m.
+    v = direction k_rho rho,  w = k_alpha alpha + k_beta beta,
+    both times min(1, speed_limit / |v|); rest where rho < rest_m.
 
     The speed never changes its sign: a vehicle that misses the goal passes it and comes round
     again.
@@ -119,7 +125,8 @@ been reached; the smoothed curvature within `average_m` [1/m], None farther off.
 
 @spec
 class PoseController(Law[PoseState]):
-    """v = k_rho rho,  w = k_alpha alpha + k_beta beta, about the goal, both scaled together into the speed limit.
+    """v = k_rho rho,  w = k_alpha alpha + k_beta beta, about the goal, both scaled together into
+    the speed limit.
 
     The equations and their stability are at the head of `laws.pose_controller`. With
     `direction: auto` the vehicle drives forward or in reverse, depending on which end faces the

@@ -169,7 +169,8 @@ None before the first frame.
 
 @spec
 class Predictive(Law[PlanState]):
-    """min over u_1 ... u_B of  sum over k = 1 ... K of |e_k - exp(-gain k T) e_0|^2 + effort |u|^2,   of which u_1 is ordered.
+    """min over u_1 ... u_B of  sum over k = 1 ... K of |e_k - exp(-gain k T) e_0|^2 +
+    effort |u|^2,   of which u_1 is ordered.
 
     e_k = s(p_k) - s* is the error at the end of the k-th camera period T, predicted with the
     robot's model: servos of first order with their lag, the Jacobian at the joints of that time,

@@ -37,7 +37,8 @@ class PursuitState:
 
 @spec
 class Pursuit(Law[PursuitState]):
-    """v = v_target + lambda (d - d*),  w = v kappa,  kappa = 2 y / d^2,  with (x, y) the target on the floor and d its distance.
+    """v = v_target + lambda (d - d*),  w = v kappa,  kappa = 2 y / d^2,  with (x, y) the target on
+    the floor and d its distance.
 
     kappa is the curvature of the arc from the vehicle, tangential to its heading, to the target.
     The target's speed along the line of sight is estimated from the change of the gap and from the

@@ -232,10 +232,15 @@ class Switched(Law[SwitchedState]):
     free, the active one goes on. With `prefer: first` a law that stands earlier in the list also
     takes over as soon as it is free. The first free law of the list begins.
 
-    A law takes over with the state of its first frame (`init`). What it knew in an earlier stage, such as the start of its
-    smooth start or the views from which its feedforward estimates a velocity, is of another time. For `blend_s` the command
-    crosses over from the last one of the law before:  u = a u_i + (1 - a) u_before,  a = (t - t_before) / blend_s.  It is then ordered
-    as a camera twist, also where the law orders joint velocities. A law that orders rest rests at once.
+    A law takes over with the state of its first frame (`init`). What it knew in an earlier stage,
+    such as the start of its smooth start or the views from which its feedforward estimates a
+    velocity, is of another time. For `blend_s` the command crosses over from the last one of the
+    law before:
+
+    u = a u_i + (1 - a) u_before,  a = (t - t_before) / blend_s.
+
+    It is then ordered as a camera twist, also where the law orders joint velocities. A law that
+    orders rest rests at once.
 
     State-based switching between an image-based and a position-based law, as in the reference, is
     the list

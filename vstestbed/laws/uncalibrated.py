@@ -52,7 +52,8 @@ class RecursiveLeastSquares:
     """The J that minimises the sum of forgetting^(k - i) |y_i - J x_i|^2 over all displacements i
     up to the present one k.
 
-        gain = P x / (forgetting + x^T P x),  J + (y - J x) gain^T,  P = (P - gain x^T P) / forgetting
+        gain = P x / (forgetting + x^T P x),
+        J + (y - J x) gain^T,  P = (P - gain x^T P) / forgetting
 
     Motion in a few directions only would let P grow without end in the others (wind-up), where the
     first measurement after that, noise included, would replace J. So the eigenvalues of P are kept

@@ -572,7 +572,9 @@ class Car(Vehicle, Onboard):
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, 0, wz), shape (3,), of the base between two readings of its encoders.
 
-        v = r (left + right) / 2,  w = r (right - left) / track, of the rear wheels' speeds and the calibrated radius r.
+        v = r (left + right) / 2,  w = r (right - left) / track,
+
+        of the rear wheels' speeds and the calibrated radius r.
 
         Where a wheel spins, it is wrong.
         """

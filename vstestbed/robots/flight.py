@@ -4,7 +4,8 @@ rates, rates to torques.
 In the level frame (x the heading, z up) and in body axes:
 
     a      = k_v (v* - v) + k_vi int(v_m - v) + r* z x v*      (x and y; z with gains of its own)
-    F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): feedforward of the weight
+    F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): feedforward of the
+                           weight
     w*     = k_R (rotation that takes the body's z to F) + r* up
     torque = J (k_w (w* - w) + k_wi int(w* - w))
 

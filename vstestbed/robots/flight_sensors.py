@@ -21,9 +21,11 @@ from vstestbed.robots.flight import Instruments
 # The sensor (optical flow with a range finder, or Doppler) measures the velocity in body axes. Two
 # filters, both in the level frame, which turns with the heading at the rate r:
 #
-#   flow      fused with the accelerometer. With f = R_level_body a - (0, 0, g), the innovation i = R_level_body v_measured - v and
-#             an estimated offset d:  v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
-#             d absorbs the bias of the accelerometer and the error of the attitude, so v has no steady error.
+#   flow      fused with the accelerometer. With f = R_level_body a - (0, 0, g), the innovation
+#             i = R_level_body v_measured - v and an estimated offset d:
+#             v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
+#             d absorbs the bias of the accelerometer and the error of the attitude, so v has no
+#             steady error.
 #   filtered  a first-order low pass: v_dot = i / tau, a trade of noise against lag.
 #
 # Reference: fixed-gain form of the observer of Hua 2010, doi:10.1016/j.conengprac.2010.01.016.

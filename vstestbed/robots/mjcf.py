@@ -210,7 +210,8 @@ def servo_gains(inertia: float, friction: float, slides: bool) -> tuple[float, f
     too small for this kp: MuJoCo's `implicitfast` takes the force of kp at the beginning of a step
     of h and that of kv at its end,
 
-        M (q'' - 2 q' + q) = -h^2 kp q' - h kv (q'' - q')    for positions q, q', q'' at successive steps,
+        M (q'' - 2 q' + q) = -h^2 kp q' - h kv (q'' - q')
+        for positions q, q', q'' at successive steps,
 
     whose two modes decay where h^2 kp < 4 M + 2 h kv (Jury's criterion). kv >= h kp / 2 is enough
     for that whatever M: with this kv steps up to 50 ms, the physics' own being 2 ms. For a whole

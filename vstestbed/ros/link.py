@@ -225,7 +225,8 @@ class Zenoh(Link):
     def key(self, topic: str, kind: str) -> str:
         """The key of a topic's messages."""
         package, _, name = kind.split("/")
-        return f"{self.domain}/{self.name(topic).strip('/')}/{package}::msg::dds_::{name}_/{types().hash_rihs01(kind)}"
+        place, hashed = self.name(topic).strip("/"), types().hash_rihs01(kind)
+        return f"{self.domain}/{place}/{package}::msg::dds_::{name}_/{hashed}"
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
         key = self.key(topic, message.__msgtype__)

@@ -71,6 +71,10 @@ class IdealBench:
 
     def as_text(self) -> str:
         """The measurement as a table for the terminal."""
+        rows = (
+            (f"one run, {self.steps} steps", self.steps_per_s, self.run_low, self.run_high),
+            (f"{self.runs} runs at once", self.run_steps_per_s, self.batch_low, self.batch_high),
+        )
         return "\n".join(
             [
                 (
@@ -78,11 +82,9 @@ class IdealBench:
                     f" on {self.cores:.2f} cores"
                 ),
                 f"  {'':26}{'steps a second':>16}{'lowest':>10}{'highest':>10}",
-                (
-                    f"  {f'one run, {self.steps} steps':26}{self.steps_per_s:16.0f}{self.run_low:10.0f}{self.run_high:10.0f}"
-                ),
-                (
-                    f"  {f'{self.runs} runs at once':26}{self.run_steps_per_s:16.0f}{self.batch_low:10.0f}{self.batch_high:10.0f}"
+                *(
+                    f"  {row:26}{mean:16.0f}{low:10.0f}{high:10.0f}"
+                    for row, mean, low, high in rows
                 ),
             ]
         )

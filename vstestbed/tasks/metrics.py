@@ -293,8 +293,10 @@ class ErrorIntegrals:
     """Integrals of the measured image error e (RMS of the coordinates seen [px]) over the run, by
     the trapezoidal rule.
 
-    iae_px_s = int e dt,  ise_px2_s = int e^2 dt,  itae_px_s2 = int t e dt.  Frames without a measurement are bridged.
-    Runs are comparable where they last equally long, or converge.
+    iae_px_s = int e dt,  ise_px2_s = int e^2 dt,  itae_px_s2 = int t e dt.
+
+    Frames without a measurement are bridged. Runs are comparable where they last equally long, or
+    converge.
 
     Reference: Graham & Lathrop 1953, The synthesis of "optimum" transient response, Trans. AIEE
     72(5).

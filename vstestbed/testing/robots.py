@@ -50,7 +50,8 @@ def _check_start(robot: Robot, rng: np.random.Generator) -> None:
     same = robot.started_at(configuration)
     error = np.abs(robot.flange_pose(same.configuration()) - robot.flange_pose(configuration)).max()
     assert error < 1e-9, (
-        f"{robot.kind}: started_at(configuration()) must stand where it stood, it is {error:.2g} off"
+        f"{robot.kind}: started_at(configuration()) must stand where it stood,"
+        f" it is {error:.2g} off"
     )
     n, joints = len(robot.start_joints()), len(robot.joints)
     assert n == joints, (

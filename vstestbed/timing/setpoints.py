@@ -20,8 +20,10 @@ class Profile:
     """The way from one value to another within a time T: with s = t / T from 0 to 1,
 
         hold    u = u1
-        ramp    u = u0 + (u1 - u0) s                                           (first-order hold, late by a period)
-        smooth  u = u0 + T u0' (s - 2 s^2 + s^3) + (u1 - u0) (3 s^2 - 2 s^3)   (a cubic that ends with slope 0)
+        ramp    u = u0 + (u1 - u0) s
+                (first-order hold, late by a period)
+        smooth  u = u0 + T u0' (s - 2 s^2 + s^3) + (u1 - u0) (3 s^2 - 2 s^3)
+                (a cubic that ends with slope 0)
 
     and u1 from then on. Of velocities, `smooth` has a continuous acceleration and a jerk of at most
     6 |u1 - u0| / T^2 + 4 |u0'| / T. Both cover (u0 + u1) T / 2 in the time T (smooth: from rest,

@@ -55,11 +55,14 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outli
     """Centroid of each marker's image relative to the image of its centre, the image's area, and
     that of the centre.
 
-    The rim (of a disc: across its normal; of a sphere: the circle where the rays touch it, centre p (d^2 - r^2)/d^2,
-    radius r sqrt(1 - r^2/d^2), d = |p|) is projected as a polygon; with its corners q_i relative to the image of the centre,
+    The rim (of a disc: across its normal; of a sphere: the circle where the rays touch it, centre
+    p (d^2 - r^2)/d^2, radius r sqrt(1 - r^2/d^2), d = |p|) is projected as a polygon; with its
+    corners q_i relative to the image of the centre,
+
     a_i = q_i x q_i+1,  area = |sum a_i|/2,  bias = sum (q_i + q_i+1) a_i / (3 sum a_i).
-    This holds for any lens. Where the lens does not see a whole rim the result is NaN. In closed form for a pinhole and a disc:
-    Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468.
+
+    This holds for any lens. Where the lens does not see a whole rim the result is NaN. In closed
+    form for a pinhole and a disc: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468.
     """
     points, radius = target.points, target.marker.radius
     with np.errstate(invalid="ignore", divide="ignore"):

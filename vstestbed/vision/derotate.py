@@ -6,12 +6,13 @@ wz) takes for an error and answers with more acceleration. So goals, poses and i
 are in the level frame, which shares the craft's position and heading, and rays are rotated into it.
 With phi = R_camera_base (roll, pitch, 0):
 
-  exact        ray_level = R_level_camera ray, R_level_camera = R_camera_base Ry(pitch) Rx(roll) R_base_camera.
-  first_order  s_level = s - L_w phi, L_w the rotational columns of the interaction matrix at the measured s: those of the angles
-               (theta, phi) on the sphere, or of (x, y) for a pinhole. Good for small tilts away
-               from the axis.
-  as_printed   the same with the matrix as printed (Corke 2017, section 16.4.3): its two rows are swapped, and that of phi
-               lacks 1/sin theta. For comparison only.
+  exact        ray_level = R_level_camera ray,
+               R_level_camera = R_camera_base Ry(pitch) Rx(roll) R_base_camera.
+  first_order  s_level = s - L_w phi, L_w the rotational columns of the interaction matrix at the
+               measured s: those of the angles (theta, phi) on the sphere, or of (x, y) for a
+               pinhole. Good for small tilts away from the axis.
+  as_printed   the same with the matrix as printed (Corke 2017, section 16.4.3): its two rows are
+               swapped, and that of phi lacks 1/sin theta. For comparison only.
 
 References: Hamel & Mahony 2002, doi:10.1109/TRA.2002.999647 (visual servoing of an underactuated
 craft, on the sphere); Lee, Ryan & Kim 2012, doi:10.1109/ICRA.2012.6225103 (virtual image plane);
@@ -73,8 +74,11 @@ def trimmed(
     """The trim after one more picture: it removes the steady tilt error of a biased accelerometer
     and averages image noise.
 
-    The goal view is that of a level craft, so it gives the direction of gravity in the target's frame, R_goal_target^T R_camera_base
-    (0, 0, -1), and the measured pose takes it to the camera's frame.   trim <- trim + k (tilt by the pose - tilt - trim).
+    The goal view is that of a level craft, so it gives the direction of gravity in the target's
+    frame, R_goal_target^T R_camera_base (0, 0, -1), and the measured pose takes it to the camera's
+    frame.
+
+    trim <- trim + k (tilt by the pose - tilt - trim).
 
     Args:
         tilt: roll and pitch by the IMU, shape (2,) [rad]. R_base_camera: the mount's rotation (3,

@@ -160,7 +160,8 @@ def fused_place(
 ) -> Array | None:
     """Planar pose (x, y, heading) of a vehicle; None where it has never been known.
 
-    heading <- heading + k_c wrap(compass - heading),   (x, y) <- (x, y) + k_l ((x, y) by landmarks - (x, y))
+    heading <- heading + k_c wrap(compass - heading),
+    (x, y)  <- (x, y) + k_l ((x, y) by landmarks - (x, y))
 
     The landmarks give the position of the lens whatever the heading is; that of the base follows
     from it by the mount's lever arm at the filtered heading. Noise is averaged by the filter;

@@ -104,9 +104,12 @@ def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
     """R of H = R + t n^T/d: with v1, v2, v3 the right singular vectors of H and 1 the middle
     singular value,
 
-    n = v2 x u,  R = [H v2, H u, H v2 x H u] [v2, u, v2 x u]^T,  u = (a v1 +- b v3)/sqrt(a^2 + b^2),  a^2 = 1 - s3^2, b^2 = s1^2 - 1.
-    H preserves the lengths of v2 and u, which lie in the plane. Of the two solutions that one is taken which has all points before the
-    camera and its normal nearest to the goal's. A pure rotation has no normal, and any u gives R.
+    n = v2 x u,  R = [H v2, H u, H v2 x H u] [v2, u, v2 x u]^T,
+    u = (a v1 +- b v3)/sqrt(a^2 + b^2),  a^2 = 1 - s3^2, b^2 = s1^2 - 1.
+
+    H preserves the lengths of v2 and u, which lie in the plane. Of the two solutions that one is
+    taken which has all points before the camera and its normal nearest to the goal's. A pure
+    rotation has no normal, and any u gives R.
     """
     (s1, _, s3), Vt = np.linalg.svd(H)[1:]
     v1, v2, v3 = Vt

@@ -256,8 +256,9 @@ def mutual_matches(
     """Pairs (i, j) of which a_i is the nearest to b_j and b_j the nearest to a_i, and their
     distances, the nearest pairs first.
 
-    |a - b|^2 = |a|^2 + |b|^2 - 2 a.b by one product of matrices, five times as fast as OpenCV's matcher for SIFT. Its sums of
-    integers (SIFT, bits) are exact in single precision, so that they do not depend on the machine.
+    |a - b|^2 = |a|^2 + |b|^2 - 2 a.b by one product of matrices, five times as fast as OpenCV's
+    matcher for SIFT. Its sums of integers (SIFT, bits) are exact in single precision, so that they
+    do not depend on the machine.
 
     Args:
         a, b: descriptors (M, D) and (N, D), floats (Euclidean distance) or uint8 (number of

@@ -94,12 +94,14 @@ def update_flow(
     The flow of a unit ray r to a point at the range R:   r_dot = -(v - r (r.v)) / R - w x r
     at mid-interval:   y = r_dot + w x r = phi theta + noise,   phi = r (r.v) - v
     gain:        I <- I exp(-c dt/forget) + phi.phi,   theta <- theta + phi.(y - phi theta) / I
-                 c = phi.phi / (phi.phi + CLEAR least), so that I settles no lower than CLEAR least
-                 forget / dt
+                 c = phi.phi / (phi.phi + CLEAR least),
+                 so that I settles no lower than CLEAR least forget / dt
     prediction:  theta_dot = theta^2 r.v,   since R_dot = -r.v (half before, half after)
-    A marker starts at the initial depth. I starts at and never falls below least = (sqrt(2) FLOW_NOISE / (dt theta))^2, which
-    is a prior of 100 % uncertainty. A frame with less evidence than that is skipped, without forgetting. Rays (N, 3) are those of
-    the time t [s], NaN where not seen.
+
+    A marker starts at the initial depth. I starts at and never falls below
+    least = (sqrt(2) FLOW_NOISE / (dt theta))^2, which is a prior of 100 % uncertainty. A frame with
+    less evidence than that is skipped, without forgetting. Rays (N, 3) are those of the time t [s],
+    NaN where not seen.
     Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from
     flow and known motion); Ljung 1999, System Identification, section 11.2 (least squares with
     forgetting).

@@ -108,7 +108,9 @@ class ColorJitter(PerturbationBase):
     """Colour jitter: random brightness b, contrast c and saturation s, each U(1 - x, 1 + x) of its
     x.
 
-    I' = b (s (I_c - Y_c) + Y_c),  I_c = c (I - 128) + 128,  with the grey Y of a colour by ITU-R BT.601; clipped to 0 to 255.
+    I' = b (s (I_c - Y_c) + Y_c),  I_c = c (I - 128) + 128,
+
+    with the grey Y of a colour by ITU-R BT.601; clipped to 0 to 255.
 
     Args:
         brightness, contrast, saturation: largest relative change x of it [1].

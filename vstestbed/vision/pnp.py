@@ -33,7 +33,8 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     and B = [1 | -v] R_v its derivative in the image (first two columns),
 
     B^-1 J = s1 u1 v1^T + s2 u2 v2^T   (singular values),   1/s1 = depth along the ray,
-    R = R_v [[B^-1 J / s1], [+-sqrt(1 - (s2/s1)^2) v2^T]]   (first two columns; the third is their cross product).
+    R = R_v [[B^-1 J / s1], [+-sqrt(1 - (s2/s1)^2) v2^T]]
+    (first two columns; the third is their cross product).
 
     The two signs are the mirror poses, which become one where the plane is orthogonal to the ray.
     (OpenCV's IPPE takes the root of 1 minus a squared column, which rounding makes negative in such

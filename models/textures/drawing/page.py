@@ -10,11 +10,12 @@ HEIGHT, WIDTH = 1200, 900
 MARGIN, GUTTER, SIZE, LEADING = 60, 36, 11.0, 25
 INK = "22201e"
 TEXT = """
-the of and in a to is that which with by for as on are from at this it be one has not or its where each all two image
-camera point line motion robot error velocity frame feature depth plane axis angle light surface matrix gain goal view
-sensor lens pixel picture marker measure follow estimate converge rotate translate observe control align move turn reach
-compute project match track mean small large same other first last between near far left right under over through
-without before after while time distance place order noise number
+the of and in a to is that which with by for as on are from at this it be one has not or its where
+each all two image camera point line motion robot error velocity frame feature depth plane axis
+angle light surface matrix gain goal view sensor lens pixel picture marker measure follow estimate
+converge rotate translate observe control align move turn reach compute project match track mean
+small large same other first last between near far left right under over through without before
+after while time distance place order noise number
 """
 WORDS = TEXT.split()
 

@@ -259,7 +259,9 @@ READER = """
 import json, sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.utils import dataset_to_policy_features
-ds = LeRobotDataset("local/runs", root=sys.argv[1], video_backend="pyav", delta_timestamps={"action": [0.0, 0.04]})
+ds = LeRobotDataset(
+    "local/runs", root=sys.argv[1], video_backend="pyav", delta_timestamps={"action": [0.0, 0.04]}
+)
 def pixel(item, i):
     u, v = item["markers"][2 * i : 2 * i + 2].round().int().tolist()
     return item["observation.image"][:, v, u] * 255

@@ -188,7 +188,8 @@ import hashlib, vstestbed as vs
 class Picture:
     def frame(self, frame): print(hashlib.sha256(frame.image.tobytes()).hexdigest())
 small = {"camera.width": 320, "camera.height": 240, "target.marker.radius": 0.04}
-r = vs.run(vs.load("arm_ibvs", small | {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}), [Picture()])
+small |= {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}
+r = vs.run(vs.load("arm_ibvs", small), [Picture()])
 print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """
 

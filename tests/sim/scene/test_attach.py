@@ -156,7 +156,13 @@ def test_what_a_file_says_of_views_and_solver_is_the_scenes_without_a_line_of_th
         f"<mujoco>{pictures}{solver}<worldbody>{arm}</worldbody></mujoco>"
     )
     (tmp_path / "own.yaml").write_text("""
-robot: {kind: mjcf, file: arm.xml, flange: flange, speed_limits: [1, 1], torque_limits: [5, 5], start: {nominal: {q_deg: [0, 10]}}}
+robot:
+  kind: mjcf
+  file: arm.xml
+  flange: flange
+  speed_limits: [1, 1]
+  torque_limits: [5, 5]
+  start: {nominal: {q_deg: [0, 10]}}
 camera: {kind: perspective, fovy_deg: 60, mount: {xyz: [0, 0, 0.05]}}
 target: {kind: square, side: 0.2, pose: {xyz: [1, 0, 0.7], rpy_deg: [0, -90, 0]}}
 law: ibvs

@@ -172,8 +172,10 @@ def test_what_a_model_names_outside_its_folder_and_in_comments_is_not_copied(
         f"""<mujoco><!-- <mesh file="no.stl"/> <texture file="{secret}"/> file="no.png" -->
         <custom><text name="file" data="file='no.png'"/></custom>
         <include file='more/part.xml'/>
-        <asset><mesh name="file" file = "a.stl"/><mesh file="link.stl"/><mesh file="../home/id_rsa.stl"/>
-        <texture name="t" type="2d" file="{secret}"/><texture name="p" type="2d" file="/etc/passwd"/>
+        <asset><mesh name="file" file = "a.stl"/>
+        <mesh file="link.stl"/><mesh file="../home/id_rsa.stl"/>
+        <texture name="t" type="2d" file="{secret}"/>
+        <texture name="p" type="2d" file="/etc/passwd"/>
         <hfield name="h" file="noise.png" size="1 1 1 1"/></asset>
         <worldbody/></mujoco>"""
     )

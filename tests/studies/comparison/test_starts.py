@@ -50,8 +50,13 @@ tasks:
   turn:
     unit: deg
     amounts: [45, 180]
-    each: {robot.start.nominal: [{xyz: [0, 0, -1], rpy_deg: [0, 0, 45]}, {xyz: [0, 0, -1], rpy_deg: [0, 0, 180]}]}
-  random: {seeds: 2, set: {robot.start: {nominal: {xyz: [0, 0, -2]}, random: {rpy_deg: [5, 5, 40]}}}}
+    each:
+      robot.start.nominal:
+        - {xyz: [0, 0, -1], rpy_deg: [0, 0, 45]}
+        - {xyz: [0, 0, -1], rpy_deg: [0, 0, 180]}
+  random:
+    seeds: 2
+    set: {robot.start: {nominal: {xyz: [0, 0, -2]}, random: {rpy_deg: [5, 5, 40]}}}
 metrics: [time_to_converge_s, max_retreat_m, max_rotation_deg]
 """
 

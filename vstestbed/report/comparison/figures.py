@@ -578,7 +578,7 @@ def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array
     """Values tau in ascending order of badness, the share of runs that are as good or better, both
     shape (M,), and the number of runs.
 
-        share(tau) = #{runs with x <= tau} / n        (x >= tau for a metric of which more is better)
+        share(tau) = #{runs with x <= tau} / n     (x >= tau for a metric of which more is better)
 
     Failed runs never are (`ControllerResults.ranked`). Of many values STEPS are kept. Reference:
     Dolan & Moré 2002, doi:10.1007/s101070100263 (of ratios to the best there); Agarwal et al. 2021,

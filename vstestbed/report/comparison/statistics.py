@@ -184,7 +184,8 @@ def holm(p: Sequence[float]) -> list[float]:
     """P-values adjusted for their number m: whoever calls those under 5 % real is wrong in any of
     them in 5 % of all cases at most.
 
-        adjusted p_(k) = max over j <= k of min((m + 1 - j) p_(j), 1),        p_(1) <= p_(2) <= ... <= p_(m)
+        adjusted p_(k) = max over j <= k of min((m + 1 - j) p_(j), 1),
+        p_(1) <= p_(2) <= ... <= p_(m)
 
     NaN is no test: it does not count, and stays. Reference: Holm 1979, A simple sequentially
     rejective multiple test procedure, Scand. J. Statist. 6, 65-70.
@@ -247,7 +248,8 @@ def _differences(a: ArrayLike, b: ArrayLike) -> tuple[Array, float]:
 def interquartile_mean(values: ArrayLike) -> IntervalEstimate:
     """Mean of the middle half of all values, with the interval of a trimmed mean.
 
-        IQM = mean of x_(k+1), ..., x_(n-k),        x_(1) <= ... <= x_(n),   k = floor(n / 4),   h = n - 2 k
+        IQM = mean of x_(k+1), ..., x_(n-k),
+              x_(1) <= ... <= x_(n),   k = floor(n / 4),   h = n - 2 k
         IQM -+ t_{h-1}(0.975) sqrt(SSD / (h (h - 1)))
 
     SSD: sum of squared deviations of the Winsorised values, in which x_(1), ..., x_(k) are set to

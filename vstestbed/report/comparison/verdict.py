@@ -84,7 +84,8 @@ class MeanOfStarts(NamedTuple):
     def with_imagined(self, value: float) -> MeanEstimate:
         """The mean with one more, imagined value x_0.
 
-            mean_0 = (n mean + x_0) / (n + 1),    s_0^2 = ((n - 1) s^2 + n / (n + 1) (x_0 - mean)^2) / n
+            mean_0 = (n mean + x_0) / (n + 1),
+            s_0^2  = ((n - 1) s^2 + n / (n + 1) (x_0 - mean)^2) / n
 
         is the mean and the variance of n + 1 values where there is one stratum; its standard error
         is s_0 / sqrt(n + 1).
@@ -131,9 +132,9 @@ class PairTest:
     With x = (b reached) - (a reached) and d = cost of a - cost of b, both with an imagined start in
     which b fails and a arrives at its usual cost w_a, the claim that b is better by its cost has
 
-        p_b = P(t_n > min(T_m, T_t)),    T_m = (mean(x_1, ..., x_n, -1) + m) sqrt(n + 1) / sd(x_1, ..., x_n, -1)
-                                         T_t = mean(d_1, ..., d_n, w_a - worst) sqrt(n + 1) /
-                                         sd(d_1, ..., d_n, w_a - worst)
+        p_b = P(t_n > min(T_m, T_t)),
+        T_m = (mean(x_1, ..., x_n, -1) + m) sqrt(n + 1) / sd(x_1, ..., x_n, -1)
+        T_t = mean(d_1, ..., d_n, w_a - worst) sqrt(n + 1) / sd(d_1, ..., d_n, w_a - worst)
 
     and that of a the same with a and b exchanged. The imagined start is what lets no failure among
     n starts mean a rate of up to 3 / n, and no more (Learned-Miller & Thomas 2019,

@@ -69,9 +69,9 @@ def outside_view(
     """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no
     shadows. Raises as `servo_renderer`.
     """
-    by_rays: Callable[[], Any] = lambda: _rays().RaySceneCamera(
+    by_rays: Callable[[], Any] = lambda: _rays().RaySceneCamera(  # noqa: E731 - beside the other
         stage, name, width, height, FILM_RAYS
-    )  # noqa: E731 - beside the other
+    )
     if drawn_together.get():  # OpenGL in a process with Warp has been seen to crash
         return by_rays()
     return _chosen(

@@ -593,7 +593,8 @@ class Job:
     @property
     def folder(self) -> str:
         """Folder of the run, below the comparison's folder."""
-        return f"{self.controller.folder}/{'nominal' if self.seed is None else among(self.seed, self.of)}"
+        run = "nominal" if self.seed is None else among(self.seed, self.of)
+        return f"{self.controller.folder}/{run}"
 
     def scenario(self) -> Scenario:
         """The scenario with its start and its noise drawn from the seed. Raises UnreachableError:
