@@ -68,10 +68,8 @@ def _skip_without_opengl() -> Iterator[None]:
     """
     try:
         yield
-    except (
-        EnvironmentLackError,
-        RuntimeError,
-    ) as error:  # RuntimeError: dm_control's, where a test draws by itself
+    except (EnvironmentLackError, RuntimeError) as error:
+        # RuntimeError: dm_control's, where a test draws by itself
         if not str(error).lower().startswith("no opengl") or not (lack := _no_opengl()):
             raise
         pytest.skip(lack)

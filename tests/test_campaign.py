@@ -55,9 +55,8 @@ def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 def test_an_interrupted_part_is_kept_and_gone_on_with(rows):
     code, found = rows(Stopped(), "--starts", "3", "--only", "law.gain=1.0")
-    assert code == 130 and [row["law.gain"] for row in found] == [
-        1.0
-    ]  # the second run was done, and not written yet
+    # the second run was done, and not written yet
+    assert code == 130 and [row["law.gain"] for row in found] == [1.0]
     code, more = rows(Here(), "--starts", "3", "--only", "law.gain=1.0")
     assert code == 0 and found[0] in more and sorted(row["seed"] for row in more) == [0, 1, 2]
 

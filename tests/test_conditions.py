@@ -53,10 +53,11 @@ OF_THE_RUN = {"scenario", "seed", "task", "amount"}
             "compare arm_ibvs --vary detector=oracle,blobs",
             "oracle with border or pictures; dynamics",
         ),
+        # whatever the scenario's detector
         (
             "gain-limit arm_ibvs --set robot.realism=field",
             "oracle without border; dynamics (`field`)",
-        ),  # whatever the scenario's detector
+        ),
         ("sweep depth_error", "oracle without border; ideal camera"),
         (
             "basin canonical --x x=-2:2 --y yaw=-180:180 --field-of-view limited",

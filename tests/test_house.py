@@ -177,14 +177,12 @@ def test_what_the_loop_passes_on_is_small():
     from vstestbed.tasks.frame import Cycle, Frame
 
     def size(cls: type) -> int:
-        return len(
-            getattr(cls, "_fields", None) or dataclasses.fields(cls)
-        )  # some are named tuples
+        # some are named tuples
+        return len(getattr(cls, "_fields", None) or dataclasses.fields(cls))
 
     for cls in (Frame, Goal, Observation, Command, Allocation, Order, Reading, Truth):
-        assert size(cls) <= {Observation: 18, Goal: 15}.get(cls, 14), (
-            cls
-        )  # an observation's are what laws may name
+        # an observation's are what laws may name
+        assert size(cls) <= {Observation: 18, Goal: 15}.get(cls, 14), cls
     assert size(Cycle) <= 8 and size(Frame) <= 14
 
 

@@ -103,9 +103,8 @@ def test_the_workflow_of_strangers_code_has_nothing_to_give_away() -> None:
         "": "${{ github.event.pull_request.base.sha }}",
         "handed_in": "",
     }
-    assert not any(
-        "${{" in step.get("run", "") for step in steps
-    )  # what strangers name is never part of a command
+    # what strangers name is never part of a command
+    assert not any("${{" in step.get("run", "") for step in steps)
 
 
 def test_what_the_contributors_page_installs_is_what_the_project_lists() -> None:

@@ -149,9 +149,8 @@ def test_short_commands_of_the_pages_do_what_they_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(
-        "vstestbed.scenario.catalogue.schema_of", whole_schema
-    )  # made once for all tests
+    # made once for all tests
+    monkeypatch.setattr("vstestbed.scenario.catalogue.schema_of", whole_schema)
     given = {
         tuple(words)
         for page in READ

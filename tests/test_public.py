@@ -191,9 +191,8 @@ def test_the_example_of_the_docstring_works() -> None:
     recording = vs.run(vs.load("ibvs_book", fast))
     assert recording.outcome is vs.Outcome.timed_out
     assert recording.summary()["scenario"] == "ibvs_book"
-    assert (
-        recording.frame().height == recording.summary()["frames"] == 4
-    )  # pictures at 0, .1, .2 and .3 s
+    # pictures at 0, .1, .2 and .3 s
+    assert recording.frame().height == recording.summary()["frames"] == 4
     with pytest.raises(KeyError, match="no column 'eror_px' in the log; did you mean 'error_px'"):
         recording["eror_px"]
 

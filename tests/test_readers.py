@@ -73,11 +73,8 @@ READERS = {
         yaml_of(folder("scenarios") / "suite" / "VS-1.yaml"),
         ("laws", "tasks", "laws.*.tasks.**", "laws.*.law.**"),
     ),
-    "law": (
-        law_of_file,
-        LAW,
-        ("law", "tasks.**"),
-    ),  # blocks of a law's kind, checked when they are flown
+    # blocks of a law's kind, checked when they are flown
+    "law": (law_of_file, LAW, ("law", "tasks.**")),
     "scenario": (vs.load, yaml_of(folder("scenarios") / "arm_ibvs.yaml"), ()),
 }
 

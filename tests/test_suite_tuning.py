@@ -234,6 +234,7 @@ def test_the_suite_s_gains_are_those_of_the_record() -> None:
                 law,
                 place,
             )
+    # one budget for each group
     assert (
         found.select("group", "trials", "low", "high").unique().height == found["group"].n_unique()
-    )  # one budget for each group
+    )

@@ -22,11 +22,8 @@ from vstestbed.scenario.scenario import Scenario
 
 NUMBER = 60
 NEAR = (4.0, 14.0)  # [px]
-REACH_M, TILT_DEG, TURN_DEG = (
-    0.3,
-    25.0,
-    110.0,
-)  # largest displacement along each axis, about the picture's axes, about the optical axis
+# largest displacement along each axis, about the picture's axes, about the optical axis
+REACH_M, TILT_DEG, TURN_DEG = 0.3, 25.0, 110.0
 PLACE = Path(__file__).resolve().parents[2] / "scenarios" / "suite" / "border_starts.json"
 
 

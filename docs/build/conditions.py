@@ -87,9 +87,8 @@ def flown_by(command: str) -> Iterator[vs.Scenario]:
     word, *rest = shlex.split(command)
     given = _parameters(word, rest)
     settings = settings_of(given.get("set_"))
-    if given.get(
-        "plugin"
-    ):  # a law of a plugin decides no conditions, and a build must not know it afterwards
+    # a law of a plugin decides no conditions, and a build must not know it afterwards
+    if given.get("plugin"):
         settings = {path: value for path, value in settings.items() if path.split(".")[0] != "law"}
     if word in ("run", "tune"):
         yield _loaded(given["scenario"], settings)

@@ -125,9 +125,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         uri = PAGES.get(target) or (
             within if files.get_file_from_path(within) else f"{FILES}/{target}"
         )
-        known = (
-            files.get_file_from_path(uri) is not None
-        )  # else a folder, which is none of the site
+        # else a folder, which is none of the site
+        known = files.get_file_from_path(uri) is not None
         return (
             os.path.relpath(uri, here or ".").replace(os.sep, "/") + anchor if known else found[1]
         )

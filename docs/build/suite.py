@@ -91,9 +91,8 @@ class Suite:
             place, comment_prefix="#", schema_overrides={"start": pl.String, "value": pl.Float64}
         )
         self.scores = scores(self.runs)
-        beside = pl.read_csv(
-            PLACE / "cns.csv", schema_overrides={"start": pl.String}
-        )  # CNS's network, by its own weights
+        # CNS's network, by its own weights
+        beside = pl.read_csv(PLACE / "cns.csv", schema_overrides={"start": pl.String})
         self.all = pl.concat([self.runs, beside.cast({"value": pl.Float64})])
         self.tasks = list(dict.fromkeys(s.task for s in self.scores))
         self.overall = overall(self.scores)

@@ -82,9 +82,8 @@ class Group:
 GROUPS = {
     "arm": Group("arm", (LAW,), 3),  # also `border`, `calibration`, `realism`
     "latency": Group("latency", ("latency",), 4),
-    "ideal": Group(
-        "ideal", ("ideal",), 3, high=24.0, set={}
-    ),  # at 25 pictures a second a gain of 25 ends in one
+    # at 25 pictures a second a gain of 25 ends in one
+    "ideal": Group("ideal", ("ideal",), 3, high=24.0, set={}),
     "tracking": Group("tracking", ("tracking",), 3),
     "base": Group("base", ("base",), 2),
     "craft": Group("craft", ("craft",), 2, low=0.1, high=4.0),

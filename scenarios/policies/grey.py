@@ -61,9 +61,8 @@ class Grey:
 
     def act(self, observation):
         """The action (6,), with an action of 1 for 1 m/s or 1 rad/s."""
-        if self.goal is None or not np.array_equal(
-            observation["goal_pixels"], self.goal
-        ):  # a new array each frame
+        # a new array each frame
+        if self.goal is None or not np.array_equal(observation["goal_pixels"], self.goal):
             self.goal, self.there = (
                 observation["goal_pixels"],
                 self.pose(observation["goal_pixels"]),

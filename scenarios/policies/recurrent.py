@@ -18,10 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-PAST, MOST = (
-    6,
-    10.0,
-)  # commands that it remembers one by one; m/s and rad/s of an action of 1 (`law.limits`)
+# commands that it remembers one by one; m/s and rad/s of an action of 1 (`law.limits`)
+PAST, MOST = 6, 10.0
 WEIGHTS = (
     dict(np.load(Path(__file__).with_suffix(".npz")))
     if Path(__file__).with_suffix(".npz").is_file()

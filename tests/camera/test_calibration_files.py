@@ -296,9 +296,8 @@ def test_a_matrix_of_three_digits_is_a_mount(write):
     T[:3, :3] = turn.round(3)
     T[:3, 3] = 0.01, -0.02, 0.11
     found = read_mount(str(write({"T_cam2gripper": T.tolist()})))
-    np.testing.assert_allclose(
-        found["rpy_deg"], [3.0, -7.0, 40.0], atol=0.1
-    )  # half of the last digit, twice: 1e-3 rad
+    # half of the last digit, twice: 1e-3 rad
+    np.testing.assert_allclose(found["rpy_deg"], [3.0, -7.0, 40.0], atol=0.1)
 
 
 def test_quaternions_are_of_norm_one(write):
@@ -319,11 +318,12 @@ def test_quaternions_are_of_norm_one(write):
         if words:
             assert words in refused(read_mount, file)
         else:
+            # rounding
             np.testing.assert_allclose(
                 Pose(**read_mount(str(file))).T[:3, :3],
                 [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
                 atol=1e-12,
-            )  # rounding
+            )
 
 
 def test_files_of_other_libraries_are_told_from_damaged_ones(write, tmp_path):

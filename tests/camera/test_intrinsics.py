@@ -81,9 +81,10 @@ def test_the_same_numbers_come_from_every_format(tmp_path):
         "d": list(PLUMB),
         "k": K.ravel().tolist(),
     }
+    # as `ros2 topic echo` prints it
     (tmp_path / "echo.yaml").write_text(
         f"header: {{frame_id: cam}}\n{yaml.safe_dump(message)}---\n"
-    )  # as `ros2 topic echo` prints it
+    )
     (tmp_path / "plain.json").write_text(
         json.dumps({"camera_matrix": K.tolist(), "dist_coeffs": [list(PLUMB)]})
     )
@@ -125,9 +126,8 @@ def test_pixels_that_are_no_squares_and_the_rational_model_are_drawn(tmp_path):
     with vs.Session(shown) as session:
         frame = session.reset()
     assert frame.observation.seen.all()
-    assert (
-        np.abs(frame.observation.uv - shown.camera.project(frame.truth.p_camera)).max() < 0.1
-    )  # of the detector; 1 % of fx is 2 px here
+    # of the detector; 1 % of fx is 2 px here
+    assert np.abs(frame.observation.uv - shown.camera.project(frame.truth.p_camera)).max() < 0.1
 
 
 def test_a_hand_eye_calibration_is_read_from_every_form(tmp_path):

@@ -86,9 +86,8 @@ TASKS = {
     "gap": lambda: quick("gap"),
     "line": lambda: quick("line"),
     "track": lambda: scenario("arm_track_circle", {"stop.duration_s": 8.0}),
-    "path": lambda: scenario(
-        "quadrotor_path", {"goal.way": LEG, "stop.duration_s": 25.0}
-    ),  # the whole path is flown in tests/loop
+    # the whole path is flown in tests/loop
+    "path": lambda: scenario("quadrotor_path", {"goal.way": LEG, "stop.duration_s": 25.0}),
     "landing": lambda: quick("landing"),
     "insertion": lambda: scenario(
         "arm_insert", {"robot.controller": "velocity", "robot.start.nominal.q_deg": BEFORE_MOUTH}
@@ -149,9 +148,8 @@ def test_the_catalogue_is_whole():
     [pytest.param(k, marks=[pytest.mark.study] if k == "pursuit" else []) for k in LAWS.members],
 )
 def test_every_law(kind):
-    loop = (
-        vs.load("camera_photometric", SMALL_PICTURES) if kind == "photometric" else None
-    )  # which needs a picture with structure
+    # which needs a picture with structure
+    loop = vs.load("camera_photometric", SMALL_PICTURES) if kind == "photometric" else None
     suites.check_law(loop.law if loop else LAWS.members[kind](**LAW_PARAMETERS.get(kind, {})), loop)
 
 
@@ -165,9 +163,8 @@ def test_every_target(kind):
     suites.check_target(TARGET_EXAMPLES[kind]())
 
 
-@pytest.mark.parametrize(
-    "kind", [kind for kind in DETECTORS.members if kind != "none"]
-)  # which detects nothing
+# which detects nothing
+@pytest.mark.parametrize("kind", [kind for kind in DETECTORS.members if kind != "none"])
 def test_every_detector(kind):
     suites.check_detector(DETECTORS.members[kind]())
 

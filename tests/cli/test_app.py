@@ -501,9 +501,8 @@ class TestListAndSchema:
         members = files[room]() if room in files else registries()[room].members
         assert ended.code == 0
         assert [line.split()[0] for line in ended.out.splitlines()] == (list(members) or ["none;"])
-        assert all(
-            len(line.split()) > 2 for line in ended.out.splitlines()
-        )  # the word, and what it is
+        # the word, and what it is
+        assert all(len(line.split()) > 2 for line in ended.out.splitlines())
 
     def test_without_a_room_it_lists_all(self, command) -> None:
         out = command("list").out

@@ -45,9 +45,8 @@ def test_it_leaves_a_whole_folder_and_says_where(
         "tables.tex",
         "verdicts.json",
     }
-    assert (
-        len(list((folder / "figures").iterdir())) == 3
-    )  # the page's first figure, in three formats
+    # the page's first figure, in three formats
+    assert len(list((folder / "figures").iterdir())) == 3
     assert (folder / "scenarios" / "quick.yaml").read_text() == quick.read_text()
 
 
@@ -81,9 +80,8 @@ def test_runs_that_fail_are_no_failure_of_the_command(command, quick: Path):
     assert ended.err.startswith("1 of 2 runs reached the goal; 1 did not reach the goal\n")
     table = pl.read_parquet("runs/compare/001/comparison.parquet")
     assert table["outcome"].to_list() == ["timed_out", "converged"]
-    assert not Path(
-        "runs/compare/001/figures/differences.png"
-    ).exists()  # no seed on which both arrived: nothing to draw
+    # no seed on which both arrived: nothing to draw
+    assert not Path("runs/compare/001/figures/differences.png").exists()
     assert (
         (Path("runs/compare/001") / table["folder"][0] / "end.png")
         .read_bytes()

@@ -68,9 +68,8 @@ def test_a_law(command) -> None:
     assert lines[2].startswith("u = -lambda pinv(L B) e")
     assert "Source: Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573." in lines
     shown = [line.split(" ")[0] for line in lines[lines.index("field default unit what it is") :]]
-    assert (
-        shown.index("translation") < shown.index("gain") < shown.index("solve")
-    )  # its own field before those of all laws of an error
+    # its own field before those of all laws of an error
+    assert shown.index("translation") < shown.index("gain") < shown.index("solve")
     assert any(
         line.startswith("gain 0.5 1/s lambda, a number or an adaptive gain") for line in lines
     )
@@ -86,9 +85,8 @@ def test_items_of_lists_and_rows_of_definitions_stay_apart() -> None:
         if line.startswith(("xg, yg   ", "n20, n11, n02  ", "xn, yn, an   "))
     ]
     assert len(rows) == 3 and all(line.startswith("  ") for line in lines[rows[1] + 1 : rows[2]])
-    assert not any(
-        "  " in line.strip() for line in lines[rows[1] + 1 : rows[2]]
-    )  # a source's indentation is not in the middle of a line
+    # a source's indentation is not in the middle of a line
+    assert not any("  " in line.strip() for line in lines[rows[1] + 1 : rows[2]])
     lines = shown("detector.keypoints").splitlines()
     assert sum(line.startswith("- ") for line in lines) == 4 and not any(
         " - With" in line for line in lines
@@ -118,9 +116,8 @@ def test_kinds_of_one_model_are_shown_with_it(command) -> None:
     assert "4:2:0" in shown(
         "stream"
     ) and "vstestbed describe stream has what all kinds have in common." in shown("stream.jpeg")
-    assert "in common" not in shown("law.pbvs") + shown(
-        "law"
-    )  # what a base says to those who write a law
+    # what a base says to those who write a law
+    assert "in common" not in shown("law.pbvs") + shown("law")
 
 
 def test_a_block_that_no_bundled_file_has_still_has_an_example() -> None:

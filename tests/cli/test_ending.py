@@ -55,9 +55,8 @@ def shell(
         ((*RUN, *LATE), "| true", 3),
         pytest.param(RUN, ">/dev/full", 4, marks=pytest.mark.study),
         pytest.param((*RUN[:-1], *LATE), "2>/dev/full", 3, marks=pytest.mark.study),
-        pytest.param(
-            ("list", "laws"), "| true", 0, marks=pytest.mark.study
-        ),  # a quick test of test_app has the like
+        # a quick test of test_app has the like
+        pytest.param(("list", "laws"), "| true", 0, marks=pytest.mark.study),
         (("list", "laws"), ">/dev/full", 4),
         pytest.param(("schema",), ">/dev/full", 4, marks=pytest.mark.study),
     ],

@@ -39,9 +39,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     compared.mkdir()
     plan = chosen(["arm_ibvs"], SMALL, {}, seeds=2)
     write_plan(compared / PLAN, plan, "base")
-    for job in Jobs(
-        controllers(plan), plan.seeds
-    ):  # as `vstestbed compare` does it, without starting workers
+    # as `vstestbed compare` does it, without starting workers
+    for job in Jobs(controllers(plan), plan.seeds):
         files = perform(given_text(job.scenario()), filmed=False)
         store(compared / job.folder, files, compared / ASSETS, attempts=1)
     return place

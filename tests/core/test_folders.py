@@ -67,9 +67,8 @@ def test_holds_of_one_process_may_be_nested(tmp_path: Path):
         process = subprocess.run(
             [sys.executable, "-c", HOLD, str(tmp_path)], capture_output=True, text=True, check=False
         )
-        assert (
-            "is in use by process" in process.stderr
-        )  # the inner hold has not released the outer one
+        # the inner hold has not released the outer one
+        assert "is in use by process" in process.stderr
     with only_writer(tmp_path):
         pass
 
@@ -119,13 +118,8 @@ def test_any_text_makes_a_name_that_every_system_allows(tmp_path: Path, name: st
     word = file_word(name)
     assert word not in ("", ".", "..") and len(word.encode()) <= 61
     assert not set(word) & set('/\\:*?"<>|\0\n ') and not word.endswith(".")
-    assert word.partition(".")[0].casefold() not in (
-        "con",
-        "nul",
-        "aux",
-        "com1",
-        "lpt9",
-    )  # of devices, on Windows
+    # of devices, on Windows
+    assert word.partition(".")[0].casefold() not in ("con", "nul", "aux", "com1", "lpt9")
     (tmp_path / word).mkdir()
     assert [p.name for p in tmp_path.iterdir()] == [word]
     assert file_word(name + "x") != word or len(name.strip(" ./\\\n\0~")) < 2

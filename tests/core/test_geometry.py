@@ -65,9 +65,8 @@ class TestGolden:
     def test_rotations(self, case):
         R, theta_u = np.array(case["R"]), np.array(case["thetau"])
         x, y, z, w = case["q_xyzw"]
-        q = np.array([w, x, y, z]) * (
-            1 if w >= 0 else -1
-        )  # q and -q are one rotation; ours has w >= 0
+        # q and -q are one rotation; ours has w >= 0
+        q = np.array([w, x, y, z]) * (1 if w >= 0 else -1)
         np.testing.assert_allclose(quaternion_wxyz(R), q, rtol=RTOL, atol=ATOL)
         np.testing.assert_allclose(rotation_from_quaternion(q), R, rtol=RTOL, atol=ATOL)
         np.testing.assert_allclose(rotation_angle(R), np.linalg.norm(theta_u), rtol=RTOL, atol=ATOL)
@@ -188,9 +187,8 @@ def test_a_pose_is_found_again_from_its_matrix_and_many_rotations_are_as_one():
     for turned, one in zip(rpy.tolist(), R, strict=True):
         pose = Pose(xyz=(1, 2, 3), rpy_deg=tuple(turned))
         assert one == pytest.approx(pose.T[:3, :3], abs=1e-12)
-        assert (
-            pytest.approx(pose.T, abs=1e-12) == Pose.of(pose.T).T
-        )  # at a pitch of 90 degrees, too, other angles
+        # at a pitch of 90 degrees, too, other angles
+        assert pytest.approx(pose.T, abs=1e-12) == Pose.of(pose.T).T
 
 
 def test_poses_have_the_same_bits_as_those_of_spatialmath():

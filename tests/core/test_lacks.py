@@ -51,9 +51,10 @@ def told(ended: subprocess.CompletedProcess[str]) -> str:
         and "a bug of vstestbed" not in ended.stderr
         and "Traceback" not in ended.stderr
     ), ended.stderr
+    # printed from C
     return [
         line for line in ended.stderr.strip().splitlines() if not line.startswith("<jemalloc>")
-    ][-1]  # printed from C
+    ][-1]
 
 
 @pytest.mark.process

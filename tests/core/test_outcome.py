@@ -55,9 +55,8 @@ def test_a_map_of_basins_names_each_outcome_that_occurs() -> None:
     """Those without a colour of their own are black, with their name in the legend; so would be one
     that is not there yet.
     """
-    assert (
-        set(figures.ENDINGS) - {"plane_crossed"} <= FAILED
-    )  # the one word of the map that is half of an outcome
+    # the one word of the map that is half of an outcome
+    assert set(figures.ENDINGS) - {"plane_crossed"} <= FAILED
     occurring = sorted({*FAILED, "plane_crossed", "petrified"})
     endings = np.array([occurring], dtype=object)
     drawn = figures.draw_basin(

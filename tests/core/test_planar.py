@@ -14,9 +14,8 @@ RNG = np.random.default_rng(0)
 
 def test_the_pose_has_its_x_axis_along_the_heading():
     T = pose_on_ground(np.array([1.0, -2.0, np.pi / 2]))
-    np.testing.assert_allclose(
-        T @ [1, 0, 0, 1], [1, -1, 0, 1], atol=1e-15
-    )  # a metre ahead is a metre along y
+    # a metre ahead is a metre along y
+    np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, -1, 0, 1], atol=1e-15)
     np.testing.assert_allclose(T @ [0, 0, 1, 1], [1, -2, 1, 1], atol=1e-15)
 
 

@@ -43,9 +43,8 @@ def test_a_pose_goes_in_and_comes_out_near_a_pitch_of_90_degrees_and_elsewhere(o
             * SE3.Rx(rng.uniform(-3, 3))
         )
         other = random_pose(rng)
-        rounded = other.inv() * (
-            other * plain
-        )  # the same pose with other errors of rounding in its last digits
+        # the same pose with other errors of rounding in its last digits
+        rounded = other.inv() * (other * plain)
         for T in (plain, rounded):
             pose = Positioned(pose=T).pose
             assert np.abs(pose.T - T.A).max() < 1e-13

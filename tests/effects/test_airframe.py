@@ -33,9 +33,8 @@ class TestGround:
         gain = craft.up / WEIGHT
         craft.close()
         expected = cheeseman_bennett(height + ROTOR_M)
-        assert gain - 1 == pytest.approx(
-            expected - 1, rel=0.02
-        )  # the gain's excess, far within 2 % of the thrust
+        # the gain's excess, far within 2 % of the thrust
+        assert gain - 1 == pytest.approx(expected - 1, rel=0.02)
 
     def test_a_craft_that_hovers_there_turns_its_rotors_slower(self):
         craft = Craft(perfect(ground_effect=GroundEffect()), (0, 0, 0.3))
@@ -67,9 +66,8 @@ class TestGround:
         )
         side = 0.75 * on + 0.25 * off  # three of the four points of each disc are over the pad
         assert force == pytest.approx(T * (on + off + 2 * side), rel=0.02)
-        assert torque[axis] == pytest.approx(
-            ARM * T * (on - off), rel=0.02
-        )  # the nose, or the right, goes down, away from the pad
+        # the nose, or the right, goes down, away from the pad
+        assert torque[axis] == pytest.approx(ARM * T * (on - off), rel=0.02)
         assert abs(torque[1 - axis]) < 1e-3 * torque[axis]
 
 
@@ -88,10 +86,8 @@ class TestDrag:
         seen = []
         for _ in range(1000):
             craft.plant.advance(1)
-            craft.data.qpos[3:7], craft.data.qvel[1:6] = (
-                (1, 0, 0, 0),
-                0.0,
-            )  # a rig keeps it level and at its height
+            # a rig keeps it level and at its height
+            craft.data.qpos[3:7], craft.data.qvel[1:6] = (1, 0, 0, 0), 0.0
             craft.data.act[:] = craft.data.ctrl[:] = X4.hover
             seen.append(craft.data.qvel[0])
         craft.close()
@@ -189,9 +185,8 @@ class TestBattery:
         )
 
     def test_an_empty_one_does_not_carry_it(self):
-        craft = Craft(
-            perfect(battery=Battery(charge=0.05, capacity_ah=0.2))
-        )  # for a second and a half
+        # for a second and a half
+        craft = Craft(perfect(battery=Battery(charge=0.05, capacity_ah=0.2)))
         craft.fly(3.0)
         sunk = craft.data.qvel[2]
         craft.close()
@@ -215,9 +210,8 @@ class TestMotors:
 
     def test_a_limit_of_its_own(self):
         craft = Craft(perfect(motors=MotorSpread(thrust=(1, 1, 1, 1), limit=(1, 0.8, 1, 1))))
-        craft.fly(
-            0.3, np.array([0, 0, 1.0, 0])
-        )  # a climb takes all rotors to their limits at first
+        # a climb takes all rotors to their limits at first
+        craft.fly(0.3, np.array([0, 0, 1.0, 0]))
         most = np.max(
             craft.fly(0.3, np.array([0, 0, 1.0, 0]), each=lambda: craft.data.ctrl.copy()), axis=0
         )

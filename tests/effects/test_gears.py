@@ -148,9 +148,8 @@ def test_encoder_and_servo_are_on_the_rotors_side(tmp_path: Path) -> None:
     assert truth.q == pytest.approx([0, 0], abs=1e-12)  # it starts where the scenario says
     assert reading.q == pytest.approx([-sag, 0], abs=1e-6)
     assert plant.advance(500)
-    assert plant.truth().q == pytest.approx(
-        [0, 0], abs=1e-6
-    )  # at rest: servo and spring carry the load
+    # at rest: servo and spring carry the load
+    assert plant.truth().q == pytest.approx([0, 0], abs=1e-6)
     plant.close()
 
 
@@ -162,9 +161,8 @@ def test_it_moves_as_commanded_and_trembles(tmp_path: Path) -> None:
     for plant in (still, soft):
         plant.apply(np.array([0.3, 0.0]))
         plant.advance(round(1.0 / plant.step_s))
-        assert plant.truth().q[0] == pytest.approx(
-            0.3 - 0.3 / 40, abs=0.012
-        )  # behind by its lag, kv / kp = 1/40 s
+        # behind by its lag, kv / kp = 1/40 s
+        assert plant.truth().q[0] == pytest.approx(0.3 - 0.3 / 40, abs=0.012)
         plant.apply(np.zeros(2))
         plant.advance(round(0.15 / plant.step_s))
         speeds = []

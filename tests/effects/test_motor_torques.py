@@ -58,9 +58,8 @@ def test_the_torque_follows_a_step_with_lag_and_delay(tmp_path: Path, delay_s: f
     found = torques(stage, held(stage), np.full(60, step))
     begin = round(delay_s / h)
     t = h * np.arange(61 - begin)
-    response = t + T * np.exp(
-        -t / T
-    )  # the integral of 1 - exp(-t / T): the mean torque of a step is its difference
+    # the integral of 1 - exp(-t / T): the mean torque of a step is its difference
+    response = t + T * np.exp(-t / T)
     theory = np.concatenate([np.zeros(begin), KP * step * np.diff(response) / h])
     np.testing.assert_allclose(found, theory, atol=1e-3)
 

@@ -63,9 +63,8 @@ def test_the_sentence_has_both_torques_and_what_would_be_held(tmp_path: Path) ->
 def test_the_limit_is_that_of_statics(tmp_path: Path, effects: dict[str, Any]) -> None:
     plant_of(arm(tmp_path, axis="0 1 0", **loaded(0.999 * MOST_KG, **effects))).close()
     assert "asks swing for 50.0" in message(tmp_path, **loaded(1.001 * MOST_KG, **effects))
-    plant_of(
-        arm(tmp_path, axis="0 0 1", **loaded(200.0, **effects))
-    ).close()  # a vertical axis feels no weight
+    # a vertical axis feels no weight
+    plant_of(arm(tmp_path, axis="0 0 1", **loaded(200.0, **effects))).close()
 
 
 def test_under_the_limit_it_stands_and_over_it_falls(

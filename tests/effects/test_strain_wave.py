@@ -61,9 +61,8 @@ ARMS = ["arm_jaco", pytest.param("arm_panda", marks=NEEDS_PANDA)]
 @pytest.mark.parametrize("size", RATIO_30)
 def test_the_torsion_at_the_stages_ends_is_the_catalogues(size: int) -> None:
     curve, first, second = RATIO_30[size]
-    assert 1e4 * np.array(curve.bends) == pytest.approx(
-        [first, second], rel=0.03
-    )  # printed with two digits
+    # printed with two digits
+    assert 1e4 * np.array(curve.bends) == pytest.approx([first, second], rel=0.03)
 
 
 def test_one_number_stands_for_all_joints() -> None:

@@ -105,9 +105,8 @@ def test_a_patch_too_stiff_for_the_step_is_refused(which: str) -> None:
 
 
 def test_a_wheel_in_the_air_has_no_force_and_lands_with_a_patch_at_rest() -> None:
-    forces = TyreForces.__new__(
-        TyreForces
-    )  # of no vehicle: what a wheel without load does asks for none
+    # of no vehicle: what a wheel without load does asks for none
+    forces = TyreForces.__new__(TyreForces)
     forces._deflection = [(1e-3, -1e-3)] * 4
     assert forces._wheel(2, 0.0, [0.0, 1.0], [0.1] * 6, 1e-3) == (0.0,) * 6
     assert forces._deflection == [(1e-3, -1e-3)] * 2 + [(0.0, 0.0), (1e-3, -1e-3)]

@@ -126,9 +126,8 @@ class TestTyres:
             drive.go(3.5, speed, 0.1)
             vx, vy, wz = drive.velocity
             assert vx * wz > 0.09 * speed**2
-            assert -math.atan2(vy, vx) == pytest.approx(
-                vx * wz / (G * 6.0), rel=0.03
-            )  # the brush is softer by 2 % here
+            # the brush is softer by 2 % here
+            assert -math.atan2(vy, vx) == pytest.approx(vx * wz / (G * 6.0), rel=0.03)
 
     def test_odometry_does_not_see_the_side_slip(self, driven: Driven) -> None:
         """The rear axle drifts outwards by v tan(alpha); by its encoders the car goes where it
@@ -173,9 +172,8 @@ class TestTyres:
         drive.plant.push(np.array([0.0, 30.0, 0.0]), 2.0)
         drive.go(2.0)
         pushed = drive.place[1] - y
-        assert pushed == pytest.approx(
-            30.0 / (10.0 * 60 * G / 0.15), rel=0.25
-        )  # the camera's body is not the middle of the car
+        # the camera's body is not the middle of the car
+        assert pushed == pytest.approx(30.0 / (10.0 * 60 * G / 0.15), rel=0.25)
         drive.go(3.0)
         assert abs(drive.place[1] - y) < 0.02 * pushed
 
@@ -327,9 +325,8 @@ class TestUnevenFloor:
         np.testing.assert_allclose(drive.place, 0.0, atol=1e-6)
         before = drive.place
         drive.go(1.0)
-        np.testing.assert_allclose(
-            drive.place, before, atol=2e-3
-        )  # the drive's loop lets it creep where the floor slopes
+        # the drive's loop lets it creep where the floor slopes
+        np.testing.assert_allclose(drive.place, before, atol=2e-3)
 
     def test_the_written_model_has_it(self, tmp_path: Path) -> None:
         s = vs.load(

@@ -168,9 +168,8 @@ def test_what_it_senses_of_itself_is_no_truth_and_follows_its_motion(name: str) 
     assert felt.shape == (7, len(robot.proprioception_names)) and np.isfinite(felt).all()
     assert (felt[0] != felt[-1]).any()
     if robot.base == "planar":
-        np.testing.assert_array_equal(
-            felt[0, :3], 0.0
-        )  # the place in the world is not what encoders tell
+        # the place in the world is not what encoders tell
+        np.testing.assert_array_equal(felt[0, :3], 0.0)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -219,9 +218,8 @@ class TestTruth:
     @staticmethod
     def corrupt(monkeypatch: pytest.MonkeyPatch) -> None:
         rng = np.random.default_rng(0)
-        monkeypatch.setattr(
-            Termination, "verdict", lambda termination, frame: None
-        )  # one that believes the lies would end the run
+        # one that believes the lies would end the run
+        monkeypatch.setattr(Termination, "verdict", lambda termination, frame: None)
         for plant in (MujocoPlant, IdealPlant):
             true = plant.truth
 
@@ -597,9 +595,8 @@ def test_observations_are_float32_within_the_pictures_borders() -> None:
     assert {value.dtype for value in shown.values()} == {np.dtype(np.float32)}
     space = env.observation_space["markers"]
     assert (space.low == -0.5).all() and (space.high == [639.5, 479.5]).all()
-    assert np.isin(
-        shown["markers"], [-0.5, 639.5, 479.5]
-    ).any()  # what noise puts beyond lies on them
+    # what noise puts beyond lies on them
+    assert np.isin(shown["markers"], [-0.5, 639.5, 479.5]).any()
     assert env.observation_space.contains(shown) and env.action_space.contains(
         env.unwrapped.expert()
     )

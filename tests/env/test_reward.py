@@ -99,9 +99,8 @@ def test_an_end_is_charged_with_the_worst_error_of_all_steps_left() -> None:
     assert reward.of_step(0.5, 0.4, terminated=True, success=False, left=3) == pytest.approx(
         -0.6 - 0.9 - 0.9**2 - 0.9**3
     )
-    assert reward.of_step(0.5, 0.4, terminated=False, success=False, left=3) == pytest.approx(
-        -0.6
-    )  # also by the clock
+    # also by the clock
+    assert reward.of_step(0.5, 0.4, terminated=False, success=False, left=3) == pytest.approx(-0.6)
     assert reward.of_step(0.5, 1.0, terminated=True, success=True, left=3) == pytest.approx(2.0)
     assert (
         Reward("negative_error", discount=1.0).of_step(

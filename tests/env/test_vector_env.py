@@ -134,9 +134,8 @@ def test_what_a_batch_leaves_out_is_not_left_out_silently() -> None:
     )
     shown, _ = env.reset(seed=4)
     arm = gymnasium.make("vstestbed/arm_ibvs-v0", overrides=IDEAL)
-    assert shown["markers"][0] == pytest.approx(
-        arm.reset(seed=4)[0]["markers"], abs=0.01
-    )  # the arm's own start
+    # the arm's own start
+    assert shown["markers"][0] == pytest.approx(arm.reset(seed=4)[0]["markers"], abs=0.01)
     with pytest.raises(ParameterError, match="observation must be markers"):
         made("vector_entry_point", observation="pixels")
     with pytest.raises(ParameterError, match="action_repeat must be 1"):

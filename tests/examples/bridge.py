@@ -51,14 +51,10 @@ def serve(controller: vs.Controller, link: socket.socket) -> int:
     """Answer each new picture until the robot's side ends; how many there were."""
     link.settimeout(SILENCE_S)  # for what is sent
     out, waiting, reading, count = link.makefile("w"), b"", None, 0
-    now, ahead, began = (
-        0.0,
-        math.inf,
-        0.0,
-    )  # now: by the robot's clock; ahead: by how much the own clock is, at most; began: a message
-    deadline = (
-        time.monotonic() + SILENCE_S
-    )  # for a whole message: bytes that trickle are no picture
+    # now: by the robot's clock; ahead: by how much the own clock is, at most; began: a message
+    now, ahead, began = 0.0, math.inf, 0.0
+    # for a whole message: bytes that trickle are no picture
+    deadline = time.monotonic() + SILENCE_S
     try:
         while True:
             left = deadline - time.monotonic()

@@ -36,9 +36,8 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     robot, law = socket.socketpair()
     robot.settimeout(20)
     controller = vs.Controller(scenario)
-    controller.clock = lambda: (
-        now_s
-    )  # of the simulation, which is slower than real time where the machine is busy
+    # of the simulation, which is slower than real time where the machine is busy
+    controller.clock = lambda: now_s
     now_s = 0.0
     thread = threading.Thread(target=BRIDGE.serve, args=(controller, law), daemon=True)
     thread.start()

@@ -95,6 +95,5 @@ def test_it_has_a_gain_limit(command, quick: Path):
     )
     assert ended.code == 0, ended.err
     limit = json.loads(ended.out)[0]
-    assert limit["measured_to_theory"] == pytest.approx(
-        1.0, abs=0.005
-    )  # a Jacobian that stays: the classic's closed form
+    # a Jacobian that stays: the classic's closed form
+    assert limit["measured_to_theory"] == pytest.approx(1.0, abs=0.005)

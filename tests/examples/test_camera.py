@@ -64,7 +64,6 @@ def test_it_prints_the_twists_of_the_run(film: tuple[Path, list[vs.Frame]]) -> N
 
 def test_a_film_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", [str(CAMERA), "ibvs_book", str(tmp_path / "gone.avi")])
-    with pytest.raises(
-        SystemExit, match=r"gone\.avi: no film or camera that OpenCV can open"
-    ):  # a text: it is printed, and the code is 1
+    # a text: it is printed, and the code is 1
+    with pytest.raises(SystemExit, match=r"gone\.avi: no film or camera that OpenCV can open"):
         runpy.run_path(str(CAMERA), run_name="__main__")

@@ -38,9 +38,8 @@ def test_it_servoes_on_one_marker():
     vs.ROBOTS.add(TwoLink)
     scenario = vs.Scenario(
         robot=TwoLink(),
-        camera=Perspective(
-            mount=Pose(xyz=(0, 0, -0.06), rpy_deg=DOWN)
-        ),  # under the link, which would hide the marker
+        # under the link, which would hide the marker
+        camera=Perspective(mount=Pose(xyz=(0, 0, -0.06), rpy_deg=DOWN)),
         target=Points(at=((0, 0, 0),), pose=Pose(xyz=(0.45, 0.45, 0.1), rpy_deg=DOWN)),
         detector=Oracle(),
         law=IBVS(gain=1.5, depth=AtGoal()),  # pyright: ignore[reportArgumentType] - a number is a constant gain

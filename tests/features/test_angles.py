@@ -40,18 +40,14 @@ def test_wrap_leaves_what_is_in_range_and_never_leaves_the_range():
 
 def test_signs_agree_only_where_all_are_far():
     for errors, expected in (
-        (
-            deg(179, -179, 179, 179),
-            deg(179, 181, 179, 179),
-        ),  # all far: the one of the other sign joins the majority
+        # all far: the one of the other sign joins the majority
+        (deg(179, -179, 179, 179), deg(179, 181, 179, 179)),
         (deg(-179, -179, 179, -100), deg(-179, -179, -181, -100)),
         (deg(179, -179, -179, 179), deg(179, 181, 181, 179)),  # as many of each: positive
         (deg(-179, 181), deg(-179, -179)),  # both are -179 degrees
         (deg(179, -179, 179, 89), deg(179, -179, 179, 89)),  # one is not far: each stays as it is
-        (
-            deg(10, -10, 10, 10),
-            deg(10, -10, 10, 10),
-        ),  # a common sign for small errors would turn the camera for nothing
+        # a common sign for small errors would turn the camera for nothing
+        (deg(10, -10, 10, 10), deg(10, -10, 10, 10)),
         (deg(350, 370), deg(-10, 10)),
     ):
         np.testing.assert_allclose(wrap_together(errors), expected, atol=1e-14)

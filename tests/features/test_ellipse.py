@@ -81,9 +81,8 @@ def test_the_fit_of_an_exact_ellipse_wherever_its_points_are():
 
 def test_no_ellipse():
     u = np.array([-1.5, -0.5, 0.3, 0.8, 1.4])
-    hyperbola = np.column_stack(
-        [[-1, 1, 1, -1, 1] * np.cosh(u), 0.5 * np.sinh(u)]
-    )  # x^2 - 4 y^2 = 1
+    # x^2 - 4 y^2 = 1
+    hyperbola = np.column_stack([[-1, 1, 1, -1, 1] * np.cosh(u), 0.5 * np.sinh(u)])
     assert np.isnan(fitted_ellipse(hyperbola)[2:]).all()
     with pytest.raises(ParameterError, match="must have its markers on the outline of an ellipse"):
         Ellipse().check_goal(hyperbola, np.ones(5))
@@ -106,9 +105,8 @@ def test_rows_of_place_are_those_of_the_region_within():
     xy, depth = seen(disc(Pose(xyz=(0.1, 0.2, 1), rpy_deg=(30, 10, 0)).T, n=400), ("xy", "depth"))
     polygon = Moments(of="region", rows=("xg", "yg", *BALL))
     inner = Ellipse(rows=("xg", "yg", *BALL))
-    np.testing.assert_allclose(
-        inner.measure(xy), polygon.measure(xy), rtol=1e-4
-    )  # 400 corners: 4e-5 of the area are missing
+    # 400 corners: 4e-5 of the area are missing
+    np.testing.assert_allclose(inner.measure(xy), polygon.measure(xy), rtol=1e-4)
     np.testing.assert_allclose(
         inner.interaction(xy, depth), polygon.interaction(xy, depth), rtol=1e-3, atol=1e-3
     )

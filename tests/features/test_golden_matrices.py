@@ -140,9 +140,8 @@ def test_moments(of):
         for name, (invariant, _) in INVARIANTS.items():
             i, row = list(INVARIANTS).index(name), invariant(m)[name]
             matches(np.atleast_1d(row.value), case["cinvariant"][i : i + 1])
-            if (
-                name != "c5"
-            ):  # whose matrix is wrong there: it has a rate of turning, and c5 does not
+            # whose matrix is wrong there: it has a rate of turning, and c5 does not
+            if name != "c5":
                 matches(row.rate, case["L_cinvariant"][i])
 
 
@@ -164,9 +163,8 @@ def test_rows_of_moments(of):
         assert s[5] == pytest.approx(np.squeeze(case["alpha"]), rel=1e-10)
         matches(L[5], np.reshape(case["L_alpha"], 6))
         theirs = np.array(case["L_gravity_normalized"])
-        if (
-            of == "region"
-        ):  # vx of the first row is wrong there: finite differences agree with ours (test_moments)
+        # vx of the first row is wrong there: finite differences agree with ours (test_moments)
+        if of == "region":
             theirs[0, 0] = unit * L[2, 0]
         matches(unit * L[2:4], theirs)
 

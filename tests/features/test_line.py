@@ -58,9 +58,8 @@ def test_both_names_of_a_line_are_one_where_the_way_is_not_known():
     np.testing.assert_allclose(
         either.error(s + [0.01, 0.1, -0.02, 0.2], other), [0.01, 0.1, -0.02, 0.2], atol=1e-15
     )
-    assert np.abs(LineFeature().error(s, other)).max() == pytest.approx(
-        np.pi
-    )  # with directions it is the line run backwards
+    # with directions it is the line run backwards
+    assert np.abs(LineFeature().error(s, other)).max() == pytest.approx(np.pi)
     e = either.error(np.array([0.3, 1.0]), np.array([0.3, 2.0]))
     np.testing.assert_allclose(e, [0, -1], atol=1e-15)
 

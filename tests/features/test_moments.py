@@ -85,13 +85,8 @@ def test_a_region_is_the_same_from_any_corner_and_either_way_round():
 
 def test_moments_of_a_rectangle_and_of_its_corners():
     m, corners = image_moments(OBLONG, "region", 4), image_moments(OBLONG, "points", 2)
-    expected = [
-        0.08,
-        0,
-        0.08 * 0.04 / 3,
-        0,
-        0.08 * 0.0016 / 5,
-    ]  # of a width of .4, height .2: a, a w^2/12, a w^4/80
+    # of a width of .4, height .2: a, a w^2/12, a w^4/80
+    expected = [0.08, 0, 0.08 * 0.04 / 3, 0, 0.08 * 0.0016 / 5]
     np.testing.assert_allclose(m[:, 0], expected, atol=1e-17)
     assert (
         m[2, 2] == pytest.approx(0.08 * 0.04 / 3 * 0.01 / 3)

@@ -133,9 +133,8 @@ class TestAsPrinted:
         # x 1000 px.
         x, y, h = 0.1, 0.2, 1e-6
         share = 800 / np.hypot(1000, 1000)
-        difference = (
-            share * (np.hypot(x - h, y) - np.hypot(x + h, y)) / (2 * h)
-        )  # along vx at Z = 1
+        # along vx at Z = 1
+        difference = share * (np.hypot(x - h, y) - np.hypot(x + h, y)) / (2 * h)
         row = self.PRINTED.interaction(np.array([[x, y]]), np.ones(1))[0, 0]
         assert difference / row == pytest.approx(share) and share < 0.6
 

@@ -49,9 +49,8 @@ def swayed(n: int) -> np.ndarray:
 
 def test_size_is_the_root_of_the_area():
     assert size(np.array([[0, 0], [0.3, 0], [0.3, 0.2], [0, 0.2]])) == pytest.approx(np.sqrt(0.06))
-    assert size(np.array([[0, 0], [0, 0.2], [0.3, 0]])) == pytest.approx(
-        np.sqrt(0.03)
-    )  # either way round
+    # either way round
+    assert size(np.array([[0, 0], [0, 0.2], [0.3, 0]])) == pytest.approx(np.sqrt(0.03))
     assert size(np.array([[0.1, 0.1], [0.3, -0.2]])) == 0
 
 
@@ -93,9 +92,8 @@ def test_turning_by_the_edge_angle(sign):
     T = inverse(rolled(2.5)[0])
     for _ in range(100):
         e = error(inverse(T))[1]
-        T = T @ exp(
-            sign * 0.1 * e * np.eye(6)[5]
-        )  # w_z = gain wrap(theta - theta*), as L = -1 has it, or as printed
+        # w_z = gain wrap(theta - theta*), as L = -1 has it, or as printed
+        T = T @ exp(sign * 0.1 * e * np.eye(6)[5])
     left = abs(error(inverse(T))[1])
     # 2.5 * 0.9^100 = 7e-5; the printed sign settles at the half turn, the farthest there is.
     assert left < 1e-4 if sign > 0 else left > 3
@@ -108,14 +106,12 @@ def test_no_jump_where_another_segment_becomes_the_longest():
     assert len(set(lead.tolist())) > 1
     now = np.take_along_axis(d, lead[:, None, None], axis=1)[:, 0]
     bearing = np.arctan2(now[:, 1], now[:, 0])
-    assert (
-        np.abs(np.diff(bearing)).max() > 1
-    )  # the angle of whichever leads jumps from one diagonal to the other
+    # the angle of whichever leads jumps from one diagonal to the other
+    assert np.abs(np.diff(bearing)).max() > 1
     own = d_star[lead]
     hard = np.arctan2(own[:, 0] * now[:, 1] - own[:, 1] * now[:, 0], np.sum(own * now, axis=-1))
-    assert (
-        np.abs(np.diff(hard)).max() > 0.02
-    )  # measured from its own goal still by the perspective of both
+    # measured from its own goal still by the perspective of both
+    assert np.abs(np.diff(hard)).max() > 0.02
     e = error(views)
     # Steps of 1/2000 of the way: the error goes on by as little, and by half at half the step.
     assert np.abs(np.diff(e, axis=0)).max() < 2e-3
@@ -154,9 +150,8 @@ def test_markers_that_span_nothing():
         Polygon().error(Polygon().measure(np.zeros((4, 2))), Polygon().measure(picture(GOAL))),
         [-0.5, 0],
     )
-    row = Polygon().interaction(
-        np.array([[0.1, 0], [0.2, 0], [0.3, 0]]), np.ones(3)
-    )  # on one line: no area
+    # on one line: no area
+    row = Polygon().interaction(np.array([[0.1, 0], [0.2, 0], [0.3, 0]]), np.ones(3))
     np.testing.assert_array_equal(row[0], 0)
     with pytest.raises(ParameterError, match="at least 2"):
         Polygon().interaction(np.zeros((1, 2)), np.ones(1))

@@ -114,9 +114,8 @@ def test_without_the_weight_the_angle_is_that_of_print_next_to_the_axis(z: float
     np.testing.assert_allclose(
         weighted.interaction(ray, np.full(2, 2.0))[1], L[0, 1] * 0.4**2, atol=1e-9
     )
-    np.testing.assert_array_equal(
-        L[1, 1], np.zeros(6)
-    )  # on the axis there is no angle, though pi has a sine of 1.2e-16
+    # on the axis there is no angle, though pi has a sine of 1.2e-16
+    np.testing.assert_array_equal(L[1, 1], np.zeros(6))
     s = printed.measure(ray)
     turned = s + [0, 0.5, 0, 0.5]
     np.testing.assert_allclose(printed.error(turned, s)[1::2], [0.5, 0], atol=1e-15)

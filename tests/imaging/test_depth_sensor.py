@@ -127,9 +127,8 @@ def test_shadow_is_as_wide_as_the_difference_of_disparities(
 
 
 def test_thin_object_shades_its_own_width_alone():
-    z = np.where(
-        (U > 100) & (U <= 104), 0.5, 2.0
-    )  # disparities 40 and 10: the shadow lies 30 px to the left
+    # disparities 40 and 10: the shadow lies 30 px to the left
+    z = np.where((U > 100) & (U <= 104), 0.5, 2.0)
     hole = np.isnan(measured(Ideal(baseline_m=0.05), z)).sum(axis=1)
     assert hole == pytest.approx(4, abs=1.01)
 

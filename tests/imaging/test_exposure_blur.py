@@ -97,9 +97,8 @@ def test_weights_have_the_moments_of_the_exposure(exposure_s: float):
     assert w @ t**2 == pytest.approx(exposure_s**2 / 12, rel=1e-9)
     assert len(w) <= 9 and t[-1] >= exposure_s / 2 - 1e-9
     plan = [shutter.following() for _ in range(2)][1]
-    assert (
-        0 <= (plan.arrives - plan.middle) * STEP - exposure_s / 2 < STEP
-    )  # complete when the exposure ends
+    # complete when the exposure ends
+    assert 0 <= (plan.arrives - plan.middle) * STEP - exposure_s / 2 < STEP
 
 
 def test_two_steps_are_simpsons_rule():
@@ -136,9 +135,8 @@ def test_time_and_gain_make_up_for_a_step_of_the_light():
     made = np.array([(time_s, gain, image.mean()) for time_s, gain, image in taken])
     bright, dim, dark = (made[k, :2] for k in (9, 19, 29))
     assert dim[0] / bright[0] == pytest.approx(2, rel=0.02) and bright[1] == dim[1] == 1
-    assert dark == pytest.approx(
-        [0.02, bright[0] / 0.05 / 0.02], rel=0.02
-    )  # first the time, then the gain
+    # first the time, then the gain
+    assert dark == pytest.approx([0.02, bright[0] / 0.05 / 0.02], rel=0.02)
     np.testing.assert_allclose(made[[9, 19, 29], 2], 60, rtol=0.03)
     assert made[10, 2] == pytest.approx(30, rel=0.03)  # what the first picture showed of it
 

@@ -107,9 +107,10 @@ class TestPictures:
         rows = (np.arange(120) - 59.5) / 120 * 0.02
         columns = pictures(renderer, FLICKER, 2, settings=roll)
         for number, column in enumerate(columns):
+            # rounded twice
             np.testing.assert_allclose(
                 column, steady * light.mean(0.04 * number + rows, exposure_s), atol=1.0
-            )  # rounded twice
+            )
         # A period of 10 ms is 60 of the 120 rows, and the amplitude is the depth times a sinc.
         share = columns[0] / steady - 1
         wave = share @ np.exp(-2j * np.pi * np.arange(120) / 60) / 60

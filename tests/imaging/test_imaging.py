@@ -115,9 +115,8 @@ def test_the_goals_picture_is_seen_through_the_same_camera_at_rest():
         shown, sharp = take_goal_images(s, one)[0].image, take_goal_images(bare, other)[0].image
         with plant(s) as third:
             seen(third.capture()[0])
-            np.testing.assert_array_equal(
-                seen(third.capture()[0]), seen(one.capture()[0])
-            )  # the goal's picture has drawn nothing
+            # the goal's picture has drawn nothing
+            np.testing.assert_array_equal(seen(third.capture()[0]), seen(one.capture()[0]))
     assert shown.mean() == pytest.approx(90, abs=3)  # exposed as the camera would have settled
     assert (
         np.abs(np.diff(shown.astype(float), axis=1)).max()

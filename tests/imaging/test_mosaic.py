@@ -78,9 +78,8 @@ def test_edges_of_a_white_plate_have_colours():
     spread = {way: np.ptp(through(light, "rggb", way)[4:-4, 4:-4], axis=2) for way in WAYS}
     assert not np.ptp(light, axis=2).any()
     for seen in spread.values():
-        assert (
-            seen[:, 25:29].max() > 20 and not seen[:, :24].any() and not seen[:, 32:].any()
-        )  # two pixels on either side
+        # two pixels on either side
+        assert seen[:, 25:29].max() > 20 and not seen[:, :24].any() and not seen[:, 32:].any()
     assert spread["edge_aware"].sum() <= spread["linear"].sum()
 
 
@@ -92,9 +91,10 @@ def test_noise_is_shared_with_neighbours_as_interpolation_has_it():
     )
     own = float(raw.astype(float).var())
     mu = 120 / 255 * sensor.full_well_e * sensor.K
+    # one pixel, as EMVA has it
     assert own == pytest.approx(
         (sensor.K * sensor.dark_noise_e) ** 2 + 1 / 12 + sensor.K * mu, rel=0.02
-    )  # one pixel, as EMVA has it
+    )
     filled = sensor.demosaiced(raw)[2:-2, 2:-2].astype(float)
     filled -= filled.mean(axis=(0, 1))
     for channel, share, alike in ((0, 9 / 16, 2 / 3), (1, 5 / 8, 2 / 5), (2, 9 / 16, 2 / 3)):
@@ -116,9 +116,10 @@ def test_a_cameras_pictures_have_it():
         assert imaging is not None
         noisy, clean = imaging.taken(0.0, (image,), None)[0], imaging.clean(0.0, (image,), None)[0]
         assert noisy is not None and clean is not None and noisy.shape == (48, 64, 3)
+        # metered as without
         assert noisy.mean() == pytest.approx(80, abs=1.5) and clean.mean() == pytest.approx(
             80, abs=1.5
-        )  # metered as without
+        )
         taken[mosaic] = noisy.astype(float) - clean
     mosaicked, plain = (taken[name][2:16, 2:-2].var() for name in ("rggb", "none"))
     assert 0.5 < mosaicked / plain < 0.8  # of the linear way 9/16 and 5/8, and rounding

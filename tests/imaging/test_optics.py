@@ -18,9 +18,8 @@ def circle(z: float, f_px: float) -> float:
 
 
 def test_the_circle_on_the_sensor_is_that_of_the_thin_lens():
-    f_px = (
-        F * FOCUS / (FOCUS - F) / PITCH
-    )  # the sensor's distance from the lens in pixels: what a calibration finds
+    # the sensor's distance from the lens in pixels: what a calibration finds
+    f_px = F * FOCUS / (FOCUS - F) / PITCH
     for z in (0.3, 0.7, 0.8, 1.5, 20.0):
         on_sensor = F / N * abs(z - FOCUS) / z * F / (FOCUS - F)
         assert abs(circle(z, f_px)) * PITCH == pytest.approx(on_sensor, rel=1e-4, abs=1e-10)

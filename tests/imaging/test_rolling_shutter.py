@@ -190,9 +190,8 @@ def test_a_rows_exposure_smears_by_its_own_length():
         variances.append((light * (at - mean) ** 2).sum() / light.sum())
     assert isinstance(s.camera, Perspective)
     length = np.sqrt(12 * (variances[1] - variances[0]))
-    assert length == pytest.approx(
-        s.camera.f * speed * exposure_s / 0.7, rel=0.06
-    )  # with the skew within the disc
+    # with the skew within the disc
+    assert length == pytest.approx(s.camera.f * speed * exposure_s / 0.7, rel=0.06)
 
 
 class TestWeights:
@@ -250,9 +249,8 @@ class TestOracle:
         uv, truth = frames[3]
         by_rows, at_once = theory(s, truth, list(truth.twist))
         assert np.abs(by_rows - at_once).max() > 1
-        np.testing.assert_allclose(
-            uv, by_rows, atol=2e-3
-        )  # between two steps of the physics the path is taken to be straight
+        # between two steps of the physics the path is taken to be straight
+        np.testing.assert_allclose(uv, by_rows, atol=2e-3)
 
     def test_a_marker_beyond_the_picture_or_behind_it(self):
         camera, times = Perspective(readout_s=0.02), np.linspace(-0.012, 0.012, 13)
@@ -319,9 +317,8 @@ def test_blobs_in_the_pictures_of_a_run_are_where_the_oracle_sees_the_markers():
             for _ in range(3):
                 frame = session.step(np.array([0.05, 0.1, 0, 0, 0, 1.0]))
         found[detector] = frame.observation.uv
-    np.testing.assert_allclose(
-        found["blobs"], found["oracle"], atol=0.3
-    )  # pixels' own error beside what the row's time changes
+    # pixels' own error beside what the row's time changes
+    np.testing.assert_allclose(found["blobs"], found["oracle"], atol=0.3)
 
 
 def test_what_does_not_fit_into_a_period_is_refused():

@@ -52,9 +52,8 @@ def test_a_longer_exposure_has_less_noise_than_a_larger_gain():
     by_time = two(CHIP, 50.0, ExposureSetting(time_s=3.0))
     by_gain = two(CHIP, 50.0, ExposureSetting(gain=3.0))
     assert by_time[0] == pytest.approx(by_gain[0], rel=0.01)
-    assert by_gain[1] / by_time[1] == pytest.approx(
-        3.0, rel=0.05
-    )  # K g (mu - dark), with the same mean
+    # K g (mu - dark), with the same mean
+    assert by_gain[1] / by_time[1] == pytest.approx(3.0, rel=0.05)
 
 
 def test_dsnu_and_prnu_are_found_in_the_mean_of_many_pictures():

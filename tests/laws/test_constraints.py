@@ -85,9 +85,8 @@ def test_barriers_hold_where_the_command_takes_effect() -> None:
     later, _ = seen(camera, exp(-robot.way) @ T)
     group = border(observation, goal, robot, 12.0, 3.0, REST)
     h = camera.borders(later.uv)[0].ravel() - 7.0 - 12.0
-    np.testing.assert_allclose(
-        group.low, -3.0 * h, atol=5.0
-    )  # px/s, of barriers 100 to 900 px away
+    # px/s, of barriers 100 to 900 px away
+    np.testing.assert_allclose(group.low, -3.0 * h, atol=5.0)
     assert np.abs(border(observation, goal, arm(), 12.0, 3.0, REST).low - group.low).max() > 20
 
 
@@ -132,10 +131,8 @@ def test_the_plane_of_a_single_marker_faces_the_camera() -> None:
 def test_bounds_stop_a_joint_at_its_margin_and_bring_it_back_from_beyond() -> None:
     robot = arm()
     q = robot.q.copy()
-    q[0], q[3] = (
-        robot.high[0] - 0.135,
-        robot.low[3] - 0.01,
-    )  # .1 rad before its margin, and .045 beyond it
+    # .1 rad before its margin, and .045 beyond it
+    q[0], q[3] = robot.high[0] - 0.135, robot.low[3] - 0.01
     low, high, _ = velocity_bounds(replace(robot, q=q), 0.035, 0.2, accelerate=False)
     assert high[0] == pytest.approx(0.1 / 0.2) and low[0] == -robot.speed[0]
     assert low[3] == pytest.approx(0.045 / 0.2) and high[3] == pytest.approx(robot.speed[3])

@@ -92,9 +92,8 @@ def test_the_lag_of_a_changing_speed():
     ways = 0.5 * 0.2 * (DT * np.arange(300)) ** 2
     speed = 0.2 * DT * 299
     slow = followed(KalmanCV(bandwidth_hz=1), ways)
-    assert (speed - slow.rate[0]) / 0.2 == pytest.approx(
-        math.sqrt(2) / (2 * math.pi), abs=DT / 2
-    )  # and half a period of sampling
+    # and half a period of sampling
+    assert (speed - slow.rate[0]) / 0.2 == pytest.approx(math.sqrt(2) / (2 * math.pi), abs=DT / 2)
     assert followed(KalmanCA(bandwidth_hz=1), ways).rate[0] == pytest.approx(speed, rel=1e-3)
 
 
@@ -121,9 +120,8 @@ def test_looking_ahead_adds_the_targets_way_and_the_cameras():
         np.zeros(6), DT, np.array([0.01, 0, 0, 0, 0, 0]), 0.05, np.array([0.2, 0, 0, 0, 0, 0])
     )
     ahead, rate = look_ahead(KalmanCA(predict_s=0.08), trend, B, motion)
-    assert ahead[0] == pytest.approx(
-        0.1 * 0.08 + 0.01 + 0.2 * 0.03, rel=1e-6
-    )  # moved until now, commanded from there on
+    # moved until now, commanded from there on
+    assert ahead[0] == pytest.approx(0.1 * 0.08 + 0.01 + 0.2 * 0.03, rel=1e-6)
     assert rate[0] == pytest.approx(0.1, rel=1e-6)
 
 
@@ -203,9 +201,8 @@ class TestOnTheIdealCamera:
         }
         whole = tracking(None, **short)
         assert whole < 0.083 / 12
-        assert (
-            tracking(None, **short, **{"noise.dropout": 0.1}) < torn * whole
-        )  # a homography needs all four
+        # a homography needs all four
+        assert tracking(None, **short, **{"noise.dropout": 0.1}) < torn * whole
 
     @pytest.mark.study
     def test_integral_action_of_a_partitioned_law(self):

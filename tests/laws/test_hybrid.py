@@ -55,9 +55,8 @@ def test_homography_and_model_order_the_same(goal_pose: Array):
         (law := Hybrid(source=source)).step(law.init(goal), o, goal, np.eye(6))[1].twist
         for source in ("homography", "model")
     ]  # pyright: ignore[reportArgumentType]
-    assert twists[0] == pytest.approx(
-        twists[1], abs=1e-6
-    )  # findHomography computes in single precision
+    # findHomography computes in single precision
+    assert twists[0] == pytest.approx(twists[1], abs=1e-6)
 
 
 @pytest.mark.parametrize("source", ["homography", "model"])
@@ -77,9 +76,8 @@ def test_the_image_of_the_targets_origin_goes_straight():
     o = np.array([inverse(T)[:3, 3] for T in camera_poses(r)])
     xy = o[:, :2] / o[:, 2:]
     way = xy[0] / np.linalg.norm(xy[0])
-    assert (
-        np.abs(xy[:, 0] * way[1] - xy[:, 1] * way[0]).max() < 5e-3
-    )  # of 1: the goal's image is (0, 0)
+    # of 1: the goal's image is (0, 0)
+    assert np.abs(xy[:, 0] * way[1] - xy[:, 1] * way[0]).max() < 5e-3
 
 
 def test_views_that_cannot_be_compared_bring_rest():
@@ -126,11 +124,12 @@ class TestFlat:
 
     @pytest.mark.parametrize(("height", "flat"), [(0.9e-3, True), (1.1e-3, False)])
     def test_a_plane(self, height: float, flat: bool):
+        # extents 1, 1, height
         corners = np.array([[-1.0, -1, 1], [1, -1, -1], [1, 1, 1], [-1, 1, -1]]) * [
             0.5,
             0.5,
             0.5 * height,
-        ]  # extents 1, 1, height
+        ]
         law, goal = Hybrid(), Goal.from_view(CAMERA, POINTS, TILTED)
         with nullcontext() if flat else pytest.raises(ParameterError, match="not in one plane"):
             law.check(corners, goal)

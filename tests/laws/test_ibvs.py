@@ -103,10 +103,8 @@ class TestGains:
     @pytest.mark.parametrize("case", GOLDEN["adaptive_gain_4_0p4_30"]["cases"])
     def test_adaptive_golden(self, case):
         gain = AdaptiveGain(at_zero=4, at_infinity=0.4, slope_at_zero=30)
-        for e in (
-            np.array([case["in"][0]]),
-            np.array([0.0, -case["in"][0], 0.01]),
-        ):  # the norm is the largest component's size
+        # the norm is the largest component's size
+        for e in (np.array([case["in"][0]]), np.array([0.0, -case["in"][0], 0.01])):
             assert gain.at(e) == pytest.approx(case["gain"], rel=1e-10)
 
     def test_adaptive_looks_at_the_motion_still_to_be_made(self):

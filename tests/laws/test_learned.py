@@ -62,11 +62,12 @@ def test_a_hidden_marker_stays_where_it_was_and_the_first_view_must_be_whole():
     assert first.act(seen(here, 2)) is None
     np.testing.assert_array_equal(first.act(seen(here)), second.act(seen(here)))
     rest = first.act(seen(here, 2))
+    # it knows that it is hidden
     assert (
         rest is not None
         and np.abs(rest).max() < 10
         and not np.array_equal(rest, second.act(seen(here)))
-    )  # it knows that it is hidden
+    )
     np.testing.assert_array_equal(first.last, second.last)
 
 

@@ -120,9 +120,8 @@ class TestPoles:
     def test_the_base_comes_back_as_an_exponential(self):
         law, (lines, goal) = LineFollowing(gain=2.0), world(Straight(length_m=30))
         off = drive(law, OMNI, lines, goal, (1, 0.02, 0), 2)
-        np.testing.assert_allclose(
-            off, 0.02 * (1 - 2.0 * DT) ** np.arange(len(off)), atol=1e-6
-        )  # held for a frame
+        # held for a frame
+        np.testing.assert_allclose(off, 0.02 * (1 - 2.0 * DT) ** np.arange(len(off)), atol=1e-6)
 
 
 class TestRecovery:

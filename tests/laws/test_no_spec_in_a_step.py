@@ -86,10 +86,8 @@ def test_no_law(kind: str, built: Built) -> None:
 @pytest.mark.parametrize(
     "law",
     [
-        {
-            "kind": "uncalibrated",
-            "excitation": {"amplitude_px": 4.0, "time_s": 0.1},
-        },  # 12 frames do not end that of the defaults
+        # 12 frames do not end that of the defaults
+        {"kind": "uncalibrated", "excitation": {"amplitude_px": 4.0, "time_s": 0.1}},
         {
             "kind": "uncalibrated",
             "excitation": {"amplitude_px": 4.0, "time_s": 0.1},
@@ -141,8 +139,7 @@ def test_what_a_step_computes_may_lie_outside_of_the_bounds_of_a_field() -> None
         Solve(damping=0.5).least_squares(A, b, at_least=0.1), Solve(damping=0.5).least_squares(A, b)
     )
     assert Predictive()._trusted(np.array([[0.0, 0.0, 500.0]]), 0.001) == (50_000.0, 100.0)
-    assert (
-        Predictive()._trusted(np.array([[0.0, 0.0, 1e-7]]), 0.04)[0] < 1e-6
-    )  # under the least speed that a scenario may give
+    # under the least speed that a scenario may give
+    assert Predictive()._trusted(np.array([[0.0, 0.0, 1e-7]]), 0.04)[0] < 1e-6
     craft = Quadrotor(rotor_drag=RotorDrag(), parameters=replace(X4, drag_area_m2=0.0))
     assert craft.body.changes[2][-1] == (0.0,)

@@ -80,9 +80,8 @@ class TestPrintsMistakes:
 
     def test_the_angle_falls_when_the_camera_turns_on(self):
         turn = np.array([0, 0, 0, 0, 0, 1.0])
-        assert self.flow(turn)[1] == pytest.approx(
-            -1, abs=0.05
-        )  # print's w_z = gain (theta* - theta) would add to the error
+        # print's w_z = gain (theta* - theta) would add to the error
+        assert self.flow(turn)[1] == pytest.approx(-1, abs=0.05)
 
     def test_all_of_the_motion_along_and_about_the_axis_is_told_to_the_points(self):
         """With (v_z, w_z) given, v_xy = pinv(L_xy)(f - L_z v_z) makes the flow f; print's gain L_z
@@ -360,9 +359,8 @@ class TestOtherPartitions:
             (L, a**4 / ((1 + a * a) ** 2 + a**4)),
             (L - np.tile([mean, L[1::2].mean(axis=0)], (4, 1)), 1.0),
         ):
-            beside = np.linalg.lstsq(rows[:, 2:], rows[:, 0], rcond=None)[
-                0
-            ]  # what the rest answers to v_x = 1
+            # what the rest answers to v_x = 1
+            beside = np.linalg.lstsq(rows[:, 2:], rows[:, 0], rcond=None)[0]
             assert 1 - (mean[2:] @ beside) / mean[0] == pytest.approx(share, rel=1e-6)
 
     @pytest.mark.parametrize(

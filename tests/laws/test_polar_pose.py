@@ -138,9 +138,8 @@ class TestLaw:
         slow, fast = sorted(np.linalg.eigvals(A), reverse=True)
         assert (slow, fast) == (pytest.approx(-2 + np.sqrt(2)), pytest.approx(-2 - np.sqrt(2)))
         alpha, beta, rho = 1e-3, 2e-3, 1.0
-        start = np.array(
-            [rho * np.cos(beta + np.pi), -rho * np.sin(beta + np.pi), 0]
-        )  # seen from the origin, along -beta
+        # seen from the origin, along -beta
+        start = np.array([rho * np.cos(beta + np.pi), -rho * np.sin(beta + np.pi), 0])
         start[2] = -beta - alpha
         unlimited = BicycleLimits(speed_mps=np.inf, steering_rad=1.5)
         course = drive(
@@ -154,9 +153,8 @@ class TestLaw:
         told = np.array(polar(course.place[-1], np.zeros(3), np.array(1)))
         values, vectors = np.linalg.eig(A)
         linear = vectors @ (np.exp(2.0 * values) * np.linalg.solve(vectors, [alpha, beta]))
-        np.testing.assert_allclose(
-            told, [np.exp(-2), *linear], rtol=5e-3
-        )  # periods of 1 ms: first order
+        # periods of 1 ms: first order
+        np.testing.assert_allclose(told, [np.exp(-2), *linear], rtol=5e-3)
 
 
 class TestIdealCar:

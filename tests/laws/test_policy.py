@@ -310,9 +310,8 @@ class TestPictures:
             and seen["pixels"].shape == (30, 40, 3)
             and seen["pixels"].dtype == np.uint8
         )
-        mean = (
-            frames[1].observation.image.image.reshape(30, 4, 40, 4, 3).mean(axis=(1, 3))
-        )  # 4 x 4 pixels each
+        # 4 x 4 pixels each
+        mean = frames[1].observation.image.image.reshape(30, 4, 40, 4, 3).mean(axis=(1, 3))
         assert np.abs(seen["pixels"] - mean).max() <= 0.5 + 1e-9
         env = vs.env.make(
             "camera_photometric", overrides=SMALL, observation="pixels", picture_px=(40, 30)

@@ -42,9 +42,8 @@ def test_it_arrives_forwards_and_stays(start, there):
     ways, speeds = arrive(PoseController(k_alpha=4, k_beta=-2.5), start, there)
     off = relative(np.array(there, dtype=float), ways[-1])
     assert np.hypot(*off[:2]) < 0.021  # rest_m is 2 cm
-    assert abs(off[2]) < np.radians(
-        1.5
-    )  # without noise the smoothing of the last 30 cm costs some of it
+    # without noise the smoothing of the last 30 cm costs some of it
+    assert abs(off[2]) < np.radians(1.5)
     assert speeds.min() >= 0 and speeds.max() <= 1
     assert (speeds[-100:] == 0).all()
 
@@ -66,9 +65,8 @@ def test_the_direction_is_chosen_once():
     law, want = PoseController(), goal(place=np.array([5.0, 0.0, 0.0]))
     state, _ = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
     assert state[0] == 1
-    state, command = law.step(
-        state, observe(1, np.array([0, 0, 3.0]), np.zeros(3)), want, BASIS
-    )  # now it lies behind
+    # now it lies behind
+    state, command = law.step(state, observe(1, np.array([0, 0, 3.0]), np.zeros(3)), want, BASIS)
     assert state[0] == 1 and command.u[0] > 0
 
 
@@ -77,9 +75,10 @@ def test_a_missed_goal_is_not_circled():
     state, _ = law.step(
         law.init(want), observe(0, np.array([-1.0, 0, 0]), np.zeros(3)), want, BASIS
     )
+    # abeam, 5 cm aside
     state, command = law.step(
         state, observe(1, np.array([0.02, 0.05, 0.0]), np.zeros(3)), want, BASIS
-    )  # abeam, 5 cm aside
+    )
     assert state[1] and not command.u.any() and not command.rest_reason
 
 
@@ -189,9 +188,8 @@ class TestNoiseNearTheGoal:
     def test_a_whole_way(self):
         law, rng = PoseController(k_alpha=4, k_beta=-2.5), np.random.default_rng(0)
         want, state, found = goal(place=np.zeros(3)), law.init(goal(place=np.zeros(3))), []
-        for k, rho in enumerate(
-            0.6 * np.exp(-DT * np.arange(70))
-        ):  # as v = rho drives it, to 3.8 cm
+        # as v = rho drives it, to 3.8 cm
+        for k, rho in enumerate(0.6 * np.exp(-DT * np.arange(70))):
             place = np.array([-rho, 1e-3 * rng.standard_normal(), 0.0])
             state, command = law.step(state, observe(k * DT, place, place), want, BASIS)
             found.append((rho, command.u[-1] / command.u[0]))

@@ -64,10 +64,8 @@ def test_fewer_rows_than_unknowns_give_the_smallest() -> None:
 
 def test_groups_give_way_in_their_order_and_as_little_as_they_must() -> None:
     A, b, one = np.eye(6), np.zeros(6), np.eye(6)[:1]
-    soft, firm = (
-        Group("border", one, np.array([3.0])),
-        Group("twist", -one, np.array([-1.0])),
-    )  # x_0 >= 3 and x_0 <= 1
+    # x_0 >= 3 and x_0 <= 1
+    soft, firm = Group("border", one, np.array([3.0])), Group("twist", -one, np.array([-1.0]))
     found = minimise(A, b, -ENDLESS, ENDLESS, (soft, firm))
     assert found.gave_way == ("border",) and found.x is not None
     assert found.x[0] == pytest.approx(1.0, abs=1e-4)  # as near to 3 as the other allows

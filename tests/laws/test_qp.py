@@ -227,9 +227,8 @@ def test_a_strict_posture_moves_what_two_markers_do_not_see() -> None:
         away[name] = np.linalg.norm(frames.kept[-1].truth.q - wanted)
         errors[name] = np.array([frame.error.rms_px for frame in frames.kept])
     assert away["posture"] < away["alone"] - 0.005
-    np.testing.assert_allclose(
-        errors["posture"], errors["alone"], rtol=0.03, atol=0.3
-    )  # the features do not see it
+    # the features do not see it
+    np.testing.assert_allclose(errors["posture"], errors["alone"], rtol=0.03, atol=0.3)
 
 
 def test_a_straight_path_is_straighter() -> None:

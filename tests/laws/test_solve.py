@@ -129,9 +129,8 @@ class TestParameters:
         A, b = problems(50)
         b[25:] /= 100
         x = Solve(levenberg_marquardt=mu, fades_below=fades).least_squares(A, b)
-        many = Solve(levenberg_marquardt=mu, fades_below=fades).least_squares(
-            A[0], b
-        )  # one matrix, many right sides
+        # one matrix, many right sides
+        many = Solve(levenberg_marquardt=mu, fades_below=fades).least_squares(A[0], b)
         for i, (a, e) in enumerate(zip(A, b, strict=True)):
             m = mu * min(1.0, np.linalg.norm(e) / fades) if fades else mu
             for H, g, found in ((a.T @ a, a.T @ e, x[i]), (A[0].T @ A[0], A[0].T @ e, many[i])):
@@ -196,9 +195,8 @@ class TestParameters:
         assert Solve() == Solve(cutoff=PINV_RCOND, damping=0)
         np.testing.assert_array_equal(Solve().least_squares(A, b), least_squares(A, b))
         np.testing.assert_array_equal(Solve().least_squares(A[0], b[0]), least_squares(A[0], b[0]))
-        assert not np.array_equal(
-            Solve(cutoff=2e-6).least_squares(A, b), least_squares(A, b)
-        )  # another way of the same
+        # another way of the same
+        assert not np.array_equal(Solve(cutoff=2e-6).least_squares(A, b), least_squares(A, b))
 
     def test_without_any_equation_nothing_moves(self):
         assert not Solve(cutoff=0.1).least_squares(np.zeros((4, 6)), np.ones(4)).any()

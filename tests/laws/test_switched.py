@@ -60,9 +60,8 @@ def test_the_command_is_that_of_the_active_law_bit_for_bit(alone: str, until: di
     law = {"kind": "switched", "laws": [{"law": "ibvs", "until": until}, "pbvs"]}
     switched, plain = (vs.run(half_turned(one, **{"stop.duration_s": 3})) for one in (law, alone))
     np.testing.assert_array_equal(switched.table[:, :-1], plain.table)
-    assert set(switched["law_mode"]) == {
-        float(alone == "pbvs")
-    }  # the one that is free begins, which counts as no switch
+    # the one that is free begins, which counts as no switch
+    assert set(switched["law_mode"]) == {float(alone == "pbvs")}
     assert switched.summary()["law_switches"] == 0
 
 
@@ -116,9 +115,8 @@ def test_the_choice_is_that_of_a_state_machine(
         elif k == 0:
             stayed = 0
         stayed += 1
-        view = replace(
-            seen(GOAL.T_camera_target, k / 25), uv=GOAL.uv + e
-        )  # RMS e; NaN: nothing is seen
+        # RMS e; NaN: nothing is seen
+        view = replace(seen(GOAL.T_camera_target, k / 25), uv=GOAL.uv + e)
         state, command = law.step(state, view, GOAL, basis)
         assert law.modes[command.mode] == ("ibvs 1", "pbvs", "ibvs 2")[active], (k, e)
 

@@ -184,10 +184,8 @@ def test_a_jacobian_that_turned_wrong_is_measured_anew() -> None:
     plant = Plant(Uncalibrated())
     while plant.step().mode == EXCITES:
         pass
-    plant.start, plant.J = (
-        plant.start + 2 * plant.J @ plant.q,
-        -plant.J,
-    )  # as if the camera had been mounted upside down
+    # as if the camera had been mounted upside down
+    plant.start, plant.J = plant.start + 2 * plant.J @ plant.q, -plant.J
     modes = [plant.step().mode for _ in range(1500)]
     assert plant.state.excitations >= 2 and EXCITES in modes and plant.error_px() < 0.2
     assert plant.state.patience_s == 3.0 * 2 ** (plant.state.excitations - 1)

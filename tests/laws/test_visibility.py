@@ -67,9 +67,8 @@ def test_the_nearer_the_stronger_up_to_a_bound():
 
     sizes = [strength(x) for x in (-0.26, -0.30, -0.33, -0.36)]
     assert sizes == sorted(sizes)
-    assert sizes[-1] == pytest.approx(
-        20 * (1 / 0.2 - 1) / 0.2**2, rel=1e-6
-    )  # within a fifth of the margin it grows no more
+    # within a fifth of the margin it grows no more
+    assert sizes[-1] == pytest.approx(20 * (1 / 0.2 - 1) / 0.2**2, rel=1e-6)
 
 
 def test_all_markers_at_the_border_make_the_camera_back_off():
@@ -179,9 +178,10 @@ class TestGoal:
 
     @pytest.mark.parametrize("law", ["ibvs", "partitioned", "hybrid"])
     def test_a_scenario_is_refused(self, law: str):
+        # radius .03 m
         with pytest.raises(
             ScenarioError, match=r"law.visibility.margin_px: reaches marker 0 .* 276 px"
-        ):  # radius .03 m
+        ):
             vs.load("ibvs_book", {"law": {"kind": law, "visibility": {"margin_px": 280}}})
 
     def test_every_view_of_several_is_asked(self):

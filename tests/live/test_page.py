@@ -74,9 +74,8 @@ class Served:
         """
         for _ in range(count):
             n = self.run.frames
-            time.sleep(
-                0.06
-            )  # at most 20 messages a second: two clicks nearer to each other arrive as one
+            # at most 20 messages a second: two clicks nearer to each other arrive as one
+            time.sleep(0.06)
             tab.click("step")
             self.until(lambda n=n: self.run.frames == n + 1)
 
@@ -122,9 +121,8 @@ def test_the_page_opens_soon(browser: Browser):
         f"\nthe page opens in {page:.2f} s; one of the same program with nothing in it in"
         f" {empty:.2f} s"
     )
-    assert page < max(
-        OPENS_S, 2.5 * empty
-    )  # on a machine that is busy with other things an empty one takes longer, too
+    # on a machine that is busy with other things an empty one takes longer, too
+    assert page < max(OPENS_S, 2.5 * empty)
 
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "car_parking", "quadrotor_hover"])

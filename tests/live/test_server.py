@@ -130,10 +130,11 @@ class TestWhoIsLetIn:
     def test_who_opens_the_address(self, server: LocalServer):
         status, text, headers = asked(server)
         assert status == 200 and "<html" in text and headers["Referrer-Policy"] == "no-referrer"
+        # without the last stroke
         assert (
             asked(server, server.address.rpartition("/")[0].removeprefix(own_origin(server)))[0]
             == 200
-        )  # without the last stroke
+        )
         assert asked(server, Host=f"localhost:{server.get_port()}")[0] == 200
         with joined(server) as socket_:
             assert len(socket_.recv(timeout=10)) > 0
@@ -304,9 +305,8 @@ class TestMalformedMessages:
             socket_.send(
                 message(type="GuiUpdateMessage", uuid=gain._impl.uuid, updates={"value": value})
             )
-            until(
-                lambda: gc.collect() >= 0 and caplog.records
-            )  # asyncio tells what a task raised when the task is freed
+            # asyncio tells what a task raised when the task is freed
+            until(lambda: gc.collect() >= 0 and caplog.records)
         assert caplog.records[0].getMessage().startswith("a message of a page is without effect: ")
         assert (
             "Traceback" not in capfd.readouterr().err
@@ -485,9 +485,8 @@ class TestTheCommand:
         ) as process:
             try:
                 assert process.stderr is not None
-                lines = iter(
-                    process.stderr.readline, ""
-                )  # before the address it may say that there is no OpenGL
+                # before the address it may say that there is no OpenGL
+                lines = iter(process.stderr.readline, "")
                 assert any(
                     re.match(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/   ", line) for line in lines
                 )

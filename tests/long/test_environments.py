@@ -44,9 +44,8 @@ def held() -> dict[str, float]:
     """
     gc.collect()
     before = resident()
-    ctypes.CDLL("libc.so.6").malloc_trim(
-        0
-    )  # free pages of the heap go back to the system: those that stay are in use
+    # free pages of the heap go back to the system: those that stay are in use
+    ctypes.CDLL("libc.so.6").malloc_trim(0)
     return {
         "untrimmed_mb": before,
         "memory_mb": resident(),

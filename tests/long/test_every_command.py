@@ -108,9 +108,8 @@ def forms(experiment: str | None) -> Iterator[Form]:
         choices = [p for p in command.params if p.required and p not in arguments and offered[p]]
         required = [[(p.opts[0], value) for value in offered[p]] for p in choices]
         every = [*itertools.product(*required)]
-        for options in (
-            every[-1:] if experiment in bundled_comparisons() else every
-        ):  # of many runs one export
+        # of many runs one export
+        for options in every[-1:] if experiment in bundled_comparisons() else every:
             said = (name, *itertools.chain(*options), *_options(command, experiment))
             of_folder = (name, *itertools.chain(*options), *_options(command, None))
             if experiment is None and not (takes or folder):
@@ -134,9 +133,8 @@ def _options(command: Any, experiment: str | None) -> list[str]:
         wanted, varied = {option: value for option, value in SMALLEST.items() if not value}, ()
     elif experiment in bundled_comparisons():
         plan = read_comparison(bundled_comparisons()[experiment])
-        varied = tuple(
-            f"{path}={json.dumps(values[0])}" for path, values in plan.axes.items()
-        )  # of each axis one value
+        # of each axis one value
+        varied = tuple(f"{path}={json.dumps(values[0])}" for path, values in plan.axes.items())
         if plan.tasks:  # in place of seeds
             del wanted["--seeds"]
             wanted["--limit"] = "1"
@@ -258,9 +256,8 @@ def test_an_experiment_ends_with_an_outcome_or_a_sentence(
         request.getfixturevalue("one_figure")
     done = carried_out(forms(experiment), command)
     assert done and faults(done) == []
-    if (
-        experiment == "ibvs_book"
-    ):  # of which each command is for; with the commands' words, so that none can leave the study
+    # of which each command is for; with the commands' words, so that none can leave the study
+    if experiment == "ibvs_book":
         assert {words[0] for words, (ended, _) in done.items() if ended.code in (0, 3, 130)} >= {
             form.words[0] for form in forms(experiment)
         } - ANOTHER
@@ -274,9 +271,8 @@ def test_commands_without_an_experiment_end_with_a_sentence(
         monkeypatch.chdir(tmp_path_factory.mktemp(form.words[0]))  # none meets the files of another
         done[form.words] = fault(form, form.words, command)
     assert faults(done) == []
-    refused = [
-        ended.err for ended, _ in done.values() if ended.code == 2
-    ]  # words for several things, which `describe` names
+    # words for several things, which `describe` names
+    refused = [ended.err for ended, _ in done.values() if ended.code == 2]
     assert (
         all(said.endswith("give one of these names\n") for said in refused)
         and len(refused) < len(done) / 4

@@ -85,9 +85,8 @@ def _heed_hang_up() -> None:
 def must_be_sound(folder: Path) -> None:
     """Whatever has the name of a finished file can be read to its end."""
     for path in folder.rglob("*.parquet"):
-        assert (
-            pl.read_parquet(path).width or path.name == "comparison.parquet"
-        )  # of a comparison without a finished run
+        # of a comparison without a finished run
+        assert pl.read_parquet(path).width or path.name == "comparison.parquet"
     for path in folder.rglob("summary.json"):
         assert json.loads(path.read_text(encoding="utf-8"))["outcome"]
         if ".part" not in str(path) and ".running" not in str(path):
@@ -138,9 +137,8 @@ def test_runs_killed_at_any_moment(start: Start, tmp_path: Path):
             try:
                 log = open_log(folder).frame()
             except RunFolderError as error:
-                assert "before its first line does" in str(
-                    error
-                )  # killed before its head was written
+                # killed before its head was written
+                assert "before its first line does" in str(error)
             else:
                 assert log["frame"].to_list() == list(range(log.height))
     assert ended < KILLS
@@ -304,9 +302,8 @@ def test_a_full_disk(
 ):
     out = disk(kilobytes) / "out"
     process = start(*words, *ENDLESS, "--out", str(out))
-    _, err = process.communicate(
-        timeout=120
-    )  # at once: not after runs of minutes, done in vain where another disk has space
+    # at once: not after runs of minutes, done in vain where another disk has space
+    _, err = process.communicate(timeout=120)
     assert process.returncode == 4, err
     assert "free some" in err
     assert "Traceback" not in err

@@ -96,6 +96,5 @@ def test_it_lands_on_a_car_that_drives_a_circle():
         fly("quadrotor_land", seed, **{"target.motion.speed_mps": (0.5, 0.75, 1.0)[seed % 3]})[1]
         for seed in SEEDS
     ]
-    assert (
-        sum(m["outcome"] == "landed" for m in runs) >= 18
-    )  # within pad_m = .2 m at under touch_mps = .5 m/s
+    # within pad_m = .2 m at under touch_mps = .5 m/s
+    assert sum(m["outcome"] == "landed" for m in runs) >= 18

@@ -201,9 +201,8 @@ def test_a_hundred_thousand_runs_are_merged_within_a_gigabyte(
         folder = tmp_path / f"shards/{i}"
         shutil.copytree(tmp_path / "first", folder, ignore=shutil.ignore_patterns("runs"))
         Shard(i, SHARDS).keep(folder)
-        own = Path(
-            shutil.copytree(model, tmp_path / f"models/{i}")
-        )  # a file has at most 65,000 links
+        # a file has at most 65,000 links
+        own = Path(shutil.copytree(model, tmp_path / f"models/{i}"))
         for job in Share(jobs, Shard(i, SHARDS)):
             run = folder / job.folder
             run.mkdir(parents=True)

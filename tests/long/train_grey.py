@@ -29,10 +29,8 @@ from vstestbed.laws.photometric import luminance
 
 POLICY = Path(__file__).parents[2] / "scenarios" / "policies" / "grey.py"
 SIZE = (80, 60)
-FARTHEST = (
-    np.array([0.25, 0.25, 0.2]),
-    np.array([15.0, 15.0, 50.0]),
-)  # [m], [deg], along and about the axes of the camera at the goal
+# [m], [deg], along and about the axes of the camera at the goal
+FARTHEST = np.array([0.25, 0.25, 0.2]), np.array([15.0, 15.0, 50.0])
 NEAREST = 0.01  # least share of these
 LEAST = 2e-3  # ways under this [m, rad] count by their absolute error
 

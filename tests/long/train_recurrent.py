@@ -155,9 +155,8 @@ def teacher(T, goal):
     z = np.maximum(p[:, 2:], 0.05)
     w = Rotation.from_matrix(T[:, :3, :3] @ goal[:3, :3].T).as_rotvec()
     slope = (p[:, :2] / z - there[:2] / there[2], np.log(z / there[2]))
-    moved = np.concatenate(
-        [p[:, :2] / z * slope[1] * z + z * slope[0], slope[1] * z], 1
-    )  # of the centre, -1/GAIN of its velocity
+    # of the centre, -1/GAIN of its velocity
+    moved = np.concatenate([p[:, :2] / z * slope[1] * z + z * slope[0], slope[1] * z], 1)
     rate = (1 - np.exp(-GAIN * PERIOD)) / PERIOD
     v = np.concatenate([rate * moved - np.cross(rate * w, p), rate * w], 1)
     share = np.minimum(

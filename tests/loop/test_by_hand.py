@@ -96,9 +96,8 @@ class TestAPush:
                 f.truth.T_world_camera[:3, :3] @ f.truth.twist[:3] for f in (frame, other)
             )
             gained = 0.5 * pushed.weight_n * 0.08 / mass
-            assert (v - v_other)[1] == pytest.approx(
-                gained, rel=0.35
-            )  # its controller acts against it meanwhile
+            # its controller acts against it meanwhile
+            assert (v - v_other)[1] == pytest.approx(gained, rel=0.35)
             for _ in range(3):
                 frame, other = pushed.step(), twin.step()
             later = (frame.truth.T_world_camera[:3, :3] @ frame.truth.twist[:3])[1]
@@ -142,9 +141,8 @@ class TestTheTarget:
             T[2, 3] += 0.05
             for _ in range(30):  # as a mouse does: every displacement is of the path itself
                 session.move_target(T)
-            moved = [session.step().truth.T_world_target for _ in range(9)][
-                4:
-            ]  # pictures in transit show it where it was
+            # pictures in transit show it where it was
+            moved = [session.step().truth.T_world_target for _ in range(9)][4:]
             own = [twin.step().truth.T_world_target for _ in range(9)][4:]
             shift = moved[0] @ np.linalg.inv(own[0])
             for T_moved, T_own in zip(moved, own, strict=True):

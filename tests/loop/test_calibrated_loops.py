@@ -118,9 +118,8 @@ def test_a_common_factor_moves_a_pose_along_and_leaves_its_rotation():
 def test_a_goal_shown_to_a_right_calibration_is_the_goal_told():
     s = vs.load("ibvs_book")
     shown = shown_goal(s.camera, s.camera, s.target, s.goal_view.T_camera_target)
-    assert (
-        max(rigid_error(shown.T_camera_target, s.goal_view.T_camera_target)) < 1e-6
-    )  # solved again from exact pixels
+    # solved again from exact pixels
+    assert max(rigid_error(shown.T_camera_target, s.goal_view.T_camera_target)) < 1e-6
     np.testing.assert_allclose(shown.xy, s.goal_view.xy, atol=1e-12)
     np.testing.assert_allclose(shown.depth, s.goal_view.depth, atol=1e-6)
 

@@ -291,9 +291,8 @@ class TestFused:
         blind, seeing = vs.run(arm(**given)), vs.run(arm(**given, fusion="pose"))
         assert blind.outcome is vs.Outcome.target_lost
         assert seeing.outcome is not vs.Outcome.target_lost and not seeing["lost"][5:].any()
-        assert (
-            np.isnan(seeing["u_0"][20:]).all() and np.isnan(seeing["error_px"][20:]).all()
-        )  # its own picture shows none
+        # its own picture shows none
+        assert np.isnan(seeing["u_0"][20:]).all() and np.isnan(seeing["error_px"][20:]).all()
         assert seeing["position_error_m"][-1] < 0.5 * seeing["position_error_m"][14]
 
     def test_the_pose_is_that_of_the_exposure_whatever_the_others_age(self) -> None:
@@ -436,9 +435,8 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 
         row, right = middle("run/camera.mp4"), middle("right.mp4")
         assert row.shape[1] == 160 + 120  # the second one as high as the first one
-        beside = cv2.resize(right, (120, 120), interpolation=cv2.INTER_AREA)[
-            :90
-        ]  # its name is at its foot
+        # its name is at its foot
+        beside = cv2.resize(right, (120, 120), interpolation=cv2.INTER_AREA)[:90]
         assert np.abs(row[:90, 160:].astype(float) - beside).mean() < 8  # but for the drawn paths
 
     def test_it_is_written_and_read_again_as_it_was(self) -> None:

@@ -62,9 +62,8 @@ def test_torques_at_rest_are_those_that_carry_the_arm(realism: str) -> None:
         scene.model.dof_frictionloss[scene.at.motor_qvel],
     )
     assert np.abs(bias).max() > 10
-    assert (
-        np.abs(tau - bias) < friction + 0.5
-    ).all()  # of each joint: no torque at all would fail at joint 2
+    # of each joint: no torque at all would fail at joint 2
+    assert (np.abs(tau - bias) < friction + 0.5).all()
     assert (np.abs(bias) > friction + 0.5).any()
 
 

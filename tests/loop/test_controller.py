@@ -220,9 +220,8 @@ class TestWhatIsTold:
             controller.step(self.BLACK, 1.1, self.REST, arrived=1.05)
         with pytest.raises(ParameterError, match="t must be the time of exposure"):
             controller.step(self.BLACK, float("nan"), self.REST)
-        assert (
-            controller.step(self.BLACK, 1.04, self.REST).notes == ()
-        )  # a mistake has changed nothing
+        # a mistake has changed nothing
+        assert controller.step(self.BLACK, 1.04, self.REST).notes == ()
 
     def test_a_time_that_is_none(self, controller: vs.Controller) -> None:
         for t in (None, "0", np.zeros(1)):

@@ -77,9 +77,8 @@ def test_a_source_reads_medians_of_what_is_valid():
     np.testing.assert_array_equal(
         depth_at(image, uv), [1.0, 2.0, np.nan, np.nan, np.nan, 2.0, np.nan]
     )
-    nine = np.array(
-        [[1, 2, np.nan], [3, 4, np.nan], [5, 6, np.nan]], np.float32
-    )  # of an even number the mean of both in the middle
+    # of an even number the mean of both in the middle
+    nine = np.array([[1, 2, np.nan], [3, 4, np.nan], [5, 6, np.nan]], np.float32)
     assert depth_at(nine, np.array([[1.0, 1.0]]), 3) == 3.5
 
 

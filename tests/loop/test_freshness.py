@@ -256,9 +256,8 @@ def test_a_target_that_is_gone_is_lost_by_the_own_clock(name: str, creeps: str) 
         cycle = controller.step(picture, t, reading, arrived)
         blind_s = (k - 4) * PERIOD_S
         if blind_s > scenario.stop.lost_after[0] + 2 * PERIOD_S:
-            assert cycle.order.latched and not cycle.order.twist.any(), (
-                blind_s
-            )  # a car keeps its steering
+            # a car keeps its steering
+            assert cycle.order.latched and not cycle.order.twist.any(), blind_s
 
 
 def test_times_of_other_units_are_refused_by_name(shown: Any) -> None:
@@ -267,9 +266,8 @@ def test_times_of_other_units_are_refused_by_name(shown: Any) -> None:
     for t in (1.8e18, 1.8e12, np.float32(1.8e18), np.datetime64("2026-01-01")):
         with pytest.raises(ParameterError, match=r"^t .*seconds"):
             robot.controller.step(robot.picture(True), t, robot.reading)
-    cycle = robot.controller.step(
-        robot.picture(True), np.float32(0.5), robot.reading
-    )  # nothing has changed
+    # nothing has changed
+    cycle = robot.controller.step(robot.picture(True), np.float32(0.5), robot.reading)
     assert moves(cycle.order)
 
 
@@ -705,9 +703,8 @@ def test_what_a_law_knows_of_its_own_motion_depends_on_no_begin_of_the_stamps(
 
     right = told(0.0, None)
     assert len(right) == 8 and np.abs(right[-1]).max() > 1e-3
-    np.testing.assert_allclose(
-        told(begin, silence), right, atol=1e-9
-    )  # times of a thousand seconds end at 1e-13
+    # times of a thousand seconds end at 1e-13
+    np.testing.assert_allclose(told(begin, silence), right, atol=1e-9)
 
 
 @pytest.fixture

@@ -61,9 +61,8 @@ def law_of(name: str, interaction: str) -> IBVS | PBVS | Hybrid:
     gain = ConstantGain(value=SET["gain"])
     if family == "pbvs":
         return PBVS(gain=gain, translation=variant)  # pyright: ignore[reportArgumentType]
-    if (
-        family == "vs2half"
-    ):  # two ways to write the rotation, which move alike: tried with our two sources of it
+    # two ways to write the rotation, which move alike: tried with our two sources of it
+    if family == "vs2half":
         return Hybrid(gain=gain, source="homography" if variant == "cdRc" else "model")
     if variant == "point_adaptive":
         gain = AdaptiveGain(at_zero=4, at_infinity=0.4, slope_at_zero=30)

@@ -17,11 +17,8 @@ from vstestbed.core.registry import to_mapping
 from vstestbed.loop import isolated
 
 BUNDLED = sorted(bundled_scenarios())
-SHOWN = (
-    "arm_qp",
-    "camera_photometric",
-    "arm_stereo",
-)  # the robot's own model with its Jacobian; pictures; a further camera
+# the robot's own model with its Jacobian; pictures; a further camera
+SHOWN = "arm_qp", "camera_photometric", "arm_stereo"
 
 
 def same_apart(name: str, frames: int = 12) -> None:
@@ -41,9 +38,8 @@ def same_apart(name: str, frames: int = 12) -> None:
         }
         found = vs.run(vs.load(name, {**short, "law": apart}, plugins=[isolated.MODULE]))
     assert found.columns == plain.columns and found.outcome is plain.outcome, found.reason
-    judged = [
-        i for i, column in enumerate(plain.columns) if column != "error_grey"
-    ]  # of a law apart nobody takes it over
+    # of a law apart nobody takes it over
+    judged = [i for i, column in enumerate(plain.columns) if column != "error_grey"]
     assert np.array_equal(found.rows.table[:, judged], plain.rows.table[:, judged], equal_nan=True)
 
 

@@ -36,9 +36,8 @@ def test_it_recovers_from_30_cm_and_20_degrees(name, settled_s):
     )
     assert recording.outcome is Outcome.completed
     assert recording["task_error_m"][0] == pytest.approx(0.3, abs=1e-6)
-    assert np.degrees(recording["base_heading"][0]) == pytest.approx(
-        20, abs=0.1
-    )  # turned away from the line
+    # turned away from the line
+    assert np.degrees(recording["base_heading"][0]) == pytest.approx(20, abs=0.1)
     assert np.abs(recording["task_error_m"][recording["t"] > settled_s]).max() < 0.05
 
 
@@ -47,9 +46,8 @@ def test_a_bend_of_2_m_and_another_the_other_way(name, bound):
     # The car cuts where one bend meets the other, 2 k m^2 / 9 = 18 mm; its steering takes .5 s from
     # stop to stop.
     start = {"nominal": {"x": 0, "y": 0, "heading_deg": 0}}
-    more = (
-        {"robot__wheels": "planar", "detector": "oracle"} if name == "omni_line" else {}
-    )  # the car finds the line in pictures
+    # the car finds the line in pictures
+    more = {"robot__wheels": "planar", "detector": "oracle"} if name == "omni_line" else {}
     recording = run(
         name, robot__start=start, target__route=BEND, goal__settle_s=0, stop__duration_s=9.5, **more
     )

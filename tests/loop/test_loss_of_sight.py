@@ -206,9 +206,10 @@ def test_the_arm_stops_within_its_limits_and_not_at_once(monkeypatch: pytest.Mon
     assert np.abs(ctrl[10]).max() > 0.3  # it was under way
     assert (rate <= SPEED_LIMITS / STOP_S + 1e-9).all()
     assert np.abs(ctrl[13]).max() > 0 and not ctrl[18:].any()  # a ramp of a quarter of a second
+    # as a whole
     np.testing.assert_allclose(
         ctrl[13] / np.linalg.norm(ctrl[13]), ctrl[10] / np.linalg.norm(ctrl[10]), atol=1e-12
-    )  # as a whole
+    )
 
 
 @pytest.mark.parametrize("name", one_quick("arm_ibvs", "ibvs_book", "omni_ibvs", "car_pbvs"))

@@ -65,9 +65,8 @@ def test_too_small_with_the_radius_and_the_least_that_is_found():
         " full colour) from the start on" in said
     )
     assert "larger markers (target.marker.radius)" in said
-    assert (
-        "has not found one of 4 markers in any picture) for 0.2 s; markers" in said
-    )  # no guess where the truth is known
+    # no guess where the truth is known
+    assert "has not found one of 4 markers in any picture) for 0.2 s; markers" in said
     assert said.count("from the start on") == 1
 
 

@@ -65,11 +65,8 @@ def test_a_held_command_is_half_a_period_old_on_top_of_the_latency(
     one_quick(
         ({"camera.latency_s": LATENCY_S + 0.02}, 0.02, 0.001),
         ({"timing.exposure_s": 0.02}, 0.01, 0.001),
-        (
-            {"camera.readout_s": 0.03},
-            0.015,
-            0.003,
-        ),  # of markers at half the height; they are where they are
+        # of markers at half the height; they are where they are
+        ({"camera.readout_s": 0.03}, 0.015, 0.003),
         ({"timing.interpolation": "ramp", "timing.command_hz": 500}, PERIOD_S / 2, 0.001),
     ),
     ids=["latency", "exposure", "readout", "ramps"],

@@ -147,9 +147,8 @@ def test_image(scenario: Scenario):
     columns["u_true_0"][1] = math.nan  # behind the camera for a frame
     s = recording(scenario, 3, **columns).summary()
     assert s["max_feature_excursion_px"] == pytest.approx(30, rel=1e-12)
-    assert s["min_border_margin_px"] == pytest.approx(
-        200, rel=1e-12
-    )  # 199.5 px from the left edge's -.5, marker 3's start
+    # 199.5 px from the left edge's -.5, marker 3's start
+    assert s["min_border_margin_px"] == pytest.approx(200, rel=1e-12)
 
 
 def test_peaks_and_limits(scenario: Scenario):

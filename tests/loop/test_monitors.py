@@ -114,11 +114,8 @@ class TestPlaneCrossed:
     def test_only_where_a_front_is_lost(self):
         for stop, one_sided, ends_run in (
             (Stop(lost_after_s=None), True, True),
-            (
-                Stop(lost_after_s=None, lost_after_m=None),
-                True,
-                False,
-            ),  # where no loss ends a run the plane may be crossed
+            # where no loss ends a run the plane may be crossed
+            (Stop(lost_after_s=None, lost_after_m=None), True, False),
             (Stop(), False, False),  # landmarks have no front
         ):
             crossed = termination(stop=stop, one_sided=one_sided).unsafe(

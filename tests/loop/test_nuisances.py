@@ -115,9 +115,10 @@ class TestDrift:
             bare, drifted = picture({}, t), picture(drift, t)
             dim = bare.max(axis=2) < 190  # what drift does not clip
             gains = drifted[dim].mean(axis=0) / bare[dim].mean(axis=0)
+            # whole grey levels
             assert np.allclose(
                 gains, Drift(brightness=0.2, color=0.1, period_s=8).gains(t), atol=0.01
-            )  # whole grey levels
+            )
 
     def test_a_run_meets_it(self):
         drift = {"brightness": 0.3, "color": 0.1, "period_s": 3}
@@ -133,9 +134,8 @@ class TestDropout:
             vs.load("arm_ibvs", setting | {"stop.duration_s": 12, "stop.converged.hold_s": 30})
         )
         missing = np.mean(~np.isfinite(away(r)))
-        assert missing == pytest.approx(
-            0.2, abs=0.035
-        )  # 1204 draws: .0115 by chance, three times that
+        # 1204 draws: .0115 by chance, three times that
+        assert missing == pytest.approx(0.2, abs=0.035)
         assert np.nanmedian(r["error_px"][-50:]) < 2  # it works on; three markers tell less
 
     def test_a_run_meets_it(self):
@@ -153,9 +153,8 @@ class TestShadows:
         bare = picture({"camera.shadows": True})
         dark = [np.argwhere((bare - picture(SHADOW, t)).sum(axis=2) > 60) for t in (0.0, 0.8)]
         assert min(len(d) for d in dark) > 300
-        assert (
-            np.linalg.norm(dark[1].mean(axis=0) - dark[0].mean(axis=0)) > 20
-        )  # .2 m at 1 m is some 77 px, less where it leaves the board
+        # .2 m at 1 m is some 77 px, less where it leaves the board
+        assert np.linalg.norm(dark[1].mean(axis=0) - dark[0].mean(axis=0)) > 20
 
     @pytest.mark.study
     def test_a_run_meets_it(self):
@@ -183,9 +182,8 @@ class TestShadows:
         assert r["lost"].sum() == 0
         n = min(len(r["t"]), len(bare["t"]))
         moved = max(np.abs(r[f"u_{i}"][:n] - bare[f"u_{i}"][:n]).max() for i in range(4))
-        assert (
-            0.05 < moved < 0.5
-        )  # its border across a disc draws the centroid towards the light; it was there
+        # its border across a disc draws the centroid towards the light; it was there
+        assert 0.05 < moved < 0.5
         assert np.nanmax(away(r)) < 0.5
 
 
@@ -215,9 +213,7 @@ class TestHiding:
         r = vs.run(vs.load("arm_ibvs", {"world.plates": [plate]} | QUICK))
         assert r.outcome is vs.Outcome.converged
         off = away(r)
-        assert (
-            5 < np.isnan(off).any(axis=1).sum() < 40 and np.isfinite(off[-10:]).all()
-        )  # hidden for a while, and back
-        assert (
-            np.nanmax(off) < 3
-        )  # what is left of a marker is taken whole only while little is missing
+        # hidden for a while, and back
+        assert 5 < np.isnan(off).any(axis=1).sum() < 40 and np.isfinite(off[-10:]).all()
+        # what is left of a marker is taken whole only while little is missing
+        assert np.nanmax(off) < 3

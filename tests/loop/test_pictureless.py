@@ -82,9 +82,8 @@ def test_what_acts_without_pictures_is_not_told(caplog: pytest.LogCaptureFixture
         "noise.dropout": 0.1,
     }
     warn_without_effect(vs.load("arm_ibvs", SHORT | acts | {"noise.perturb": ["outliers"]}))
-    warn_without_effect(
-        vs.load("arm_ibvs", SHORT | {"camera.exposure": {"blurs": True}})
-    )  # its time is the age of the pictures
+    # its time is the age of the pictures
+    warn_without_effect(vs.load("arm_ibvs", SHORT | {"camera.exposure": {"blurs": True}}))
     assert caplog.text == ""
 
 

@@ -29,9 +29,8 @@ def test_it_hovers_from_the_first_instant():
         robot__start__nominal__yaw_deg=90,
         stop__duration_s=1.0,
     )
-    assert (
-        np.abs(r["cam_z"] - 5).max() < 0.02
-    )  # rotors at rest would let it fall .6 m in the .35 s that they take to turn
+    # rotors at rest would let it fall .6 m in the .35 s that they take to turn
+    assert np.abs(r["cam_z"] - 5).max() < 0.02
     assert r["ctrl_rotor_front"][0] == pytest.approx(X4.hover)
     assert r["speed_rotor_left"][0] == pytest.approx(np.sqrt(X4.hover))
 
@@ -50,9 +49,8 @@ def test_a_step_by_rendered_pictures():
         )
     )
     assert r.outcome is Outcome.converged
-    assert (
-        r.summary()["final_position_error_m"] < 0.08
-    )  # a gyro bias of 3e-3 rad/s is on its way out: .35 deg at 2.5 m, and 2 px
+    # a gyro bias of 3e-3 rad/s is on its way out: .35 deg at 2.5 m, and 2 px
+    assert r.summary()["final_position_error_m"] < 0.08
 
 
 @pytest.mark.study
@@ -73,15 +71,12 @@ def test_feedforward_takes_no_lean_for_a_target_that_moves():
     """What the craft rolls and pitches does not show in a view that is turned level; its rates must
     not be taken out of it.
     """
-    quick = {
-        "kind": "kalman_cv",
-        "bandwidth_hz": 5.0,
-    }  # the estimate of a standing target's speed is fed back at once
+    # the estimate of a standing target's speed is fed back at once
+    quick = {"kind": "kalman_cv", "bandwidth_hz": 5.0}
     r = run("quadrotor_hover", law__feedforward=quick, stop__duration_s=8.0)
     assert set(r["supervisor"]) == {0}
-    assert (
-        np.degrees(np.hypot(r["est_roll"], r["est_pitch"])).max() < 5
-    )  # rocked, rotors at their limits, when rates were taken out
+    # rocked, rotors at their limits, when rates were taken out
+    assert np.degrees(np.hypot(r["est_roll"], r["est_pitch"])).max() < 5
     assert np.hypot(r["cam_x"][-1], r["cam_y"][-1]) < 0.25
 
 
@@ -156,9 +151,8 @@ def test_before_its_first_order_it_holds():
     """
     wind = {"world.wind.mean_mps": [8, 0, 0], "camera.latency_s": 0.6, "stop.duration_s": 0.7}
     r = vs.run(vs.load("quadrotor_gust", ORACLE | wind))
-    assert (
-        np.degrees(r["est_roll"][r["t"] < 0.55][-1]) < -2
-    )  # it heads along y, so it rolls; towards 5.6 degrees
+    # it heads along y, so it rolls; towards 5.6 degrees
+    assert np.degrees(r["est_roll"][r["t"] < 0.55][-1]) < -2
 
 
 @pytest.mark.study

@@ -146,9 +146,8 @@ class TestLatency:
             "camera.latency_s": latency,
             "stop.duration_s": 0.2,
         }
-        if (
-            name == "arm_ibvs"
-        ):  # a servo that pushes at once: integrating ones first wind up against friction
+        # a servo that pushes at once: integrating ones first wind up against friction
+        if name == "arm_ibvs":
             setting["robot.actuation"] = "ideal"
         vs.run(vs.load(name, setting))
         poses = np.array(watched[0].poses)
@@ -250,9 +249,8 @@ class TestRepeats:
             "overview.mp4",
         }
         log = open_log(repeated["first"]).frame()
-        assert (
-            log.height == 9
-        )  # frames at 0, 40 .. 320 ms: the first at or after the duration is the last
+        # frames at 0, 40 .. 320 ms: the first at or after the duration is the last
+        assert log.height == 9
         assert log.schema["frame"] == pl.Int64 and log.schema["lost"] == pl.Boolean
 
 
@@ -349,9 +347,8 @@ class TestTruthFence:
             ), file
             spoken = self.spoken(tree) if any(word in text for word in self.TRUE) else set()
             assert not spoken & {"Truth", "TruthView", "truth", "hidden", "T_world_camera"}, file
-            if (
-                "detect" in file.parts
-            ):  # a detector is given the oracle's view, and must not read it
+            # a detector is given the oracle's view, and must not read it
+            if "detect" in file.parts:
                 assert "view" not in spoken, file
             # A lens projects points that it is given; the observer hands on what an oracle found.
             if "camera" not in file.parts and file.name != "observe.py":
@@ -376,13 +373,8 @@ class TestTruthFence:
         """Reference and goal views, which the law is told, are made of an observation and an error
         in the image.
         """
-        judges = {
-            "Frame",
-            "ToleranceMonitor",
-            "LandingMonitor",
-            "InsertionMonitor",
-            "KeepOut",
-        }  # `rules.py` reads it in a function
+        # `rules.py` reads it in a function
+        judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "InsertionMonitor", "KeepOut"}
         assert self.readers("tasks", "truth", "T_world_camera", "hidden") == judges
         for task in GOALS.members.values():
             for name, arguments in (

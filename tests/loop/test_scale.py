@@ -50,10 +50,8 @@ POSTER = {
 }
 LENGTHS = "side", "radius", "size", "width", "gain_z", "depth_m", "initial_m", "margin_m"
 """Fields that are lengths, or speeds for a pure number, beside positions."""
-SMALLEST, LARGEST = (
-    2.0**-13,
-    64.0,
-)  # cameras from 0.16 mm to 83 m away at the start; powers of two, as rounding then is the same
+# cameras from 0.16 mm to 83 m away at the start; powers of two, as rounding then is the same
+SMALLEST, LARGEST = 2.0**-13, 64.0
 
 
 def resized(given: Any, k: float) -> Any:
@@ -214,9 +212,8 @@ def test_no_detector_sees_the_scale(of: str, k: float, renderer: str):
     # frame sooner or later
     assert apart_s(other, room) <= (30 if of == "photometric" else 2) * frame
     if of != "photometric":
-        assert abs(in_pixels(other)[0] - in_pixels(room)[0]) < (
-            1.0 if of == "keypoints" else 0.3
-        )  # noise of the detector
+        # noise of the detector
+        assert abs(in_pixels(other)[0] - in_pixels(room)[0]) < (1.0 if of == "keypoints" else 0.3)
 
 
 @pytest.mark.study

@@ -333,9 +333,8 @@ class TestToAndFro:
         assert self.count(error=self.LOST * np.linspace(1, 0.2, self.N)) == 0  # it comes nearer
         assert self.count(x=np.abs(self.X)) == 0  # a slow approach
         assert self.count(x=self.X * np.linspace(1, 0.2, self.N)) == 0  # a swing that decays
-        assert (
-            self.count(x=np.sin(np.arange(self.N) * 2 * np.pi / self.N)) == 0
-        )  # it turns round once
+        # it turns round once
+        assert self.count(x=np.sin(np.arange(self.N) * 2 * np.pi / self.N)) == 0
         assert self.count(reference=self.X[:, None]) == 0  # a target that moves
         assert self.count(error=np.full(self.N, np.nan)) == 0
 
@@ -343,9 +342,8 @@ class TestToAndFro:
 def test_growth_without_a_swing():
     up = 1.01 ** np.arange(200)
     assert grows(part(up, error=up), 1.0) and not grows(part(up, error=up[::-1]), 1.0)
-    assert not grows(
-        part(up[::-1], error=up), 1.0
-    )  # a command that falls: the law comes nearer by what it measures itself
+    # a command that falls: the law comes nearer by what it measures itself
+    assert not grows(part(up[::-1], error=up), 1.0)
     assert not grows(part(up, error=up)._replace(away=np.array([[2.0, 1], [1.0, 1]])), 1.0)
     assert not grows(part(up, error=up, reference=up[:, None]), 1.0)
 

@@ -60,9 +60,8 @@ class TestTheCamerasClock:
         )
         t, error = r["t"], r["t_stamp"] - r["t"]
         rest = error - (-0.03 + 2e-3 * t)
-        assert len(t) > 450 and np.allclose(
-            t * 25, np.round(t * 25)
-        )  # true times stay what they were
+        # true times stay what they were
+        assert len(t) > 450 and np.allclose(t * 25, np.round(t * 25))
         slope = np.polyfit(t, error, 1)[0]
         assert slope == pytest.approx(2e-3, abs=4 * 0.002 / (t.std() * np.sqrt(len(t))))
         assert rest.std() == pytest.approx(
@@ -144,11 +143,8 @@ class TestTheRobotsClock:
             ({"offset_s": 0.02}, {"offset_s": -0.01}, 0.03),
             ({"stamped": "arrival"}, None, 0.06),
             (None, {"drift_ppm": 20000}, None),
-            (
-                None,
-                {"offset_s": -1.0},
-                0.06,
-            ),  # a reading is not known before it comes: the last one is taken
+            # a reading is not known before it comes: the last one is taken
+            (None, {"offset_s": -1.0}, 0.06),
         ],
     )
     def test_the_reading_of_a_picture_is_that_of_the_same_stamp(
@@ -168,9 +164,8 @@ class TestTheRobotsClock:
             at = t + ahead if ahead is not None else t / 1.02
             q = [np.interp(at, r["t"], r[f"q_{name}"]) for name in vs.load("arm_ibvs").robot.joints]
             speed = max(abs(r[f"qd_{name}"][i]) for name in vs.load("arm_ibvs").robot.joints)
-            np.testing.assert_allclose(
-                kept[i][0].reading.q, q, atol=0.004 * speed + 1e-4
-            )  # read every 2 ms, logged every 40
+            # read every 2 ms, logged every 40
+            np.testing.assert_allclose(kept[i][0].reading.q, q, atol=0.004 * speed + 1e-4)
             assert speed * 0.02 > 3 * (0.004 * speed + 1e-4)
 
     def test_a_robot_without_readings_has_no_such_clock(self):

@@ -86,9 +86,8 @@ class Rig:
         """Twist and setpoint are those of one motion, and those of a stop are rest."""
         assert np.isfinite(order.setpoint).all() and np.isfinite(order.twist).all()
         if order.stopped:
-            moving = (
-                order.setpoint[:1] if self.scenario.robot.kind == "car" else order.setpoint
-            )  # its steering stays as it was
+            # its steering stays as it was
+            moving = order.setpoint[:1] if self.scenario.robot.kind == "car" else order.setpoint
             assert not moving.any() and not order.twist.any() and order.reason
             return
         mount = Mount.of(self.scenario.believed_camera.mount.T)
@@ -271,9 +270,8 @@ def test_a_joint_at_its_limit_leaves_a_velocity_that_agrees() -> None:
         rig.q = rig.q.copy()
         rig.q[joint] = high if free.setpoint[joint] > 0 else low
         found = [rig.sees() for _ in range(3)][-1]
-        if (
-            found.allocation.limit != "joint_limit"
-        ):  # in another configuration the joint may turn the other way
+        # in another configuration the joint may turn the other way
+        if found.allocation.limit != "joint_limit":
             rig.q[joint] = low if rig.q[joint] == high else high
             found = rig.sees()
         assert found.allocation.limit == "joint_limit" and not found.stopped
@@ -391,9 +389,8 @@ class TestThreads:
         go_on.set()
         thread.join(10)
         assert found[0].latched and "never mind" in found[0].reason
-        assert controller.without_picture(
-            0.5, reading
-        ).stopped  # one after the other, any thread may call it
+        # one after the other, any thread may call it
+        assert controller.without_picture(0.5, reading).stopped
 
     def test_of_a_session_too(self, monkeypatch: pytest.MonkeyPatch) -> None:
         with vs.Session(vs.load("ibvs_book", {"detector": "oracle"})) as session:

@@ -162,9 +162,8 @@ class TestACraftThatGaveUp:
         assert judged(9.9, supervisor=self.craft()) is None
         outcome, reason, t = judged(9.9, supervisor=self.craft(off_at=5.0, mode=OFF))
         assert outcome is Outcome.overturned and reason == "tilted; the craft set down"
-        assert t == pytest.approx(
-            5.52, abs=0.021
-        )  # half a second with its rotors off, at the next frame
+        # half a second with its rotors off, at the next frame
+        assert t == pytest.approx(5.52, abs=0.021)
 
     def test_not_beyond_the_end_of_the_time(self):
         outcome, reason, t = judged(10.1, supervisor=self.craft())

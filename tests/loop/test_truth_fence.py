@@ -412,10 +412,8 @@ def test_robots_sensors_are_such_as_robots_have():
         mujoco.mjtSensor.mjSENS_ACCELEROMETER,
         mujoco.mjtSensor.mjSENS_VELOCIMETER,
     }
-    real |= {
-        mujoco.mjtSensor.mjSENS_RANGEFINDER,
-        mujoco.mjtSensor.mjSENS_FRAMEXAXIS,
-    }  # the last is the compass
+    # the last is the compass
+    real |= {mujoco.mjtSensor.mjSENS_RANGEFINDER, mujoco.mjtSensor.mjSENS_FRAMEXAXIS}
     for name in ("arm_ibvs", "car_pbvs", "omni_ibvs", "quadrotor_path"):
         robot = vs.load(name).robot
         model = mujoco.MjModel.from_xml_path(str(model_path(robot.body.file)))

@@ -64,9 +64,8 @@ class TestCar:
         heading = np.degrees(
             np.angle(np.exp(1j * (parked["est_heading"] - parked["base_heading"])))
         )
-        assert (
-            0.02 < np.abs(heading).mean() < 1.0
-        )  # a compass of .5 deg, smoothed: neither perfect nor worse
+        # a compass of .5 deg, smoothed: neither perfect nor worse
+        assert 0.02 < np.abs(heading).mean() < 1.0
 
     @pytest.mark.study
     def test_landmarks_leave_the_view_and_it_goes_on(self):
@@ -116,13 +115,11 @@ class TestCar:
         heading = np.degrees(
             np.angle(np.exp(1j * (biased["est_heading"] - biased["base_heading"])))
         )
-        np.testing.assert_allclose(
-            heading[25:], 5, atol=0.3
-        )  # encoders tell the turn, the compass where north is
+        # encoders tell the turn, the compass where north is
+        np.testing.assert_allclose(heading[25:], 5, atol=0.3)
         off = np.hypot(biased["est_x"] - biased["base_x"], biased["est_y"] - biased["base_y"])
-        assert (
-            np.median(off) < 0.03
-        )  # position is from vision: the bias moves it by the mount's arm, .22 m x .087
+        # position is from vision: the bias moves it by the mount's arm, .22 m x .087
+        assert np.median(off) < 0.03
 
     def test_the_truth_changes_nothing(self, parked, monkeypatch):
 
@@ -197,9 +194,8 @@ class TestOmni:
         assert (np.diff(view) >= 0).all() and set(view) == {0, 1, 2, 3}
         for k, (x, y) in enumerate([(-5, -1), (-3.5, -2), (-2.5, 0.5)]):
             left = np.flatnonzero(view == k)[-1]
-            assert (
-                np.hypot(recording["base_x"][left] - x, recording["base_y"][left] - y) < 0.4
-            )  # 1.5 px of 100 px focal length, at 5 m
+            # 1.5 px of 100 px focal length, at 5 m
+            assert np.hypot(recording["base_x"][left] - x, recording["base_y"][left] - y) < 0.4
             assert recording["error_px"][left] < 1.5
 
     def test_a_mirror_sees_landmarks_all_round(self):
@@ -234,6 +230,7 @@ class TestPursuit:
         }
         recording = run("car_pursuit", detector="oracle", **settings)
         assert recording.outcome is Outcome.completed, recording.reason
+        # it has turned
         assert (
             np.ptp(
                 np.unwrap(
@@ -241,7 +238,7 @@ class TestPursuit:
                 )
             )
             > np.pi
-        )  # it has turned
+        )
         # 2.5 m under the bearing of a ball .3 m above the lens: a car that pitches by .1 degree
         # errs by 4 cm.
         assert recording.summary()["worst_task_error_m"] < 0.25

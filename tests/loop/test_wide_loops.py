@@ -150,12 +150,10 @@ def test_films_and_a_film_again(command: Callable[..., Ended], tmp_path: Path):
     for film in (tmp_path / "r" / "camera.mp4", tmp_path / "again.mp4"):
         with av.open(film) as container:
             frames.append([f.to_ndarray(format="rgb24") for f in container.decode(video=0)])
-    pictures = (
-        -(-len(log) // 2) + 1 + 12
-    )  # every second one, the last one, and a second for the end
+    # every second one, the last one, and a second for the end
+    pictures = -(-len(log) // 2) + 1 + 12
     assert [len(f) for f in frames] == [pictures] * 2
     assert frames[0][0].shape == (680, 640, 3)  # the picture, and the line of numbers
     np.testing.assert_array_equal(frames[0], frames[1])
-    assert (
-        frames[0][0][320, 320].min() > 60
-    )  # drawn ahead too, where no marker is and the detector did not look
+    # drawn ahead too, where no marker is and the detector did not look
+    assert frames[0][0][320, 320].min() > 60

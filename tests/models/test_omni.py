@@ -154,9 +154,8 @@ class TestFigures:
             np.testing.assert_allclose(
                 axes[0] * np.sign(axes[0][0]), np.array([1, side, 0]) / np.sqrt(2), atol=1e-12
             )
-            np.testing.assert_allclose(
-                np.abs([a[1] for a in axes]), np.sqrt(0.5), atol=1e-12
-            )  # 45 degrees to the axle
+            # 45 degrees to the axle
+            np.testing.assert_allclose(np.abs([a[1] for a in axes]), np.sqrt(0.5), atol=1e-12)
         with pytest.raises(KeyError):
             model.joint(f"robot/front_left_roller{ROLLERS}")
 
@@ -166,16 +165,14 @@ class TestFigures:
         phi = np.linspace(-np.pi / ROLLERS, np.pi / ROLLERS, 1001)
         H = d * np.cos(phi) + np.sqrt(b**2 + (a**2 - b**2) * np.sin(phi) ** 2 / 2)
         assert H[500] == pytest.approx(PLATFORM.wheel_radius_m, abs=1e-9)
-        assert H[0] == pytest.approx(
-            PLATFORM.wheel_radius_m, abs=1e-7
-        )  # a is written to the micrometre
+        # a is written to the micrometre
+        assert H[0] == pytest.approx(PLATFORM.wheel_radius_m, abs=1e-7)
         assert np.ptp(H) < 0.1e-3
 
     def test_gears_of_the_planar_one_are_the_kinematics(self):
         model = compose("planar")
-        np.testing.assert_allclose(
-            model.actuator_gear[:, [0, 1, 5]], PLATFORM.W, atol=5e-5
-        )  # written with five decimals
+        # written with five decimals
+        np.testing.assert_allclose(model.actuator_gear[:, [0, 1, 5]], PLATFORM.W, atol=5e-5)
         np.testing.assert_array_equal(model.actuator_gear[:, 2:5], 0)
 
     def test_the_planar_one_carries_its_wheels_spin(self):
@@ -299,9 +296,8 @@ class TestMotions:
         np.testing.assert_allclose(got[~asked], 0, atol=2e-3)
 
     def test_a_mix_with_a_larger_slip(self):
-        motion = np.array(
-            [0.3, -0.2, -0.3]
-        )  # 40 random mixes: median .5 %, nine in ten under 1.1 %
+        # 40 random mixes: median .5 %, nine in ten under 1.1 %
+        motion = np.array([0.3, -0.2, -0.3])
         got = Drive.at_rest("rollers").mean_motion(motion)
         assert 0.008 < np.abs(got / motion - 1).max() < 0.016  # 1.3 % in yaw
 
@@ -341,9 +337,10 @@ class TestMotions:
         drive.order((0.3, -0.2, 0.5))
         drive.run(0.317)
         mujoco.mj_forward(drive.model, drive.data)
+        # gears: five decimals
         np.testing.assert_allclose(
             drive.data.actuator_velocity, PLATFORM.W @ drive.motion, atol=1e-4
-        )  # gears: five decimals
+        )
 
     @pytest.mark.parametrize("motion", [(0.3, 0.0, 0.0), (0.0, 0.0, 1.5)])
     def test_both_start_alike(self, motion):
@@ -386,9 +383,8 @@ class TestSlip:
     )
     def test_on_ice_the_wheels_spin_and_the_encoders_do_not_know(self, motion, axis, share):
         true, told = self.dash(ICE, motion)
-        assert told[axis] == pytest.approx(
-            0.96 * motion[axis], rel=0.01
-        )  # 40 ms late, as commanded
+        # 40 ms late, as commanded
+        assert told[axis] == pytest.approx(0.96 * motion[axis], rel=0.01)
         # A spinning wheel's rollers take all friction along their axles, of which cos 45 degrees is
         # forward or sideways. What spins rollers up, and their bearings, take a part f = .15 to .18
         # of it across: with the other half forward, against it sideways.
@@ -416,9 +412,10 @@ class TestRest:
         drive = Drive.at_rest("rollers")
         rng = np.random.default_rng(seed)
         for _ in range(4):
+            # four speeds that no motion has
             drive.data.ctrl[:] = rng.uniform(
                 -PLATFORM.wheel_speed_radps, PLATFORM.wheel_speed_radps, 4
-            )  # four speeds that no motion has
+            )
             drive.run(0.3)
         drive.data.ctrl[:] = 0
         drive.run(1.5)

@@ -132,9 +132,8 @@ class TestRotors:
         x, y = [(0.315, 0), (0, -0.315), (-0.315, 0), (0, 0.315)][i]
         np.testing.assert_allclose(torque[:2], [y * thrust, -x * thrust], atol=1e-9)
         assert abs(torque[2]) / thrust == pytest.approx(8.08e-3, abs=5e-6)  # three digits
-        assert (
-            np.sign(torque[2]) == (-1, 1, -1, 1)[i]
-        )  # front and back spin anticlockwise and push the body clockwise
+        # front and back spin anticlockwise and push the body clockwise
+        assert np.sign(torque[2]) == (-1, 1, -1, 1)[i]
 
     @pytest.mark.parametrize("timestep", STEPS)
     def test_lag_is_of_first_order_at_any_step(self, timestep):
@@ -161,9 +160,8 @@ class TestMotorsOff:
         run(vacuum, data, 1.5)
         # Semi-implicit Euler: g t dt / 2 low, 7.4 mm.
         assert data.qpos[2] - 100 == pytest.approx(-G * 1.5 * (1.5 + 0.001) / 2, abs=1e-9)
-        np.testing.assert_allclose(
-            data.sensor("robot/accelerometer").data, 0, atol=1e-9
-        )  # falling feels nothing
+        # falling feels nothing
+        np.testing.assert_allclose(data.sensor("robot/accelerometer").data, 0, atol=1e-9)
 
     @pytest.mark.parametrize("timestep", STEPS)
     def test_a_tumble_keeps_momentum_and_energy(self, timestep):
@@ -206,9 +204,8 @@ class TestAir:
         data = at(air, 1000.0)
         run(air, data, 15.0)
         terminal = np.sqrt(2 * 4 * G / (AIR * DRAG_AREA))
-        assert data.qvel[2] == pytest.approx(
-            -terminal * np.tanh(G * 15 / terminal), rel=0.002
-        )  # Cd A is written to 3 digits
+        # Cd A is written to 3 digits
+        assert data.qvel[2] == pytest.approx(-terminal * np.tanh(G * 15 / terminal), rel=0.002)
 
     @pytest.mark.parametrize("wind", [(5, 0, 0), (-3, 4, 0), (0, 0, 6), (1, 2, 2)])
     def test_wind_pushes_as_drag_says(self, wind):
@@ -218,9 +215,8 @@ class TestAir:
         speed = np.linalg.norm(wind)
         force = 0.5 * AIR * DRAG_AREA * speed * np.array(wind)
         np.testing.assert_allclose(data.qfrc_passive[:3], force, rtol=0.002, atol=1e-6)
-        np.testing.assert_allclose(
-            data.qfrc_passive[3:], 0, atol=1e-6
-        )  # at the centre of mass: it does not turn the craft
+        # at the centre of mass: it does not turn the craft
+        np.testing.assert_allclose(data.qfrc_passive[3:], 0, atol=1e-6)
         np.testing.assert_allclose(data.qacc[:3], force / 4, rtol=0.002, atol=1e-6)
 
     def test_five_metres_per_second_ask_for_two_degrees(self):
@@ -275,12 +271,8 @@ class TestGround:
 
     def test_rotors_touch_a_wall(self, air):
         data = at(air, 0.30)
-        data.qpos[3:7] = [
-            np.cos(np.pi / 4),
-            np.sin(np.pi / 4),
-            0,
-            0,
-        ]  # on edge, .315 + .165 m of rotor below the centre
+        # on edge, .315 + .165 m of rotor below the centre
+        data.qpos[3:7] = [np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0]
         mujoco.mj_forward(air, data)
         assert {air.geom(int(g)).name for contact in data.contact for g in contact.geom} >= {
             "floor",
@@ -293,9 +285,8 @@ class TestSensors:
         data = at(vacuum, 2.0, X4.hover)
         np.testing.assert_allclose(data.sensor("robot/accelerometer").data, [0, 0, G], atol=1e-6)
         np.testing.assert_allclose(data.sensor("robot/gyro").data, 0, atol=1e-12)
-        assert data.sensor("robot/range").data[0] == pytest.approx(
-            2.0, abs=1e-9
-        )  # its own legs are left out
+        # its own legs are left out
+        assert data.sensor("robot/range").data[0] == pytest.approx(2.0, abs=1e-9)
 
     def test_in_body_axes(self, vacuum):
         data = at(vacuum, 3.0)

@@ -61,9 +61,8 @@ def test_many_points_are_few_where_the_line_is_straight_and_no_peak_is_lost() ->
     chart.panels[0].plot(np.arange(40_000.0), y)
     ((line,),) = paths(chart)
     assert len(line) < 8
-    assert np.ptp(line[:, 1]) == pytest.approx(
-        10 * box(chart)[1] / 1.1, abs=2
-    )  # margins of a twentieth to each side
+    # margins of a twentieth to each side
+    assert np.ptp(line[:, 1]) == pytest.approx(10 * box(chart)[1] / 1.1, abs=2)
 
 
 def test_an_infinite_coordinate_is_the_border() -> None:

@@ -45,9 +45,8 @@ def test_scores_are_successes_restricted_means_and_ranks_with_intervals() -> Non
         (0.25, 40),
     ]
     low, high = found["fails"].rate[1:3]
-    assert low == pytest.approx(0.1419, abs=1e-3) and high == pytest.approx(
-        0.4019, abs=1e-3
-    )  # Wilson's of 10 in 40
+    # Wilson's of 10 in 40
+    assert low == pytest.approx(0.1419, abs=1e-3) and high == pytest.approx(0.4019, abs=1e-3)
     assert found["fast"].value.mean == pytest.approx(1 + hard.mean())
     se = hard.std() / np.sqrt(40)
     np.testing.assert_allclose(
@@ -159,9 +158,8 @@ def test_the_ranks_in_a_task_hold_all_true_ones_at_once() -> None:
             {f"law{i}": list(hard + 0.05 * i + rng.normal(0, 1, 20)) for i in range(12)}, 99
         )
         held += all(s.rank.low <= place <= s.rank.high for place, s in enumerate(scores(table), 1))
-    assert (
-        held >= 0.95 * flights - 2 * (0.95 * 0.05 * flights) ** 0.5
-    )  # 95 %, less two standard deviations of the number of flights
+    # 95 %, less two standard deviations of the number of flights
+    assert held >= 0.95 * flights - 2 * (0.95 * 0.05 * flights) ** 0.5
 
 
 def tasks_of(*means: dict[str, float], starts: int = 30, spread: float = 0.3) -> pl.DataFrame:
@@ -185,9 +183,8 @@ def test_mean_ranks_have_an_interval_on_these_tasks_and_a_wider_one_on_tasks_lik
     assert found["odd"].rank[:3] == (1.5, 1.5, 1.5)
     assert found["odd"].alike[:3] == (1.5, 1.0, 2.0)
     (alone, _) = overall(scores(tasks_of(good)))
-    assert (
-        alone.rank[:3] == (1, 1, 1) and np.isnan(alone.alike[1:3]).all()
-    )  # of one task nothing is known of others
+    # of one task nothing is known of others
+    assert alone.rank[:3] == (1, 1, 1) and np.isnan(alone.alike[1:3]).all()
 
 
 def test_a_mean_rank_is_among_the_laws_that_flew_all_its_tasks() -> None:

@@ -69,9 +69,10 @@ class TestGeometry:
         rate = (math.atan2(after[1, 0], after[0, 0]) - math.atan2(before[1, 0], before[0, 0])) / (
             2 * h
         )
+        # h^2 and rounding
         assert heading_rate(level(tuple(R[2].tolist())), tuple(w.tolist())) == pytest.approx(
             rate, abs=1e-8
-        )  # h^2 and rounding
+        )
 
     def test_nose_straight_up_is_finite(self):
         np.testing.assert_allclose(

@@ -171,9 +171,8 @@ class TestStopping:
         ).setpoint
         end = robot.stopping(setpoint, 10.0)
         assert end.shape == setpoint.shape
-        assert (
-            not end[:1].any() if name == "car" else not end.any()
-        )  # a car keeps its wheels in the bend
+        # a car keeps its wheels in the bend
+        assert not end[:1].any() if name == "car" else not end.any()
 
     def test_velocities_fall_together_and_steadily(self, name):
         robot = ROBOTS[name]

@@ -145,9 +145,8 @@ class TestCompass:
     def test_the_truth_does_not_pass(self):
         q, sensors = np.arange(7.0), {"heading": [1.0, 0.0, 0.0]}
         measured = CAR.instruments(np.random.default_rng(0))(q, np.zeros(7), sensors)
-        assert (
-            type(measured) is Reading and measured.tilt is None and measured.heading != 0.0
-        )  # nothing but encoders and compass
+        # nothing but encoders and compass
+        assert type(measured) is Reading and measured.tilt is None and measured.heading != 0.0
         np.testing.assert_array_equal(measured.q, q)
 
     def test_same_seed_same_readings(self):

@@ -75,9 +75,8 @@ def test_the_camera_gets_its_twist_and_the_arm_is_drawn_to_its_middle_in_what_is
     rest = robot.allocate(np.zeros(6), vs.Reading(q, np.zeros(9)), STILL, 0.04)
     assert rest.twist == pytest.approx(np.zeros(6), abs=1e-9)
     away = (q - robot.configuration())[3:]
-    assert (
-        rest.setpoint[3:] @ away < 0 and np.abs(rest.setpoint[:3]).max() > 0
-    )  # the platform makes room for it
+    # the platform makes room for it
+    assert rest.setpoint[3:] @ away < 0 and np.abs(rest.setpoint[:3]).max() > 0
 
 
 def test_the_platform_goes_where_the_arm_does_not_reach(

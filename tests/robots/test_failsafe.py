@@ -121,9 +121,8 @@ def test_a_law_that_failed_ends_the_task_for_good():
     failsafe = Failsafe(lands=False, lost_after_s=1.0)
     failsafe.abort(0.0, Outcome.law_failed, "law mine raised ValueError")
     assert flown(failsafe, HOLD_S - 0.1) == "stop"
-    np.testing.assert_array_equal(
-        flown(failsafe, HOLD_S + 1.0, HOLD_S), descend(0.4)
-    )  # although the target is in sight
+    # although the target is in sight
+    np.testing.assert_array_equal(flown(failsafe, HOLD_S + 1.0, HOLD_S), descend(0.4))
     assert failsafe.aborted == (Outcome.law_failed, "law mine raised ValueError at 0.0 s")
 
 

@@ -165,9 +165,8 @@ class TestTilt:
     def test_aim(self):
         force, thrust = aim((0.0, 0.0, 0.0), 1.0, Gains(), X4.mass_kg)
         assert force == (0.0, 0.0, 1.0)
-        assert thrust == pytest.approx(
-            X4.mass_kg * GRAVITY, rel=1e-12
-        )  # the true weight, no round 40 N
+        # the true weight, no round 40 N
+        assert thrust == pytest.approx(X4.mass_kg * GRAVITY, rel=1e-12)
         force, _ = aim((100.0, 0.0, 0.0), 1.0, Gains(), X4.mass_kg)
         assert math.degrees(math.atan2(force[0], force[2])) == pytest.approx(30)
         assert aim((0.0, 0.0, 0.0), math.cos(0.5), Gains(), X4.mass_kg)[1] * math.cos(
@@ -176,12 +175,10 @@ class TestTilt:
 
     def test_attitude_loop_turns_z_to_the_force(self):
         gains = Gains()
-        wx, wy = attitude_loop(
-            (math.sin(0.1), 0.0, math.cos(0.1)), gains
-        )  # force forward: nose down, +y
+        # force forward: nose down, +y
+        wx, wy = attitude_loop((math.sin(0.1), 0.0, math.cos(0.1)), gains)
         assert (wx, wy) == pytest.approx((0.0, 0.1 * gains.attitude))
-        wx, wy = attitude_loop(
-            (0.0, math.sin(0.1), math.cos(0.1)), gains
-        )  # force left: left side down, -x
+        # force left: left side down, -x
+        wx, wy = attitude_loop((0.0, math.sin(0.1), math.cos(0.1)), gains)
         assert (wx, wy) == pytest.approx((-0.1 * gains.attitude, 0.0))
         assert math.hypot(*attitude_loop((0.0, 0.0, -1.0), gains)) == MAX_TILT_RATE

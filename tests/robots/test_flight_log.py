@@ -34,9 +34,8 @@ def test_estimates_references_wind_rotors_and_the_failsafe():
     )
     found = dict(zip(log.columns, row, strict=True))
     assert (found["est_roll"], found["est_pitch"]) == (roll, pitch)
-    assert [found[f"est_v{a}"] for a in "xyz"] == pytest.approx(
-        level_velocity
-    )  # turned out of body axes into the level frame
+    # turned out of body axes into the level frame
+    assert [found[f"est_v{a}"] for a in "xyz"] == pytest.approx(level_velocity)
     assert [found[f"est_w{a}"] for a in "xyz"] == [0.1, 0.2, 0.3]
     assert [found[f"ref_{n}"] for n in ("roll", "pitch", "wx", "wy", "wz")] == [
         0.4,

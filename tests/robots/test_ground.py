@@ -35,9 +35,8 @@ def slip(true, odometry, duration):
 
 class TestSlip:
     def test_a_vehicle_that_turns_on_the_spot_unnoticed_slips_in_yaw_alone(self):
-        linear, yaw = slip(
-            ([1.0, 2.0, 3.1], [1.0, 2.0, -3.1]), (ORIGIN, ORIGIN), 0.1
-        )  # across the half turn
+        # across the half turn
+        linear, yaw = slip(([1.0, 2.0, 3.1], [1.0, 2.0, -3.1]), (ORIGIN, ORIGIN), 0.1)
         assert linear == pytest.approx(0, abs=1e-12) and yaw == pytest.approx(
             (2 * np.pi - 6.2) / 0.1
         )

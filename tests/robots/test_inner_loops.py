@@ -63,9 +63,8 @@ class TestComputedTorque:
         times, e = np.array(t), np.array(errors) / SPEEDS
         wd = w * np.sqrt(max(1 - zeta**2, 1e-12))
         theory = np.exp(-zeta * w * times) * (np.sin(wd * times) / wd)
-        assert (
-            np.abs(e - theory[:, None]).max() < 0.05 * theory.max()
-        )  # the torque holds for a millisecond, w h = 2 % of a radian
+        # the torque holds for a millisecond, w h = 2 % of a radian
+        assert np.abs(e - theory[:, None]).max() < 0.05 * theory.max()
         assert np.ptp(e, axis=1).max() < 1e-3 * theory.max()  # all joints alike
         h, q, speed, ref, sampled = 1e-3, 0.0, 0.0, 0.0, []
         for k in range(300):  # the same loop as it is sampled, by MuJoCo's semi-implicit step
@@ -141,9 +140,8 @@ class TestImpedance:
         moment = np.cross(centre - after[:3, 3], force)
         return log(inverse(before) @ after), np.concatenate([R.T @ force, R.T @ moment])
 
-    @pytest.mark.parametrize(
-        "at", one_quick({"xyz": [0.0, 0.05, 0.15], "rpy_deg": [20, 0, 0]}, {})
-    )  # at the tip, at the flange
+    # at the tip, at the flange
+    @pytest.mark.parametrize("at", one_quick({"xyz": [0.0, 0.05, 0.15], "rpy_deg": [20, 0, 0]}, {}))
     def test_a_static_push_displaces_it_by_force_over_stiffness(self, at: dict[str, Any]) -> None:
         stiff = [800.0, 1500.0, 3000.0]
         moved, wrench = self.pushed(
@@ -250,9 +248,8 @@ def test_torques_stay_within_the_motors_limits_and_are_in_the_log() -> None:
     )
     most = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])
     tau = np.column_stack([run[f"tau_joint_{i}"] for i in range(1, 7)])
-    assert (np.abs(tau) <= most + 1e-9).all() and np.abs(
-        tau[1:, 1]
-    ).min() > 5  # joint 2 carries the arm
+    # joint 2 carries the arm
+    assert (np.abs(tau) <= most + 1e-9).all() and np.abs(tau[1:, 1]).min() > 5
 
 
 def test_a_model_of_servos_has_no_place_beside_a_model_of_masses() -> None:

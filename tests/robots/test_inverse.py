@@ -29,9 +29,8 @@ def test_the_joints_found_put_the_flange_there(robot: Robot) -> None:
     for _ in range(10):
         T = robot.flange_pose(near + rng.uniform(-0.08, 0.08, len(near)))
         q = robot.configuration_at(T, near)
-        assert (
-            max(rigid_error(robot.flange_pose(q), T)) < NEAR_M + 1e-5
-        )  # joints are rounded to 1e-4 deg
+        # joints are rounded to 1e-4 deg
+        assert max(rigid_error(robot.flange_pose(q), T)) < NEAR_M + 1e-5
         assert robot.started_at(q).configuration() == pytest.approx(q)
 
 

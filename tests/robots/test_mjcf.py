@@ -168,9 +168,8 @@ def test_a_camera_in_the_room_guides_its_hand(tmp_path: Path) -> None:
         and summary["final_position_error_m"] < 0.003
         and summary["final_rotation_error_deg"] < 0.3
     )
-    assert (
-        np.ptp(recording["cam_x"]) == 0 and np.ptp(recording["q_j1"]) > 0.02
-    )  # the camera stands, the arm moves
+    # the camera stands, the arm moves
+    assert np.ptp(recording["cam_x"]) == 0 and np.ptp(recording["q_j1"]) > 0.02
 
 
 def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
@@ -269,9 +268,8 @@ def test_servos_follow_a_step_of_speed_with_the_files_torque() -> None:
         and np.isinf(servos["shoulder"].torque or 0)
         and servos["lift"].speed == 0.4
     )
-    assert servos["lift"].kp == pytest.approx(
-        4500 * (0.8 + 0.3 + 0.1), rel=1e-6
-    )  # quill, wrist, armature
+    # quill, wrist, armature
+    assert servos["lift"].kp == pytest.approx(4500 * (0.8 + 0.3 + 0.1), rel=1e-6)
     assert servos["shoulder"].kv == pytest.approx(servos["shoulder"].kp / 40, rel=1e-3)
     assert [s.torque for s in arm("seven", actuation="file").body.actuation.servos] == [None] * 7
     given = arm(
@@ -624,10 +622,8 @@ class TestCoupledJoints:
                 ),
                 "",
             ),
-            (
-                '<joint joint1="r" joint2="c"/>',
-                "",
-            ),  # a finger that follows the wrist leaves it free
+            # a finger that follows the wrist leaves it free
+            ('<joint joint1="r" joint2="c"/>', ""),
         ],
     )
     def test_those_of_the_chain_are_refused_by_name(
@@ -689,9 +685,8 @@ class TestDoctor:
         )
         recording = vs.run(scenario)
         assert recording.outcome is vs.Outcome.converged, recording.reason
-        assert (
-            seeded(scenario, 1).resolved.robot != scenario.robot
-        )  # and its random starts have the target in view
+        # and its random starts have the target in view
+        assert seeded(scenario, 1).resolved.robot != scenario.robot
 
     def test_a_sound_file(self, command: Any, tmp_path: Path) -> None:
         told = command("doctor", str(HERE / "scara.xml"))

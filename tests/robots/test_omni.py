@@ -46,9 +46,8 @@ class TestKinematics:
 
     def test_nine_rollers_carry_it_two_percent_less_far_sideways(self):
         phi = (np.arange(100_000) + 0.5) / 100_000 * np.pi / 9
-        kappa = np.cos(
-            phi
-        ).mean()  # the mean over half a roller's turn, by the midpoint rule: 1e-11
+        # the mean over half a roller's turn, by the midpoint rule: 1e-11
+        kappa = np.cos(phi).mean()
         np.testing.assert_allclose(PLATFORM.W[:, 0], 1 / PLATFORM.wheel_radius_m, rtol=1e-12)
         np.testing.assert_allclose(
             np.abs(PLATFORM.W[:, 1]), 1 / PLATFORM.wheel_radius_m / kappa, rtol=1e-9
@@ -104,9 +103,8 @@ class TestAllocation:
         made = BASE.allocate(twist, readings(np.zeros(4)), mount, PERIOD)
         assert made.limit == "speed" and 0 < made.scale < 1
         assert np.abs(made.setpoint).max() == pytest.approx(PLATFORM.wheel_speed_radps)
-        np.testing.assert_allclose(
-            made.twist, twist * made.scale, atol=1e-12
-        )  # the direction is kept
+        # the direction is kept
+        np.testing.assert_allclose(made.twist, twist * made.scale, atol=1e-12)
 
     def test_what_no_wheel_can_make_is_left_out(self):
         mount = Mount.of(np.eye(4))
@@ -122,9 +120,8 @@ class TestAllocation:
         np.testing.assert_allclose(
             PLATFORM.W_inverse @ wrong.setpoint, np.array([0.2, 0.1, 0.3]) / 1.02, atol=1e-12
         )
-        np.testing.assert_allclose(
-            wrong.twist, twist, atol=1e-12
-        )  # what it stands for is what the robot believes
+        # what it stands for is what the robot believes
+        np.testing.assert_allclose(wrong.twist, twist, atol=1e-12)
 
 
 class TestOdometry:

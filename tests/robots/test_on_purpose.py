@@ -41,9 +41,8 @@ def test_the_right_outcome_and_no_joint_too_fast(name, outcome):
     q = joints(r)
     assert np.minimum(q - JOINT_LIMITS[:, 0], JOINT_LIMITS[:, 1] - q).min() > 0
     if outcome == "singular":
-        assert (
-            abs(np.degrees(q[-1, 2]) + 90) < 5
-        )  # the elbow is straight at -90 degrees, less its offset of 2.7
+        # the elbow is straight at -90 degrees, less its offset of 2.7
+        assert abs(np.degrees(q[-1, 2]) + 90) < 5
     if outcome == "joint_limit":
         assert (
             np.degrees(np.minimum(q[-1] - JOINT_LIMITS[:, 0], JOINT_LIMITS[:, 1] - q[-1]).min())
@@ -140,7 +139,6 @@ def test_the_twist_of_a_camera_that_watches_the_hand():
     mount = Mount.facing(inverse(forward(q)) @ T_world_camera)
     twist = mount.to_camera @ (jacobian(q) @ dq)
     T0, T1 = (inverse(T_world_camera) @ forward(q + s * h * dq) for s in (-1, 1))
-    assert np.allclose(
-        T1, exp(-twist * 2 * h) @ T0, atol=1e-9
-    )  # as for a camera that moves before a target that stands
+    # as for a camera that moves before a target that stands
+    assert np.allclose(T1, exp(-twist * 2 * h) @ T0, atol=1e-9)
     assert np.allclose(mount.to_flange @ twist, jacobian(q) @ dq)

@@ -56,9 +56,8 @@ def test_the_jacobian_is_the_derivative_of_the_cameras_pose(name: str) -> None:
     q, n = robot.start_joints(), len(robot.joints)
     model = robot.own_model(vs.Reading(q, np.zeros(n)), controller._mount_at(q))
 
-    def seen(
-        at: np.ndarray,
-    ) -> np.ndarray:  # the target in the camera, or the flange in a camera that stands in the room
+    def seen(at: np.ndarray) -> np.ndarray:
+        # the target in the camera, or the flange in a camera that stands in the room
         T = robot.flange_pose(at)
         if scenario.target.on_gripper:
             return inverse(scenario.camera.mount.T) @ T
@@ -66,9 +65,8 @@ def test_the_jacobian_is_the_derivative_of_the_cameras_pose(name: str) -> None:
 
     for i in range(n):
         step = 1e-6 * np.eye(n)[i]
-        twist = (
-            log(seen(q - step) @ inverse(seen(q + step))) / 2e-6
-        )  # T_camera_target <- exp(-v dt) T
+        # T_camera_target <- exp(-v dt) T
+        twist = log(seen(q - step) @ inverse(seen(q + step))) / 2e-6
         np.testing.assert_allclose(model.J[:, i], twist, atol=1e-7)
     np.testing.assert_array_equal(model.jacobian(q), model.J)
     assert (model.low < q).all() and (q < model.high).all()
@@ -152,8 +150,7 @@ def test_joint_speeds_ordered_directly_keep_the_limits_of_the_arm() -> None:
     assert fast.limit == "speed" and fast.scale == pytest.approx(1 / 3)
     np.testing.assert_allclose(fast.twist, model.J @ fast.setpoint)
     near = q.copy()
-    near[0] = model.high[0] - np.radians(
-        2.0
-    )  # a degree from the margin at which it comes to rest: 4 degrees a second
+    # a degree from the margin at which it comes to rest: 4 degrees a second
+    near[0] = model.high[0] - np.radians(2.0)
     slow = robot.allocate_rates(np.eye(6)[0], vs.Reading(near, q), mount, 0.04)
     assert slow.limit == "joint_limit" and slow.setpoint[0] == pytest.approx(np.radians(1.0) / 0.25)

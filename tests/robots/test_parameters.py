@@ -117,9 +117,8 @@ class TestCar:
             last = now
         v, _, w = np.mean(motion, axis=0)
         assert v / w == pytest.approx(1.5 / np.tan(steering), rel=0.002)
-        assert v == pytest.approx(
-            0.4, rel=0.03
-        )  # the motor loop alone: the rolling resistance holds it back
+        # the motor loop alone: the rolling resistance holds it back
+        assert v == pytest.approx(0.4, rel=0.03)
 
     @pytest.mark.parametrize("slant", [0.05, 0.2, 0.45, 0.7])
     def test_ackermann_steering_of_any_shape(self, slant):

@@ -56,9 +56,8 @@ def test_a_joint_slows_towards_its_limit_and_stops_before_it():
         assert made.setpoint[5] == pytest.approx(min(1.0, room / LIMIT_HORIZON_S))
     q[5] = JOINT_LIMITS[5, 1]
     assert ARM.allocate(twist, at_rest(q), mount, PERIOD).scale == 0.0
-    assert ARM.allocate(-twist, at_rest(q), mount, PERIOD).scale == pytest.approx(
-        1.0
-    )  # away from it: free
+    # away from it: free
+    assert ARM.allocate(-twist, at_rest(q), mount, PERIOD).scale == pytest.approx(1.0)
 
 
 def test_a_motion_that_a_singular_arm_cannot_make_is_named():

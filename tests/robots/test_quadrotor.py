@@ -51,9 +51,8 @@ class TestBlock:
 
     def test_a_start_in_the_ground_is_refused(self):
         with pytest.raises(ParameterError, match=r"start\.nominal\.xyz\.2"):
-            Quadrotor(
-                start=FlightStart(nominal=FlightPose(xyz=(0, 0, STANDING_M)))
-            )  # on its feet it does not hover
+            # on its feet it does not hover
+            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, STANDING_M))))
 
     def test_random_starts_fill_their_box_and_stay_above_the_ground(self):
         robot = Quadrotor(
@@ -239,9 +238,8 @@ class TestHover:
         # .18 m/s, .37 m.
         assert 0.12 < log.velocity[:, 0].max() < 0.25
         assert 0.2 < np.abs(log.position[:, 0]).max() < 0.5
-        assert np.degrees(log.rpy[4000:5000, 1]).mean() == pytest.approx(
-            -2.2, abs=0.4
-        )  # nose up: thrust against the wind
+        # nose up: thrust against the wind
+        assert np.degrees(log.rpy[4000:5000, 1]).mean() == pytest.approx(-2.2, abs=0.4)
         assert np.abs(log.velocity[-1000:]).max() < 0.03
         assert np.abs(log.position[:, 2] - 2.0).max() < 0.1
 
@@ -255,9 +253,8 @@ def test_overturned_is_told_until_it_is_level_again():
     log = craft.fly(HOLD, 2.0)
     told = np.array([m.overturned for m in log.state])
     degrees = np.degrees(log.tilt)
-    level = int(
-        np.argmax(degrees < 14.5)
-    )  # from 15 degrees on, half a degree for what its estimate is off
+    # from 15 degrees on, half a degree for what its estimate is off
+    level = int(np.argmax(degrees < 14.5))
     assert told[: level - 50].all() and not told[level:].any()
     assert np.ptp(degrees[told]) > 40
 
@@ -295,9 +292,8 @@ class TestDown:
             touched.append(craft.data.ncon > 0)
         first = touched.index(True)
         assert not any(told[:first])  # 5 cm before, still sinking as told
-        assert (
-            told.index(True) - first < 12
-        )  # hundredths of a second; by its rotors alone .5 s and more
+        # hundredths of a second; by its rotors alone .5 s and more
+        assert told.index(True) - first < 12
 
     def test_hovering_low_is_not_standing(self):
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.2)))))
@@ -306,9 +302,8 @@ class TestDown:
 
     def test_a_rotor_at_its_limit_is_told(self):
         craft = Flown(perfect())
-        log = craft.fly(
-            [0, 0, 3.0, 0], 0.5
-        )  # 7.5 m/s^2 up: 1.76 times the weight, rotors give 1.35
+        # 7.5 m/s^2 up: 1.76 times the weight, rotors give 1.35
+        log = craft.fly([0, 0, 3.0, 0], 0.5)
         assert log.state[99].limited_s == pytest.approx(0.1, abs=0.02)
         assert craft.robot.reported(craft.state, craft.reading()).estimate.rotor_limit_s > 0.0
         log = craft.fly(HOLD, 1.0)

@@ -85,9 +85,8 @@ def test_some_fields_of_a_block_have_the_others_from_the_preset() -> None:
         width_m=1e-2, stiffness_npm=7.0
     )
     assert made(play={"stiffness_npm": 7.0}).play == Play(stiffness_npm=7.0)
-    assert Cart(realism="field", play=Play(stiffness_npm=7.0)).play == Play(
-        stiffness_npm=7.0
-    )  # a whole one
+    # a whole one
+    assert Cart(realism="field", play=Play(stiffness_npm=7.0)).play == Play(stiffness_npm=7.0)
 
 
 def test_a_copy_is_the_same() -> None:

@@ -83,9 +83,8 @@ def test_speed_control_makes_the_rotor_as_quick_as_told():
         W, u = speed_control(W, wanted, 0.03, 0.001, X4)
         plant = u[0] + (plant - u[0]) * np.exp(-0.001 / X4.rotor_lag_s)
         share = (plant - X4.hover) / (0.02 * X4.hover)
-        assert share == pytest.approx(
-            1 - np.exp(-k * 0.001 / 0.03), abs=0.01
-        )  # orders are held for 1 ms
+        # orders are held for 1 ms
+        assert share == pytest.approx(1 - np.exp(-k * 0.001 / 0.03), abs=0.01)
     assert W[0] == pytest.approx(plant, rel=1e-6)  # what it believes its rotor to turn at
 
 

@@ -78,9 +78,8 @@ def test_seen_in_between_it_waits_anew():
 
 def test_too_far_without_sight_it_stops():
     supervisor = Supervisor(100.0, 1.0)
-    assert frames(supervisor, 2.0, moved_m=0.125) == pytest.approx(
-        0.32
-    )  # eight times .125 m after the first blind frame
+    # eight times .125 m after the first blind frame
+    assert frames(supervisor, 2.0, moved_m=0.125) == pytest.approx(0.32)
     assert supervisor.aborted == (
         Outcome.target_lost,
         "too few markers in sight for 1 m of the way, from the start on",

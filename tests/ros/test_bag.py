@@ -54,9 +54,8 @@ def test_two_independent_readers_open_it(run, bag):
     for message in read_ros2_messages(bag / "bag.mcap"):
         found.setdefault(message.channel.topic, []).append(message.ros_msg)
     assert {topic: len(messages) for topic, messages in found.items()} == counts
-    q = np.array([one.position for one in found["/joint_states"]])[
-        ::2
-    ]  # at the exposure, and at the arrival
+    # at the exposure, and at the arrival
+    q = np.array([one.position for one in found["/joint_states"]])[::2]
     np.testing.assert_allclose(
         q, log.select([f"q_joint_{i}" for i in range(1, 7)]).to_numpy(), atol=1e-12
     )
@@ -185,10 +184,8 @@ def test_a_topic_that_maps_nothing_is_refused(bag, run):
             remapped(["image_raw=/x"]),
         )
     given = ["~/image_raw:=/a", "image_raw:=/b", "/joint_states=arm/joints"]
-    assert remapped(given) == {
-        "image_raw": "/a",
-        "joint_states": "/arm/joints",
-    }  # the first one of each, absolutely
+    # the first one of each, absolutely
+    assert remapped(given) == {"image_raw": "/a", "joint_states": "/arm/joints"}
 
 
 def test_the_page_says_how_many_agree(bag, tmp_path):

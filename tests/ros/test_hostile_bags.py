@@ -289,9 +289,8 @@ def test_of_a_bag_that_was_cut_off_what_came_before_is_used_and_told(
     found = replay(bag if place == "folder" else file, scenario)
     n = len(found.table)
     assert 0 < n <= len(clean.table) and (share > 0.9 or n < len(clean.table))
-    np.testing.assert_array_equal(
-        found.recorded[: n - 2], clean.recorded[: n - 2]
-    )  # the last pictures' twists may lie behind the break
+    # the last pictures' twists may lie behind the break
+    np.testing.assert_array_equal(found.recorded[: n - 2], clean.recorded[: n - 2])
     assert any("the file ends in the middle, at byte" in why for _, _, _, why in told(found))
 
 
@@ -489,9 +488,8 @@ def grey_png(side: int) -> np.ndarray:
         )
 
     pack = zlib.compressobj(1)
-    lines = (
-        pack.compress(bytes(50 * (side + 1))) + pack.flush()
-    )  # cut off: the size is refused before
+    # cut off: the size is refused before
+    lines = pack.compress(bytes(50 * (side + 1))) + pack.flush()
     head = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
     return np.frombuffer(
         b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", lines) + part(b"IEND", b""),
@@ -531,9 +529,8 @@ def test_compressed_pictures_that_are_none_are_passed_over(taken, scenario, tmp_
     assert len(found.table) == 3 and [(topic, n) for topic, n, *_ in told(found)] == [
         ("/cam/color", 1)
     ]
-    assert (
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2 * GIB / 1024
-    )  # of all tests of this process so far
+    # of all tests of this process so far
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2 * GIB / 1024
 
 
 def test_declared_sizes_take_no_memory(taken, scenario, tmp_path):

@@ -44,11 +44,8 @@ def until(done, seconds=10.0):
 @pytest.mark.parametrize(
     ("word", "topic", "name"),
     [
-        (
-            "image_raw=/camera/color/image_raw",
-            IMAGE,
-            "/camera/color/image_raw",
-        ),  # as the guide has it
+        # as the guide has it
+        ("image_raw=/camera/color/image_raw", IMAGE, "/camera/color/image_raw"),
         ("image_raw:=/camera/color/image_raw", IMAGE, "/camera/color/image_raw"),
         ("image_raw:=camera/image", IMAGE, "/camera/image"),
         ("/vstestbed_robot/image_raw:=/cam", IMAGE, "/cam"),
@@ -118,10 +115,8 @@ def test_a_name_that_maps_nothing_is_refused_with_the_names_that_there_are() -> 
     """Also where the depth is not read, and where an earlier rule has taken the name."""
     for words, culprit in (
         (["imag_raw:=/cam"], "imag_raw"),
-        (
-            ["~/image_raw:=/cam"],
-            "~/image_raw",
-        ),  # private names are those of the node itself, and the picture is the robot's
+        # private names are those of the node itself, and the picture is the robot's
+        (["~/image_raw:=/cam"], "~/image_raw"),
         (["depth:=/cam/depth"], "depth"),
         (["image_raw:=/a", "image_raw:=/b"], "image_raw"),
         (["/image_raw:=/cam"], "/image_raw"),
@@ -351,9 +346,8 @@ def test_bytes_that_are_no_message_are_passed_over_counted_and_told(
         with caplog.at_level(logging.WARNING, "vstestbed"):
             for data in GARBAGE.values():
                 put(key, data)
-            put(
-                key.rpartition("/")[0] + "/TypeHashNotSupported", PICTURE
-            )  # of a kind that may have changed
+            # of a kind that may have changed
+            put(key.rpartition("/")[0] + "/TypeHashNotSupported", PICTURE)
             put(law.key(IMAGE, m.TEXT), m.to_cdr(m.text("of another type")))
             put(key, PICTURE)
             assert until(lambda: heard)

@@ -75,9 +75,8 @@ def test_pictures_of_every_encoding_are_read():
         m.depth_of(as_image(millimetres.byteswap().tobytes(), "16UC1", 8, 16, big=1)),
         millimetres / 1000,
     )
-    millimetres_far = np.full(
-        (8, 16), 65535, np.uint16
-    )  # at the end of its numbers: farther than any, or nothing
+    # at the end of its numbers: farther than any, or nothing
+    millimetres_far = np.full((8, 16), 65535, np.uint16)
     assert np.isnan(m.depth_of(as_image(millimetres_far.tobytes(), "16UC1", 8, 16))).all()
     np.testing.assert_allclose(
         m.depth_of(sent(m.depth_image(0.0, millimetres.astype(np.float32)))), millimetres

@@ -281,9 +281,10 @@ def test_readings_stand_in_the_order_of_their_times_once():
     senses.hear(
         "joint_states", m.readings(100.0, robot, vs.Reading(np.ones(6), np.ones(6)))["joint_states"]
     )
+    # the robot was started again
     senses.hear(
         "joint_states", m.readings(0.0, robot, vs.Reading(np.zeros(6), np.ones(6)))["joint_states"]
-    )  # the robot was started again
+    )
     assert senses.at().q[0] == 0
 
 

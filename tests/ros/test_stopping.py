@@ -231,9 +231,8 @@ def test_readings_that_stand_still_stop_it(shown, clocks):
         law.hears(EPOCH + k * PERIOD_S, joints=EPOCH + 0.2) and clocks.now - since
         for k in range(6, 40)
     ]
-    assert (
-        max(moved) <= 1.5 * PERIOD_S and law.node._stopped
-    )  # a reading may be so far from a picture
+    # a reading may be so far from a picture
+    assert max(moved) <= 1.5 * PERIOD_S and law.node._stopped
     assert any("are both stamped by one clock?" in words for words in law.said)
 
 
@@ -320,9 +319,8 @@ def test_no_velocity_by_an_old_picture_in_random_sequences(shown, clocks):
                 newest = -np.inf if law.node._stopped else newest  # a new begin: any picture is new
                 law.node.start()
             moves = law.hears(stamp, after_s)
-            if (
-                newest < stamp < (now - begun + right + TIMEOUT_S if right == EPOCH else np.inf)
-            ):  # one of the future is none
+            # one of the future is none
+            if newest < stamp < (now - begun + right + TIMEOUT_S if right == EPOCH else np.inf):
                 newest, fresh_at = stamp, now
             moved += moves
             assert not moves or clocks.now - fresh_at < TIMEOUT_S, (seed, stamp, law.said[-3:])
@@ -345,9 +343,8 @@ def test_a_driver_whose_stamps_never_advance_stops_the_robot_in_real_time(shown)
             time.sleep(0.02)
 
     began = time.monotonic()
-    drives(
-        20.0, lambda: node._stopped
-    )  # it ends as soon as the node has stopped; a busy machine is slow
+    # it ends as soon as the node has stopped; a busy machine is slow
+    drives(20.0, lambda: node._stopped)
     stopped_s, moved = time.monotonic() - began, len(wire.twists())
     drives(0.2, lambda: False)
     ended.set()
@@ -633,9 +630,8 @@ class TestAClockThatIsPublished:
             self.ticks(law, 100.0 + k * PERIOD_S)
             assert law.hears(100.0 + k * PERIOD_S)
         clocks.now += 10.0
-        assert (
-            law.node._since(*law.node._order_of) == 0.0
-        )  # it stands: in lockstep the law has time
+        # it stands: in lockstep the law has time
+        assert law.node._since(*law.node._order_of) == 0.0
         self.ticks(law, 100.2 + TIMEOUT_S)
         assert law.node._since(*law.node._order_of) == pytest.approx(TIMEOUT_S)
 
@@ -911,9 +907,8 @@ def test_in_lockstep_a_lost_first_command_changes_no_number():
     """Nobody has heard the first answer; the picture is told again,
     and answered by the same twist.
     """
-    scenario = vs.load(
-        "arm_ibvs", {"stop.duration_s": 0.2, "timing.command_timeout_s": 4.0}
-    )  # a busy machine is slow
+    # a busy machine is slow
+    scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.2, "timing.command_timeout_s": 4.0})
     wire, lost = Wire("vstestbed_robot"), []
     law_wire = Wire("vstestbed_law", wire)
     publish = law_wire.publish

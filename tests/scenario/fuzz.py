@@ -309,9 +309,8 @@ def _change(draw: st.DrawFn, plain: dict[str, Any], cls: type) -> None:
             i = draw(st.integers(0, len(inside) - 1))
             deeper = member_of(item, inside[i]) if isinstance(inside[i], dict) else None
             if deeper is None:
-                inside[i] = copy.deepcopy(
-                    draw(values(item))
-                )  # of `just` every draw is the same object
+                # of `just` every draw is the same object
+                inside[i] = copy.deepcopy(draw(values(item)))
                 return
             here, hints = inside[i], hints_of(deeper)
             continue

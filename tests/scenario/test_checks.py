@@ -176,10 +176,8 @@ def test_markers_of_one_look_that_could_be_one_another():
         " 1 for 2, 2 for 3, 3 for 0; works: other hues of these, none (all are then different),"
         " marker tag, an arrangement without symmetry",
     )
-    for hues in (
-        ["red", "red", "red", "blue"],
-        ["red", "red", "blue", "blue"],
-    ):  # alike in a mirror alone: a board has no markers behind
+    # alike in a mirror alone: a board has no markers behind
+    for hues in (["red", "red", "red", "blue"], ["red", "red", "blue", "blue"]):
         assert vs.load("arm_ibvs", {"target.marker.hues": hues}).target.one_sided
     refused(
         "arm_ibvs",

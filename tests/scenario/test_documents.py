@@ -262,10 +262,8 @@ def test_a_kind_that_no_file_names_has_both_documents() -> None:
 
 def test_what_was_given_with_another_level_counts_in_any_order() -> None:
     text = given_text(vs.load("arm_ibvs", {"robot.realism": "lab"}))
-    own: dict[str, Any] = {
-        "robot.gears": None,
-        "robot.drives.bandwidth_hz": 500.0,
-    }  # 500 Hz as the lab has it
+    # 500 Hz as the lab has it
+    own: dict[str, Any] = {"robot.gears": None, "robot.drives.bandwidth_hz": 500.0}
     for settings in (own | {"robot.realism": "field"}, {"robot.realism": "field"} | own):
         robot: Any = parse(text, GIVEN, settings).robot
         assert robot.gears is None

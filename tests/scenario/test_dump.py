@@ -168,9 +168,8 @@ class TestOwnKinds:
         )
         scenario = vs.load(tmp_path / "own.yaml")
         assert "law: {kind: mine, boost: 2}" in (text := vs.dump(scenario, tmp_path / "own.yaml"))
-        assert (
-            "plugins: [laws/mine_dumped.py]" in text
-        )  # relative, since it is below the file's folder
+        # relative, since it is below the file's folder
+        assert "plugins: [laws/mine_dumped.py]" in text
         assert vs.load(tmp_path / "own.yaml") == scenario
         assert f"plugins: [{tmp_path}/laws/mine_dumped.py]" in vs.dump(scenario)
         assert parse(vs.dump(scenario), "elsewhere.yaml") == scenario
@@ -184,9 +183,8 @@ class TestOwnKinds:
             vs.dump(replace(scenario, plugins=()))
 
     def test_of_a_notebook(self) -> None:
-        space = sys.modules["a_notebook_of_the_tests"] = ModuleType(
-            "a_notebook_of_the_tests"
-        )  # of no file, as a notebook's __main__
+        # of no file, as a notebook's __main__
+        space = sys.modules["a_notebook_of_the_tests"] = ModuleType("a_notebook_of_the_tests")
         exec(PLUGIN, space.__dict__)
         with pytest.raises(
             ParameterError,

@@ -17,9 +17,9 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("fuzz") / "s.yaml"
 
 
-@given(raw=cases)
 # Always the same examples: a run of the tests says something about the change, not about luck.
 # `-m study` has 10,000 others.
+@given(raw=cases)
 @settings(
     max_examples=120,
     derandomize=True,

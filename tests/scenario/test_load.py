@@ -406,9 +406,8 @@ def test_numbers_are_those_of_yaml_1_2() -> None:
 
 def test_merge_keys_bring_values_in() -> None:
     text = GOOD.replace("law: {kind", "law: {<<: {gain: -2}, kind").replace("gain: 0.5, ", "")
-    assert mistakes(text) == [
-        "s.yaml:9:1: law.gain: must be > 0, got -2"
-    ]  # it has no place of its own: its block's
+    # it has no place of its own: its block's
+    assert mistakes(text) == ["s.yaml:9:1: law.gain: must be > 0, got -2"]
 
 
 class TestFiles:
@@ -580,9 +579,8 @@ class TestSeed:
         assert a != load("arm_ibvs", seed=4).resolved.robot.start.nominal.q_deg
         other = load("arm_ibvs", {"law.gain": 2.0}, seed=3).resolved
         assert other.robot.start.nominal.q_deg == a  # one seed, the same start for every controller
-        assert (
-            np.abs(np.array(a) - load("arm_ibvs").robot.start.nominal.q_deg).max() <= 15
-        )  # the box of the file
+        # the box of the file
+        assert np.abs(np.array(a) - load("arm_ibvs").robot.start.nominal.q_deg).max() <= 15
 
     def test_without_a_random_block_it_is_refused_with_an_example(self) -> None:
         with pytest.raises(
@@ -612,21 +610,16 @@ class TestBundled:
         scenario = load(name)
         assert scenario.name == name
         assert scenario.description.endswith(".")
-        markers = (
-            scenario.detector.rows is None
-        )  # natural features need no corner of the picture that they are in
-        if markers and scenario.goal.kind in (
-            "view",
-            "view_from",
-            "views",
-        ):  # for other tasks some of the target may be out of sight
+        # natural features need no corner of the picture that they are in
+        markers = scenario.detector.rows is None
+        # for other tasks some of the target may be out of sight
+        if markers and scenario.goal.kind in ("view", "view_from", "views"):
             counted = scenario.goal_view.counted
             assert scenario.camera.inside(
                 scenario.goal_view.uv[slice(None) if counted is None else counted]
             ).all()
-        if (
-            scenario.goal.kind != "line" and scenario.fusion == "none"
-        ):  # where several cameras tell, one need not see all
+        # where several cameras tell, one need not see all
+        if scenario.goal.kind != "line" and scenario.fusion == "none":
             s = scenario
             view = in_view(s.robot, s.camera, s.target, s.detector, s.goal_views[0], s.world)
             assert view, "the start does not see the whole target"
@@ -718,9 +711,8 @@ class TestSchema:
 
     def test_it_knows_every_field_and_kind(self, whole: dict[str, Any]) -> None:
         assert {"robot", "target", "law", "goal"} == set(whole["required"])
-        known = {
-            name.rpartition("__")[2] for name in whole["$defs"]
-        }  # two classes of one name go by their modules', too
+        # two classes of one name go by their modules', too
+        known = {name.rpartition("__")[2] for name in whole["$defs"]}
         for kinds in registries().values():
             assert {member.__name__ for member in kinds.members.values()} <= known
 

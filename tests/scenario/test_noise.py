@@ -50,12 +50,10 @@ def test_off_it_is_the_very_target(plain: str):
 def test_noise_of_the_picture_has_its_standard_deviation_and_no_bias(plain: str):
     s = scenario(plain, {"image_sigma": 12.75})
     off = shown(s.target_in_run) - GREY
-    assert (
-        off.std() == pytest.approx(12.75, rel=0.01) and abs(off.mean()) < 0.1
-    )  # 3e5 samples; rounding adds 0.03 %
-    assert (
-        abs(np.corrcoef(off[:-1].ravel(), off[1:].ravel())[0, 1]) < 0.01
-    )  # each pixel of the file by itself
+    # 3e5 samples; rounding adds 0.03 %
+    assert off.std() == pytest.approx(12.75, rel=0.01) and abs(off.mean()) < 0.1
+    # each pixel of the file by itself
+    assert abs(np.corrcoef(off[:-1].ravel(), off[1:].ravel())[0, 1]) < 0.01
     assert s.noise.draws(pictures=True, points=True) and (shown(s.target) == GREY).all()
 
 

@@ -34,10 +34,8 @@ SETTINGS: list[tuple[str, dict[str, Any]]] = [
     ("ibvs_book", {"calibration.depth_spread": 0.2}),
     ("ibvs_book", {"target.motion": WALK}),
     ("ibvs_book", {"world.plates": [{"pose": {"xyz": [1, 0, 3]}, "motion": WALK}]}),
-    (
-        "car_line",
-        {"detector": "oracle"},
-    ),  # nothing fixes its place, for which alone its compass is read
+    # nothing fixes its place, for which alone its compass is read
+    ("car_line", {"detector": "oracle"}),
     ("car_pbvs", {"detector": "oracle"}),
     ("car_pbvs", {"detector": "oracle", "robot.compass.sigma_deg": 0}),
     ("omni_ibvs", {"detector": "oracle", "robot.realism": "field"}),

@@ -113,11 +113,12 @@ class TestSpeeds:
     """
 
     SPEED = 0.2
+    # models/puma560.xml, raw
     KV, FRICTION, DAMPING = (
         {0: 400.0, 4: 40.0},
         {0: 25.9836, 4: 0.854445},
         {0: 5.80182, 4: 0.427285},
-    )  # models/puma560.xml, raw
+    )
 
     def measure(self, plant: Plant, joint: int) -> tuple[float, float]:
         """Steady speed as a part of the commanded one, and the time from 10 to 90 % of it [s]."""
@@ -170,9 +171,8 @@ class TestSpeeds:
             allocation = s.robot.allocate(
                 twist, plant.reading(), Mount.of(s.camera.mount.T), s.camera.period
             )
-            np.testing.assert_allclose(
-                allocation.twist, twist, atol=1e-12
-            )  # far from limits and singularities
+            # far from limits and singularities
+            np.testing.assert_allclose(allocation.twist, twist, atol=1e-12)
             plant.apply(allocation.setpoint)
             plant.advance(20)
         # Joint speeds hold still for 40 ms while the Jacobian turns by |w| 40 ms = 1 %; the servo's

@@ -215,9 +215,8 @@ def test_a_board_seen_exactly_from_the_front_has_a_pose():
     board = np.array(
         [[x, y, 0.0] for y in np.linspace(-0.1, 0.1, 5) for x in np.linspace(-0.14, 0.14, 7)]
     )
-    for roll in np.radians(
-        np.arange(0, 360, 5)
-    ):  # at one in eighteen of these OpenCV's own solver gives NaN
+    # at one in eighteen of these OpenCV's own solver gives NaN
+    for roll in np.radians(np.arange(0, 360, 5)):
         T = exp(np.array([0, 0, 0, 0, 0, roll]))
         T[2, 3] = 0.6
         # rounding of pixels of some hundreds, over the focal length

@@ -301,9 +301,8 @@ def test_a_model_is_tested_on_what_was_left_out_of_its_fit(truth, tmp_path):
         assert off > 1e-4 and found.residual > 10  # 50 times the noise: the wheels read to 1e-5 rad
         assert found.half[0] > 1e-4
     else:
-        assert (
-            off < found.half[0] < 20 * max(off, 1e-8)
-        )  # a normal error is under a 20th of its 95 % interval in 8 % of all records
+        # a normal error is under a 20th of its 95 % interval in 8 % of all records
+        assert off < found.half[0] < 20 * max(off, 1e-8)
         assert found.residual < 1.2 and found.noise["joints"] == idn.LEAST_NOISE["joint"]
 
 
@@ -339,9 +338,8 @@ def test_intervals_cover_off_clock_truths_and_a_model_that_lacks_something_is_re
     # 95 % of 44 are 42. The covariance of 60 pictures is itself uncertain, which costs some
     # percent: fewer than 36 of 90 % have a chance of 3 %.
     assert (np.sum(inside, axis=0) >= 36).all()
-    assert (
-        0.1 < np.sqrt(np.mean(np.square(z))) < 0.8
-    )  # of a normal error whose interval is right 1/1.96; by the motion as noise .01
+    # of a normal error whose interval is right 1/1.96; by the motion as noise .01
+    assert 0.1 < np.sqrt(np.mean(np.square(z))) < 0.8
     for seed in range(8):
         found, _ = drawn(seed, **LACKS)
         assert found.residual > idn.MISFIT, seed

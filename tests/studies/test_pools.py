@@ -190,9 +190,8 @@ def test_an_interrupted_sweep_keeps_what_is_done(start: Start, tmp_path: Path):
         f"interrupted: {len(table)} of 400 runs are done; results in out (open report.html)\n"
         in err
     )
-    assert table["seed"].to_list() == sorted(
-        table["seed"].to_list()
-    )  # in the order of the plan, whichever worker was first
+    # in the order of the plan, whichever worker was first
+    assert table["seed"].to_list() == sorted(table["seed"].to_list())
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert f"Interrupted: {400 - len(table)} of 400 runs are missing" in page
 

@@ -116,15 +116,14 @@ class TestWhatARunLeaves:
             "frame": pl.Int64,
             "lost": pl.Boolean,
         }
-        assert log["frame"].to_list() == list(
-            range(6)
-        )  # 25 Hz for 0.2 s: pictures at 0, 40, ..., 200 ms
-        assert np.allclose(
-            np.diff(log["t"]), 0.04, rtol=0, atol=1e-12
-        )  # sums of 20 steps of 2 ms, to rounding
+        # 25 Hz for 0.2 s: pictures at 0, 40, ..., 200 ms
+        assert log["frame"].to_list() == list(range(6))
+        # sums of 20 steps of 2 ms, to rounding
+        assert np.allclose(np.diff(log["t"]), 0.04, rtol=0, atol=1e-12)
+        # unit quaternions
         assert np.allclose(
             log.select("cam_qw", "cam_qx", "cam_qy", "cam_qz").to_numpy() ** 2 @ np.ones(4), 1
-        )  # unit quaternions
+        )
 
     def test_every_figure_of_the_summary(self, filmed: Path) -> None:
         summary = json.loads((filmed / "summary.json").read_text(encoding="utf-8"))
@@ -529,9 +528,8 @@ class TestCutOff:
         (folder / "log.part").unlink()
         layout = Layout(load(folder / "scenario.yaml"))
         rows = log.head(3).cast(pl.Float64).to_numpy()
-        unlimited = np.zeros(
-            (len(rows), len(layout.columns) - rows.shape[1])
-        )  # the columns of a loss, which a log without one leaves out
+        # the columns of a loss, which a log without one leaves out
+        unlimited = np.zeros((len(rows), len(layout.columns) - rows.shape[1]))
         few = LogWriter(layout, folder)
         few.add(np.hstack([rows, unlimited]))
         few.close()

@@ -228,9 +228,8 @@ def test_starts_have_the_names_by_which_the_kept_runs_have_them() -> None:
             path.with_suffix(".csv"), comment_prefix="#", schema_overrides={"start": pl.String}
         ),
     )
-    tasks = {
-        task: suite.tasks[task] for task in ("ideal", "latency")
-    }  # a list of starts, and random ones of several cases
+    # a list of starts, and random ones of several cases
+    tasks = {task: suite.tasks[task] for task in ("ideal", "latency")}
     entry = SuiteEntry(TaskSuite(laws=laws, tasks=tasks), path, laws)
     for task in tasks:
         of_one = kept.filter((pl.col("task") == task) & (pl.col("law") == "pose"))[
@@ -335,9 +334,8 @@ def test_forged_rows_are_among_those_drawn_as_often_as_is_said(n: int) -> None:
     found = sum(
         bool(np.isin(rng.choice(n, draws(n), replace=False), forged).any()) for _ in range(times)
     )
-    assert found / times > 0.95 - 3 * math.sqrt(
-        0.05 * 0.95 / times
-    )  # three standard deviations of the simulation
+    # three standard deviations of the simulation
+    assert found / times > 0.95 - 3 * math.sqrt(0.05 * 0.95 / times)
 
 
 @pytest.fixture

@@ -98,18 +98,15 @@ def in_this_process(folder: Path) -> pl.DataFrame:
 def test_an_honest_law_agrees_apart_and_no_attack_makes_forged_rows_agree(folder: Path) -> None:
     honest = in_this_process(folder)
     assert honest["success"].all()
-    for out, off in (
-        ("same", 0.0),
-        ("near", 1e-6),
-    ):  # a machine of another kind may differ in the last digits
+    # a machine of another kind may differ in the last digits
+    for out, off in (("same", 0.0), ("near", 1e-6)):
         found = flown(folder, "", out, honest.with_columns(pl.col("value") * (1 + off)))
         assert found.runs == 1 and not found.otherwise
     forged = honest.with_columns(pl.col("value") / 2)
     for number, (name, attack) in enumerate({"only forges": "", **ATTACKS}.items()):
         found = flown(folder, attack, f"forged{number}", forged)
-        assert found.otherwise or not found.runs, (
-            name
-        )  # a law that takes part in no task has no run, and its rows are of no plan
+        # a law that takes part in no task has no run, and its rows are of no plan
+        assert found.otherwise or not found.runs, name
         assert "isolated" not in LAWS.members
 
 

@@ -373,9 +373,8 @@ def test_a_flight_that_is_killed_goes_on_and_ends_as_one_that_was_not(
     assert 0 < len(killed) < len(whole) and not Path("killed/runs.csv").exists()
     times = {path: (Path("killed") / path).stat().st_mtime_ns for path in killed}
     assert command(*words, "--out", "killed").code == 0
-    assert {
-        path: (Path("killed") / path).stat().st_mtime_ns for path in killed
-    } == times  # these are not flown again
+    # these are not flown again
+    assert {path: (Path("killed") / path).stat().st_mtime_ns for path in killed} == times
     assert runs_in("killed") == whole
     if not share:
         assert Path("killed/runs.csv").read_bytes() == Path("whole/runs.csv").read_bytes()
@@ -426,16 +425,12 @@ def test_beside_a_law_flown_alone_stand_the_kept_runs_of_the_same_starts(
     words = "suite", str(tmp_path / "mine.yaml"), "--suite", own, "--alone", "--quick", "--jobs", 1
     assert command(*words, "--out", "beside").code == 0
     scored = pl.read_csv("beside/scores.csv")
-    assert sorted(scored["law"]) == ["mine", "points"] and scored["runs"].to_list() == [
-        4,
-        4,
-    ]  # of its quick starts alone
-    assert pl.read_csv("beside/runs.csv")["law"].unique().to_list() == [
-        "mine"
-    ]  # what is handed in is what was flown
-    (tmp_path / "plan.yaml").write_text(
-        PLAN.replace("20}}", "25}}")
-    )  # other tasks: the kept runs are none of theirs
+    # of its quick starts alone
+    assert sorted(scored["law"]) == ["mine", "points"] and scored["runs"].to_list() == [4, 4]
+    # what is handed in is what was flown
+    assert pl.read_csv("beside/runs.csv")["law"].unique().to_list() == ["mine"]
+    # other tasks: the kept runs are none of theirs
+    (tmp_path / "plan.yaml").write_text(PLAN.replace("20}}", "25}}"))
     assert command(*words, "--out", "alone").code == 0
     assert pl.read_csv("alone/scores.csv")["law"].to_list() == ["mine"]
 

@@ -110,9 +110,8 @@ def test_markers_are_seen_as_near_to_the_truth_as_where_opengl_draws_them(
         )
     )
     print(f"{name}, {views} views [px]: {told}")
-    assert (
-        np.mean(np.isfinite(drawn) != np.isfinite(by_gl)) < 0.1
-    )  # of the car some are too small to be sure of
+    # of the car some are too small to be sure of
+    assert np.mean(np.isfinite(drawn) != np.isfinite(by_gl)) < 0.1
     assert np.median(apart) < 0.05
     assert np.quantile(apart, 0.95) < 0.15
     assert np.quantile(own, 0.9) < (1.3 if views == WORLDS else 1.05) * np.quantile(opengl, 0.9)
@@ -261,9 +260,8 @@ def test_compare_by_warp_is_complete_without_films_and_tells_what_it_does_not_dr
     assert len(summaries) == 4
     assert all("mujoco_warp" in one["versions"]["renderer"] for one in summaries)
     assert not list(Path("found").rglob("*.mp4"))
-    assert (
-        len(list(Path("found/runs").rglob("end.png"))) == 4
-    )  # by rays: OpenGL stays out of a process with Warp
+    # by rays: OpenGL stays out of a process with Warp
+    assert len(list(Path("found/runs").rglob("end.png"))) == 4
     refused = command(
         "compare", "arm_ibvs", "--set", "camera.shadows=true", "--executor", "warp", "--out", "none"
     )

@@ -274,9 +274,8 @@ def test_a_metric_that_no_run_has_is_told_after_the_first_trials(
 def test_the_command_and_a_search_in_which_nothing_arrives(
     command, quick: Path, here: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "vstestbed.report.studies.publish", lambda *_: ""
-    )  # the first test has them
+    # the first test has them
+    monkeypatch.setattr("vstestbed.report.studies.publish", lambda *_: "")
     ended = command(
         "tune",
         "quick.yaml",

@@ -42,22 +42,23 @@ def test_lines_have_no_marker_with_a_place_but_edges():
 
 
 def test_where_a_target_leads_on_the_floor_is_in_the_world():
+    # turned and put at (1, 2)
     np.testing.assert_allclose(
         np.linalg.norm(LINES.floor_path - [1.0 - 2.0, 2.0], axis=1), 2.0, atol=1e-12
-    )  # turned and put at (1, 2)
+    )
     carried = Square(
         side=0.2, motion=Carried(route=Straight(length_m=5)), pose=Pose(xyz=(0.3, 0, 0.5))
     )
     np.testing.assert_allclose(carried.floor_path[[0, -1]], [[0, 0], [5, 0]], atol=1e-12)
+    # every centimetre
     assert np.linalg.norm(np.diff(carried.floor_path, axis=0), axis=1).max() == pytest.approx(
         0.01, rel=0.05
-    )  # every centimetre
+    )
 
 
 def test_only_a_square_has_a_board_and_with_it_a_front():
-    assert SQUARE.board_half_m == pytest.approx(
-        (0.15, 0.15)
-    )  # one and a half marker radii beyond the markers' edges
+    # one and a half marker radii beyond the markers' edges
+    assert SQUARE.board_half_m == pytest.approx((0.15, 0.15))
     assert SQUARE.one_sided
     for target in (POINTS, LINES):
         assert target.board_half_m is None and not target.one_sided
@@ -84,6 +85,7 @@ def test_it_starts_where_its_motion_puts_it():
     carried = Square(
         side=0.2, pose=pose, motion=Carried(route=CircularRoute(radius_m=2), from_m=np.pi)
     )
+    # samples
     np.testing.assert_allclose(
         carried.T_world_start, pose_on_ground(np.array([2.0, 2.0, np.pi / 2])) @ pose.T, atol=1e-4
-    )  # samples
+    )

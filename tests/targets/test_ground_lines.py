@@ -113,9 +113,8 @@ class TestBeside:
     def test_sign_and_direction(self):
         way = Straight()
         assert way.beside(np.array([3.0, 0.2, 0.1])) == pytest.approx(0.2, abs=1e-12)
-        assert way.beside(np.array([3.0, 0.2, np.pi])) == pytest.approx(
-            -0.2, abs=1e-12
-        )  # against it: to its right
+        # against it: to its right
+        assert way.beside(np.array([3.0, 0.2, np.pi])) == pytest.approx(-0.2, abs=1e-12)
 
     def test_on_a_circle(self):
         # 5 mm to each side of a sample the arc is taken as its tangent: 6 um.
@@ -127,6 +126,5 @@ class TestBeside:
         way = FigureEight(length_m=10, width_m=5)
         other = way.at(way.length / 2)
         assert np.cos(other[2]) < 0.2  # the second branch crosses the first at about a right angle
-        assert way.beside(np.array([0.0, 0.1, 0.0])) == pytest.approx(
-            0.1, abs=2e-3
-        )  # on the second it would be about 0
+        # on the second it would be about 0
+        assert way.beside(np.array([0.0, 0.1, 0.0])) == pytest.approx(0.1, abs=2e-3)

@@ -31,9 +31,8 @@ TEXT = "solid box\n" + "".join(
 )
 OBJ = "# a box\nmtllib box.mtl\n" + "".join(f"v {x} {y} {z} 1 0 0\n" for x, y, z in CORNERS)
 OBJ += "".join("f " + " ".join(f"{i + 1}/1/{i - 8}" for i in face) + "\n" for face in FACES[:3])
-OBJ += "".join(
-    "f " + " ".join(str(i - 8) for i in face) + "\n" for face in FACES[3:]
-)  # counted back from the last vertex
+# counted back from the last vertex
+OBJ += "".join("f " + " ".join(str(i - 8) for i in face) + "\n" for face in FACES[3:])
 
 
 def solid(**settings: Any) -> MeshTarget:
@@ -146,13 +145,11 @@ def test_a_solid_hides_what_is_behind_it():
         marker=Disc(radius=0.01),
     )
     above = Pose(xyz=(0, 0, 1), rpy_deg=(180, 0, 0)).T
-    np.testing.assert_array_equal(
-        target.hides(above), [False, False, False, True]
-    )  # the last is on the back
+    # the last is on the back
+    np.testing.assert_array_equal(target.hides(above), [False, False, False, True])
     aslant = Pose(xyz=(0.5, 0, 0.1)).T
-    np.testing.assert_array_equal(
-        target.hides(aslant), [True, False, False, True]
-    )  # the neck is before the first
+    # the neck is before the first
+    np.testing.assert_array_equal(target.hides(aslant), [True, False, False, True])
     assert not Square(side=0.2, pose=Pose()).hides(above).any()
 
 

@@ -28,9 +28,8 @@ def test_closed_forms():
     assert np.allclose(np.linalg.norm(circle, axis=1), 0.1)
     assert np.allclose(circle[0], [0, 0.1, 0])
     speed = np.linalg.norm(np.diff(circle, axis=0), axis=1) / 0.04
-    assert np.allclose(
-        speed, 2 * np.pi * 0.2 * 0.1, rtol=1e-3
-    )  # chords are that much shorter than arcs
+    # chords are that much shorter than arcs
+    assert np.allclose(speed, 2 * np.pi * 0.2 * 0.1, rtol=1e-3)
     line = places(Line(velocity_mps=(0.1, 0, -0.2), from_s=2, until_s=5))
     assert np.allclose(line, np.clip(t - 2, 0, 3) * [0.1, 0, -0.2])
     both = places(
@@ -69,9 +68,8 @@ class TestRandomWalk:
     def test_it_starts_at_rest_and_never_jumps(self):
         x = places(self.WALK, np.arange(0, 5, 0.001))
         assert np.allclose(x[0], 0)
-        assert (
-            np.abs(np.diff(x, 2, axis=0)).max() < 1e-4
-        )  # 1 ms: speeds change by under .1 m/s in a step, the law's noise allows .02
+        # 1 ms: speeds change by under .1 m/s in a step, the law's noise allows .02
+        assert np.abs(np.diff(x, 2, axis=0)).max() < 1e-4
 
     def test_exact_steps_keep_the_stationary_variance(self):
         F, chol = self.WALK.exact_step(0.07)

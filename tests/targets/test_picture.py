@@ -83,9 +83,8 @@ def test_pictures_of_all_kinds_are_drawn_in_their_colours(tmp_path: Path, kind: 
     drawn = texture(saved(tmp_path / ("a.jpg" if kind == "jpeg" else "a.png"), image)).astype(int)
     left, right = drawn[:, :20], drawn[:, -20:]
     assert np.abs(left - ([120] * 3 if kind == "grey" else [200, 120, 40])).max() <= 3
-    assert (
-        np.abs(right - (255 if "clear" in kind else left[:, :20])).max() <= 3
-    )  # what is transparent is white
+    # what is transparent is white
+    assert np.abs(right - (255 if "clear" in kind else left[:, :20])).max() <= 3
 
 
 def test_the_margin_repeats_the_edges_that_are_next_to_it(tmp_path: Path):
@@ -94,9 +93,8 @@ def test_the_margin_repeats_the_edges_that_are_next_to_it(tmp_path: Path):
     png, _ = read_picture(Path(saved(tmp_path / "a.png", image)), 0)
     whole = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE))
     assert whole.shape == (64, 64) and SHARE == 0.875
-    np.testing.assert_array_equal(
-        whole[30, 56:], [255] * 4 + [0] * 4
-    )  # the right edge's, then that of the left, to which it leads
+    # the right edge's, then that of the left, to which it leads
+    np.testing.assert_array_equal(whole[30, 56:], [255] * 4 + [0] * 4)
     np.testing.assert_array_equal(whole[:56, :56], image[..., 0])
 
 

@@ -99,9 +99,8 @@ def test_a_polygon_that_meets_itself_is_refused(at: list[list[float]]):
 
 
 def test_points_along_a_polygon_are_evenly_apart():
-    along = evenly_along(
-        np.array([[0.0, 0], [3, 0], [3, 1], [0, 1]]), 8
-    )  # a rectangle of perimeter 8
+    # a rectangle of perimeter 8
+    along = evenly_along(np.array([[0.0, 0], [3, 0], [3, 1], [0, 1]]), 8)
     np.testing.assert_allclose(
         along, [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1], [2, 1], [1, 1], [0, 1]], atol=1e-12
     )
@@ -127,9 +126,8 @@ def test_a_discs_points_lie_on_it_and_do_not_show_how_it_is_turned():
     assert signed_area(p[:, :2] / p[:, 2:]) > 0  # clockwise in the picture
     facing = disc.points_at(Pose(xyz=(0, 0, 1)).T)
     np.testing.assert_allclose(facing, disc.points + [0, 0, 1], atol=1e-12)
-    assert np.isnan(
-        disc.points_at(Pose(xyz=(0, 0, 0.1), rpy_deg=(80, 0, 0)).T)
-    ).all()  # a part is behind the image plane
+    # a part is behind the image plane
+    assert np.isnan(disc.points_at(Pose(xyz=(0, 0, 0.1), rpy_deg=(80, 0, 0)).T)).all()
 
 
 def test_a_conic_is_found_again_from_its_points():
@@ -149,9 +147,8 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
     T[:3, 3] = centre
     p = ball.points_at(T)
     np.testing.assert_allclose(lengths(p - centre), 0.2, rtol=1e-12)
-    np.testing.assert_allclose(
-        ((p - centre) * p).sum(axis=1), 0, atol=1e-12
-    )  # the ray is a tangent
+    # the ray is a tangent
+    np.testing.assert_allclose(((p - centre) * p).sum(axis=1), 0, atol=1e-12)
     np.testing.assert_allclose(ball.points_at(T @ TURN), p)
     np.testing.assert_allclose(ball.seen_from(inverse(T)), p, atol=1e-12)
     ray = p / lengths(p)
@@ -256,9 +253,8 @@ IDEAL = {"detector": "oracle", "robot.actuation": "ideal", "stop.duration_s": 15
 def test_arm_region_goes_straight_to_its_goal():
     recording = vs.run(vs.load("arm_region", IDEAL).randomised(1))
     assert recording.outcome is vs.Outcome.converged
-    assert (
-        recording.summary()["path_ratio"] < 1.03
-    )  # with sx and sy, which hardly tell a whale's tilt, 5
+    # with sx and sy, which hardly tell a whale's tilt, 5
+    assert recording.summary()["path_ratio"] < 1.03
 
 
 def test_a_ball_leaves_motions_free_and_no_pose_is_the_goal(tmp_path: Path):

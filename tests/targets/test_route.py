@@ -38,9 +38,8 @@ class TestEvery:
         s, d = np.linspace(0.3, route.length - 0.3, 500), 1e-3
         before, here, after = route.at(s - d), route.at(s), route.at(s + d)
         along = np.arctan2(after[:, 1] - before[:, 1], after[:, 0] - before[:, 0])
-        np.testing.assert_allclose(
-            np.angle(np.exp(1j * (along - here[:, 2]))), 0, atol=4e-3
-        )  # samples of 1 cm, bends of 1.4 m
+        # samples of 1 cm, bends of 1.4 m
+        np.testing.assert_allclose(np.angle(np.exp(1j * (along - here[:, 2]))), 0, atol=4e-3)
         bend = (after[:, 2] - before[:, 2]) / (2 * d)
         near_joint = np.abs(bend - here[:, 3]) > 0.02
         assert near_joint.mean() < 0.03  # only where straight and bend meet
@@ -71,9 +70,8 @@ class TestEvery:
 def test_what_is_closed():
     assert [r.closed for r in ALL] == [False, True, True, True, False]
     np.testing.assert_allclose(OVAL.at(OVAL.length + 1.0)[:2], OVAL.at(1.0)[:2], atol=1e-9)
-    assert OVAL.at(OVAL.length + 1.0)[2] == pytest.approx(
-        OVAL.at(1.0)[2] + 2 * np.pi
-    )  # the heading runs on
+    # the heading runs on
+    assert OVAL.at(OVAL.length + 1.0)[2] == pytest.approx(OVAL.at(1.0)[2] + 2 * np.pi)
 
 
 def test_an_open_route_goes_straight_on():
@@ -89,9 +87,8 @@ def test_an_open_route_goes_straight_on():
 
 def test_a_circle_is_a_circle():
     xy = CircularRoute(radius_m=-2.5).at(np.linspace(0, 15, 100))[:, :2]
-    np.testing.assert_allclose(
-        np.hypot(xy[:, 0], xy[:, 1] + 2.5), 2.5, atol=1e-5
-    )  # chords of 1 cm: 1e-2^2 / 8 / 2.5
+    # chords of 1 cm: 1e-2^2 / 8 / 2.5
+    np.testing.assert_allclose(np.hypot(xy[:, 0], xy[:, 1] + 2.5), 2.5, atol=1e-5)
 
 
 def test_the_figure_of_eight_has_its_size_and_its_bends():

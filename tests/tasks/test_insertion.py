@@ -64,9 +64,8 @@ class TestReference:
         for k in range(frames):
             T = found[-1].T_camera_target.copy()
             T[:3, 3] += T[:3, :3] @ np.array(off.get("by", (0.0, 0.0, 0.0)))
-            force = (
-                off.get("force", 0.0) if state.way_m > 0.02 else 2.0
-            )  # the weight of the tool before
+            # the weight of the tool before
+            force = off.get("force", 0.0) if state.way_m > 0.02 else 2.0
             state, view = goal.reference(state, self.seen(T, 0.04 * k, force))
             found.append(view)
         return state, found
@@ -74,9 +73,10 @@ class TestReference:
     def test_the_first_view_has_the_tip_before_the_mouth_on_the_axis(
         self, scenario: vs.Scenario
     ) -> None:
+        # depth 30, standoff 30 mm
         assert tip_of(scenario, scenario.goal_view.T_camera_target) == pytest.approx(
             [0, 0, -0.06], abs=1e-9
-        )  # depth 30, standoff 30 mm
+        )
 
     def test_it_waits_until_the_plug_has_been_in_line_and_then_goes_along_the_axis(
         self, scenario: vs.Scenario
@@ -86,13 +86,11 @@ class TestReference:
         assert np.abs(tips[:, :2]).max() < 1e-9
         t = 0.04 * np.arange(-1, 200)
         moving = np.flatnonzero(np.diff(tips[:, 2]) > 1e-9)
-        assert t[moving[0] + 1] == pytest.approx(
-            0.04 + 0.4, abs=0.041
-        )  # hold_s after its second frame
+        # hold_s after its second frame
+        assert t[moving[0] + 1] == pytest.approx(0.04 + 0.4, abs=0.041)
         assert np.diff(tips[moving[0] : moving[-1], 2]) == pytest.approx(0.01 * 0.04, abs=1e-9)
-        assert tips[-1, 2] == pytest.approx(
-            0.004, abs=1e-9
-        )  # beyond the bottom, so that the plug presses
+        # beyond the bottom, so that the plug presses
+        assert tips[-1, 2] == pytest.approx(0.004, abs=1e-9)
         assert state.way_m == pytest.approx(0.064)
 
     def test_the_view_on_its_way_has_the_twist_of_a_camera_that_goes_along(
@@ -101,9 +99,8 @@ class TestReference:
         _, views = self.go(scenario, 40)
         a, b = views[-2], views[-1]
         assert a.moves and b.twist is not None
-        step = (
-            inverse(b.T_camera_target)[:3, 3] - inverse(a.T_camera_target)[:3, 3]
-        ) / 0.04  # in the target's frame
+        # in the target's frame
+        step = (inverse(b.T_camera_target)[:3, 3] - inverse(a.T_camera_target)[:3, 3]) / 0.04
         assert inverse(b.T_camera_target)[:3, :3] @ b.twist[:3] == pytest.approx(step, abs=1e-9)
 
     @pytest.mark.parametrize(
@@ -118,9 +115,8 @@ class TestReference:
     def test_it_stops_where_the_plug_presses_less_the_weight_of_the_tool(
         self, scenario: vs.Scenario
     ) -> None:
-        free, pressed = (
-            self.go(scenario, 200, force=force)[0].way_m for force in (21.0, 23.0)
-        )  # 20 N and the 2 N of before
+        # 20 N and the 2 N of before
+        free, pressed = (self.go(scenario, 200, force=force)[0].way_m for force in (21.0, 23.0))
         assert free == pytest.approx(0.064) and pressed == pytest.approx(0.0204, abs=4e-4)
 
 
@@ -182,9 +178,8 @@ class TestTool:
         wrench = np.column_stack([inserted[name] for name in names])
         free = wrench[(inserted["plug_force_n"] == 0) & (inserted["t"] > 1)]
         weight = np.linalg.norm(free[:, :3], axis=1)
-        assert (
-            weight.mean() == pytest.approx(0.2 * 9.81, rel=0.05) and weight.std() < 0.2
-        )  # 0.2 kg; noise .1 N
+        # 0.2 kg; noise .1 N
+        assert weight.mean() == pytest.approx(0.2 * 9.81, rel=0.05) and weight.std() < 0.2
         assert -wrench[-1, 2] > 20  # along the plug, towards the flange
 
     def test_at_rest_it_is_the_weight_of_the_plug_at_its_centre(

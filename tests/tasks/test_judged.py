@@ -51,9 +51,8 @@ def test_an_unknown_error_decides_before_any_other():
         "judged_limit": 1.0,
         "judged_by": "pixels",
     }
-    assert math.isnan(
-        by_convergence(log(t=[], error_px=[]), Converged()).value
-    )  # a run without a frame
+    # a run without a frame
+    assert math.isnan(by_convergence(log(t=[], error_px=[]), Converged()).value)
 
 
 def test_the_truth_of_a_band_counts_once_settled_and_by_magnitude():

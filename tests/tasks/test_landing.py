@@ -45,13 +45,11 @@ class TestReference:
         state, height = TASK.begin(SCENARIO.setup, SCENARIO.goal_views), 1.5
         for k in range(26):
             state, goal = TASK.reference(state, self.seen(0.04 * k, (0, 0, height * state.share)))
-        np.testing.assert_allclose(
-            goal.T_camera_target[:3, 3], [0, 0, 1.25], atol=1e-9
-        )  # .25 m/s for a second
+        # .25 m/s for a second
+        np.testing.assert_allclose(goal.T_camera_target[:3, 3], [0, 0, 1.25], atol=1e-9)
         for k in range(26, 300):
-            state, _ = TASK.reference(
-                state, self.seen(0.04 * k, (0.3, 0, 0.2))
-            )  # off its pad, but too near to wait
+            # off its pad, but too near to wait
+            state, _ = TASK.reference(state, self.seen(0.04 * k, (0.3, 0, 0.2)))
         assert state.share == DEEPEST
 
     def test_how_near_is_over_its_pad(self):
@@ -64,10 +62,8 @@ class TestReference:
                 ((0, 0, 1.15), 0, False),
             ),
             *(((0, 0, 1.5), 14, True), ((0, 0, 1.5), 16, False)),
-            *(
-                ((0.3, 0, 0.39), 0, True),
-                ((0.3, 0, 0.4), 0, False),
-            ),  # nearer than `commit_m` it waits for nothing
+            # nearer than `commit_m` it waits for nothing
+            *(((0.3, 0, 0.39), 0, True), ((0.3, 0, 0.4), 0, False)),
         ):
             state = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
             for t in (0.0, 0.04):

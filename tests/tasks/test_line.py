@@ -47,13 +47,11 @@ def test_a_line_has_no_direction_of_its_own():
 
 def test_backwards_and_turned_round_is_the_wrong_way():
     s = vs.load("car_line", CIRCLE)
-    assert travelled(s, round_the_circle(2.0, -0.5, 0.0)) == pytest.approx(
-        -2 * np.pi, rel=1e-3
-    )  # in reverse
+    # in reverse
+    assert travelled(s, round_the_circle(2.0, -0.5, 0.0)) == pytest.approx(-2 * np.pi, rel=1e-3)
     there, back = round_the_circle(2.0, 0.25, 0.0), round_the_circle(2.0, 0.25, np.pi)[::-1]
-    assert travelled(s, [*there, *back]) == pytest.approx(
-        0.0, abs=1e-3
-    )  # turned round on the line, and home again
+    # turned round on the line, and home again
+    assert travelled(s, [*there, *back]) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_where_the_line_crosses_itself_it_stays_on_its_branch():

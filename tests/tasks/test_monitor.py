@@ -61,9 +61,8 @@ class TestColumns:
             pytest.approx(0.3),
             pytest.approx(0.0, abs=1e-7),
         )
-        assert found["level_error_px"] == pytest.approx(
-            0.3 * GOAL.camera.f / np.sqrt(2)
-        )  # 0.3 m at 1 m along u, none along v
+        # 0.3 m at 1 m along u, none along v
+        assert found["level_error_px"] == pytest.approx(0.3 * GOAL.camera.f / np.sqrt(2))
 
 
 class TestEstimate:
@@ -78,9 +77,8 @@ class TestEstimate:
         distance, angle = estimated_error(
             observed(GOAL.T_camera_target, place=np.array([1.3, 2.4, -3.1])), goal
         )
-        assert distance == pytest.approx(0.5) and angle == pytest.approx(
-            2 * np.pi - 6.2
-        )  # across the half turn
+        # across the half turn
+        assert distance == pytest.approx(0.5) and angle == pytest.approx(2 * np.pi - 6.2)
 
     def test_who_cannot_tell_has_none(self):
         assert np.isnan(

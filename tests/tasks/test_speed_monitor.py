@@ -27,11 +27,8 @@ def test_who_is_slow_is_told_when_and_how_much():
     for speed, when, made in (
         (lambda t: 0.3, 4.0, "made 0.30 m/s"),  # creeps
         (lambda t: -0.8, 4.0, "made -0.80 m/s"),  # the wrong way
-        (
-            lambda t: 0.8 if t < 7 else 0.0,
-            7.44,
-            "made 0.62 m/s",
-        ),  # stands: under .64 over 2 s after .4 s
+        # stands: under .64 over 2 s after .4 s
+        (lambda t: 0.8 if t < 7 else 0.0, 7.44, "made 0.62 m/s"),
     ):
         t, reason = watched(speed)
         assert t == pytest.approx(when, abs=0.05)

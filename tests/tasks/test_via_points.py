@@ -153,10 +153,8 @@ class TestBlended:
                 np.array([-1.2, -1.0]) + share * np.array([1.8, -0.2]), abs=1e-9
             )
             assert goal.moves and goal.view == 1
-            assert task.passed(state, ImageError(False, True, 0.0)) == (
-                state,
-                None,
-            )  # not while it moves
+            # not while it moves
+            assert task.passed(state, ImageError(False, True, 0.0)) == (state, None)
         at, goal = place(7 + length / self.SPEED + 1e-6)
         assert goal is scenario.goal_views[1] and not state.moves
 

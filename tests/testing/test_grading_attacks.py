@@ -267,14 +267,12 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(
     began = time.monotonic()
     mark = marked(lab, tmp_path, attack)
     left = [path.name for path in own.iterdir()]
-    subprocess.run(
-        ["rm", "-rf", own], check=True
-    )  # which Python cannot, of folders that are nested deeply
+    # which Python cannot, of folders that are nested deeply
+    subprocess.run(["rm", "-rf", own], check=True)
     assert mark.points == (0, 2) and mark.missing, mark.markdown()
     assert not [name for name in left if name.startswith("law_")]
-    assert (
-        time.monotonic() - began < 60
-    )  # s: the task has 2, Python and the package take some to start on a loaded machine
+    # s: the task has 2, Python and the package take some to start on a loaded machine
+    assert time.monotonic() - began < 60
 
 
 @pytest.mark.process

@@ -134,9 +134,8 @@ class TestSetpointBuffer:
     @pytest.mark.parametrize("mode", LED)
     def test_there_is_no_jump_whenever_orders_come(self, mode: Mode):
         led, rng, before = orders(mode, every=1), np.random.default_rng(4), np.zeros(2)
-        most = (
-            1.5 * 2 * 2 / STEPS + 1e-9
-        )  # the steepest cubic between -1 and 1, whose slope at the start is the last one's
+        # the steepest cubic between -1 and 1, whose slope at the start is the last one's
+        most = 1.5 * 2 * 2 / STEPS + 1e-9
         for step in range(400):
             if rng.random() < 0.1 or step == 0:
                 led.give(step, rng.uniform(-1, 1, 2))

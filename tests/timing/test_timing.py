@@ -65,9 +65,8 @@ class TestPlan:
     def test_exposures_stay_apart_however_they_jitter(self):
         made = plans(Timing(exposure_s=0.02, exposure_jitter_s=0.01, jitter="normal"), 2000)
         assert all(a.opens[-1] <= b.opens[0] for a, b in itertools.pairwise(made))
-        assert all(
-            p.arrives == p.opens[-1] + 40 for p in made
-        )  # latency counts from the exposure's end
+        # latency counts from the exposure's end
+        assert all(p.arrives == p.opens[-1] + 40 for p in made)
 
     @pytest.mark.parametrize(
         ("exposure", "pictures", "opens"),
@@ -94,11 +93,8 @@ def test_with_leave_to_overtake_the_earlier_one_leaves_first():
     for due, item in ((10, "late"), (7, "early"), (10, "later"), (8, "between")):
         line.push(due, item)
     assert line.next_due() == 7 and line.pop_due(7) == ["early"]
-    assert line.pop_due(20) == [
-        "between",
-        "late",
-        "later",
-    ]  # what is due at once leaves in the order in which it came
+    # what is due at once leaves in the order in which it came
+    assert line.pop_due(20) == ["between", "late", "later"]
 
 
 def test_times_that_do_not_fit_are_refused():
@@ -211,9 +207,8 @@ class TestInRuns:
         frame = r["frame"]
         np.testing.assert_allclose(r["t"], frame * 0.04, rtol=1e-12)
         share = len(frame) / (frame[-1] + 1)
-        assert share == pytest.approx(
-            0.5, abs=0.13
-        )  # 200 to 300 pictures, deviation .03: four of them
+        # 200 to 300 pictures, deviation .03: four of them
+        assert share == pytest.approx(0.5, abs=0.13)
         assert r.outcome is vs.Outcome.converged  # with half of the pictures all the same
 
     def test_first_motion_after_the_command_latency(self):
@@ -227,9 +222,8 @@ class TestInRuns:
         place = np.array([r[f"cam_{x}"] for x in "xyz"]).T
         first = np.array([r[f"cmd_{n}"][0] for n in ("vx", "vy", "vz", "wx", "wy", "wz")])
         np.testing.assert_array_equal(place[1], place[0])  # at 40 ms nothing has moved
-        T = r.scenario.robot.start.nominal.T @ exp(
-            first * (0.08 - 0.066)
-        )  # at 80 ms it has for 14 ms
+        # at 80 ms it has for 14 ms
+        T = r.scenario.robot.start.nominal.T @ exp(first * (0.08 - 0.066))
         np.testing.assert_allclose(place[2], T[:3, 3], atol=1e-12)
 
     def test_an_arms_servos_hear_of_it_as_late(self):
@@ -241,9 +235,8 @@ class TestInRuns:
         }
         r = vs.run(vs.load("arm_ibvs", setting))
         told = np.array([r[f"ctrl_joint_{i}"] for i in range(1, 7)])
-        assert (
-            not told[:, :3].any() and told[:, 3:].any(axis=0).all()
-        )  # 0, 40, 80 ms; from 120 ms on
+        # 0, 40, 80 ms; from 120 ms on
+        assert not told[:, :3].any() and told[:, 3:].any(axis=0).all()
 
     def test_a_blurred_run_converges(self):
         setting = {"timing.exposure_s": 0.02, "timing.exposure_pictures": 5, "law.gain": 1.5}

@@ -195,12 +195,8 @@ def test_twenty_four_markers_are_told_apart(picture: TakePicture) -> None:
 
 def test_cut_by_the_border_is_not_seen(picture: TakePicture) -> None:
     target = _square(Disc(radius=0.03))
-    for shift in (
-        0.65,
-        0.68,
-        0.7,
-        0.8,
-    ):  # half the picture is .833 m wide at 1 m: the right markers (at +.15) are cut, then outside
+    # half the picture is .833 m wide at 1 m: the right markers (at +.15) are cut, then outside
+    for shift in (0.65, 0.68, 0.7, 0.8):
         T = Pose(xyz=(shift, 0, 1)).T
         true = CAMERA.project(transform(T, target.points))
         whole = CAMERA.inside(true, margin=0.03 * CAMERA.f + 1)
@@ -262,9 +258,8 @@ def test_three_markers_have_a_pose_from_the_first_picture_on(picture: TakePictur
     for T in _poses(10):
         found = _detect(picture(target, T, CAMERA), target)
         assert found.seen.all()
-        if (
-            found.T_camera_target is not None
-        ):  # noise can make two of the poses that three points leave one, and then none
+        # noise can make two of the poses that three points leave one, and then none
+        if found.T_camera_target is not None:
             assert rigid_error(found.T_camera_target, T)[1] < 0.1
             right += 1
     assert right >= 8
@@ -344,9 +339,8 @@ def test_motion_of_a_marker_is_remembered_while_it_is_lost(
     picture: TakePicture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
-    steps = [
-        Pose(xyz=(-0.3 + 0.06 * k, 0, 1)).T for k in range(7)
-    ]  # 23 px a frame: more than the windows' margin
+    # 23 px a frame: more than the windows' margin
+    steps = [Pose(xyz=(-0.3 + 0.06 * k, 0, 1)).T for k in range(7)]
     state = blobs.init()
     for k, T in enumerate(steps[:5]):
         frame = picture(
@@ -459,9 +453,10 @@ def test_noise_is_estimated_from_the_picture(picture: TakePicture, sigma: float)
 def test_noise_of_a_low_picture(height: int) -> None:
     rng = np.random.default_rng(3)
     assert noise_level(np.full((height, 640, 3), 90, np.uint8)) == 0
+    # one row of 640
     assert noise_level(rng.normal(90, 10, (height, 640, 3)).astype(np.uint8)) == pytest.approx(
         10, rel=0.2
-    )  # one row of 640
+    )
 
 
 @pytest.mark.parametrize(
@@ -486,9 +481,8 @@ def test_centroids_scatter_with_the_noise(picture: TakePicture, camera: Perspect
         assert np.count_nonzero(np.isfinite(moved).all(axis=(1, 2))) >= 0.95 * len(frames)
         assert (moved[np.isfinite(moved)] != 0).all()
         assert np.nanmax(np.abs(moved)) < 0.6
-        assert (
-            np.abs(np.nanmean(moved, axis=(0, 1))).max() < 0.03
-        )  # 80 markers: the mean of .06 px is known within .007
+        # 80 markers: the mean of .06 px is known within .007
+        assert np.abs(np.nanmean(moved, axis=(0, 1))).max() < 0.03
         scatter.append(float(np.nanstd(moved)))
     assert scatter[0] < scatter[1] < scatter[2] < 0.1
     assert scatter[2] > 1.5 * scatter[1]
@@ -552,6 +546,5 @@ def test_what_a_mirror_camera_cannot_see_is_no_marker() -> None:
     assert np.isfinite(lens.ray(uv)).all() and np.isnan(lens.ray(corners)).all()
     both = _drawn(np.vstack([uv, corners]), np.vstack([target.colors, target.colors]), 6.0, lens)
     found = _detect(Picture(t=0.0, images=(both,)), target, Blobs(correct_centre=False), lens)
-    assert (
-        np.isfinite(found.uv).any() and np.nanmax(np.abs(found.uv - uv)) < 0.5
-    )  # a corner would be 150 px off
+    # a corner would be 150 px off
+    assert np.isfinite(found.uv).any() and np.nanmax(np.abs(found.uv - uv)) < 0.5

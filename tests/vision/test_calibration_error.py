@@ -59,7 +59,6 @@ def test_the_goal_of_a_right_calibration_is_the_true_view_and_of_a_wrong_one_its
     ratio = np.tan(np.radians(30)) / np.tan(np.radians(25))
     assert wrong.T_camera_target[2, 3] / T[2, 3] == pytest.approx(ratio, rel=0.03)
     np.testing.assert_allclose(wrong.depth, transform(wrong.T_camera_target, SQUARE)[:, 2])
-    two = shown_goal(
-        CAMERA, CAMERA, replace(TARGET, at=TARGET.at[:2]), T
-    )  # leave the pose open: the true one
+    # leave the pose open: the true one
+    two = shown_goal(CAMERA, CAMERA, replace(TARGET, at=TARGET.at[:2]), T)
     np.testing.assert_array_equal(two.T_camera_target, T)

@@ -41,9 +41,8 @@ def test_disc_agrees_with_closed_form(case: dict[str, list[float]]) -> None:
     xy, area = _centroid_and_area(
         Points(pose=Pose(), at=((0, 0, 0),), marker=Disc(radius=radius)), T
     )
-    assert xy[0] == pytest.approx(
-        case["s"][:2], abs=1e-6
-    )  # 32 corners: 1e-4 of biases that reach .01
+    # 32 corners: 1e-4 of biases that reach .01
+    assert xy[0] == pytest.approx(case["s"][:2], abs=1e-6)
     assert area[0] == pytest.approx(_ellipse_area(*case["s"][2:]), rel=1e-6)
 
 

@@ -127,17 +127,14 @@ def test_tracked_windows_are_not_left_for_a_decoy_nearby(picture: TakePicture) -
     extra = _ball(
         0, transform(FRONT, TARGET.points)[0][0] + 0.06, transform(FRONT, TARGET.points)[0][1], 0.02
     )
-    for shift in [
-        *np.linspace(0, 0.05, 8),
-        *np.linspace(0.05, 0, 8),
-    ]:  # marker 0 goes behind the decoy and comes back
+    # marker 0 goes behind the decoy and comes back
+    for shift in [*np.linspace(0, 0.05, 8), *np.linspace(0.05, 0, 8)]:
         T = FRONT.copy()
         T[0, 3] += shift
         state, found = blobs.detect(
             state, picture(TARGET, T, CAMERA, extra), None, CAMERA, TARGET, RNG
         )
-        assert (
-            np.nanmax(np.abs(found.uv - CAMERA.project(transform(T, TARGET.points)))) < 2.6
-        )  # a third of a marker's radius
+        # a third of a marker's radius
+        assert np.nanmax(np.abs(found.uv - CAMERA.project(transform(T, TARGET.points)))) < 2.6
         assert np.count_nonzero(found.seen) >= 2  # of three markers the areas may rule out one more
     assert found.seen.all()

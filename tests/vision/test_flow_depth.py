@@ -74,9 +74,8 @@ def test_the_range_stays_within_fifty_times_the_first_guess(way: int, limit: flo
     found = update_flow(
         SETTINGS, state, 0.001, unit((0.05 * way, 0, 1))[None], np.array([1.0, 0, 0, 0, 0, 0])
     )
-    assert found.inverse_range[0] == pytest.approx(
-        limit, rel=1e-3
-    )  # it also moves a little nearer within the frame
+    # it also moves a little nearer within the frame
+    assert found.inverse_range[0] == pytest.approx(limit, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,8 @@ from vstestbed.vision.observe import CameraPixels, fused_pose, pose_of_all
 POINTS = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
 HAND = Perspective(width=640, height=480, fovy_deg=64)
 ROOM = Perspective(width=800, height=600, fovy_deg=45)
-T_HAND = Pose(
-    xyz=(0.1, -0.05, 1.1), rpy_deg=(12, -20, 30)
-).T  # of the target in the frame of the camera in the hand
+# of the target in the frame of the camera in the hand
+T_HAND = Pose(xyz=(0.1, -0.05, 1.1), rpy_deg=(12, -20, 30)).T
 T_ROOM_HAND = Pose(xyz=(0.9, 0.2, 1.1), rpy_deg=(5, -50, 10)).T
 
 

@@ -110,9 +110,8 @@ def test_an_empty_picture_shows_nothing_and_keeps_what_the_rows_were():
 def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_reason_says_so():
     """Spread over the picture, the first ones are at its border, where patches are cut."""
     detector = Keypoints(features=Orb(most=400), best=5, track=Klt())
-    assert not detector._due(
-        Slots.empty(5).placed(*np.zeros((2, 4, 2))), 1
-    )  # 4 of 5 will do, since `keep` is the user's alone
+    # 4 of 5 will do, since `keep` is the user's alone
+    assert not detector._due(Slots.empty(5).placed(*np.zeros((2, 4, 2))), 1)
     state, detection = seen(detector, begun(detector), GOAL_H)
     assert detection.seen.all() and not detection.why
     for uv in (detection.uv, detection.goal.uv):
@@ -191,9 +190,8 @@ def test_what_cannot_work_is_refused_with_a_sentence():
         ParameterError,
         match=r"of which 0 lie on the target's board; use a goal that shows it larger",
     ):
-        far = T_GOAL + np.array(
-            [[0, 0, 0, 3.0], *np.zeros((3, 4))]
-        )  # its plane alone is in the picture
+        # its plane alone is in the picture
+        far = T_GOAL + np.array([[0, 0, 0, 3.0], *np.zeros((3, 4))])
         Keypoints(features=Orb(), within="board").begin(
             replace(the_goal(), T_camera_target=far), CAMERA, TARGET
         )

@@ -51,9 +51,8 @@ def test_of_one_motion_are_the_pairs_that_obey_its_epipolar_constraint():
     uv_goal, uv = CAMERA.project(p), CAMERA.project(transform(T, p))
     uv[60:] += rng.choice([-1, 1], (20, 2)) * rng.uniform(30, 90, (20, 2))
     agree = of_one_motion(CAMERA, uv_goal, uv, 1.0)
-    assert (
-        agree is not None and agree[:60].all() and np.count_nonzero(agree[60:]) <= 3
-    )  # a wrong pair may lie on its line by chance
+    # a wrong pair may lie on its line by chance
+    assert agree is not None and agree[:60].all() and np.count_nonzero(agree[60:]) <= 3
     again = of_one_motion(CAMERA, uv_goal, uv, 1.0)
     assert again is not None and np.array_equal(agree, again)
     assert of_one_motion(CAMERA, uv_goal[:4], uv[:4], 1.0) is None

@@ -120,9 +120,8 @@ def test_pose_is_carried_on_by_the_commanded_motion() -> None:
         lost = () if k < 5 else (0, 1, 2)
         state, seen = observer.observe(state, k * DT, _detection(T, lost), twist, rng)
         assert seen.T_camera_target is not None
-        assert rigid_error(seen.T_camera_target, T) == pytest.approx(
-            (0, 0), abs=1e-6
-        )  # constant twist: the step is exact
+        # constant twist: the step is exact
+        assert rigid_error(seen.T_camera_target, T) == pytest.approx((0, 0), abs=1e-6)
         assert seen.seen.tolist() == [i not in lost for i in range(4)]
         T = inverse(exp(twist * DT)) @ T
 
@@ -185,9 +184,8 @@ def test_estimate_under_noise_and_kept_at_rest() -> None:
     depth, true = _run_estimate(sigma=0.1)
     assert depth == pytest.approx(true, rel=0.15)
     rested, true = _run_estimate(sigma=0.1, still=500)
-    assert rested == pytest.approx(
-        depth, rel=1e-3
-    )  # noise without motion teaches nothing; Z = R cos has the pixel's own
+    # noise without motion teaches nothing; Z = R cos has the pixel's own
+    assert rested == pytest.approx(depth, rel=1e-3)
 
 
 @pytest.mark.parametrize("ratio", one_quick(3.0, 0.3))
@@ -212,9 +210,8 @@ def test_estimate_without_motion_keeps_the_initial_depth() -> None:
     state = observer.init()
     for k in range(50):
         state, seen = observer.observe(state, k * DT, _detection(START), REST, rng)
-        assert seen.depth == pytest.approx(
-            [0.8] * 4, rel=1e-3
-        )  # the pixels' own noise, a range being what is kept
+        # the pixels' own noise, a range being what is kept
+        assert seen.depth == pytest.approx([0.8] * 4, rel=1e-3)
 
 
 def test_estimate_survives_a_gap() -> None:
@@ -273,9 +270,8 @@ def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None
     now[0] = out[0]
     seen = observer.observe(state, DT, Detection(uv=now), REST, rng)[1]
     assert seen.T_camera_target is not None
-    assert rigid_error(seen.T_camera_target, moved) == pytest.approx(
-        (0, 0), abs=1e-4
-    )  # by the other three
+    # by the other three
+    assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-4)
 
 
 @pytest.mark.parametrize("failed", [0, 2])

@@ -147,9 +147,8 @@ def test_a_wrong_prediction_costs_nothing(poster: PictureTarget, scene_picture: 
 
 
 def test_hidden_corners_are_known_by_the_others(poster: PictureTarget, scene_picture: TakeScene):
-    plate = Plate(
-        pose=Pose(xyz=(-0.17, 0, 0.6)), width=0.2, height=0.6
-    )  # its left 40 %, with two corners
+    # its left 40 %, with two corners
+    plate = Plate(pose=Pose(xyz=(-0.17, 0, 0.6)), width=0.2, height=0.6)
     error = np.abs(
         _errors(
             poster,
@@ -220,9 +219,8 @@ def test_in_its_window_it_finds_the_same(poster: PictureTarget, scene_picture: T
     assert regions is not None
     found = _detect(poster, in_windows(whole, regions, asked), state=state)
     assert np.abs(found.uv - _detect(poster, whole, state=state).uv).max() < 0.02 and not asked
-    elsewhere = scene_picture(
-        poster, _view(0.3, 0.2, (0.15, 0, 1.6))
-    )  # not there: the whole picture of the same exposure is searched
+    # not there: the whole picture of the same exposure is searched
+    elsewhere = scene_picture(poster, _view(0.3, 0.2, (0.15, 0, 1.6)))
     assert (
         _detect(
             poster, in_windows(elsewhere, regions, asked), state=replace(state, searched_s=-1.0)

@@ -86,9 +86,8 @@ class TestShadow:
         )
         assert np.array_equal(seen[:20], seen[20:])
         assert seen.max() == 200 and seen.min() == 80  # 40 % of 200, in its middle
-        assert (
-            seen.min(axis=(1, 2, 3)) == 200
-        ).any()  # between two crossings it is beyond the picture
+        # between two crossings it is beyond the picture
+        assert (seen.min(axis=(1, 2, 3)) == 200).any()
         deep = [np.mean(image[..., 0] < 200) for image in seen[:20]]
         assert 0.15 < max(deep) < 0.6
         assert np.abs(np.diff(seen[int(np.argmax(deep))], axis=1)).max() < 40  # its edge is soft
@@ -162,9 +161,10 @@ def test_a_seed_may_draw_perturbations_alone(quick):
         vs.load(quick, fixed, seed=3)
     assert vs.load(quick, fixed | {"noise.perturb": ["outliers"]}, seed=3).seed == 3
     on_pictures = vs.load(quick, {"noise.perturb": ["erasing"]}).noise
+    # an oracle's
     assert on_pictures.draws(pictures=True, points=True) and not on_pictures.draws(
         pictures=False, points=True
-    )  # an oracle's
+    )
 
 
 def test_a_picture_of_another_shape_is_said(own_kinds):

@@ -29,9 +29,8 @@ def test_one_of_the_two_is_the_pose(points: Array, behind: bool) -> None:
             R = exp(np.array([0, 0, 0, np.pi, 0, 0])) @ R
         axes = np.linalg.svd(points - points.mean(axis=0))[2]
         T = np.eye(4)
-        T[:3, :3] = (
-            R[:3, :3] @ axes * np.linalg.det(axes)
-        )  # the plane roughly frontal, wherever it is in its frame
+        # the plane roughly frontal, wherever it is in its frame
+        T[:3, :3] = R[:3, :3] @ axes * np.linalg.det(axes)
         T[:3, 3] = [*rng.uniform(-0.4, 0.4, 2), rng.uniform(0.8, 3)] - T[:3, :3] @ points.mean(
             axis=0
         )

@@ -83,9 +83,8 @@ def test_exact_pixels_give_the_exact_pose(points: Array) -> None:
     for T in _random_poses(50):
         found = solve_pose(_see(T, points), points)
         assert found is not None
-        assert rigid_error(found, T) == pytest.approx(
-            (0, 0), abs=1e-6
-        )  # single-precision stop of the refinement
+        # single-precision stop of the refinement
+        assert rigid_error(found, T) == pytest.approx((0, 0), abs=1e-6)
 
 
 THREE_IN_LINE = np.array([[-0.25, 0, 0], [0, 0, 0], [0.25, 0, 0], [0, 0.25, 0]])
@@ -109,9 +108,8 @@ def test_pixels_from_which_the_solver_makes_nothing_raise_nothing() -> None:
         [[0.1, 0.1]] * 4,
         [[0, 0], [0.1, 0], [0.2, 0], [0, 0.1]],
     ):
-        found = solve_pose(
-            np.array(xy, dtype=float), SQUARE
-        )  # OpenCV then hands out None for its errors
+        # OpenCV then hands out None for its errors
+        found = solve_pose(np.array(xy, dtype=float), SQUARE)
         assert found is None or np.isfinite(found).all()
 
 
@@ -167,9 +165,8 @@ def test_three_markers_need_and_follow_a_previous_pose() -> None:
             xy, SQUARE[:3], previous=exp(np.array([0.002, -0.001, 0.002, 0.001, 0.001, -0.002])) @ T
         )
         assert found is not None
-        assert rigid_error(found, T) == pytest.approx(
-            (0, 0), abs=1e-4
-        )  # single precision near a double root
+        # single precision near a double root
+        assert rigid_error(found, T) == pytest.approx((0, 0), abs=1e-4)
         assert solve_pose(xy, SQUARE[:3], previous=_pose(2.0, 1.0, 1.0, (0, 0, 9.0))) is None
 
 
@@ -232,9 +229,8 @@ def test_every_turn_of_an_exactly_frontal_view(name: str) -> None:
     """The square root in IPPE is of zero there, or of a rounding error of either sign: OpenCV's has
     no pose at 90 of the 721 turns.
     """
-    distances = [
-        d for d in (1.0, 0.2, 0.5, 2.0, 5.0, 20.0) if d > 0.25 or name != "house"
-    ]  # a chimney .3 m high
+    # a chimney .3 m high
+    distances = [d for d in (1.0, 0.2, 0.5, 2.0, 5.0, 20.0) if d > 0.25 or name != "house"]
     for i, turn in enumerate(np.arange(0, 180.25, 0.25)):
         z = distances[i // 5 % len(distances)]
         x, y = ((0.0, 0.0), (0.03 * z, -0.05 * z))[i // 15 % 2]
@@ -283,9 +279,8 @@ def test_a_view_in_which_sqpnp_takes_the_camera_for_behind() -> None:
 def test_rays_to_a_target_straight_ahead_of_a_turned_lens(
     degrees: float, axis: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        pnp, "solve_pose_all_round", lambda *_: None
-    )  # a virtual camera sees them all
+    # a virtual camera sees them all
+    monkeypatch.setattr(pnp, "solve_pose_all_round", lambda *_: None)
     V = exp(np.array([0, 0, 0, *np.radians(degrees) * np.array(axis)]))
     for turn in np.arange(0, 180, 7.5):
         T = V @ Pose(xyz=(0, 0, 0.5), rpy_deg=(0, 0, turn)).T
@@ -368,9 +363,8 @@ class TestLimits:
         T = _pose(0.3, 0.2, 0.1, (0.05, 0, 0.7))
         points = SQUARE[:3]
         others = [F for F in pnp._three(_see(T, points), points) if sum(rigid_error(F, T)) > 1e-3]
-        turn = exp(
-            np.array([0, 0, 0, 0, 0, angle])
-        )  # about the optical axis, away from the other poses
+        # about the optical axis, away from the other poses
+        turn = exp(np.array([0, 0, 0, 0, 0, angle]))
         previous = turn @ T
         previous[:3, 3] = T[:3, 3]
         middle = points.mean(axis=0)

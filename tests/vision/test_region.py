@@ -149,11 +149,8 @@ def test_a_remnant_is_no_region_that_lies_along_a_side_of_its_outline():
         ("whale", FACING, (79, 104, 221, 161)),  # its border lay on an outline that was 3388 px off
         ("whale", TURNED, (131, 25, 184, 165)),  # 320 px
         ("l_shape", FACING, (121, 132, 206, 172)),  # 72152 px
-        (
-            "l_shape",
-            FACING,
-            (145, 51, 206, 172),
-        ),  # the best homography folds the picture onto a line
+        # the best homography folds the picture onto a line
+        ("l_shape", FACING, (145, 51, 206, 172)),
     ):
         target = shape(kind)
         assert found(target, painted(border_of(target, T)))[1].seen.all()
@@ -172,9 +169,8 @@ def test_an_outline_is_bare_where_no_border_of_the_region_is_near():
     ]:
         moved = sides + [[-off, 0], [0, 0], [0, -off], [0, 0]]
         assert bare_share(moved, region, reach) == share, off
-    assert (
-        bare_share(np.array([[20.0, 9]]), region, 2.5) == 1
-    )  # within the region, but not at its border
+    # within the region, but not at its border
+    assert bare_share(np.array([[20.0, 9]]), region, 2.5) == 1
 
 
 def test_a_region_that_reaches_the_pictures_border_is_lost():

@@ -181,9 +181,8 @@ def test_numbers_by_order_and_others_ignored(scene_picture: TakeScene) -> None:
     frame = scene_picture(drawn, FRONT)
     true = CAMERA.project(transform(FRONT, drawn.points))
     assert np.abs(_detect(frame, drawn).uv - true).max() < 0.1
-    shifted = _detect(
-        frame, _square(marker=Tag(first_id=12))
-    )  # its markers 0 and 1 are the picture's 2 and 3
+    # its markers 0 and 1 are the picture's 2 and 3
+    shifted = _detect(frame, _square(marker=Tag(first_id=12)))
     assert shifted.seen.tolist() == [True, True, False, False]
     assert np.abs(shifted.uv[:2] - true[2:]).max() < 0.1
     assert not _detect(frame, _square(marker=Tag(family="aruco_6x6_250", first_id=10))).seen.any()
@@ -229,9 +228,8 @@ def test_a_small_thing_before_the_middle_is_not_read_over(scene_picture: TakeSce
 
 def test_cut_by_the_border_is_not_seen(scene_picture: TakeScene) -> None:
     target = _square()
-    for shift in np.arange(
-        0.6, 0.85, 0.01
-    ):  # half the picture is .833 m wide at 1 m; the right tags' edges lie at .15 +- .05
+    # half the picture is .833 m wide at 1 m; the right tags' edges lie at .15 +- .05
+    for shift in np.arange(0.6, 0.85, 0.01):
         T = Pose(xyz=(float(shift), 0, 1)).T
         found = _detect(scene_picture(target, T), target)
         corners = CAMERA.project(transform(T, target.points[:, None] + Tag().corners))

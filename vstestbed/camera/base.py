@@ -33,18 +33,16 @@ if TYPE_CHECKING:
     from spatialmath import SE3
 
 Window = tuple[int, int, int, int]  # left, top, right, bottom [px]; right and bottom are exclusive
-Regions = tuple[
-    tuple[Window, ...], ...
-]  # of interest: for each panel of a camera its windows; empty for a panel that is not needed
+# of interest: for each panel of a camera its windows; empty for a panel that is not needed
+Regions = tuple[tuple[Window, ...], ...]
 LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
 """Largest side of a picture [px], and most samples of a rendered one, of colour and depth in a GB:
 what graphics cards draw.
 """
 Mount = Annotated[Pose, FromFile(read_mount)]
 LensNumbers = Annotated[Intrinsics, FromFile(read_intrinsics)]
-SIDES = np.array(
-    [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
-)  # inward unit normals of an image's left, top, right and bottom side
+# inward unit normals of an image's left, top, right and bottom side
+SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 # least Z of a unit ray that has normalised coordinates X/Z, Y/Z; below it they are dominated by
 # rounding
 FORWARD_COSINE = 1e-6
@@ -540,6 +538,5 @@ def pixel_interaction(camera: Camera, p: Array) -> Array:
     )
     L = (camera.project(p + STEP * flow) - camera.project(p - STEP * flow)) / (2 * STEP)
     L[:3] /= unit
-    return np.nan_to_num(
-        np.moveaxis(L, 0, -1)
-    )  # NaN: at the rim of the field of view, where a step leaves it
+    # NaN: at the rim of the field of view, where a step leaves it
+    return np.nan_to_num(np.moveaxis(L, 0, -1))

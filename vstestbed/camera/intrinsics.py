@@ -168,9 +168,8 @@ def _modelled(k: list[float], model: str) -> tuple[list[float], str]:
     most = max(COEFFICIENTS.get(model, (8,)))
     if not any(k[most:]):
         k = k[:most]
-    if (
-        model == "plumb_bob" and len(k) == 8
-    ):  # OpenCV's rational model, by the name that a driver has given it
+    # OpenCV's rational model, by the name that a driver has given it
+    if model == "plumb_bob" and len(k) == 8:
         model = "rational_polynomial"
     if model == "rational_polynomial" and len(k) in (4, 5):
         _tell(

@@ -82,9 +82,8 @@ class Perspective(Camera):
         if self.focal_length_m is not None and self.fovy_deg is not None:
             raise ParameterError.conflict("fovy_deg", "focal_length_m")
         if self.focal_length_m is None and self.fovy_deg is None and self.intrinsics is None:
-            object.__setattr__(
-                self, "fovy_deg", DEFAULT_FOVY_DEG
-            )  # so that the scenario as run states it
+            # so that the scenario as run states it
+            object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)
         if not self.resampled:
             return
         u, v = self.width - 0.5, self.height - 0.5

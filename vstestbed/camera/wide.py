@@ -268,9 +268,8 @@ class Fisheye(Radial):
         knots, radii = self._table
         after = np.clip(np.searchsorted(radii, radius), 1, len(knots) - 1)
         theta = np.interp(radius, radii, knots)
-        for _ in range(
-            8
-        ):  # 3 reach rounding, 8 next to an angle where the polynomial has its maximum
+        # 3 reach rounding, 8 next to an angle where the polynomial has its maximum
+        for _ in range(8):
             t2 = theta * theta
             slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
             theta = np.clip(

@@ -51,9 +51,10 @@ def _version(value: bool) -> None:
 
 
 def _options(
+    # taken out by `main`
     debug: Annotated[
         bool, typer.Option("--debug", help="Show tracebacks; may stand anywhere.")
-    ] = False,  # taken out by `main`
+    ] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -188,9 +189,8 @@ def render(
     def make(path: Path) -> Path | None:
         return film_log(scenario, log, camera, path, quality, size_px, verdict, seen_from)
 
-    with (
-        only_writer(run_dir) if path.parent == run_dir else nullcontext()
-    ):  # a film elsewhere changes nothing in the run's folder
+    # a film elsewhere changes nothing in the run's folder
+    with only_writer(run_dir) if path.parent == run_dir else nullcontext():
         film = gif_of(make, path) if gif else make(path)
     if film is None:
         raise RunFolderError(
@@ -348,18 +348,15 @@ def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4
     environment, 5 worse than the baseline, 130 interrupted.
     """
-    gc.set_threshold(
-        100_000, 50, 100
-    )  # importing makes 10^5 objects that stay: looking through them takes a tenth of a start
-    os.environ.setdefault(
-        "PYDANTIC_DISABLE_PLUGINS", "1"
-    )  # the search for plugins reads the metadata of every installed package
+    # importing makes 10^5 objects that stay: looking through them takes a tenth of a start
+    gc.set_threshold(100_000, 50, 100)
+    # the search for plugins reads the metadata of every installed package
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     arguments = sys.argv[1:] if argv is None else argv
     if complete.asked(arguments):
         program()(arguments, prog_name="vstestbed")
-    given = [
-        argument for argument in arguments if argument != "--debug"
-    ]  # --debug may stand anywhere
+    # --debug may stand anywhere
+    given = [argument for argument in arguments if argument != "--debug"]
     app = program(*(name for name in given[:1] if name in COMMANDS))
     sys.exit(
         exit_code(

@@ -250,9 +250,8 @@ def _tell_changes(changes: BaselineChanges, tolerance: float, fail: bool, shown:
     from vstestbed.report.comparison.baseline import text
 
     worse = [f"worse: {words}" for words in changes.regressions(tolerance)]
-    lines = (
-        [text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail
-    )  # the reason for 5 is always told
+    # the reason for 5 is always told
+    lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail
     for line in lines:
         typer.echo(line, err=True)
     if fail and worse:

@@ -121,9 +121,8 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
     names, cls = _names(entries), next(iter(field.owners.values()))
     console.print(Text(field.path, style="bold"))
     console.print()
-    rows: dict[
-        tuple[str, ...], list[str]
-    ] = {}  # one row where all blocks say the same of a field, else one for each that differs
+    # one row where all blocks say the same of a field, else one for each that differs
+    rows: dict[tuple[str, ...], list[str]] = {}
     for name, owner in field.owners.items():
         rows.setdefault(tuple(map(str, _cells(owner, field.name, names))), []).append(name)
     alike = len(rows) == 1
@@ -185,9 +184,8 @@ def _lines(paragraph: str) -> Iterator[str]:
             yield whole
             whole = ""
         whole = f"{whole} {line.strip()}" if whole else line
-        if (
-            len(line) < 100
-        ):  # a shorter line ends where its writer wanted it to end, as a line of an equation does
+        # a shorter line ends where its writer wanted it to end, as a line of an equation does
+        if len(line) < 100:
             yield whole
             whole = ""
     if whole:

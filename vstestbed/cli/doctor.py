@@ -137,16 +137,14 @@ def _pictures() -> Iterator[Finding]:
         errors, renderer = pixel_convention("gl")
     except (VstestbedError, ImportError) as error:
         lack = gl.explain(error) if isinstance(error, ImportError) else error
-        problem, _, remedy = str(lack or error).partition(
-            "; "
-        )  # the form of every message of this package
+        # the form of every message of this package
+        problem, _, remedy = str(lack or error).partition("; ")
         yield Finding("OpenGL", False, f"{problem}; {gl.RAYS_INSTEAD}", remedy)
         errors, renderer = pixel_convention("rays")
     else:
         yield Finding("OpenGL", True, renderer)
-    seen = np.isfinite(errors).all(
-        axis=1
-    )  # rendered minus projected positions (N, 2) [px], NaN where a ball was not found
+    # rendered minus projected positions (N, 2) [px], NaN where a ball was not found
+    seen = np.isfinite(errors).all(axis=1)
     remedy = (
         "this OpenGL driver does not render correctly; try another MUJOCO_GL, or another driver"
     )

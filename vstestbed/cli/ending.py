@@ -36,9 +36,8 @@ class Stream:
     def __init__(self, stream: TextIO | None):
         self._stream: Any = open(os.devnull, "w", encoding="utf-8") if stream is None else stream  # noqa: SIM115, PTH123 - open to the end
         if hasattr(self._stream, "reconfigure"):
-            self._stream.reconfigure(
-                errors="backslashreplace"
-            )  # in a locale without the degree sign it is \xb0
+            # in a locale without the degree sign it is \xb0
+            self._stream.reconfigure(errors="backslashreplace")
         self.lack: OSError | None = None
 
     def __getattr__(self, name: str) -> Any:
@@ -58,14 +57,12 @@ class Stream:
     def _tried(self, action: Callable[[], object]) -> None:
         try:
             action()
-        except (
-            OSError
-        ) as error:  # EPIPE: the reader has gone; ENOSPC: `> /dev/full`; EIO: the terminal has gone
+        except OSError as error:
+            # EPIPE: the reader has gone; ENOSPC: `> /dev/full`; EIO: the terminal has gone
             self.lack = self.lack or error
             with contextlib.suppress(OSError), open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - os.devnull is no path on Windows
-                os.dup2(
-                    nowhere.fileno(), self._stream.fileno()
-                )  # for the rest of the buffer, which Python flushes at its end
+                # for the rest of the buffer, which Python flushes at its end
+                os.dup2(nowhere.fileno(), self._stream.fileno())
 
     @property
     def failed(self) -> str:
@@ -100,18 +97,11 @@ class Said(int):
     """
 
 
-GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, REGRESSED, INTERRUPTED = (
-    0,
-    1,
-    2,
-    3,
-    5,
-    Said(130),
-)  # 128 + SIGINT, as shells have it
+# 128 + SIGINT, as shells have it
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, REGRESSED, INTERRUPTED = 0, 1, 2, 3, 5, Said(130)
 LACK = EnvironmentLackError.exit_code
-UsageMistake: type[Exception] = typer.BadParameter.__mro__[
-    2
-]  # click.ClickException, also where typer brings a copy of click
+# click.ClickException, also where typer brings a copy of click
+UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 def exit_code(command: Callable[[], object], debug: bool = False) -> int:
@@ -145,9 +135,8 @@ def _after_all() -> Iterator[list[str]]:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
             hook(unraisable)
             return
-        with redirect_stderr(
-            io.StringIO()
-        ) as text:  # as text: to keep the object itself would bring it back to life
+        # as text: to keep the object itself would bring it back to life
+        with redirect_stderr(io.StringIO()) as text:
             hook(unraisable)
         said.append(text.getvalue())
 
@@ -219,9 +208,8 @@ def _guarded(command: Callable[[], object], debug: bool) -> int:
 
 
 def _unforeseen(error: BaseException, debug: bool) -> int:
-    if isinstance(
-        error, ImportError
-    ):  # the OpenGL bindings look for their driver when they are imported
+    # the OpenGL bindings look for their driver when they are imported
+    if isinstance(error, ImportError):
         from vstestbed.sim import gl_probe as gl
 
         if (lack := gl.explain(error)) is not None:

@@ -110,9 +110,8 @@ def show_notes(shown: bool) -> None:
     logger = logging.getLogger("vstestbed")
     logger.setLevel(logging.WARNING if shown else logging.ERROR)
     if logging.lastResort is not None:
-        logger.addHandler(
-            logging.lastResort
-        )  # prints the bare message, without level and logger name
+        # prints the bare message, without level and logger name
+        logger.addHandler(logging.lastResort)
         logger.propagate = False
 
 
@@ -124,9 +123,8 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
         lines.append("  error     not a single frame was seen")
     else:
         lines.append(f"  judged    {_judged(s)}")
-        if (
-            s["judged_by"] != "truth"
-        ):  # where the truth decided, the pose at the end is that of no goal
+        # where the truth decided, the pose at the end is that of no goal
+        if s["judged_by"] != "truth":
             lines.append(f"  error     {_error_text(recording)}")
             since, ratio = (
                 s["time_to_converge_s"],

@@ -111,9 +111,8 @@ def ros(
     from vstestbed.ros.law import command_topic
     from vstestbed.ros.link import connected, rules_of
 
-    idle = (
-        ["stop.rest_after_s=null"] if role == "robot" else []
-    )  # who waits for commands has not ended
+    # who waits for commands has not ended
+    idle = ["stop.rest_after_s=null"] if role == "robot" else []
     given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
     show_notes(not quiet)
     _heed(param or [])
@@ -230,14 +229,12 @@ def _fly(
 
     if bag is not None:
         must_be_new(bag, "give a new folder with --bag")
-    node = RobotNode(
-        given, link, pace, truth, watchdog, ended
-    )  # refuses before anything is written
+    # refuses before anything is written
+    node = RobotNode(given, link, pace, truth, watchdog, ended)
     _waits(quiet, f"simulates {given.name}")
     folder = new_folder(given, out)
-    given = given.but(
-        description=f"{given.description} {BY_HAND} commanded from outside.".strip()
-    )  # before it flies: it is written first
+    # before it flies: it is written first
+    given = given.but(description=f"{given.description} {BY_HAND} commanded from outside.".strip())
     with (
         Progress(given, shown=not quiet) as progress,
         nullcontext() if bag is None else Bag(make_parents(bag)) as node.record,

@@ -187,9 +187,8 @@ def describe(
     try:
         found = None if of_results else looked_up(kind, entries)
     except ParameterError:
-        from vstestbed.studies.comparison.plan import (
-            Comparison,
-        )  # here: most words are of a scenario, and it takes 0.3 s to import
+        # here: most words are of a scenario, and it takes 0.3 s to import
+        from vstestbed.studies.comparison.plan import Comparison
 
         entries = catalogue(scenario=Scenario, comparison=Comparison)
         found = looked_up(kind, entries)
@@ -201,9 +200,8 @@ def describe(
             describe_entry(found, entries, console)
         else:
             describe_field(found, entries, console)
-    typer.echo(
-        "\n".join(line.rstrip() for line in text.get().splitlines()), color=True
-    )  # rich has left colours out where none are wanted
+    # rich has left colours out where none are wanted
+    typer.echo("\n".join(line.rstrip() for line in text.get().splitlines()), color=True)
 
 
 def doctor(
@@ -291,9 +289,8 @@ def new(
         raise ParameterError.form(
             "NAME", f"of a word in small letters, digits and _, such as my_{kind}", name
         )
-    from vstestbed.scenario.plugins import (
-        registry,
-    )  # after the cheap check: it imports much of the package
+    # after the cheap check: it imports much of the package
+    from vstestbed.scenario.plugins import registry
 
     if name in registry(REGISTRY_OF.get(kind, f"{kind}s")).members:
         raise ParameterError(

@@ -281,19 +281,16 @@ MEMORY = re.compile(
 ctypes.
 """
 FILES = re.compile(r"(?i)too ?many ?open ?files")
-SPARE_BYTES, SPARE_FILES = (
-    1 << 28,
-    8,
-)  # What a process that is not short can still have: the largest library takes less memory to load
+# What a process that is not short can still have: the largest library takes less memory to load
+SPARE_BYTES, SPARE_FILES = 1 << 28, 8
 
 
 def lack_of(error: BaseException) -> EnvironmentLackError | None:
     """The error for want of memory or of open files that an error, or one behind it, comes from;
     None where it comes from neither.
     """
-    for one in reversed(
-        [*_chain(error)]
-    ):  # the first cause says what was wanted, without what later ones advise
+    # the first cause says what was wanted, without what later ones advise
+    for one in reversed([*_chain(error)]):
         number = one.errno if isinstance(one, OSError) else None
         if isinstance(one, MemoryError) or number == errno.ENOMEM or MEMORY.search(str(one)):
             return _memory(one)

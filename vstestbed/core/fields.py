@@ -198,9 +198,8 @@ _SYMBOL = (
 _IS_UNIT = re.compile(rf"{_SYMBOL}(?:[ /]{_SYMBOL})*(?: per [a-z_ ]+)?|unit (?:of|as in) .+")
 _EXAMPLE = re.compile(r"; e\.g\. `([^`]+)`(?=\.$)")
 _SOURCE = re.compile(r"References?: ")
-_ITEM = re.compile(
-    r" {4}(\S[^:]*): (.*)"
-)  # a field, or several: `width, height: picture size [px].`
+# a field, or several: `width, height: picture size [px].`
+_ITEM = re.compile(r" {4}(\S[^:]*): (.*)")
 
 
 @dataclass(frozen=True)
@@ -265,9 +264,8 @@ def _sections(cls: type) -> tuple[str, tuple[tuple[str, str], ...]]:
     the list `Args:`.
     """
     own = cls.__dict__.get("__doc__")
-    if (
-        not own or cls is object or own.startswith(f"{cls.__name__}(")
-    ):  # dataclasses write a signature where there is none
+    # dataclasses write a signature where there is none
+    if not own or cls is object or own.startswith(f"{cls.__name__}("):
         return "", ()
     text, items, heading = list[str](), list[list[str]](), ""
     for line in inspect.cleandoc(own).splitlines():

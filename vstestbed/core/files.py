@@ -199,9 +199,8 @@ DEVICES = {
     "nul",
     *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³"),
 }
-_held: dict[
-    tuple[int, int], int
-] = {}  # how many nested holds this process has on each folder, by its device and inode
+# how many nested holds this process has on each folder, by its device and inode
+_held: dict[tuple[int, int], int] = {}
 
 
 @contextmanager
@@ -229,9 +228,8 @@ def _lock(folder: Path) -> int | None:
     if fcntl is None:
         return None
     with writing(folder):
-        handle = os.open(
-            folder, os.O_RDONLY
-        )  # not inherited by worker processes, which would keep the lock
+        # not inherited by worker processes, which would keep the lock
+        handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -57,9 +57,8 @@ def reason(error: BaseException) -> str:
     """
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
-    error = (
-        error.__cause__ if isinstance(error, SystemError) and error.__cause__ else error
-    )  # of OpenCV's FileStorage
+    # of OpenCV's FileStorage
+    error = error.__cause__ if isinstance(error, SystemError) and error.__cause__ else error
     words = " ".join(str(error).split())
     words = words.partition(": error: ")[2] or words  # of OpenCV's without the place in its source
     return f"{words[:197]}..." if len(words) > 200 else words or type(error).__name__

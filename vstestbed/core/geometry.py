@@ -207,9 +207,8 @@ def inverse(T: Array) -> Array:
         second = (xy, yy, zy, -(xy * x + yy * y + zy * z))
         third = (xz, yz, zz, -(xz * x + yz * y + zz * z))
         return np.array([first, second, third, (0.0, 0.0, 0.0, 1.0)])
-    R_t = np.swapaxes(
-        T[..., :3, :3], -1, -2
-    )  # of a rigid transform: cheaper and more exact than a matrix inverse
+    # of a rigid transform: cheaper and more exact than a matrix inverse
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
     out = np.zeros_like(T)
     out[..., :3, :3] = R_t
     out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
@@ -246,9 +245,8 @@ def exp(xi: Array) -> Array:
     vx, vy, vz, x, y, z = np.moveaxis(xi, -1, 0)
     theta2 = x * x + y * y + z * z
     theta = np.sqrt(theta2)
-    small = (
-        theta < 1e-4
-    )  # there the series are exact to rounding, and 1 - cos would lose all its digits
+    # there the series are exact to rounding, and 1 - cos would lose all its digits
+    small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
     sine = np.sin(safe)
     a = np.where(small, 1 - theta2 / 6, sine / safe)
@@ -287,9 +285,8 @@ def log(T: Array) -> Array:
     """
     q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
     sine = float(np.linalg.norm(q[1:]))
-    half = math.atan2(
-        sine, float(q[0])
-    )  # theta/2, exact near 0 and near pi, where an arc cosine loses half of the digits
+    # theta/2, exact near 0 and near pi, where an arc cosine loses half of the digits
+    half = math.atan2(sine, float(q[0]))
     small = half < 1e-4
     S = skew(w := q[1:] * (2.0 if small else 2 * half / sine))
     share = 1 / 12 if small else (1 - half / math.tan(half)) / (4 * half * half)

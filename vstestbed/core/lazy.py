@@ -21,9 +21,8 @@ else:
 
     class _OpenCV:
         def __getattr__(self, name: str) -> Any:
-            os.environ.setdefault(
-                "OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS)
-            )  # read when it is imported
+            # read when it is imported
+            os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
             import cv2
 
             cv2.setNumThreads(1)

@@ -115,9 +115,8 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
     here, place = plain, _Place((), cls, next(iter(registries_of(cls)), None))
     for part in loc:
         node = place.node
-        if (
-            node is not None and node.type is Union
-        ):  # the part says which of the alternatives is meant
+        # the part says which of the alternatives is meant
+        if node is not None and node.type is Union:
             place = replace(
                 place,
                 node=next(
@@ -148,17 +147,14 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
 
 def _message(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
     place, inner = _place(detail["loc"], plain, cls), detail.get("ctx", {}).get("error")
-    if isinstance(
-        inner, ParameterError
-    ):  # raised by a __post_init__; its field is relative to the block
+    # raised by a __post_init__; its field is relative to the block
+    if isinstance(inner, ParameterError):
         got = "" if inner.found is None else f", got {short(inner.found)}"
-        own = (
-            inner.field.split(".") if inner.field else []
-        )  # without a field it is about the block as a whole
+        # without a field it is about the block as a whole
+        own = inner.field.split(".") if inner.field else []
         return (*place.key, *(int(p) if p.isdecimal() else p for p in own)), f"{inner.problem}{got}"
-    if detail["type"] == "missing" and place.key[-1:] != (
-        place.name,
-    ):  # what is missing is a field, also of a block that is a bare word
+    # what is missing is a field, also of a block that is a bare word
+    if detail["type"] == "missing" and place.key[-1:] != (place.name,):
         place = replace(place, key=(*place.key, place.name))
     # The error belongs to the block; the mistake stands at its `kind`.
     if (

@@ -229,9 +229,8 @@ def load_file(path: Path) -> ModuleType:
         raise ImportError("it is not a Python file; its name must end in .py")
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
-    module = sys.modules[name] = importlib.util.module_from_spec(
-        spec
-    )  # known before it runs: dataclasses look their module up
+    # known before it runs: dataclasses look their module up
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except BaseException:

@@ -135,9 +135,8 @@ _FAR = "five times the 200 m at which a camera counts as diverged"
 Length = Annotated[float, Bounded(-1e3, 1e3, "m", _FAR)]  # a coordinate or an offset [m]
 Distance = Annotated[float, Ge(0), Bounded(0.0, 1e3, "m", _FAR)]  # a length that may be 0 [m]
 PositiveLength = Annotated[float, Gt(0), Bounded(1e-9, 1e3, "m", f"a nanometre to {_FAR}")]
-Position = Annotated[
-    tuple[Length, ...], Len(3, 3)
-]  # Three coordinates, amplitudes, or half widths of a box [m]
+# Three coordinates, amplitudes, or half widths of a box [m]
+Position = Annotated[tuple[Length, ...], Len(3, 3)]
 
 _TURNS = "100 turns; beyond them an angle loses digits of its direction"
 Angle = Annotated[float, Bounded(-36e3, 36e3, "deg", _TURNS)]  # an angle [deg]
@@ -163,9 +162,8 @@ PositiveRateDeg = Annotated[
 ]
 
 _AGES = "30 years, longer than any run"
-Time = Annotated[
-    float, Ge(0), Bounded(0.0, 1e9, "s", _AGES)
-]  # a time or a duration that may be 0 [s]
+# a time or a duration that may be 0 [s]
+Time = Annotated[float, Ge(0), Bounded(0.0, 1e9, "s", _AGES)]
 PositiveTime = Annotated[float, Gt(0), Bounded(1e-6, 1e9, "s", f"a microsecond to {_AGES}")]
 Duration = Annotated[
     float,
@@ -188,9 +186,8 @@ GainOrZero = Annotated[float, Ge(0), Bounded(0.0, 1e6, "", _QUICK)]
 PositiveGain = Annotated[float, Gt(0), Bounded(1e-9, 1e6, "", f"one of 30 years to {_QUICK}")]
 
 _STRONG = "a micronewton metre to a giganewton metre, more than any joint has"
-Torque = Annotated[
-    float, Gt(0), Bounded(1e-6, 1e9, "", _STRONG)
-]  # The torque of a hinge [Nm], or the force of a joint that slides [N]
+# The torque of a hinge [Nm], or the force of a joint that slides [N]
+Torque = Annotated[float, Gt(0), Bounded(1e-6, 1e9, "", _STRONG)]
 Stiffness = Annotated[float, Gt(0), Bounded(1e-9, 1e9, "", "more than any servo has")]
 
 _NOISE = "a larger error than any sensor's"

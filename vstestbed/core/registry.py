@@ -151,9 +151,8 @@ class Registry:
             )
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
-        if self.contract is not None and not member.__module__.startswith(
-            "vstestbed."
-        ):  # of those a test checks it once for all starts
+        # of those a test checks it once for all starts
+        if self.contract is not None and not member.__module__.startswith("vstestbed."):
             self.contract.check(member)
 
     def load_entry_points(self, installed: EntryPoints) -> bool:
@@ -411,9 +410,10 @@ class Contract:
         inherited = own is vars(self.protocol).get(name) and getattr(
             self.protocol, "_is_protocol", False
         )
+        # func: of a cached property
         return not inherited and not getattr(
             getattr(own, "func", own), "__isabstractmethod__", False
-        )  # func: of a cached property
+        )
 
     def _remedy(self, member: type) -> str:
         if self.base is None or issubclass(member, self.base):
@@ -480,10 +480,8 @@ def _check_words(member: type, name: str, valid: Collection[str]) -> None:
     if isinstance(words, property):
         try:
             words = getattr(member(), name)
-        except (
-            TypeError,
-            ParameterError,
-        ):  # a field without a default, or defaults that need another value beside them
+        except (TypeError, ParameterError):
+            # a field without a default, or defaults that need another value beside them
             return
     if not isinstance(words, tuple):
         raise ParameterError(

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-Call = Callable[
-    ..., "Future[Any]"
-]  # Calls a function with arguments, perhaps in another process: `call(function, *arguments)`
+# Calls a function with arguments, perhaps in another process: `call(function, *arguments)`
+Call = Callable[..., "Future[Any]"]
 STOPS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )

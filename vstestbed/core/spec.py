@@ -47,9 +47,8 @@ def spec(cls: type[T]) -> type[T]:
     # takes half of the time of a start.
     made: Any = dataclasses.dataclass(cls, init=False, repr=False, eq=False, kw_only=True)  # pyright: ignore[reportCallIssue, reportArgumentType] - of any class
     made.__pydantic_config__ = _CONFIG
-    if (
-        "<locals>" in made.__qualname__
-    ):  # the names in its annotations may be those of a function, which later nobody finds
+    # the names in its annotations may be those of a function, which later nobody finds
+    if "<locals>" in made.__qualname__:
         types = typing.get_type_hints(
             made, localns=dict(sys._getframe(1).f_locals), include_extras=True
         )
@@ -77,9 +76,8 @@ def spec(cls: type[T]) -> type[T]:
     made.__init__, made.__signature__ = init, _Signature()
     made.__setattr__ = made.__delattr__ = _frozen
     for name, method in (("__eq__", _equal), ("__hash__", _hashed), ("__repr__", _shown)):
-        if (
-            name not in vars(cls) or vars(cls)[name] is None
-        ):  # a class with __eq__ alone has None for the other
+        # a class with __eq__ alone has None for the other
+        if name not in vars(cls) or vars(cls)[name] is None:
             setattr(made, name, method)
     SPECS.append(made)
     return made

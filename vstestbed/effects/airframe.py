@@ -119,10 +119,9 @@ def nearness(z: float, radius: float) -> float:
 
 
 # All blocks of a craft together.
-ALONG, ACROSS = (
-    (1.0, 0.0, -1.0, 0.0),
-    (0.0, -1.0, 0.0, 1.0),
-)  # where front, right, back and left are, along x and y, in arms
+
+# where front, right, back and left are, along x and y, in arms
+ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)
 NOTHING: Vector = (0.0, 0.0, 0.0)
 ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
 

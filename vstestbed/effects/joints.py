@@ -225,13 +225,8 @@ def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
     )
     body.inertia, body.explicitinertial = [1e-9] * 3, True  # which MuJoCo asks for
     body.ipos = link.pos  # on the axis: its weight turns nothing
-    for field in (
-        "type",
-        "axisangle",
-        "euler",
-        "xyaxes",
-        "zaxis",
-    ):  # the orientation as the file writes it
+    # the orientation as the file writes it
+    for field in ("type", "axisangle", "euler", "xyaxes", "zaxis"):
         setattr(body.alt, field, getattr(link.parent.alt, field))
     rotor = body.add_joint(
         name=f"{MOTOR}{name}", type=link.type, pos=link.pos, axis=link.axis, armature=link.armature
@@ -329,9 +324,8 @@ class ElasticJoints(Effect):
         k, left = self.stiffness.copy(), np.abs(torque)
         at, torsion = np.zeros(len(k)), np.zeros(len(k))
         for stage in () if self.stages is None else self.stages.transpose(1, 2, 0):
-            held = k * (
-                stage[0] - at
-            )  # the torque at which this stage begins, beyond that of the former one
+            # the torque at which this stage begins, beyond that of the former one
+            held = k * (stage[0] - at)
             beyond = (left > held) & (stage[1] > 0)
             torsion, left = (
                 torsion + np.where(beyond, stage[0] - at, 0.0),
@@ -492,9 +486,8 @@ class MotorTorques(Actor):
             held - kv * speed,
             kv * (data.ctrl[self._ctrl] - speed) + self._told * data.ctrl[self._ctrl],
         )
-        own = np.where(
-            self._limited, self._ranges[self._actuators, 1], np.inf
-        )  # of this step: another effect may lower it
+        # of this step: another effect may lower it
+        own = np.where(self._limited, self._ranges[self._actuators, 1], np.inf)
         most = np.minimum(own, self._most)
         return np.clip(u, -most, most)
 

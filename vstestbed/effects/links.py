@@ -170,9 +170,8 @@ class Payload(Effect):
                 (holds - np.sign(a_kilogram) * without) / np.abs(a_kilogram),
             )
         most = float(np.nanmin(each))
-        unit = 10.0 ** (
-            np.floor(np.log10(most)) - 2
-        )  # three digits; rounded up it would be too much
+        # three digits; rounded up it would be too much
+        unit = 10.0 ** (np.floor(np.log10(most)) - 2)
         return (
             "robot.payload.mass_kg",
             f"at most {np.floor(most / unit) * unit:.3g} kg here",

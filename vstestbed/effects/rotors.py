@@ -106,9 +106,8 @@ class MotorSpread:
 
     def drawn(self, rng: np.random.Generator) -> tuple[Four, Four]:
         """The factors f and l (4,) of a run."""
-        off = np.clip(
-            rng.standard_normal((2, 4)), -3.0, 3.0
-        )  # by three standard deviations at most
+        # by three standard deviations at most
+        off = np.clip(rng.standard_normal((2, 4)), -3.0, 3.0)
         f = 1.0 + self.thrust_sigma * off[0] if self.thrust is None else np.array(self.thrust)
         limit = (
             1.0 - self.limit_sigma * np.abs(off[1]) if self.limit is None else np.array(self.limit)

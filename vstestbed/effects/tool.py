@@ -15,15 +15,10 @@ from vstestbed.core.quantity import Mass, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, RobotBody, RobotModel
 
-PLUG, FORCE, TORQUE = (
-    "plug",
-    "wrist_force",
-    "wrist_torque",
-)  # names of the geom and of the sensors in the robot's model
-CONTACT, NET_FORCE = (
-    "plug_contact",
-    (2, 3, 1),
-)  # a sensor of MuJoCo, and its parameters: force, the net one of all contacts, one
+# names of the geom and of the sensors in the robot's model
+PLUG, FORCE, TORQUE = "plug", "wrist_force", "wrist_torque"
+# a sensor of MuJoCo, and its parameters: force, the net one of all contacts, one
+CONTACT, NET_FORCE = "plug_contact", (2, 3, 1)
 STEEL = [0.72, 0.72, 0.75, 1.0]
 TOOL_GROUP = 2  # of geoms that every camera sees
 # time constant of the contact, two physics steps of 2 ms: shorter, and it would swing (MuJoCo's own
@@ -66,9 +61,8 @@ class WristSensor:
         """The wrench (6,) on the tool, force and moment at the flange's origin in the flange's
         frame [N, Nm].
         """
-        true = -np.array(
-            [*sensors[FORCE], *sensors[TORQUE]]
-        )  # MuJoCo's are those of the flange on the tool
+        # MuJoCo's are those of the flange on the tool
+        true = -np.array([*sensors[FORCE], *sensors[TORQUE]])
         sigma = np.repeat([self.noise_n, self.noise_nm], 3)
         return true + sigma * rng.standard_normal(6) if sigma.any() else true
 
@@ -116,9 +110,8 @@ class Tool(Effect):
                 objname=PLUG,
                 intprm=[*NET_FORCE],
             )
-            for (
-                other
-            ) in spec_.bodies:  # it does not touch its own arm, whose hand may enclose its foot
+            # it does not touch its own arm, whose hand may enclose its foot
+            for other in spec_.bodies:
                 if other.name and other.name not in ("world", "tool"):
                     spec_.add_exclude(bodyname1="tool", bodyname2=other.name)
         if self.wrist is not None:

@@ -12,13 +12,8 @@ import gymnasium
 
 from vstestbed.env import ANY
 
-SETTINGS = (
-    "observation",
-    "reward",
-    "action_repeat",
-    "picture_px",
-    "overrides",
-)  # of a configuration, handed on to the environment
+# of a configuration, handed on to the environment
+SETTINGS = "observation", "reward", "action_repeat", "picture_px", "overrides"
 
 
 def make_env(

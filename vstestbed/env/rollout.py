@@ -219,10 +219,8 @@ class Rollout:
         change what an observation holds, or the scenario was given loaded; ScenarioError: they have
         mistakes.
         """
-        given, seed = (
-            self._of_episode(overrides),
-            int(seed),
-        )  # of numpy, in a vector of environments
+        # of numpy, in a vector of environments
+        given, seed = self._of_episode(overrides), int(seed)
         scenario = (
             given.with_seed(seed) if given.robot.start.random is None else given.randomised(seed)
         )
@@ -272,9 +270,8 @@ class Rollout:
             if frame.outcome is None:
                 frame = self._frame = session.step(u)
         outcome, before = frame.outcome, self._phi
-        self._told = (
-            outcome is not None
-        )  # an episode may have ended with its first frame: the first step tells
+        # an episode may have ended with its first frame: the first step tells
+        self._told = outcome is not None
         error, self._phi = self._judged(frame)
         truncated = outcome is not None and outcome.out_of_time
         terminated = outcome is not None and not truncated

@@ -178,10 +178,8 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
             )
         if not np.isfinite(action).all():
             raise ParameterError.infinite("actions", "NaN or inf")
-        anew, goes = (
-            runs.told.copy(),
-            ~runs.told & (runs.code == 0),
-        )  # one may have ended with its first frame: its first step tells
+        # one may have ended with its first frame: its first step tells
+        anew, goes = runs.told.copy(), ~runs.told & (runs.code == 0)
         twist = np.where(~goes[:, None], 0.0, self._unit * np.clip(action, -1.0, 1.0))
         runs.T = exp(-self.scenario.camera.period * twist) @ runs.T
         runs.frame += goes

@@ -136,9 +136,8 @@ def wrap(angle: Array) -> Array:
     if inside.all():
         return angle.copy()
     turned = angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi))
-    turned = np.where(
-        turned <= -np.pi, np.pi, np.minimum(turned, np.pi)
-    )  # rounding errors next to odd multiples of pi
+    # rounding errors next to odd multiples of pi
+    turned = np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))
     return np.where(inside, angle, turned)
 
 

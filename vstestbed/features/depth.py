@@ -284,9 +284,8 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
     values = depth_image[
         np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]
     ].astype(float)
-    values = np.sort(
-        np.where(inside, values, np.nan).reshape(len(uv), side * side), axis=1
-    )  # NaN last
+    # NaN last
+    values = np.sort(np.where(inside, values, np.nan).reshape(len(uv), side * side), axis=1)
     n = np.isfinite(values).sum(axis=1)
     rows, enough = np.arange(len(uv)), 2 * n > side * side
     middle = values[rows, np.maximum(n - 1, 0) // 2] + values[rows, n // 2]

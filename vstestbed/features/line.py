@@ -133,9 +133,8 @@ def _plane(start: Array, end: Array) -> Array:
     # Of the planes through both points, which all give the same L, the one farthest from the centre
     # is the best conditioned.
     foot = start - _dot(start, way) * way
-    unit = np.exp2(
-        np.ceil(np.log2(np.sqrt(_dot(start, start))))
-    )  # a power of two, which costs no digit
+    # a power of two, which costs no digit
+    unit = np.exp2(np.ceil(np.log2(np.sqrt(_dot(start, start)))))
     normal = foot * (bounded_inverse(np.sqrt(_dot(foot, foot)) / unit) / unit) ** 2
     return np.concatenate([normal, np.full_like(normal[..., :1], -1)], axis=-1)
 
@@ -186,9 +185,8 @@ def line_on_floor(
     rho, theta, ahead = np.broadcast_arrays(rho, theta, ahead)
     R, t = T_base_camera[:3, :3], T_base_camera[:3, 3]
     cos, sin, none = np.cos(theta), np.sin(theta), np.zeros_like(theta)
-    N = (
-        np.stack([cos, sin, -rho], axis=-1) @ R.T
-    )  # not normalised: y, phi and their derivatives are ratios of its components
+    # not normalised: y, phi and their derivatives are ratios of its components
+    N = np.stack([cos, sin, -rho], axis=-1) @ R.T
     dN = (
         np.stack(
             [np.stack([none, none, none - 1], axis=-1), np.stack([-sin, cos, none], axis=-1)],

@@ -29,9 +29,8 @@ from vstestbed.features.base import (
 )
 from vstestbed.features.polygon import segments, size, spans_area
 
-Of = Literal[
-    "points", "region"
-]  # moments are sums over points, or integrals over the region within a closed outline
+# moments are sums over points, or integrals over the region within a closed outline
+Of = Literal["points", "region"]
 # area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a
 # pixel wide
 LEAST_AREA = 1e-12
@@ -549,9 +548,8 @@ class Moments(Feature):
         if row in INVARIANTS:
             return INVARIANTS[row][0](m)[row]
         if row == "alpha":
-            return 0.5 * angle(
-                m.complex(2, 0), 0.01 * (m.mu[..., 2, 0] + m.mu[..., 0, 2])
-            )  # fades under an elongation |c20|/c11 of .01
+            # fades under an elongation |c20|/c11 of .01
+            return 0.5 * angle(m.complex(2, 0), 0.01 * (m.mu[..., 2, 0] + m.mu[..., 0, 2]))
         return place(m, row)
 
 

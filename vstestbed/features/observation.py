@@ -13,12 +13,8 @@ from vstestbed.camera import Camera
 from vstestbed.core.geometry import Array, transform, unit_of
 from vstestbed.robots.own_model import OwnModel
 
-COLUMNS = (
-    "uv",
-    "depth",
-    "ray",
-    "range",
-)  # fields with a row for each marker, of an observation and of a goal view
+# fields with a row for each marker, of an observation and of a goal view
+COLUMNS = ("uv", "depth", "ray", "range")
 
 
 @dataclass(frozen=True, slots=True)

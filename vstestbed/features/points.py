@@ -121,9 +121,8 @@ class Bearings(Feature):
             bearing_weight(self._off_axis(x), self.centre_weight)
             for x in (s[..., 0::2], s_star[..., 0::2])
         )
-        weight = (
-            w * w_star
-        )  # near a half turn the markers of full weight in both views decide the sign
+        # near a half turn the markers of full weight in both views decide the sign
+        weight = w * w_star
         e[..., 1::2] = weight * (
             wrap_together(e[..., 1::2], weight >= 1) if self.together else wrap(e[..., 1::2])
         )
@@ -208,9 +207,8 @@ class Spherical(Bearings):
         cosines, sines = np.cos(s), np.sin(s)
         cos_t, cos, sin_t, sin = cosines[..., 0], cosines[..., 1], sines[..., 0], sines[..., 1]
         inv_r, weight = 1 / range_, bearing_weight(sin_t, self.centre_weight) ** 2
-        inv_sin = weight / np.where(
-            sin_t > 0, sin_t, 1
-        )  # on the axis the weight is 0, and so is the row
+        # on the axis the weight is 0, and so is the row
+        inv_sin = weight / np.where(sin_t > 0, sin_t, 1)
         L = np.zeros((*s.shape, 6))
         L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = (
             -cos_t * cos * inv_r,

@@ -61,9 +61,8 @@ def theta_u(R: Array) -> Array:
     w, q = quaternion[..., :1], quaternion[..., 1:]
     n = np.linalg.norm(q, axis=-1, keepdims=True)
     some = n > 0
-    return q * np.where(
-        some, 2 * np.arctan2(n, w) / np.where(some, n, 1), 2.0
-    )  # 2: the limit of theta/|q| at 0
+    # 2: the limit of theta/|q| at 0
+    return q * np.where(some, 2 * np.arctan2(n, w) / np.where(some, n, 1), 2.0)
 
 
 def rotation_interaction(theta_u: Array) -> Array:
@@ -76,9 +75,8 @@ def rotation_interaction(theta_u: Array) -> Array:
     Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345, in the frame of w.
     """
     theta2 = np.sum(np.square(theta_u), axis=-1)
-    small = (
-        theta2 < 1e-2
-    )  # theta < 0.1 rad, where the closed form would lose digits to 1 - x cot(x)
+    # theta < 0.1 rad, where the closed form would lose digits to 1 - x cot(x)
+    small = theta2 < 1e-2
     half = 0.5 * np.sqrt(np.where(small, 1, theta2))
     series = 1 / 12 + theta2 / 720 + theta2**2 / 30240
     c = np.where(small, series, (1 - half * np.cos(half) / np.sin(half)) / (4 * half * half))

@@ -47,9 +47,8 @@ class Imaging:
         rng: np.random.Generator,
     ):
         self._lens, self._control, self._sensor, self._rng = lens, exposure, sensor, rng
-        self.needs_depth = (
-            lens is not None and lens.needs_depth
-        )  # whether the true depth of each pixel is asked for
+        # whether the true depth of each pixel is asked for
+        self.needs_depth = lens is not None and lens.needs_depth
         self._pattern = None if sensor is None else sensor.pattern(size, rng)
         self._exposure = ExposureLoop(
             exposure, 1.0 / rate_hz, 0.0 if sensor is None else sensor.black

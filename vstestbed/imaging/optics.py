@@ -140,10 +140,8 @@ class Optics:
             )
 
 
-FINE_PX, COARSE = (
-    0.5,
-    0.1,
-)  # discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]
+# discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]
+FINE_PX, COARSE = 0.5, 0.1
 SHARP_PX = 0.3  # a disc of this diameter is one pixel [px]
 SUBPIXELS = 8  # points along a pixel's side by which its share of a disc is measured
 MOST = 0.25  # largest disc, as a share of the picture's height

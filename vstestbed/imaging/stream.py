@@ -116,9 +116,8 @@ def _h264(stream: H264Stream, rate_hz: float) -> Callable[[Image], Image]:
         packets = encoder.encode(
             av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format=pixels)
         )
-        frames = [
-            frame for packet in packets for frame in decoder.decode(packet)
-        ]  # one comes out for each that goes in
+        # one comes out for each that goes in
+        frames = [frame for packet in packets for frame in decoder.decode(packet)]
         return np.asarray(frames[-1].to_ndarray(format="rgb24"), np.uint8)
 
     return coded

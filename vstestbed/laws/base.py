@@ -224,9 +224,8 @@ class Law(Generic[M]):
             tuning.
     """
 
-    __dataclass_fields__: ClassVar[
-        dict[str, Any]
-    ]  # it is a @spec: `dataclasses.replace` makes variants of it
+    # it is a @spec: `dataclasses.replace` makes variants of it
+    __dataclass_fields__: ClassVar[dict[str, Any]]
     kind: Any
     # Any, so that a kind may have a field or a property in their place.
     tasks: Any = ("view",)
@@ -379,9 +378,8 @@ class Views:
 
     @cached_property
     def _reach(self) -> Array:
-        return np.sqrt(
-            np.einsum("mni,mni->mn", self.p, self.p)
-        )  # the true distance, whatever `depth_from` says
+        # the true distance, whatever `depth_from` says
+        return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))
 
     def _known(self, true: Array, at_goal: Array) -> Array:
         match self.depth_from:

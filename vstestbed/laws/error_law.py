@@ -265,9 +265,8 @@ class ErrorLaw(Law[ErrorState], ABC):
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
-        if (
-            command.scale < 1 and after.integral is not None
-        ):  # anti-windup: while limits shorten the command, the integral does not grow
+        # anti-windup: while limits shorten the command, the integral does not grow
+        if command.scale < 1 and after.integral is not None:
             after = replace(after, integral=state.integral)
         return after, command
 
@@ -358,9 +357,8 @@ class ErrorLaw(Law[ErrorState], ABC):
         """
         if not self.keep_last or before.u is None:
             return ErrorState(before.extra), Command.rest(basis, why)
-        after = ErrorState(
-            before.extra, before.t0, before.u0, before.t, before.u
-        )  # the tracker begins again
+        # the tracker begins again
+        after = ErrorState(before.extra, before.t0, before.u0, before.t, before.u)
         return after, held(self.limits, before.u, basis, why)
 
     def _known(

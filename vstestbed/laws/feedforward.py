@@ -151,9 +151,8 @@ class AlphaBeta:
         not seen.
         """
         if before is None:
-            return TargetEstimate(
-                np.zeros((2, size)), np.zeros(size), np.zeros((2, 2))
-            )  # constant gains: P stays unused
+            # constant gains: P stays unused
+            return TargetEstimate(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))
         state = _model(2, dt) @ before.state
         if step is None:
             return TargetEstimate(state, state[0], before.P)
@@ -186,9 +185,8 @@ def _kalman_update(
     if step is None:  # prediction only; the measured displacement continues from the predicted one
         return TargetEstimate(state, state[0], P)
     moved = before.moved + step
-    K = P[:, 0] / (
-        P[0, 0] + 1 / dt
-    )  # measurement noise of unit density: its variance in one sample is 1/dt
+    # measurement noise of unit density: its variance in one sample is 1/dt
+    K = P[:, 0] / (P[0, 0] + 1 / dt)
     return TargetEstimate(state + np.outer(K, moved - state[0]), moved, P - np.outer(K, P[0]))
 
 
@@ -298,8 +296,7 @@ def look_ahead(
     age = motion.age_s
     p = age if kind.predict_s is None else kind.predict_s
     shift, rate = target.ahead(p)
-    ego = (
-        motion.moved * min(p / age, 1.0) if age > 0 else motion.moved
-    )  # a horizon before now takes its share of the way
+    # a horizon before now takes its share of the way
+    ego = motion.moved * min(p / age, 1.0) if age > 0 else motion.moved
     ego = ego + motion.commanded * max(p - age, 0.0)
     return shift + least_squares(basis, ego), rate

@@ -62,12 +62,12 @@ class Hybrid(ErrorLaw):
                 "has markers that are not in one plane, which a homography requires; use"
                 " law.source: model"
             )
-        # With all but one on a line, no four points are in general position, which a homography
-        # needs.
         elif any(
             _reaches(np.delete(points, i, axis=0))[1] <= FLAT * reaches[0]
             for i in range(len(points))
         ):
+            # With all but one on a line, no four points are in general position, which a homography
+            # needs.
             words = (
                 "has all markers but one on a line, which leaves the homography undetermined; use"
                 " law.source: model, or other places"

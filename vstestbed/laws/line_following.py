@@ -30,9 +30,8 @@ _LINE = LineFeature()
 # least distance of the mean look distance from the vehicle's origin: the turn rate is a speed
 # divided by it
 LEAST_AHEAD_M = 0.05
-LineState = (
-    tuple[float, Array] | None
-)  # time [s] and command u (n,) of the last frame with a visible line; None before the first
+# time [s] and command u (n,) of the last frame with a visible line; None before the first
+LineState = tuple[float, Array] | None
 
 
 @spec
@@ -90,9 +89,8 @@ class LineFollowing(Law[LineState]):
     kind: Literal["line_following"] = "line_following"
     tasks = ("line",)
     inputs = ("xy",)
-    depth = (
-        AtGoal()
-    )  # points at one look distance on the floor have one depth, for a camera without roll
+    # points at one look distance on the floor have one depth, for a camera without roll
+    depth = AtGoal()
     gain: PositiveGain = 3.0
     cruise_mps: PositiveSpeed = 0.8
     approach_deg: Annotated[PositiveAngle, TighterBounds(lt=80)] = 25.0
@@ -109,9 +107,8 @@ class LineFollowing(Law[LineState]):
         the camera's view.
         """
         ahead = _on_floor(goal.xy, goal)[..., 0]
-        if (
-            not ahead.mean() >= LEAST_AHEAD_M
-        ):  # also where it is NaN: a ray that does not meet the floor
+        # also where it is NaN: a ray that does not meet the floor
+        if not ahead.mean() >= LEAST_AHEAD_M:
             words = (
                 f"must have its middle {LEAST_AHEAD_M:g} m or more before the vehicle's origin, in"
                 " the camera's view of the floor"
@@ -132,9 +129,8 @@ class LineFollowing(Law[LineState]):
         if not seen.any():
             u = state[1] if state is not None and observation.t - state[0] <= self.coast_s else None
             return state, held(self.limits, u, basis, TOO_FEW)
-        aim = _on_floor(goal.xy, goal)[seen, :, 1].mean(
-            axis=1
-        )  # the desired lateral position of each line, to the left [m]
+        # the desired lateral position of each line, to the left [m]
+        aim = _on_floor(goal.xy, goal)[seen, :, 1].mean(axis=1)
         xy, mount, v = observation.xy.reshape(-1, 2, 2)[seen], goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)
@@ -147,9 +143,8 @@ class LineFollowing(Law[LineState]):
             line_on_floor(rho, theta, mount, middle),
         )
         rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi
-        rows[:, 0, -1] += (
-            s[:, 0] - aim
-        ) * slope  # the lever of the turn at the desired position, m + y* tan(phi)
+        # the lever of the turn at the desired position, m + y* tan(phi)
+        rows[:, 0, -1] += (s[:, 0] - aim) * slope
         steepest = v * math.tan(math.radians(self.approach_deg))
         A, b = rows[:, 0], -np.clip(self.gain * (e - aim), -steepest, steepest)
         if basis.shape[1] > 2:  # a car's two motions are determined by the speed and by e
@@ -157,9 +152,8 @@ class LineFollowing(Law[LineState]):
                 np.concatenate([A, rows[:, 1]]),
                 np.concatenate([b, -v * slope / (middle + aim * slope)]),
             )
-        u = np.concatenate(
-            [[v], self.solve.least_squares(A[:, 1:], b - v * A[:, 0])]
-        )  # the given speed, moved to the right side
+        # the given speed, moved to the right side
+        u = np.concatenate([[v], self.solve.least_squares(A[:, 1:], b - v * A[:, 0])])
         return (observation.t, u), self.limits.command(u, basis)
 
 

@@ -21,12 +21,8 @@ from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.points import NO_AREA, check_goal, moved_markers, points
 from vstestbed.laws.solve import least_squares, units_of
 
-COLUMN = {
-    "x": 0,
-    "y": 1,
-    "z": 2,
-    "wz": 5,
-}  # column of the twist of each motion that a single feature can command
+# column of the twist of each motion that a single feature can command
+COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 Axis = Literal["x", "y", "z", "wz"]
 _POINT, _POLYGON = Point(), Polygon()
 # An angle is known up to a full turn: the candidates beside it are the same orientation, the other
@@ -232,9 +228,8 @@ class Partitioned(ErrorLaw):
         """
         ways, first = np.asarray(angle)[..., None] + _ROUND, np.isnan(last)
         if not first.any():
-            cost = np.abs(
-                ways - last[..., None]
-            )  # near a half turn the wrapped angle would change its sign
+            # near a half turn the wrapped angle would change its sign
+            cost = np.abs(ways - last[..., None])
         elif self.turn_limits_deg is None:
             cost = np.abs(ways - np.where(first, angle, last)[..., None])
         else:

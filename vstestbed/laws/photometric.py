@@ -40,9 +40,8 @@ def scale(e: NDArray[np.float32]) -> float:
     """The standard deviation of most of the errors e (n,): 1.4826 times the median of |e -
     median(e)|, at least LEAST_SIGMA.
     """
-    some = e[
-        :: max(1, len(e) // 20_000)
-    ]  # evenly spread: of 300,000 the whole partition would cost as much as the law
+    # evenly spread: of 300,000 the whole partition would cost as much as the law
+    some = e[:: max(1, len(e) // 20_000)]
     return (
         max(1.4826 * float(np.median(np.abs(some - np.median(some)))), LEAST_SIGMA)
         if len(some)
@@ -345,9 +344,8 @@ def _slope(camera: Perspective, xy: Array, scale: int) -> tuple[Grey | float, ..
     """
     if not camera.resampled:
         return camera.f / scale, 0.0, 0.0, camera.f / scale
-    step = (
-        0.5 / camera.f
-    )  # half a pixel; the distortion's second derivative cancels in central differences
+    # half a pixel; the distortion's second derivative cancels in central differences
+    step = 0.5 / camera.f
     found = []
     for axis in np.eye(2) * step:
         ahead, behind = (
@@ -520,19 +518,16 @@ class Photometric(Law[PhotometricState]):
             return state, Command.rest(basis, NO_DEPTH)
         if state.pyramid[0].least_change < LEAST_CHANGE:
             return state, Command.rest(basis, NO_STRUCTURE)
-        if float(grey.std()) < 0.1 * float(
-            level.grey.std()
-        ):  # a wall or the floor fills the picture
+        # a wall or the floor fills the picture
+        if float(grey.std()) < 0.1 * float(level.grey.std()):
             return state, Command.rest(basis, BLANK)
         # Far from the goal most pixels differ, and those that differ most tell where it is: only
         # near it are they outliers.
         robust = self.robust if state.level == 0 else "none"
-        if (
-            state.level > 0 and self.light == "gain_offset"
-        ):  # at the finest level the light is fitted with the motion
-            spread = np.float32(
-                level.grey.std() / max(float(grey.std()), 1e-3)
-            )  # a picture without any structure is divided by the bound
+        # at the finest level the light is fitted with the motion
+        if state.level > 0 and self.light == "gain_offset":
+            # a picture without any structure is divided by the bound
+            spread = np.float32(level.grey.std() / max(float(grey.std()), 1e-3))
             grey = np.asarray((grey - grey.mean()) * spread + level.grey.mean(), np.float32)
         H, b, error_grey = level.normal(grey, self.interaction, robust, near)
         step = self._solved(
@@ -590,9 +585,8 @@ class Photometric(Law[PhotometricState]):
         if isinstance(depth, Constant):
             return np.full(level.x.shape, 1 / depth.depth_m, np.float32)
         if isinstance(depth, AtGoal):
-            nx, ny, nz = goal.normal / float(
-                goal.normal @ goal.middle
-            )  # 1/Z = n . (x, y, 1) / (n . p) of a plane through p
+            # 1/Z = n . (x, y, 1) / (n . p) of a plane through p
+            nx, ny, nz = goal.normal / float(goal.normal @ goal.middle)
             return np.maximum(nx * level.x + ny * level.y + nz, 0).astype(np.float32)
         return _inverse(goal.image, level, number)
 

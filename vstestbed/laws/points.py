@@ -71,6 +71,7 @@ def check_goal(feature: Feature, goal: Goal) -> None:
 
 # What a frame does not show, dead-reckoned from the last one by the motion of the camera relative
 # to the target.
+
 # time constant with which a marker that is not seen loses its weight against those that are seen
 TRUST_S = 0.04
 
@@ -152,6 +153,7 @@ def reckoned_markers(
 
 
 # A repulsive potential at the border of the image, for all image-based laws.
+
 # least distance to the border that enters the field, as a share of the margin: at 0 the potential
 # is infinite
 NEAREST = 0.2
@@ -225,9 +227,8 @@ class Visibility:
         radius = 0.0 if observation.radius_px is None else observation.radius_px[rows]
         distance, inwards = goal.camera.borders(observation.uv[rows])
         x = np.clip((distance - np.reshape(radius, (-1, 1))) / self.margin_px, NEAREST, 1.0)
-        speed = np.einsum(
-            "nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards
-        )  # the wanted image velocity (N, 2) [px/s]
+        # the wanted image velocity (N, 2) [px/s]
+        speed = np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)
         near = speed.any(axis=1)
         if not near.any():
             return nothing

@@ -78,15 +78,13 @@ def action_unit(limits: TwistLimits, basis: Array) -> Array:
     the limit of rate.
     """
     speed, rate = limits.speed_mps or 1.0, limits.rate_radps or 1.0
-    turns = (
-        np.abs(basis[3:]).max(axis=0) > 1e-9
-    )  # a turn of the base also moves the camera; a translation never turns it
+    # a turn of the base also moves the camera; a translation never turns it
+    turns = np.abs(basis[3:]).max(axis=0) > 1e-9
     return np.where(turns, rate, speed)
 
 
-Act = Callable[
-    [Mapping[str, NDArray[Any]]], Any
-]  # from what a policy sees to an action (n,) in [-1, 1]; None where it has none
+# from what a policy sees to an action (n,) in [-1, 1]; None where it has none
+Act = Callable[[Mapping[str, NDArray[Any]]], Any]
 ONNX_KINDS: dict[str, Any] = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
@@ -144,9 +142,8 @@ class Policy(Law[Act]):
             raise ParameterError.form(
                 "file", "FILE.py:NAME, such as my.py:act, or FILE.onnx", self.file
             )
-        object.__setattr__(
-            self, "file", absolute_file(self.file, Path.cwd())
-        )  # frozen; a run remembers where its policy is
+        # frozen; a run remembers where its policy is
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         _loaded(self.file, self._sees)
 
     @property
@@ -177,9 +174,8 @@ class Policy(Law[Act]):
         try:
             if inspect.isclass(made):
                 made = made()
-            elif not inspect.isroutine(made) and not self.file.endswith(
-                ".onnx"
-            ):  # it may have a state, whether it tells or not
+            elif not inspect.isroutine(made) and not self.file.endswith(".onnx"):
+                # it may have a state, whether it tells or not
                 made = copy.deepcopy(made)
             getattr(made, "reset", lambda: None)()
         except Exception as error:  # the code of others

@@ -64,9 +64,8 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 # Theory, pp. 181-191.
 
 
-Gains = tuple[
-    float, float, float
-]  # gains k_rho, k_alpha, k_beta of distance, bearing and heading at the goal [1/s]
+# gains k_rho, k_alpha, k_beta of distance, bearing and heading at the goal [1/s]
+Gains = tuple[float, float, float]
 
 
 def polar(place: Array, goal: Array, direction: Array) -> tuple[Array, Array, Array]:
@@ -221,9 +220,8 @@ class PoseController(Law[PoseState]):
         goal `there` (3,) [m, m, rad].
         """
         directions = {"auto": int(direction_to(place, there)), "forward": 1, "reverse": -1}
-        direction = (
-            state[0] or directions[self.direction]
-        )  # kept: a new choice near the goal could alternate
+        # kept: a new choice near the goal could alternate
+        direction = state[0] or directions[self.direction]
         rho, alpha, _ = polar(place, there, np.array(direction))
         # |alpha| > 90 degrees: the goal is no longer ahead in the driving direction.
         if state[1] or rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2):

@@ -320,9 +320,8 @@ class Predictive(Law[PlanState]):
         """The plan as one vector."""
         p, relinearise = points(seen)[rows], self.model == "global"
         ahead = predict(p, robot, self._block, plan, relinearise, target)
-        if not _in_front(
-            ahead.p, self.feature, goal
-        ):  # of a plan that flies through the target nothing can be predicted
+        # of a plan that flies through the target nothing can be predicted
+        if not _in_front(ahead.p, self.feature, goal):
             plan = np.zeros_like(plan)
             ahead = predict(p, robot, self._block, plan, relinearise, target)
             if not _in_front(ahead.p, self.feature, goal):
@@ -332,9 +331,8 @@ class Predictive(Law[PlanState]):
         low, high, too_quick = velocity_bounds(
             robot, self.joint_margin, self.damper_s, self.accelerations
         )
-        later = np.tile(
-            robot.speed, len(plan) - 1
-        )  # only speeds are bounded after the next command
+        # only speeds are bounded after the next command
+        later = np.tile(robot.speed, len(plan) - 1)
         low, high = np.concatenate([low, -later]), np.concatenate([high, later])
         trusted, shared = self._trusted(p, robot.period_s), shared_limits(robot, float(plan[0, 0]))
         # The camera's twist in each block, at the Jacobian with which it begins.

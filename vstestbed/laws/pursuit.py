@@ -92,10 +92,8 @@ class Pursuit(Law[PursuitState]):
             )
         x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
         gap = math.hypot(x, y)
-        dt, speed = (
-            observation.t - state.t,
-            0.0,
-        )  # the first frame has no difference: the leader is taken to stand, which is the safe side
+        # the first frame has no difference: the leader is taken to stand, which is the safe side
+        dt, speed = observation.t - state.t, 0.0
         if state.odometry is not None and dt > 0:
             measured = (gap - state.gap) / dt + float(
                 relative(state.odometry, way)[0]
@@ -105,8 +103,6 @@ class Pursuit(Law[PursuitState]):
             speed = state.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - state.speed)
         v = max(speed + self.gain * (gap - goal.gap_m), 0.0)
         u = np.zeros(basis.shape[1])
-        u[0], u[-1] = (
-            v,
-            v * 2 * y / max(gap, 1e-3) ** 2,
-        )  # the bound: at the target itself the curvature is infinite
+        # the bound: at the target itself the curvature is infinite
+        u[0], u[-1] = v, v * 2 * y / max(gap, 1e-3) ** 2
         return PursuitState(observation.t, gap, way, u, speed), self.limits.command(u, basis)

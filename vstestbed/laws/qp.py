@@ -206,9 +206,8 @@ def among_solutions(
     )
 
 
-SERVO = Registry(
-    "law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs"
-)  # laws whose motion a quadratic program may take
+# laws whose motion a quadratic program may take
+SERVO = Registry("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
 GIVE_WAY = ("singularity", "border", "plane", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; those of joint position and joint speed never
 do.
@@ -413,9 +412,8 @@ class QP(Law[ErrorState]):
             W = feature.interaction(*(getattr(seen, name)[rows] for name in feature.inputs))
         main = W @ robot.J
         A, b = added(main, W @ wanted, self.secondary, seen, goal, robot)
-        if (
-            n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0
-        ):  # as that of `resolved_rate`, by the weight of a twist
+        # as that of `resolved_rate`, by the weight of a twist
+        if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:
             A, b = (
                 np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)]),
                 np.concatenate([b, np.zeros(n)]),

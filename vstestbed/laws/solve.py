@@ -53,9 +53,8 @@ def least_squares(A: Array, b: Array) -> Array:
     m, n = A.shape
     if not (m and n):
         return np.zeros(n)  # LAPACK refuses empty matrices
-    right = (
-        b if m >= n else np.concatenate([b, np.zeros(n - m)])
-    )  # gelsy takes b of m rows and returns x of n rows in one array
+    # gelsy takes b of m rows and returns x of n rows in one array
+    right = b if m >= n else np.concatenate([b, np.zeros(n - m)])
     workspace = 32 * (n + 1)  # for blocks of 32 columns: ample for the six of a law
     _, x, *_ = load_lapack()(A, right[:, None], np.zeros((n, 1), np.int32), PINV_RCOND, workspace)
     return x[:n, 0]
@@ -74,13 +73,11 @@ def _many(A: Array, b: Array) -> Array:
         return np.asarray(
             np.einsum("mik,mk->ki", rows, _cholesky(rows, right.copy(), np.zeros(len(b))))
         )
-    columns = np.ascontiguousarray(
-        A.transpose(2, 1, 0)
-    )  # the problems last, where numpy's loops run
+    # the problems last, where numpy's loops run
+    columns = np.ascontiguousarray(A.transpose(2, 1, 0))
     x = np.einsum("imk,mk->ik", columns, right)
-    return _cholesky(
-        columns, x, 1e-12**2 * _dot(right, right)
-    ).T  # A^T b under this share of |A| |b| is rounding error of zero
+    # A^T b under this share of |A| |b| is rounding error of zero
+    return _cholesky(columns, x, 1e-12**2 * _dot(right, right)).T
 
 
 def _cholesky(columns: Array, x: Array, still2: Array) -> Array:
@@ -227,6 +224,5 @@ class Solve:
         return np.asarray(Vt[rank:].T, dtype=float)
 
 
-PSEUDO_INVERSE = (
-    Solve()
-)  # the default: no damping, a cutoff far below what features at a usual distance have
+# the default: no damping, a cutoff far below what features at a usual distance have
+PSEUDO_INVERSE = Solve()

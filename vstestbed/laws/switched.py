@@ -429,9 +429,8 @@ class Switched(Law[SwitchedState]):
         wanted = state.active
         if self.prefer == "first" or barred[wanted]:
             wanted = next((i for i, out in enumerate(barred) if not out), wanted)
-        if wanted == state.active or not (
-            first or t - state.since >= self.dwell_s - 1e-9
-        ):  # times are sums of floating-point numbers
+        # times are sums of floating-point numbers
+        if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):
             return state
         return replace(
             state, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=state.last

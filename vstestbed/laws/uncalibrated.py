@@ -137,13 +137,13 @@ class MotionSums(NamedTuple):
 
 # Excitation: each velocity of a robot in turn to one side, to the other and back, by which the
 # image Jacobian is measured.
+
 # the speed that is tried first [rad/s, goal's unit/s], or less where the limits ask for it: slow
 # for any robot and picture
 FIRST = 0.01
 RETURNED_PX = 2.0  # the way back is over at this distance from its start [px]
-OUT, OVER, BACK = range(
-    3
-)  # the legs of a velocity: to one side, over to the other (twice as long), and back
+# the legs of a velocity: to one side, over to the other (twice as long), and back
+OUT, OVER, BACK = range(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,9 +247,8 @@ class Excitation:
         """A frame with too few markers: back to where the velocity's turn began, by the robot's
         sensors; otherwise as `step`.
         """
-        uv = (
-            state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)
-        )  # of a target that moves: what comes next
+        # of a target that moves: what comes next
+        uv = state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)
         return self._ordered(replace(state, uv=uv, x=state.x + moved, leg=BACK), robot)
 
     def _pixels(self, state: Excited, uv: Array, n: int) -> float:
@@ -441,9 +440,8 @@ class Uncalibrated(Law[UncalibratedState]):
     gain: Gain = ConstantGain()
     estimator: Estimator = RecursiveLeastSquares()
     excitation: Excitation = Excitation()
-    solve: Solve = field(
-        default_factory=lambda: Solve(damping=0.01)
-    )  # made when it is needed: a start need not wait for it
+    # made when it is needed: a start need not wait for it
+    solve: Solve = field(default_factory=lambda: Solve(damping=0.01))
     step_px: PositivePixels = 3.0
     most_pxps: PositivePixels = 200.0
     trust_px: PositivePixels = 1000.0
@@ -528,9 +526,8 @@ class Uncalibrated(Law[UncalibratedState]):
                 50.0
             )
         most = float((scale * excited.units).max())
-        scale = np.maximum(
-            scale, 1e-3 * max(most, np.finfo(float).tiny) / excited.units
-        )  # of a velocity that hardly moves the markers
+        # of a velocity that hardly moves the markers
+        scale = np.maximum(scale, 1e-3 * max(most, np.finfo(float).tiny) / excited.units)
         P = np.repeat(np.eye(len(scale))[None] / self.step_px**2, len(uv), axis=0)
         return ImageJacobian(J / scale, P, scale, uv, np.zeros(len(scale)))
 

@@ -119,8 +119,8 @@ class LiveApp(Served):
             self._status.say(_sentence(error), refused=True)
             self._hand.show(set(self._gizmos))
             self._controls.show(self.run.settings.scenario)
-        # a plugin, or a bug: the page must stay, so that the rest can still be looked at
         except Exception as error:
+            # a plugin, or a bug: the page must stay, so that the rest can still be looked at
             logging.getLogger(__name__).warning(
                 "the live view went on after an error", exc_info=error
             )

@@ -73,9 +73,8 @@ class SceneView:
             tuple(middle.tolist()),
             fovy,
         )
-        view.up = (
-            (0.0, 0.0, 1.0) if scenario.robot.body else tuple((-T[:3, 1]).tolist())
-        )  # a free camera's room has no upright
+        # a free camera's room has no upright
+        view.up = (0.0, 0.0, 1.0) if scenario.robot.body else tuple((-T[:3, 1]).tolist())
         # the depth buffer must tell lines on the floor from the floor
         view.near = 0.02 * float(np.linalg.norm(middle - T[:3, 3]))
 
@@ -437,9 +436,8 @@ class LiveView:
             self.eye.remove()
             self.plots.remove()
         scenario, self._unit = self._scenario, first.unit
-        share = min(
-            1.0, WIDTH / scenario.camera.width
-        )  # the servo camera makes pictures as large as they are shown
+        # the servo camera makes pictures as large as they are shown
+        share = min(1.0, WIDTH / scenario.camera.width)
         self._replay = Replay(scenario.scene, shadows=False, share=share)
         self.scene = SceneView(self._server, scenario, self._replay, first)
         with self._tab:

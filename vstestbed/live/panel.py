@@ -192,9 +192,8 @@ class Controls:
                     if field.control == "slider"
                     else field.value
                 )
-                if not self._waits(
-                    field.path
-                ):  # a slider that is still being drawn must not jump back
+                # a slider that is still being drawn must not jump back
+                if not self._waits(field.path):
                     handle.value = value
         else:
             self._rebuild(list(fields.values()))
@@ -217,9 +216,8 @@ class Controls:
         gui, hint = self._gui, f"--set {field.path}=..."
         handle: Any
         if field.control == "choice":
-            label = (
-                f"{field.label}.kind" if field.path == "law.gain" else field.label
-            )  # whose number has a slider
+            # whose number has a slider
+            label = f"{field.label}.kind" if field.path == "law.gain" else field.label
             handle = gui.add_dropdown(label, field.choices, initial_value=field.value, hint=hint)
         elif field.control == "switch":
             handle = gui.add_checkbox(field.label, field.value, hint=hint)
@@ -357,11 +355,8 @@ class HandPanel:
         self, gui: viser.GuiApi, inbox: Inbox, run: LiveRun, gizmo: Callable[[str, bool], None]
     ):
         with gui.add_folder("by hand", expand_by_default=False):
-            well = (
-                0.0,
-                round(run.session.weight_n / 2, 1),
-                0.0,
-            )  # moves the robot, and breaks nothing
+            # moves the robot, and breaks nothing
+            well = 0.0, round(run.session.weight_n / 2, 1), 0.0
             force = gui.add_vector3(
                 "force [N]", well, hint=f"along world axes, for {PUSH_S:g} s at the flange"
             )
@@ -398,9 +393,8 @@ class HandPanel:
 def on_change(control: Any, act: Callable[[Any], None]) -> None:
     """Call `act` with the value of a control when a page has set it."""
 
-    async def changed(
-        event: viser.GuiEvent[Any],
-    ) -> None:  # async: run at once and in order, not in a pool of threads
+    async def changed(event: viser.GuiEvent[Any]) -> None:
+        # async: run at once and in order, not in a pool of threads
         if event.client is not None:
             act(event.target.value)
 

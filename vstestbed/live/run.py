@@ -85,9 +85,8 @@ class Settings:
             seed = value
         else:
             block, _, item = path.rpartition(".")
-            if (
-                block == DISTORTION and item.isdecimal()
-            ):  # all coefficients at once: a lens without distortion has no list to change
+            # all coefficients at once: a lens without distortion has no list to change
+            if block == DISTORTION and item.isdecimal():
                 now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
                 path, value = block, [value if i == int(item) else k for i, k in enumerate(now)]
             # what was set inside the old value, or round it, is gone; the last setting is applied
@@ -108,9 +107,8 @@ class Settings:
             raise ScenarioError(
                 [Mistake("page", path, "can be given on the command line alone (--plugin)")]
             )
-        found = absolute_files({path: value}, Path.cwd())[
-            path
-        ]  # as the scenario has the names of files
+        # as the scenario has the names of files
+        found = absolute_files({path: value}, Path.cwd())[path]
         block = path.rpartition(".")[2]
         for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
             known = self._given | (
@@ -359,9 +357,8 @@ class LiveRun:
         """Begin again, with the settings in force. A run that cannot begin leaves the one before as
         it is.
         """
-        edge = max(
-            0.06, 5.0 * self.scenario.target.marker.radius
-        )  # of the plate in reserve [m]: it hides one marker
+        # of the plate in reserve [m]: it hides one marker
+        edge = max(0.06, 5.0 * self.scenario.target.marker.radius)
         session = Session(self.scenario, pictures=True, plate_m=edge)
         frame = session.reset()
         if self.restarts:
@@ -401,9 +398,8 @@ class LiveRun:
             if now == was:
                 return False
             if not self.ended and replace(now, law=was.law) == was:
-                with contextlib.suppress(
-                    ParameterError
-                ):  # of another kind or feature: its state begins anew
+                # of another kind or feature: its state begins anew
+                with contextlib.suppress(ParameterError):
                     self.session.retune(now.law)
                     return False
             self.restart()

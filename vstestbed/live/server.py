@@ -32,12 +32,10 @@ another one.
 """
 _log = logging.getLogger(__name__)
 _web_log = logging.getLogger(f"{__name__}.web")
-_web_log.setLevel(
-    logging.WARNING
-)  # below, websockets logs whole requests, and with them the secret
-_web_log.addFilter(
-    lambda record: record.getMessage() != "opening handshake failed"
-)  # of what is no request: it has had its answer
+# below, websockets logs whole requests, and with them the secret
+_web_log.setLevel(logging.WARNING)
+# of what is no request: it has had its answer
+_web_log.addFilter(lambda record: record.getMessage() != "opening handshake failed")
 _opening = threading.Lock()
 
 
@@ -130,14 +128,11 @@ class LocalServer(viser.ViserServer):
     def __init__(self, port: int | None, label: str):
         if port is not None:
             _must_be_free(port)
-        warnings.filterwarnings(
-            "error", r"(?s)\[viser\].* does not match annotation", UserWarning
-        )  # else of a malformed message
+        # else of a malformed message
+        warnings.filterwarnings("error", r"(?s)\[viser\].* does not match annotation", UserWarning)
         gate = Gate()
-        with (
-            contextlib.redirect_stdout(io.StringIO()),
-            gate.before_next_server(),
-        ):  # its own table of addresses
+        # its own table of addresses
+        with contextlib.redirect_stdout(io.StringIO()), gate.before_next_server():
             super().__init__(host=HOST, port=port or 0, label=label, verbose=False)
         if not gate.stands:
             self.stop()
@@ -189,9 +184,8 @@ def _tell_failed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> No
 def _must_be_free(port: int) -> None:
     """Refuse a port at which something listens; viser would take the next one without a word."""
     with socket.socket() as probe:
-        probe.setsockopt(
-            socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
-        )  # one that was closed a moment ago is free
+        # one that was closed a moment ago is free
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((HOST, port))
         except OSError as error:

@@ -22,14 +22,11 @@ from vstestbed.tasks.metrics import TWIST
 
 PER_MARKER = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-LOSS = (
-    "limit",
-    "turned_rad",
-)  # which limit of the robot changed the command; only of runs in which one did
+# which limit of the robot changed the command; only of runs in which one did
+LOSS = ("limit", "turned_rad")
 WORDS = tuple(LIMITS)  # of `limit`, by its number
-Kept = Mapping[
-    str, Any
-]  # the numbers and arrays of a frame that enter the log, by name; no picture
+# the numbers and arrays of a frame that enter the log, by name; no picture
+Kept = Mapping[str, Any]
 Stacked = Mapping[str, Array]  # the same for n frames, stacked along the first axis
 Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
 

@@ -78,9 +78,8 @@ class GuardedLaw:
             modules = [str(frame.f_globals.get("__name__")) for frame, _ in frames]
             # with an `@`: as `load_file` names them
             ours = [name == type(self._law).__module__ or "@" in name for name in modules]
-            written = [
-                not frame.f_code.co_filename.startswith("<string>") for frame, _ in frames
-            ]  # what dataclasses generate has no line
+            # what dataclasses generate has no line
+            written = [not frame.f_code.co_filename.startswith("<string>") for frame, _ in frames]
             own = [
                 at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there
             ]
@@ -410,9 +409,8 @@ class Controller:
                 # Not the cycle's own order: since then, silence may have stopped the robot.
                 return replace(self._cycle, order=self._in_force(), notes=notes)
             at = t + self.scenario.camera.latency_s if arrived is None else seconds(arrived)
-            came_again = (
-                self._given is not None and t <= self._given[0]
-            )  # after an error: it is as old as it was
+            # after an error: it is as old as it was
+            came_again = self._given is not None and t <= self._given[0]
             if not came_again:
                 self._given = t, self._own.s()
             assert self._given is not None
@@ -700,9 +698,8 @@ class Controller:
         detection = self._perception.detect(shot)
         twist, own = STILL, None
         measured = observer.uses_motion(detection)
-        if period > 0 and (
-            measured or observer.needs_pose
-        ):  # the mean of the twists commanded since the last exposure
+        # the mean of the twists commanded since the last exposure
+        if period > 0 and (measured or observer.needs_pose):
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / period
         if measured:
             twist = s.robot.measured_twist(
@@ -755,17 +752,15 @@ class Controller:
             for share, free in command.free:
                 twist = twist + share * robot.secondary_task(free, reading, mount)
         period = self.scenario.camera.period
-        rates = (
-            command.rates if twist is command.twist else None
-        )  # a secondary task changes the twist alone
+        # a secondary task changes the twist alone
+        rates = command.rates if twist is command.twist else None
         if rates is not None and isinstance(robot, Arm):
             allocation = robot.allocate_rates(rates, reading, mount, period)
         else:
             made = twist if rates is None else robot.motion_basis(mount, reading.q) @ rates
             allocation = robot.allocate(made, reading, mount, period)
-        allocation = allocation.told(
-            twist
-        )  # also of rates that make another one than their law says
+        # also of rates that make another one than their law says
+        allocation = allocation.told(twist)
         if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
             allocation = robot.pressed(allocation, command.wrench, mount)
         elif command.wrench is not None:
@@ -801,9 +796,10 @@ class Controller:
         made = self.supervisor.filter(t + self._sight.behind_s, blind, reading, order, basis, moved)
         self._taken_over = made is not order
         if made.stop == "stop" and self._order is not None:
+            # no -0
             made = made._replace(
                 setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0
-            )  # no -0
+            )
         return made
 
     def without_picture(self, t: float, reading: Reading) -> Order:

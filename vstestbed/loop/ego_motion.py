@@ -64,9 +64,8 @@ class CommandHistory:
             )
             return
         after = t - since
-        slope = (
-            before.slope(after) if before.duration else before.start
-        )  # of a command that is held it stays zero
+        # of a command that is held it stays zero
+        slope = before.slope(after) if before.duration else before.start
         self._commands.append(
             (
                 t,

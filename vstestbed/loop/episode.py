@@ -132,9 +132,9 @@ class Episode:
             if self._waits:
                 self._send(command)
             return next(self._frames, None)
-        # whatever a law, a watcher or Ctrl-C raises: the plant holds an OpenGL context, which the
-        # next run needs
         except BaseException:
+            # whatever a law, a watcher or Ctrl-C raises: the plant holds an OpenGL context, which
+            # the next run needs
             self.close()
             raise
         finally:
@@ -287,9 +287,8 @@ class Episode:
                 plant.apply(order.setpoint, order.stop)
                 if verdict := self._termination.without_picture(step * plant.step_s, plant.truth()):
                     return self._end(verdict, step * plant.step_s)
-                if (
-                    controller.supervisor.aborted
-                ):  # orders still on their way must not set a robot that stops in motion again
+                # orders still on their way must not set a robot that stops in motion again
+                if controller.supervisor.aborted:
                     commands.clear()
                 silent_at = step + plant.steps_per_frame
             # After the pictures: without latency, a command takes effect in the step in which its
@@ -317,9 +316,8 @@ class Episode:
         camera.act(step, perception.regions_of_interest)
         for shot, truth in camera.line.pop_due(step):
             given, _ = camera.received(shot, step)
-            if (
-                perception.before is not None and given.t <= perception.before.t
-            ):  # overtaken, by the stamps, which are all that a robot has
+            # overtaken, by the stamps, which are all that a robot has
+            if perception.before is not None and given.t <= perception.before.t:
                 continue
             self.controller.see(name, given)
             self._last_of[name] = shot, truth
@@ -407,9 +405,8 @@ class Episode:
         frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth, cameras=records)
         values = self._task.measure(frame)
         if self._robot_log.columns == RobotLog.columns:
-            of_robot: Iterable[float] = (
-                self.controller.supervisor.mode,
-            )  # the state, a tenth of an ideal frame, is not needed
+            # the state, a tenth of an ideal frame, is not needed
+            of_robot: Iterable[float] = (self.controller.supervisor.mode,)
         else:
             place, odometry = (
                 _NOWHERE if known is None else known

@@ -322,9 +322,8 @@ class OwnClock:
         now = self._clock()
         passed = UNKNOWN_S
         if math.isfinite(now):
-            passed = min(
-                UNKNOWN_S, now - self._last
-            )  # UNKNOWN_S also after a beginning that is NaN
+            # UNKNOWN_S also after a beginning that is NaN
+            passed = min(UNKNOWN_S, now - self._last)
             self._last = now
         if not self._stands:
             self._sum += max(passed, 0.0)

@@ -56,14 +56,8 @@ ARITHMETIC = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "MKL_CBWR"
 """What chooses the kernels of linear algebra: with others the child rounds otherwise than the
 loop's process.
 """
-INHERITED = (
-    "PATH",
-    "PYTHONPATH",
-    "LD_LIBRARY_PATH",
-    "LANG",
-    "SYSTEMROOT",
-    *ARITHMETIC,
-)  # of the environment
+# of the environment
+INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT", *ARITHMETIC
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -183,9 +177,8 @@ class Child:
             if not refused:
                 return of(said)
             name, problem = map(str, said)
-        except (
-            Exception
-        ) as error:  # a process that is gone, and whatever a forged answer brings about
+        except Exception as error:
+            # a process that is gone, and whatever a forged answer brings about
             self.close()
             Child.lost += 1
             why = (
@@ -258,9 +251,8 @@ class Child:
                 os.killpg(self._process.pid, signal.SIGKILL)
             else:
                 self._process.kill()
-        with suppress(
-            subprocess.TimeoutExpired
-        ):  # one that a process of another session traces is not gone before that one lets it
+        # one that a process of another session traces is not gone before that one lets it
+        with suppress(subprocess.TimeoutExpired):
             self._process.wait(GONE_S)
         self._channel.close()
         with self._printed as printed:

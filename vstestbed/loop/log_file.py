@@ -148,9 +148,8 @@ def _shown(columns: tuple[str, ...], table: Array) -> Log:
 
 def finish(folder: Path, log: Log) -> None:
     """Replace `log.part` by `log.parquet`, which appears whole or not at all."""
-    written = (
-        io.BytesIO()
-    )  # not polars into the file, which drops the reason why a file could not be written
+    # not polars into the file, which drops the reason why a file could not be written
+    written = io.BytesIO()
     log.frame().write_parquet(
         written, compression="zstd", statistics=False, row_group_size=ROW_GROUP
     )

@@ -60,9 +60,8 @@ def _time_to_converge(scenario: Scenario, log: Log) -> float | None:
         log[name] if reached.by_estimate else none
         for name in ("est_position_m", "est_rotation_rad")
     ]
-    error = log.get(
-        "level_error_px", log["error_px"]
-    )  # of a craft that tilts, the error that decides its task
+    # of a craft that tilts, the error that decides its task
+    error = log.get("level_error_px", log["error_px"])
     rows = zip(
         np.broadcast_to(whole, len(none)),
         error,
@@ -265,9 +264,8 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
         for name in (*FIGURES[before:], *SOME_FIGURES, "law_mode_share")
         if name in figures
     }
-    figures = (
-        ordered | own_figures(scenario.metrics, log, scenario.setup)
-    ).items()  # NaN and infinity as None: JSON has neither
+    # NaN and infinity as None: JSON has neither
+    figures = (ordered | own_figures(scenario.metrics, log, scenario.setup)).items()
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in figures

@@ -26,9 +26,8 @@ from vstestbed.vision.observe import CameraPixels
 
 # an observation older than so many periods of its camera, and its latency, tells nothing of now
 FRESH_PERIODS = 2.5
-STILL = np.zeros(
-    6
-)  # the twist of a camera whose motion nothing reads; read-only, since all frames share it
+# the twist of a camera whose motion nothing reads; read-only, since all frames share it
+STILL = np.zeros(6)
 STILL.flags.writeable = False
 
 

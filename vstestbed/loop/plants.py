@@ -179,9 +179,8 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
     warn_without_effect(scenario)
     scenery, chroma = scenario.world.scenery, getattr(scenario.detector, "chroma", None)
     if scenery is not None and chroma is not None:
-        from vstestbed.sim.scene.scenery import (
-            warn_of_colours,
-        )  # here: MuJoCo is imported where there is any
+        # here: MuJoCo is imported where there is any
+        from vstestbed.sim.scene.scenery import warn_of_colours
 
         warn_of_colours(scenery.file, scenario.detector.kind, chroma)
     return build_plant(

@@ -216,9 +216,8 @@ LARGEST = 2**63  # whole numbers from here on fit no table
 Scalar = bool | int | float | str | None
 
 _STRICT = ConfigDict(strict=True)
-_OPEN = TypeAdapter(
-    dict[str, Scalar | dict[str, Scalar]], config=_STRICT
-)  # any other name holds a scalar, or a block of scalars
+# any other name holds a scalar, or a block of scalars
+_OPEN = TypeAdapter(dict[str, Scalar | dict[str, Scalar]], config=_STRICT)
 _NUMBERS: dict[str, Any] = dict.fromkeys(
     (*FIGURES, *SOME_FIGURES, "wall_time_s", "real_time_factor"), (float | None, None)
 )
@@ -245,10 +244,8 @@ def read_summary(folder: Path, works: str) -> dict[str, Any]:
     try:
         summary = _Summary.model_validate_json(content)
         _OPEN.validate_json(content)
-        found, outcome = (
-            json.loads(content),
-            str(getattr(summary, "outcome", "")),
-        )  # numbers as they are written: a whole one stays whole
+        # numbers as they are written: a whole one stays whole
+        found, outcome = json.loads(content), str(getattr(summary, "outcome", ""))
         values = [
             item
             for block in (found, *found.values())

@@ -75,6 +75,7 @@ class RowViews:
 
 # Time stamps in a run: by them the controller knows when a picture was taken, and which of the
 # robot's readings belongs to it.
+
 # time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry
 # report their joints
 READING_S = 0.002
@@ -134,9 +135,8 @@ class Stamps:
         return self._readings[i]
 
 
-Exposed = tuple[
-    Exposure, Truth
-]  # a picture in transit to the controller, and the truth at its exposure, which stays behind
+# a picture in transit to the controller, and the truth at its exposure, which stays behind
+Exposed = tuple[Exposure, Truth]
 
 
 class CameraClock:
@@ -211,9 +211,8 @@ class CameraClock:
             if planned.weights == (1.0,):
                 picture, truth = self.plant.capture(self.regions)
                 if picture is not None and planned.arrives > step:
-                    picture = (
-                        picture.copy()
-                    )  # the next picture overwrites the renderer's buffer before this one arrives
+                    # the next picture overwrites the renderer's buffer before this one arrives
+                    picture = picture.copy()
                 self._send(planned, picture, self._shot(step, truth))
             else:
                 self._expose(planned, step)
@@ -228,9 +227,8 @@ class CameraClock:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves
         # a marker's centre there.
         is_middle = step >= planned.middle and self.middle is None
-        rolls = (
-            self._row_views is not None
-        )  # an oracle behind a rolling shutter needs the truth of each image
+        # an oracle behind a rolling shutter needs the truth of each image
+        rolls = self._row_views is not None
         truth = self.plant.truth() if is_middle or rolls else None
         if self._row_views is not None and truth is not None:
             self._row_views.add(TruthView(truth.p_camera, truth.hidden))

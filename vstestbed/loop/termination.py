@@ -150,9 +150,8 @@ class LostMarkers:
         if name or truth.hidden[i] or target.hides(T_target_camera)[i]:
             return HIDDEN, "hidden" + (f" by {name}" if name else ""), t, math.nan
         u, v = (uv - uv.mean(axis=0)).T
-        radius = math.sqrt(
-            abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / (2 * math.pi)
-        )  # of a circle of its area
+        # of a circle of its area
+        radius = math.sqrt(abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / (2 * math.pi))
         if self._least_area_px is not None and radius**2 * math.pi < SMALL * self._least_area_px:
             least = math.sqrt(self._least_area_px / math.pi)
             kind = self._scenario.detector.kind

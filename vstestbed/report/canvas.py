@@ -104,9 +104,8 @@ def chart_figure(chart: Chart) -> Figure:
     """A run's chart (`chart`) as a matplotlib figure."""
     with style():
         entries = chart.legend()
-        columns = max(
-            1, min(len(entries), 90 // (max(map(len, entries), default=1) + 7))
-        )  # as many as the longest leaves room for
+        # as many as the longest leaves room for
+        columns = max(1, min(len(entries), 90 // (max(map(len, entries), default=1) + 7)))
         figure = new_figure(chart.height / 72 + 0.2 * -(-len(entries) // columns))
         shares = [panel.share for panel in chart.panels]
         grid = figure.subplots(
@@ -254,9 +253,8 @@ def plain(name: str) -> str:
     """A name for matplotlib: no mathtext, no leading underscore, which a legend would hide; control
     characters as Python escapes them.
     """
-    printable = "".join(
-        c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name
-    )  # no font has them, XML does not allow them
+    # no font has them, XML does not allow them
+    printable = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name)
     return printable.replace("$", r"\$").lstrip("_") or "(unnamed)"
 
 

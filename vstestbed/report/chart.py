@@ -75,18 +75,10 @@ def _power(value: float) -> str:
 
 Pair = tuple[float, float]
 POINT = 10  # Steps of a coordinate per point (1/72 in): all coordinates of curves are whole numbers
-LEFT, RIGHT, BOTTOM, TOP, GAP = (
-    64.0,
-    13.0,
-    32.0,
-    10.0,
-    13.0,
-)  # Margins around the panels and between two of them [pt]
-DASHES = {
-    "-": (),
-    ":": (1.0, 1.65),
-    "--": (3.7, 1.6),
-}  # Lengths of dashes and gaps, in widths of the line
+# Margins around the panels and between two of them [pt]
+LEFT, RIGHT, BOTTOM, TOP, GAP = 64.0, 13.0, 32.0, 10.0, 13.0
+# Lengths of dashes and gaps, in widths of the line
+DASHES = {"-": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}
 MARKS = {
     "o": "m{0} 0a{1} {1} 0 1 0 {2} 0a{1} {1} 0 1 0 {3} 0",
     "x": "m{0} {0}l{2} {2}m0 {3}l{3} {2}",

@@ -15,11 +15,8 @@ light and dark (`paint`).
 """
 LOST: Final = "#d03040"
 GOAL: Final = "#0a8f6a"
-AXIS_COLORS: Final = (
-    "#d55e00",
-    "#009e73",
-    "#0080d0",
-)  # x, y, z; distinct to colour-blind readers (Okabe & Ito 2008, blue lightened)
+# x, y, z; distinct to colour-blind readers (Okabe & Ito 2008, blue lightened)
+AXIS_COLORS: Final = ("#d55e00", "#009e73", "#0080d0")
 LINE_COLORS: Final = (
     "#0080d0",
     "#d55e00",
@@ -35,10 +32,8 @@ WIDTH_IN: Final = 5.2  # Width of a figure in one of the page's two columns [in]
 
 # Looks have matplotlib's names, which `chart.Curve` has, too.
 Look = dict[str, Any]
-BAND: Final[Look] = {
-    "linewidth": 4.0,
-    "alpha": 0.28,
-}  # true values: where the measured ones agree, their line lies in the band
+# true values: where the measured ones agree, their line lies in the band
+BAND: Final[Look] = {"linewidth": 4.0, "alpha": 0.28}
 LINE: Final[Look] = {"linewidth": 1.0}  # measured or commanded values
 START: Final[Look] = {"marker": "o", "markersize": 5, "linestyle": "none"}
 END: Final[Look] = {"marker": "x", "markersize": 6, "linewidth": 1.6, "linestyle": "none"}
@@ -84,9 +79,8 @@ def _at_luminance(rgb: tuple[float, float, float], target: float) -> list[float]
     """The colour darkened, or mixed with white, to a relative luminance (its contrast with white is
     1.05 / (target + 0.05)).
     """
-    linear = [
-        c**2.2 for c in rgb
-    ]  # gamma of sRGB, nearly; below: its luminance weights (ITU-R BT.709)
+    # gamma of sRGB, nearly; below: its luminance weights (ITU-R BT.709)
+    linear = [c**2.2 for c in rgb]
     luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
     white = max(0.0, (target - luminance) / (1 - luminance))
     linear = [c + (1 - c) * white if white else c * target / luminance for c in linear]

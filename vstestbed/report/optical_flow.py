@@ -149,9 +149,8 @@ def draw_sphere(depth: float = 1.0) -> Figure:
     figure.set_layout_engine("none")
     for i, (rate, motion) in enumerate(zip(rates, MOTIONS, strict=True)):
         place = (i % 3 / 3, (0.1 if i >= 3 else 3.1) / 6.7, 1 / 3, 3.0 / 6.7)  # 3 in by 3 in each
-        axes: Any = figure.add_axes(
-            place, projection="3d"
-        )  # Any: matplotlib's stubs have only 2-D axes
+        # Any: matplotlib's stubs have only 2-D axes
+        axes: Any = figure.add_axes(place, projection="3d")
         axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
         axes.set_box_aspect((1, 1, 1), zoom=1.36)
         axes.view_init(elev=24, azim=52)
@@ -164,9 +163,8 @@ def draw_sphere(depth: float = 1.0) -> Figure:
             color=INK,
             linewidth=1.1,
         )
-        near = (
-            ray @ space.towards_viewer(axes) > 0.08
-        )  # cosine of the angle to the viewer: without the rays next to the outline
+        # cosine of the angle to the viewer: without the rays next to the outline
+        near = ray @ space.towards_viewer(axes) > 0.08
         arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
         axes.quiver(
             *space.drawn(ray[near]),

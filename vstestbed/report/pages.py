@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 # significantly, and small lines below it.
 Cell = tuple[float | str | None, str, bool, list[str]]
 NO_CELL: Final[Cell] = (None, "–", False, [])
-Film = tuple[
-    str, str, str
-]  # Title, source, and the name of the file beside the page, "" of an embedded one
+# Title, source, and the name of the file beside the page, "" of an embedded one
+Film = tuple[str, str, str]
 
 
 def write_page(folder: Path, template: str, heading: str, **content: Any) -> Path:

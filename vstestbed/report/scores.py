@@ -102,9 +102,8 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
     laws = runs["law"].unique(maintain_order=True).to_list()
     reached, values = _by_start(runs, "success", laws), _by_start(runs, "value", laws)
     flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
-    values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[
-        :, flown
-    ]  # one that crashed counts as the worst
+    # one that crashed counts as the worst
+    values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]
     means, n = values.mean(axis=1), values.shape[1]
     ranks, first, behind = rankdata(means), int(np.argmin(means)), differences(values)
     beaten = [pair for pair, one in behind.items() if _beyond_chance(one)]
@@ -181,15 +180,13 @@ def _standings(flown: Mapping[str, Sequence[Array]]) -> list[Standing]:
     from scipy.stats import rankdata
 
     rng, tail = np.random.default_rng(0), 50 * (1 - CONFIDENCE)
-    tasks = [
-        np.array(values) for values in zip(*flown.values(), strict=True)
-    ]  # each (laws, starts)
+    # each (laws, starts)
+    tasks = [np.array(values) for values in zip(*flown.values(), strict=True)]
     mean = np.mean([rankdata(values.mean(axis=1)) for values in tasks], axis=0)
     resampled = []
     for values in tasks:
-        starts = rng.integers(
-            0, values.shape[1], (RESAMPLES, values.shape[1])
-        )  # the same for all laws
+        # the same for all laws
+        starts = rng.integers(0, values.shape[1], (RESAMPLES, values.shape[1]))
         resampled.append(rankdata(values[:, starts].mean(axis=2), axis=0).T)
     ranks = np.array(resampled)  # (tasks, RESAMPLES, laws)
     which = rng.integers(0, len(tasks), (RESAMPLES, len(tasks)))

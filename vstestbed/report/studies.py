@@ -41,15 +41,12 @@ reserved for the converged.
 """
 OTHER: Final = "#000000"
 """Colour of any other outcome."""
-SOON, LATE = (
-    np.array([0.86, 0.94, 1.0]),
-    np.array([0.02, 0.22, 0.42]),
-)  # Blues (r, g, b) of the earliest and the latest starts to converge
+# Blues (r, g, b) of the earliest and the latest starts to converge
+SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])
 PANEL_IN, BASIN_COLUMNS = 2.0, 5
 
-BasinMap = tuple[
-    str, Array, Array
-]  # Law, outcome of each start by name, time to converge [s] (NaN if it did not), both (n_y, n_x)
+# Law, outcome of each start by name, time to converge [s] (NaN if it did not), both (n_y, n_x)
+BasinMap = tuple[str, Array, Array]
 
 
 def colours(one: BasinMap, soonest: float, latest: float) -> Array:
@@ -466,9 +463,8 @@ class TrialRow:
         return self.reached == self.runs > 0 and math.isfinite(self.mean)
 
 
-ParameterAxis = tuple[
-    str, tuple[str, ...], bool
-]  # Path of a parameter, its words, and whether equal factors are equally far apart
+# Path of a parameter, its words, and whether equal factors are equally far apart
+ParameterAxis = tuple[str, tuple[str, ...], bool]
 
 
 @dataclass(frozen=True)
@@ -497,9 +493,10 @@ def slices(found: TuningPage, width_in: float) -> Figure:
     grid = panels(drawn, len(found.axes), min(TUNING_COLUMNS, len(found.axes)), sharey=True)
     for i, (axes, (path, words, log)) in enumerate(zip(grid, found.axes, strict=True)):
         values = (trial.values[i] for trial in found.trials)
+        # words at 0, 1, 2, ...
         _points(
             axes, found, [words.index(str(value)) if words else float(value) for value in values]
-        )  # words at 0, 1, 2, ...
+        )
         axes.set_xlabel(path)
         if words:
             axes.set_xticks(

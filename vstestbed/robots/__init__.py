@@ -28,10 +28,8 @@ ROBOTS = Registry(
     Quadrotor,
     contract=Contract(Robot, base=Robot),
 )
-VEHICLES: Mapping[str, Callable[[], Vehicle]] = {
-    "omni": Omni,
-    "car": Car,
-}  # Robots that can carry a target along a route (`Carried.by`)
+# Robots that can carry a target along a route (`Carried.by`)
+VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}
 
 __all__ = [
     "ROBOTS",

@@ -160,9 +160,8 @@ def joints_at(
             return q
         step = _step(J, log(inverse(T) @ T_world_flange), q, limits, unit_m)
         if len(q) > 6:
-            free = inward(q) * min(
-                1.0, away_rad + away_m / unit_m
-            )  # it fades: with the damped inverse it moves the flange a little
+            # it fades: with the damped inverse it moves the flange a little
+            free = inward(q) * min(1.0, away_rad + away_m / unit_m)
             step = step + free - resolved_rate(J, J @ free, unit_m)
         # By .3 rad or m at most: within it the Jacobian is a fair guess.
         q = np.clip(q + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12)), *limits.T)
@@ -188,9 +187,8 @@ def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Arr
     return step
 
 
-LIMIT_MARGIN = math.radians(
-    1.0
-)  # distance from its hard stop at which a joint comes to rest [rad; m for one that slides]
+# distance from its hard stop at which a joint comes to rest [rad; m for one that slides]
+LIMIT_MARGIN = math.radians(1.0)
 # velocity damper: near its limit a joint may approach no faster than to reach the margin in this
 # time [s]
 LIMIT_HORIZON_S = 0.25
@@ -609,9 +607,8 @@ class Arm(Realistic):
         q = joints_at(
             self.kinematics, T_world_flange, near, inside, self.unit_m, self._away_from_limits
         )
-        return np.radians(
-            np.round(np.degrees(q), 4)
-        )  # 1.7 um at a metre: machines whose last digits differ begin alike
+        # 1.7 um at a metre: machines whose last digits differ begin alike
+        return np.radians(np.round(np.degrees(q), 4))
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """All six degrees of freedom, also near singularities, where `allocate` damps; of fewer
@@ -684,9 +681,8 @@ class Arm(Realistic):
         origin, in the camera's frame [N, Nm].
         """
         assert isinstance(self.controller, Impedance)  # it `takes_wrench`
-        there = (
-            adjoint(inverse(mount.T_flange_camera) @ self.controller.at.T).T @ wrench
-        )  # of the same power in the impedance's frame
+        # of the same power in the impedance's frame
+        there = adjoint(inverse(mount.T_flange_camera) @ self.controller.at.T).T @ wrench
         return replace(allocation, setpoint=np.append(allocation.setpoint[:-WRENCH], there))
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
@@ -715,9 +711,8 @@ class Arm(Realistic):
         joint's range, else 0.
         """
         limits = self.chain.limits
-        with np.errstate(
-            invalid="ignore"
-        ):  # a joint that turns without end has no middle: nan, where it is always inside
+        # a joint that turns without end has no middle: nan, where it is always inside
+        with np.errstate(invalid="ignore"):
             low, high = (
                 limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1)
             )

@@ -258,9 +258,8 @@ class Robot:
     abstract methods.
     """
 
-    __dataclass_fields__: ClassVar[
-        dict[str, Any]
-    ]  # it is a @spec: `dataclasses.replace` makes variants of it
+    # it is a @spec: `dataclasses.replace` makes variants of it
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     kind: Any  # Its word in a scenario, a field of each robot
     # The start block: `nominal`, and `random` (None without one) from which starts are drawn
@@ -275,9 +274,8 @@ class Robot:
     onboard: ClassVar[Onboard | None] = (
         None  # Its onboard controller; None where the setpoint is the actuators' controls
     )
-    acting: ClassVar[
-        tuple[Effect, ...]
-    ] = ()  # Its imperfections, in the order in which they change its model and act
+    # Its imperfections, in the order in which they change its model and act
+    acting: ClassVar[tuple[Effect, ...]] = ()
     draws: ClassVar[bool] = (
         # Whether the scenario's seed makes a difference to its body or its sensors, besides the
         # start

@@ -177,13 +177,8 @@ MOST_WHEEL_RAD = 1.25  # how far a front wheel can turn under the deck [rad]
 # Polynomial from the steering angle to the left crank in models/car.xml, for track / (2
 # wheelbase) = .3.
 CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
-WHEEL = (
-    0.0,
-    1.00072,
-    -0.12503,
-    -0.04148,
-    0.01279,
-)  # polynomial from the left crank to the left front wheel there
+# polynomial from the left crank to the left front wheel there
+WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279
 
 
 @spec
@@ -217,9 +212,8 @@ class CarParameters:
             raise ParameterError.bound(
                 "wheelbase_m", "at least", words, L, why="front and rear wheels would meet"
             )
-        height = 0.264 + 1.8 * (
-            r - 0.15
-        )  # of the centre of mass over the floor: four fifths of the mass are sprung
+        # of the centre of mass over the floor: four fifths of the mass are sprung
+        height = 0.264 + 1.8 * (r - 0.15)
         least = max(2 * r, 2 * GRIP * height)
         if track < least:
             why = "a narrower car tips in a bend before its tyres slide"
@@ -244,12 +238,8 @@ class CarParameters:
         at the radius.
         """
         whole = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m
-        shares = (
-            0.2044,
-            0.2044,
-            0.2956,
-            0.2956,
-        )  # of the sprung four fifths .386 are on the front axle
+        # of the sprung four fifths .386 are on the front axle
+        shares = 0.2044, 0.2044, 0.2956, 0.2956
         return tuple(
             (put, "joint", name, "frictionloss", whole * share)
             for name, share in zip(WHEELS, shares, strict=True)
@@ -292,10 +282,8 @@ class CarParameters:
             (put, "actuator", "drive", "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
         ]
         crank, wheel = ackermann(self.slant)
-        for side, sign in (
-            ("left", 1.0),
-            ("right", -1.0),
-        ):  # the right side is the left's mirror image, -q(-p(-d))
+        # the right side is the left's mirror image, -q(-p(-d))
+        for side, sign in (("left", 1.0), ("right", -1.0)):
             mirrored = [
                 tuple(c * sign ** (k + 1) for k, c in enumerate(poly)) for poly in (crank, wheel)
             ]
@@ -319,9 +307,8 @@ def ackermann(slant: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     if slant == BUGGY.slant:
         return CRANK, WHEEL
-    from scipy.optimize import (
-        least_squares,
-    )  # here: only a car of another shape pays for the import
+    # here: only a car of another shape pays for the import
+    from scipy.optimize import least_squares
 
     most = min(1.05, math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + slant)) + 0.05)
     d = most * np.cos(np.linspace(0, np.pi, 121))  # denser at the ends, where polynomials miss most
@@ -449,9 +436,8 @@ class Car(Vehicle, Onboard):
                 " into the chassis"
             )
             raise ParameterError("limits.steering_rad", words, limits.steering_rad)
-        rolling = (
-            self.rolling_resistance
-        )  # by default 1.32 Nm of the buggy's four wheels, by the file
+        # by default 1.32 Nm of the buggy's four wheels, by the file
+        rolling = self.rolling_resistance
         resistance = (
             1.32 / 0.15 * (body.mass_kg / 60.0)
             if rolling is None
@@ -610,9 +596,9 @@ class Car(Vehicle, Onboard):
         scale, limit = 1.0, ""
         if abs(v) < STANDSTILL:
             scale, limit = (1.0, "") if abs(w) < STANDSTILL else (0.0, "singular")
-        # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met the
-        # steering's stop. 1e-9 is for rounding.
         elif (of_turn := turn / w if abs(w) > STANDSTILL else 1.0) < speed / v - 1e-9:
+            # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met
+            # the steering's stop. 1e-9 is for rounding.
             scale, limit = of_turn, "joint_limit"
         elif speed / v < 1:
             scale, limit = speed / v, "speed"

@@ -52,9 +52,8 @@ class ChainReader(Protocol):
         ...
 
 
-Load = tuple[
-    float, ...
-]  # mass [kg], x, y and z of its centre in the flange's frame [m], edge of the cube [m]
+# mass [kg], x, y and z of its centre in the flange's frame [m], edge of the cube [m]
+Load = tuple[float, ...]
 
 
 class ArmDynamics(Protocol):
@@ -71,9 +70,8 @@ class ArmDynamics(Protocol):
         ...
 
 
-READERS: list[
-    Callable[[], ChainReader]
-] = []  # imports the reader when one is needed; `vstestbed.sim` enters it
+# imports the reader when one is needed; `vstestbed.sim` enters it
+READERS: list[Callable[[], ChainReader]] = []
 
 
 def reader() -> ChainReader:
@@ -175,9 +173,8 @@ class JointChain:
         R_t = T[:3, :3].T
         axes, arms = R_t @ frames[:, :3, 2].T, R_t @ (T[:3, 3] - frames[:, :3, 3]).T
         J = np.empty((6, len(q)))
-        J[0] = (
-            axes[1] * arms[2] - axes[2] * arms[1]
-        )  # axes x arms, row by row: np.cross takes as long as all the rest
+        # axes x arms, row by row: np.cross takes as long as all the rest
+        J[0] = axes[1] * arms[2] - axes[2] * arms[1]
         J[1] = axes[2] * arms[0] - axes[0] * arms[2]
         J[2] = axes[0] * arms[1] - axes[1] * arms[0]
         J[3:] = axes

@@ -24,11 +24,8 @@ from vstestbed.robots.puma560 import Puma560
 
 PLATFORM = "omni_planar.xml"
 DECK_M = 0.119  # height of the platform's deck over the floor [m]
-WHEELS = (
-    "root_x",
-    "root_y",
-    "root_yaw",
-)  # the platform's joints: along and across the world's axes, and about its own
+# the platform's joints: along and across the world's axes, and about its own
+WHEELS = "root_x", "root_y", "root_yaw"
 UPPER = "arm_"  # what stands before the names of the arm's joints
 # of the platform's servos, critically damped: they answer like the loops of its wheels [rad/s]
 BANDWIDTH_RADPS = 30.0

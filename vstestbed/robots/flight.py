@@ -196,9 +196,10 @@ def velocity_loop(
         gains.velocity,
     )
     x, y, z = x + turn * y + i * (mx - vx), y - turn * x + i * (my - vy), z + j * (mz - vz)
+    # rare, and calls take time
     if not (
         -MAX_TRIM <= x <= MAX_TRIM and -MAX_TRIM <= y <= MAX_TRIM and -MAX_TRIM <= z <= MAX_TRIM
-    ):  # rare, and calls take time
+    ):
         x, y, z = (
             clip(x, -MAX_TRIM, MAX_TRIM),
             clip(y, -MAX_TRIM, MAX_TRIM),

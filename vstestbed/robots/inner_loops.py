@@ -209,9 +209,8 @@ class TorqueControl:
     def __init__(self, loop: InnerLoop, n: int, model: Callable[[], ArmModel]):
         self._loop, self._model = loop, model
         self.control_period_s = 1.0 / loop.rate_hz
-        self.first_setpoint = np.zeros(
-            n + (WRENCH if loop.takes_wrench else 0)
-        )  # it holds its start until the first command
+        # it holds its start until the first command
+        self.first_setpoint = np.zeros(n + (WRENCH if loop.takes_wrench else 0))
 
     @cached_property
     def _arm(self) -> ArmModel:

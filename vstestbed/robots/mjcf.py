@@ -103,13 +103,11 @@ class Mjcf(Arm):
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""
-        object.__setattr__(
-            self, "file", absolute_file(self.file, Path.cwd())
-        )  # frozen: a run remembers where its arm is
+        # frozen: a run remembers where its arm is
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         chain = self.chain
-        object.__setattr__(
-            self, "joints", chain.names
-        )  # frozen: what the file has is part of the scenario from here on
+        # frozen: what the file has is part of the scenario from here on
+        object.__setattr__(self, "joints", chain.names)
         n = len(chain.names)
         # A number for each joint, also where one was given for all of them.
         for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
@@ -144,9 +142,8 @@ class Mjcf(Arm):
         """
         if not self.servo_kp:
             each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
-            object.__setattr__(
-                self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each)
-            )  # frozen, as above
+            # frozen, as above
+            object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))
         if not self.servo_kv:
             object.__setattr__(
                 self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp)
@@ -172,9 +169,8 @@ class Mjcf(Arm):
             ]
         elif self.actuation == "ideal":
             each = zip(chain.names, speeds, self._inertia(chain), strict=True)
-            servos = [
-                Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each
-            ]  # stiff: [1/s] times the inertia
+            # stiff: [1/s] times the inertia
+            servos = [Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each]
         else:
             torques = self.torque_limits or chain.torque.tolist()
             servos = [

@@ -44,9 +44,8 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
-CORNERS = np.array(
-    [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]
-)  # signs of the wheels' places (x, y) in the base frame (4, 2)
+# signs of the wheels' places (x, y) in the base frame (4, 2)
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
 """Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at
 the centre, and yaw is lost.

@@ -208,12 +208,8 @@ STANDING_M = 0.172  # height of the centre over what the feet stand on, by model
 # the range that a learned policy is given where the measured one is larger, or there is none [m]
 FAR_M = 100.0
 NO_JOINTS = np.zeros(0)
-LEVEL_AXES = [
-    0,
-    1,
-    2,
-    5,
-]  # of vx, vy, vz and wz in a twist: the four velocities that a level craft can track
+# of vx, vy, vz and wz in a twist: the four velocities that a level craft can track
+LEVEL_AXES = [0, 1, 2, 5]
 
 
 class Flight(NamedTuple):
@@ -542,9 +538,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         upright = math.cos(state.attitude.roll) * math.cos(state.attitude.pitch) > math.cos(
             math.radians(30)
         )
-        near = (
-            reading.range_m < STANDING_M + 0.05
-        )  # a margin for the range finder's noise and a few degrees of tilt
+        # a margin for the range finder's noise and a few degrees of tilt
+        near = reading.range_m < STANDING_M + 0.05
         # The estimate's noise is .02 m/s. By the rotors alone it takes .5 s and more; on a deck
         # that moves, in wind, a craft light on its feet slides off meanwhile.
         stopped = state.armed and state.ground[0][2] - state.loops.model[2] > 0.12

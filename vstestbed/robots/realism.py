@@ -83,9 +83,8 @@ class Realistic(Robot):
         own: dict[str, Any] = dict(values)
         for name, preset in cls.presets.get(level, {}).items():
             value = own.setdefault(name, preset)
-            if isinstance(value, Mapping) and dataclasses.is_dataclass(
-                preset
-            ):  # some fields of a block: the others are the preset's
+            # some fields of a block: the others are the preset's
+            if isinstance(value, Mapping) and dataclasses.is_dataclass(preset):
                 own[name] = {
                     **{f.name: getattr(preset, f.name) for f in dataclasses.fields(preset)},
                     **value,

@@ -40,9 +40,8 @@ limit no margin is left.
 # is 27
 LEAST_TURN = 10.0
 HUB_M = 0.075  # radius of the hub, where the arms begin [m]
-Inertia = Annotated[
-    tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)
-]  # Moments of inertia about x, y and z [kg m^2]
+# Moments of inertia about x, y and z [kg m^2]
+Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
 
 
 @spec
@@ -248,9 +247,8 @@ def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four
     per_pair, per_four, per_yaw = craft.units
     r, p, t, y = x / per_pair, y / per_pair, thrust / per_four, z / per_yaw
     cut = False
-    if not (
-        -half <= r <= half and -half <= p <= half
-    ):  # here and below: such a case is rare, and calls take time
+    # here and below: such a case is rare, and calls take time
+    if not (-half <= r <= half and -half <= p <= half):
         r, p, cut = clip(r, -half, half), clip(p, -half, half), True
     ar, ap = abs(r), abs(p)
     widest = ar if ar > ap else ap
@@ -278,16 +276,15 @@ def speed_control(
     commands u (4,).
     """
     lag, limit = craft.rotor_lag_s, craft.limit
-    lead, ahead = (
-        lag / response_s,
-        dt / (lag + 0.5 * dt),
-    )  # (1, 1) Pade of 1 - exp(-dt / lag): 1e-7 at 1 ms
+    # (1, 1) Pade of 1 - exp(-dt / lag): 1e-7 at 1 ms
+    lead, ahead = lag / response_s, dt / (lag + 0.5 * dt)
     a, b, c, d = turning
     A, B, C, D = reference
     ua, ub, uc, ud = a + lead * (A - a), b + lead * (B - b), c + lead * (C - c), d + lead * (D - d)
+    # as in `mix`
     if not (
         0.0 <= ua <= limit and 0.0 <= ub <= limit and 0.0 <= uc <= limit and 0.0 <= ud <= limit
-    ):  # as in `mix`
+    ):
         ua, ub, uc, ud = (
             clip(ua, 0.0, limit),
             clip(ub, 0.0, limit),

@@ -161,10 +161,8 @@ class Vehicle(Realistic):
     )
     base: ClassVar[Base] = "planar"
     proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-    ends_m: ClassVar[tuple[float, float]] = (
-        0.0,
-        0.0,
-    )  # x of its rear and of its front end in the base frame [m]
+    # x of its rear and of its front end in the base frame [m]
+    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
     turning_radius_m: ClassVar[float] = 0.0  # of its tightest circle [m]; 0: it turns on the spot
     top_speed_mps: ClassVar[float] = np.inf  # largest forward speed [m/s]
     # Whether its measured heading has noise drawn from the seed; this matters where the place is

@@ -161,9 +161,8 @@ def write_rosbag2(
         for path in (folder / out.name).iterdir():
             path.rename(folder / path.name)
         (folder / out.name).rmdir()
-    if (
-        differs > SAME_RUN
-    ):  # tags and lines are a little elsewhere in whole pictures, which no window has
+    # tags and lines are a little elsewhere in whole pictures, which no window has
+    if differs > SAME_RUN:
         logging.getLogger("vstestbed").warning(
             "%s: its commands, flown again, differ by up to %.2g from those of %s",
             out,
@@ -275,9 +274,8 @@ def _stream_reader() -> Any:
 
 
 def _begins_in_protobuf(file: BinaryIO) -> bool:
-    with suppress(
-        Exception
-    ):  # whatever it raises before the first channel: then it is none of ours
+    # whatever it raises before the first channel: then it is none of ours
+    with suppress(Exception):
         for record in _stream_reader().StreamReader(file, record_size_limit=MOST_UNPACKED).records:
             if type(record).__name__ == "Channel":
                 return record.message_encoding == "protobuf"
@@ -461,9 +459,8 @@ class _Feeding:
         stamp = time_of(event.message)
         began = time.perf_counter()
         late = event.arrived - stamp  # by another clock it says nothing
-        servo.controller.clock = lambda: (
-            event.arrived
-        )  # the recorder's, so that a repeated picture is as old as it was
+        # the recorder's, so that a repeated picture is as old as it was
+        servo.controller.clock = lambda: event.arrived
         passes = 1.0 if servo.before is None else stamp - servo.before
         timely = 0 <= late < servo.scenario.timing.order_s(servo.scenario.camera)
         # stamps are of the recorder's clock, which counts; of another one time may have been
@@ -472,9 +469,8 @@ class _Feeding:
             servo.controller.simulates(False)
         try:
             if passes < -RESTART_S:
-                servo.senses.at(
-                    stamp
-                )  # one wrong stamp alone, of which there are no readings, begins nothing
+                # one wrong stamp alone, of which there are no readings, begins nothing
+                servo.senses.at(stamp)
                 words = f"goes back by more than {RESTART_S:g} s: the task begins anew"
                 self.passed.note(event.topic, stamp, ParameterError("clock", words))
                 servo.reset()

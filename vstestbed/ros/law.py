@@ -355,20 +355,14 @@ class LawNode:
         self._picture: tuple[Message, float, float] | None = (
             None  # with the times of the own clock and `/clock` at which it was heard
         )
-        self._fresh, self._fresh_clock_s = (
-            time.monotonic(),
-            math.nan,
-        )  # when the last new picture was heard
+        # when the last new picture was heard
+        self._fresh, self._fresh_clock_s = time.monotonic(), math.nan
         self._moves = self._spins = False  # moves: the twist in force is none of rest
-        self._clock_s, self._ticked_at = (
-            math.nan,
-            -math.inf,
-        )  # of `/clock`, and when it last advanced, by the own clock
+        # of `/clock`, and when it last advanced, by the own clock
+        self._clock_s, self._ticked_at = math.nan, -math.inf
         self._clock_anew = False  # its next time counts, although it may be an earlier one
-        self._order_of = (
-            -math.inf,
-            math.nan,
-        )  # when the twist in force was given, by both clocks: by a picture, when that was heard
+        # when the twist in force was given, by both clocks: by a picture, when that was heard
+        self._order_of = -math.inf, math.nan
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self._of_clock = False  # the pictures are stamped by a `/clock` that has run
         # and it runs: pictures, orders and the law's work are as old as it says, and in lockstep it
@@ -398,11 +392,8 @@ class LawNode:
 
     def _seen(self, message: Message) -> None:
         with self._news:
-            self._picture = (
-                message,
-                time.monotonic(),
-                self._clock_s,
-            )  # the newest: one that the law had no time for is past
+            # the newest: one that the law had no time for is past
+            self._picture = message, time.monotonic(), self._clock_s
             self._news.notify()
 
     def _ticked(self, message: Message) -> None:
@@ -469,9 +460,8 @@ class LawNode:
         return True, self._stopped
 
     def _rest(self, why: str) -> None:
-        if (
-            self._moved
-        ):  # who has not begun leaves the robot to others, who may bring it to its start
+        # who has not begun leaves the robot to others, who may bring it to its start
+        if self._moved:
             self._send(np.zeros(6), self._now())
         self._tell(f"stopped: {why}")
 
@@ -569,9 +559,8 @@ class LawNode:
                 iter(cycle.notes),
                 f"the last one was answered after {self._since(heard, clock_s):.2g} s",
             )
-        with (
-            self._news
-        ):  # held while it is sent: a stop comes before it, and then it is not, or after it
+        # held while it is sent: a stop comes before it, and then it is not, or after it
+        with self._news:
             if self._stopped:
                 return ""
             self._moved, self._order_of = True, (self._fresh, self._fresh_clock_s)

@@ -205,9 +205,8 @@ class Zenoh(Link):
         if connect or listen:
             with foreign("--connect and --listen", "addresses such as tcp/192.168.1.5:7447"):
                 settings.insert_json5("connect/endpoints", json.dumps(list(connect)))
-                settings.insert_json5(
-                    "listen/endpoints", json.dumps(list(listen))
-                )  # empty: the default is a port of every interface
+                # empty: the default is a port of every interface
+                settings.insert_json5("listen/endpoints", json.dumps(list(listen)))
             settings.insert_json5("scouting/multicast/enabled", "false")
             settings.insert_json5("scouting/gossip/enabled", "false")
             # peers pass nothing on: a law and who stops it, both connected to the robot, would not
@@ -310,9 +309,8 @@ class Rclpy(Link):
     def _spin(self) -> None:
         import contextlib
 
-        with contextlib.suppress(
-            Exception
-        ):  # the executor raises one of several errors when its context ends
+        # the executor raises one of several errors when its context ends
+        with contextlib.suppress(Exception):
             while self._context.ok():
                 self._executor.spin_once(timeout_sec=0.01)
 

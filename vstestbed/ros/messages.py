@@ -410,9 +410,8 @@ def sensors_of(robot: Robot) -> dict[str, str]:
 # far less
 UNIT = 0.1
 UNKNOWN = np.zeros(36)
-NONE = np.array(
-    [-1.0, *[0.0] * 8]
-)  # a covariance that begins with -1: there is no such measurement
+# a covariance that begins with -1: there is no such measurement
+NONE = np.array([-1.0, *[0.0] * 8])
 
 
 def readings(t: float, robot: Robot, reading: Reading) -> dict[str, Message]:

@@ -207,9 +207,8 @@ class RobotNode:
         age_s = self._age_s(message)
         if time_of(message) and abs(age_s) <= self.scenario.timing.order_s(self.scenario.camera):
             self._least_age_s = min(self._least_age_s, age_s)
-        if v.any() and (
-            self._drops(age_s) or self._outdated(message)
-        ):  # a rest is obeyed, whenever it was ordered
+        # a rest is obeyed, whenever it was ordered
+        if v.any() and (self._drops(age_s) or self._outdated(message)):
             return
         stamp, came = time_of(message), time.monotonic() - max(age_s, 0.0)
         with self._news:
@@ -334,9 +333,8 @@ class RobotNode:
         )
         while not (self._heard or self.ended.is_set()):
             with self._news:
-                self._news.wait(
-                    self.watchdog_s / 2
-                )  # before the law takes the same picture for silence
+                # before the law takes the same picture for silence
+                self._news.wait(self.watchdog_s / 2)
             if not self._heard:
                 self._voice.frame(episode, frame)
 

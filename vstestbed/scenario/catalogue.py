@@ -141,9 +141,8 @@ def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     if word in entries:
         return entries[word]
     if "." in word:
-        field, _, kind = word.rpartition(
-            "."
-        )  # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
+        # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
+        field, _, kind = word.rpartition(".")
         inner = (f"{registry.name}.{kind}" for registry in _held_in(field, entries))
         held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]
         return held[0] if len(held) == 1 else _at(word, entries)
@@ -165,9 +164,8 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     *before, name = (part.removesuffix("[]") for part in path.split(".") if not part.isdecimal())
     if not before:
         return _top_or_only(name, entries)
-    holders = [
-        _scenario(entries)
-    ]  # the classes of the blocks to which the parts of the path so far lead
+    # the classes of the blocks to which the parts of the path so far lead
+    holders = [_scenario(entries)]
     for i, part in enumerate(before):
         within = list(_within(holders, part)) if i else _begun(part, entries)
         if not within:
@@ -438,9 +436,8 @@ def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
         v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in _NOTHING
     ]
     if written:
-        yield min(
-            written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE)
-        )  # the first that is short enough, else the shortest
+        # the first that is short enough, else the shortest
+        yield min(written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE))
     elif example := class_text(cls).fields[name].example:
         yield read_value(example)
     elif (filled := _filled(default)) not in _NOTHING:

@@ -51,9 +51,8 @@ def check_metres(robot: Robot, camera: Camera, target: Target) -> None:
         raise ParameterError("camera.mount.xyz", words, camera.mount.xyz)
     check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
     check_length("target.pose", target.pose.T, MOST_PLACE_M)
-    if (
-        robot.body is None
-    ):  # the ideal camera; a vehicle may be further, and its field has bounds of its own
+    # the ideal camera; a vehicle may be further, and its field has bounds of its own
+    if robot.body is None:
         check_length("robot.start", robot.flange_pose(robot.configuration()), MOST_PLACE_M)
 
 
@@ -136,9 +135,8 @@ def check_robot(
         raise ParameterError.only_for(
             "world.wind", "a craft that flies (robot quadrotor)", robot.kind
         )
-    if level_trim_s and (
-        derotation == "none" or target.moves
-    ):  # the target's own motion would be taken for a tilt
+    # the target's own motion would be taken for a tilt
+    if level_trim_s and (derotation == "none" or target.moves):
         words = (
             "corrects the tilt for a derotation by a target that stands still; here it must be 0"
         )
@@ -228,6 +226,7 @@ def check_goal_pictures(
 
 
 # Outlines that run along a body as the camera moves, those of a ball and of a disc: what they tell.
+
 # motions to both sides by which an outline's directions are differentiated [distances, rad]
 STEP = 1e-4
 # share of the largest singular value from which a motion counts as told: the differences are exact
@@ -262,9 +261,8 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
     if not runs_along(target):
         return basis.shape[1]
     steps = STEP * basis.T * np.repeat([float(np.linalg.norm(T_camera_target[:3, 3])), 1.0], 3)
-    before, after = (
-        target.points_at(exp(way * steps) @ T_camera_target) for way in (1, -1)
-    )  # the camera moves the other way
+    # the camera moves the other way
+    before, after = (target.points_at(exp(way * steps) @ T_camera_target) for way in (1, -1))
     rates = (after / lengths(after) - before / lengths(before)) / (2 * STEP)
     if not np.isfinite(rates).all():  # from inside a ball; the goal view is refused elsewhere
         return basis.shape[1]
@@ -273,10 +271,9 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
 
 # Checks of what is measured against what the law and the task need: markers, a detector's own
 # points, depths.
-BY_ESTIMATE = (
-    "position_m",
-    "rotation_deg",
-)  # conditions of convergence by the robot's own estimate
+
+# conditions of convergence by the robot's own estimate
+BY_ESTIMATE = ("position_m", "rotation_deg")
 FIRST_POSE = 4  # fewest points that tell a pose by themselves
 # a pixel of a target of 100 px, far more than blobs scatter, and less than `assign_blobs` allows
 ALIKE = 0.01
@@ -372,9 +369,8 @@ def check_own_points(
         raise ParameterError(
             "law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)"
         )
-    upright = (
-        robot.base == "planar"
-    )  # one of the up to four poses from three points has the base upright on the floor
+    # one of the up to four poses from three points has the base upright on the floor
+    upright = robot.base == "planar"
     needs_pose = law.depth.needs_pose or "T_camera_target" in law.inputs
     if needs_pose and not upright and detector.rows is not None and detector.rows < FIRST_POSE:
         words = (
@@ -528,9 +524,8 @@ def _check_told_apart(target: Target, detector: Detector[Any]) -> None:
     if not isinstance(detector, Blobs):
         return
     for order in _alike(target.points, [hue % 360 for hue in target.hues_deg], []):
-        if target.one_sided and _mirrors(
-            target.points, order
-        ):  # a view from behind, where such a target has no markers
+        # a view from behind, where such a target has no markers
+        if target.one_sided and _mirrors(target.points, order):
             continue
         exchanged = [
             f"{target.called(i)} for {target.called(j)}" for i, j in enumerate(order) if i != j
@@ -554,9 +549,8 @@ def _alike(points: Array, hues: Sequence[float], order: list[int]) -> Iterator[l
     i, n = len(order), len(points)
     if i == n:
         centred = points - points.mean(axis=0)
-        if (
-            np.linalg.det(centred.T @ centred[order]) > -ON_ONE_LINE * np.ptp(points) ** 6
-        ):  # else a mirror image of a solid
+        # else a mirror image of a solid
+        if np.linalg.det(centred.T @ centred[order]) > -ON_ONE_LINE * np.ptp(points) ** 6:
             yield order
         return
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)

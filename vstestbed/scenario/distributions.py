@@ -115,9 +115,8 @@ class Gaussian(Distribution):
     def draw(self, rng: np.random.Generator) -> float:
         (mean, sigma), (low, high) = self.normal, self.within or (-math.inf, math.inf)
         for _ in range(TRIES):
-            if (
-                low <= (x := mean + sigma * float(rng.standard_normal())) <= high
-            ):  # `normal` refuses a sigma of -0.0
+            # `normal` refuses a sigma of -0.0
+            if low <= (x := mean + sigma * float(rng.standard_normal())) <= high:
                 return x
         raise ParameterError("within", f"held none of {TRIES} draws; make it wider", [low, high])
 

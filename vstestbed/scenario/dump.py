@@ -205,9 +205,8 @@ def as_yaml(plain: Any, brief: bool = False) -> str:
 
 def flow_text(value: object) -> str:
     """Plain values as YAML on one line: `{kind: pbvs, gain: 0.5}`."""
-    return (
-        _yaml_text(value, default_flow_style=True, width=10**6).removesuffix("...\n").strip()
-    )  # the dots end a single word
+    # the dots end a single word
+    return _yaml_text(value, default_flow_style=True, width=10**6).removesuffix("...\n").strip()
 
 
 def block_text(value: object, width: int) -> str:

@@ -114,9 +114,8 @@ def parse(
     plain = absolute_files(plain, Path(file).absolute().parent)
     overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
     put_over(plain, _part(overrides, of_plugins=True), marks, places)
-    load_named(
-        plain, marks, file, plugins
-    )  # before the other settings, which may use the words that plugins add
+    # before the other settings, which may use the words that plugins add
+    load_named(plain, marks, file, plugins)
     put_over(plain, _part(overrides, of_plugins=False), marks, places)
     start = "robot.start.nominal."
     gives_start = any(
@@ -187,9 +186,8 @@ def _blame_settings(
     known = {place for dotted in overrides for place in places.get(dotted, FROM_PYTHON).values()}
     if all(m.where in known for m in error.mistakes):
         return error
-    origins = dict.fromkeys(
-        _mistakes(text, file, {}), ""
-    )  # the position of the first override with which a mistake is there
+    # the position of the first override with which a mistake is there
+    origins = dict.fromkeys(_mistakes(text, file, {}), "")
     for number, dotted in enumerate(overrides, start=1):
         found = _mistakes(text, file, dict(itertools.islice(overrides.items(), number)))
         origins = dict.fromkeys(found, places.get(dotted, FROM_PYTHON)[()]) | origins

@@ -175,9 +175,8 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
             f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {above}",
             field,
         )
-    if not is_file_name(
-        name
-    ):  # by its own name, too, so that an import of it does not load the file again
+    # by its own name, too, so that an import of it does not load the file again
+    if not is_file_name(name):
         sys.modules.setdefault(name, module)
     return str(path)
 
@@ -189,9 +188,8 @@ def _members() -> int:
 def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> str:
     origin = _origin(name)
     if origin is None and name not in sys.modules and (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(
-            here
-        )  # at the end: a file here named like an installed package must not replace it
+        # at the end: a file here named like an installed package must not replace it
+        sys.path.append(here)
         importlib.invalidate_caches()
         origin = _origin(name)
     if origin is None and name not in sys.modules:
@@ -207,12 +205,8 @@ def _origin(name: str) -> Path | None:
     """The file of a module; None for one that is not found, or that has no file."""
     try:
         spec = importlib.util.find_spec(name)
-    except (
-        ImportError,
-        ValueError,
-        TypeError,
-        AttributeError,
-    ):  # its package is not there, or it is no name of a module
+    except (ImportError, ValueError, TypeError, AttributeError):
+        # its package is not there, or it is no name of a module
         return None
     return (
         Path(spec.origin).resolve()
@@ -236,9 +230,8 @@ def _moved(
 
 
 def _load_installed() -> None:
-    offered: Any = (
-        importlib.metadata.entry_points()
-    )  # once: every call reads the metadata of all packages
+    # once: every call reads the metadata of all packages
+    offered: Any = importlib.metadata.entry_points()
     if any(offered.select(group=f"vstestbed.{name}") for name in HOMES):
         for name, kinds in registries().items():
             with _loading(f"an installed plugin of vstestbed.{name}", None), undone_on_error():

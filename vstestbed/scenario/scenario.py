@@ -57,18 +57,15 @@ def in_view(
     """
     T_world_camera = camera_start(robot, camera, target)
     T = inverse(T_world_camera) @ target_start(robot, target)
-    if (
-        detector.rows is not None
-    ):  # points that are not its markers: its middle must be seen from the front
+    # points that are not its markers: its middle must be seen from the front
+    if detector.rows is not None:
         return bool(T[2, 2] > 0.17 and camera.whole(T[None, :3, 3], 0.0, VIEW_MARGIN_PX).all())
     p = target.seen_from(inverse(T))
-    facing = float(T[:3, 2] @ T[:3, 3]) / max(
-        float(np.linalg.norm(T[:3, 3])), 1e-9
-    )  # cosine of the view on the plane
+    # cosine of the view on the plane
+    facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)
     turned = T[2, 2] if isinstance(camera, Perspective) else facing
-    faces = (
-        turned > 0.17 or not target.one_sided
-    )  # within 80 degrees of the target's normal: beyond, discs are slivers
+    # within 80 degrees of the target's normal: beyond, discs are slivers
+    faces = turned > 0.17 or not target.one_sided
     whole = camera.whole(p, target.marker.radius, VIEW_MARGIN_PX) & ~target.hides(inverse(T))
     if world.scenery is not None and whole.any():
         names = world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
@@ -164,9 +161,8 @@ class Scenario:
 
     def __post_init__(self) -> None:
         checks.check_depth(self.robot, self.camera, self.detector, self.law)
-        self.timing.check(
-            self.camera, self.clock[0]
-        )  # first: the clock refuses a step that does not divide the camera's period
+        # first: the clock refuses a step that does not divide the camera's period
+        self.timing.check(self.camera, self.clock[0])
         checks.check_times(
             self.robot, self.camera, self.timing, self.stop, self.clock[0], self.needs_image
         )
@@ -458,9 +454,8 @@ class Scenario:
         from with them.
         """
         made, known = replace(self, **values), self.made_of
-        return (
-            made if known is None else made.loaded_from({**values, **known, **values})
-        )  # what is new stands first
+        # what is new stands first
+        return made if known is None else made.loaded_from({**values, **known, **values})
 
     def with_seed(self, seed: int) -> Scenario:
         """The same experiment with another seed; its start is the given one, unless `draw_start`
@@ -488,9 +483,8 @@ class Scenario:
         """
         T = self.goal_poses[-1]
         q = posture_at(self.robot, flange_for(self.camera, self.target, T))
-        for share in np.linspace(
-            0.0, 1.0, DISPLACEMENT_STEPS + 1
-        ):  # in small steps: the arm keeps its posture at the goal
+        # in small steps: the arm keeps its posture at the goal
+        for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):
             xyz, rpy_deg = (
                 tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg)
             )

@@ -25,12 +25,10 @@ from vstestbed.core.registry import REGISTRIES, to_mapping, validator_of
 T = TypeVar("T")
 
 Key = tuple[str | int, ...]
-Marks = dict[
-    Key, str
-]  # the position of each key, `FILE:LINE:COL`, or the option or argument that it comes from
-FROM_OPTION: Mapping[Key, str] = {
-    (): "--set"
-}  # position of a value that comes from the command line
+# the position of each key, `FILE:LINE:COL`, or the option or argument that it comes from
+Marks = dict[Key, str]
+# position of a value that comes from the command line
+FROM_OPTION: Mapping[Key, str] = {(): "--set"}
 FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
 DEEPEST, MOST_VALUES = 32, 20_000
 """Limits on nesting and on the number of values: far above any scenario, and low enough that a file
@@ -412,9 +410,8 @@ def override(
         here[step] = block
         here = block
     last = _step(here, parts[-1], dotted, where)
-    here[last] = copy.deepcopy(
-        value
-    )  # a later override may go inside it, and must not change the caller's
+    # a later override may go inside it, and must not change the caller's
+    here[last] = copy.deepcopy(value)
     # The positions under the old value are gone with it.
     for old in [k for k in marks if k[: len(key) + 1] == (*key, last)]:
         del marks[old]

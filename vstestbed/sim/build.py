@@ -189,8 +189,7 @@ def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
         spec.add_key(name="start", **{name: values.flatten() for name, values in own.items()})
         plant.close()
     for geom in spec.geoms:
-        geom.group = (
-            0 if geom.group == TARGET_GROUP else geom.group
-        )  # MuJoCo's viewer shows groups 0 to 2 by itself
+        # MuJoCo's viewer shows groups 0 to 2 by itself
+        geom.group = 0 if geom.group == TARGET_GROUP else geom.group
     spec.compile()
     return exact_xml(spec), dict(spec.assets)

@@ -128,9 +128,8 @@ def context() -> Any:
                 raise lack  # a driver that loads its libraries without memory may end the process
             backend: Any = _render.Renderer
             kind: Any = type("Context", (backend, _OnRenderingThread), {})
-            made = kind(
-                max_width=64, max_height=64
-            )  # its own size does not matter: images are rendered offscreen
+            # its own size does not matter: images are rendered offscreen
+            made = kind(max_width=64, max_height=64)
             made.increment_refcount()
             _contexts.append(made)
         return _contexts[0]
@@ -152,9 +151,8 @@ def _after_fork() -> None:
     A fork of a process that has not drawn yet may draw. In a fork of one that has, OpenGL would
     wait for these threads for ever.
     """
-    if (
-        "OpenGL.EGL" in sys.modules
-    ):  # dm_control's exit function, which crashes where another thread than the main one has drawn
+    # dm_control's exit function, which crashes where another thread than the main one has drawn
+    if "OpenGL.EGL" in sys.modules:
         atexit.unregister(sys.modules["OpenGL.EGL"].eglTerminate)
     for made in _contexts:
         made._render_executor._terminated = (
@@ -178,9 +176,8 @@ _target: list[object] = [None]
 """The rendering context whose buffer is current. This and `_kept` are used on the rendering thread
 alone, and need no lock.
 """
-_glossy = [
-    False
-]  # how OpenGL now draws highlights, see `Physics.glossy`; on the rendering thread alone
+# how OpenGL now draws highlights, see `Physics.glossy`; on the rendering thread alone
+_glossy = [False]
 _kept: OrderedDict[tuple[object, ...], wrapper.MjrContext] = OrderedDict()
 
 
@@ -207,9 +204,8 @@ class Physics(dm.Physics):
         """
         contexts: Any = self._contexts
         if contexts is None and not is_current():
-            contexts = (
-                super().contexts
-            )  # makes them; it takes a lock, for which the rendering thread must not wait
+            # makes them; it takes a lock, for which the rendering thread must not wait
+            contexts = super().contexts
         if contexts is None or contexts.gl.thread is not threading.current_thread():
             return contexts
         # Several rendering contexts share one OpenGL context, whose current buffer is global state:
@@ -285,11 +281,8 @@ def _plain_sky(context: mujoco.MjrContext) -> None:
     The image has the same bytes, and software OpenGL, which computes the level of each pixel, saves
     a third of its time.
     """
-    from OpenGL.raw.GL.VERSION import (
-        GL_1_0,
-        GL_1_1,
-        GL_1_3,
-    )  # not OpenGL.GL, which imports all extensions in .06 s
+    # not OpenGL.GL, which imports all extensions in .06 s
+    from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1, GL_1_3
 
     for kind, texture in zip(context.textureType, context.texture, strict=True):
         if kind == mujoco.mjtTexture.mjTEXTURE_SKYBOX:

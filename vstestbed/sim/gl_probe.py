@@ -33,9 +33,8 @@ LIBRARIES = {
 DEVICE_PLATFORM = 0x313F  # EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device
 DEVICE = "MUJOCO_EGL_DEVICE_ID"  # the variable that names one of EGL's devices, a GPU of several
 ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
-_lack: list[
-    tuple[str, str]
-] = []  # why OpenGL is switched off, as (lack, remedy); empty where it is not
+# why OpenGL is switched off, as (lack, remedy); empty where it is not
+_lack: list[tuple[str, str]] = []
 
 
 def remedy() -> str:
@@ -170,9 +169,8 @@ def require() -> None:
         lack, way = _lack[0]
     elif word.lower() not in OFF:
         return
-    elif (
-        missing := missing_libraries()
-    ):  # the user switched it off, or a parent process did and MUJOCO_GL was inherited
+    elif missing := missing_libraries():
+        # the user switched it off, or a parent process did and MUJOCO_GL was inherited
         lack, way = f"{' and '.join(missing)} not found", remedy()
     else:
         lack, way = f"MUJOCO_GL={word} is set", UNSET_REMEDY
@@ -189,9 +187,8 @@ def explain(error: ImportError) -> EnvironmentLackError | None:
 
 def renderer_string() -> str:
     """GL_RENDERER of the current context, such as `llvmpipe (LLVM 15.0.6, 256 bits)`."""
-    from OpenGL.raw.GL.VERSION import (
-        GL_1_0,
-    )  # comes with dm_control; not OpenGL.GL, which imports all extensions in .06 s
+    # comes with dm_control; not OpenGL.GL, which imports all extensions in .06 s
+    from OpenGL.raw.GL.VERSION import GL_1_0
 
     text: Any = GL_1_0.glGetString(GL_1_0.GL_RENDERER)
     value = ctypes.cast(text, ctypes.c_char_p).value

@@ -123,10 +123,8 @@ class SensorReader:
                 sensors = felt(sensors)
             q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
             if self._has_encoders:
-                q, qd = (
-                    self._data.qpos[self._at.motor_qpos],
-                    self._data.qvel[self._at.motor_qvel],
-                )  # the encoders are on the motors
+                # the encoders are on the motors
+                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]
             self._reading, self.read_at = self._model(q, qd, sensors), step
         return self._reading
 
@@ -366,15 +364,14 @@ class MujocoPlant(Plant):
         self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
-        self._pushes, self._push_ends = (
-            False,
-            0,
-        )  # whether a push acts, and the physics step at which it ends
+        # whether a push acts, and the physics step at which it ends
+        self._pushes, self._push_ends = False, 0
         self._onboard = robot.onboard
         self._memory: Any = self._onboard.begin() if self._onboard else None
+        # 0: none
         self._control_steps = (
             max(1, round(self._onboard.control_period_s / self.step_s)) if self._onboard else 0
-        )  # 0: none
+        )
         acting = [actor for actor in self._actors if type(actor).act is not Actor.act]
         self._each_step = [actor.act for actor in acting if not actor.with_controller]
         self._each_period = [actor.act for actor in acting if actor.with_controller]
@@ -432,10 +429,11 @@ class MujocoPlant(Plant):
                 T, settled = T_start.copy(), root.pose(data)
                 T[2, 3] = settled[2, 3] if stands else T[2, 3]
                 if root is stage.root and any(effect.uneven for effect in self._robot.acting):
+                    # with its tilt there
                     T[:3, :3] = (
                         T_start[:3, :3]
                         @ (inverse(pose_on_ground(place_of(settled))) @ settled)[:3, :3]
-                    )  # with its tilt there
+                    )
                 root.put(data.qpos, T)
         data.qvel[:] = 0.0
         data.time = 0.0
@@ -480,9 +478,8 @@ class MujocoPlant(Plant):
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
-        if (
-            stage.parts.target.on_gripper
-        ):  # relative to the target in the gripper; the camera itself is at rest
+        # relative to the target in the gripper; the camera itself is at rest
+        if stage.parts.target.on_gripper:
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = (

@@ -181,9 +181,8 @@ class Replay:
         Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of
         view [rad].
         """
-        if (
-            T_world_goal is not None or self._parts.robot.base == "fixed"
-        ):  # else the composed view, which shows the way there is
+        # else the composed view, which shows the way there is
+        if T_world_goal is not None or self._parts.robot.base == "fixed":
             FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0).place(t, T_world_goal)
         T = self._stage.pose_of("overview")
         middle = self._things.points(self._stage.data).reshape(-1, 3).mean(axis=0)
@@ -231,9 +230,8 @@ class Replay:
                 servo_renderer(stage, lens, share=self._share, eye=eye),
                 self._share * pixels_per_radian(lens),
             )
-            sides = (
-                None if lens.shadows else half_tangents(lens)
-            )  # what is out of sight may cast shadows
+            # what is out of sight may cast shadows
+            sides = None if lens.shadows else half_tangents(lens)
             view = StillView(
                 drawn_by.full_image, stage.model, stage.data, eye, f, sides=sides
             ).full_image
@@ -255,9 +253,8 @@ def _repaint(model: mujoco.MjModel) -> None:
     floor[:] = np.where(
         (floor == floor[0, 0]).all(axis=-1, keepdims=True), *np.array(FLOOR, np.uint8)
     )
-    if any(
-        model.texture(i).name == "sky" for i in range(model.ntex)
-    ):  # scenery may have brought its own
+    # scenery may have brought its own
+    if any(model.texture(i).name == "sky" for i in range(model.ntex)):
         sky = texels_of(model, model.texture("sky").id)
         sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M

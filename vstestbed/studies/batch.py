@@ -114,6 +114,7 @@ class OneByOne:
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
+
 # starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of
 # memory
 MOST_STARTS = 4_000_000
@@ -316,6 +317,7 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
 #
 # A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its
 # `Termination`, vectorised; the tests and `basin --check` compare the outcomes of the two.
+
 # runs that are simulated together: their arrays fit the processor's cache, which saves a third of
 # the time
 AT_ONCE = 2000
@@ -552,9 +554,8 @@ class _LastHalf:
         over = np.flatnonzero(now.code == _CODE[Outcome.timed_out])
         if not len(over) or not self._kept:
             return out
-        rows = [
-            np.searchsorted(index, now.index[over]) for index, _, _ in self._kept
-        ]  # a run of the last frame is in all of them
+        # a run of the last frame is in all of them
+        rows = [np.searchsorted(index, now.index[over]) for index, _, _ in self._kept]
         twist = np.array([each[at] for (_, each, _), at in zip(self._kept, rows, strict=True)])
         error = np.array([each[at] for (_, _, each), at in zip(self._kept, rows, strict=True)])
         frames = np.arange(self._from, self._from + len(rows), dtype=float)
@@ -652,9 +653,8 @@ def _commands(
     # a wide camera sees points behind its image plane, which have no normalised coordinates
     usable = seen & (p[..., 2] > 0) if plane else seen
     state, twist = runs.state.copy(), np.full((len(p), 6), np.nan)
-    posed = isinstance(law.depth, PnP) and law.inputs != (
-        "relative",
-    )  # by a pose solved from the pixels, or depths from it
+    # by a pose solved from the pixels, or depths from it
+    posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
     needed = max(setup.needed, FIRST_POSE) if posed and t == 0 else setup.needed
     if isinstance(setup.law, OneByOne):
         enough = np.count_nonzero(usable, axis=1) >= needed
@@ -697,11 +697,12 @@ def _groups(
     In most frames all markers are usable: one group, with a slice in place of the mask, which
     copies no arrays.
     """
+    # a bit per marker
     groups = (
         np.zeros(len(usable), dtype=int)
         if usable.all()
         else usable @ (1 << np.arange(usable.shape[1]))
-    )  # a bit per marker
+    )
     for group in np.unique(groups):
         members = groups == group
         yield slice(None) if members.all() else members, usable[np.argmax(members)]

@@ -407,9 +407,8 @@ vs.run(vs.load("arm_ibvs"), watch=[First()])
 """
 """A process that ends with the first frame of a run."""
 
-Pair = Callable[
-    [], tuple[float, float]
-]  # does something and then its floor; returns the wall time of both [s]
+# does something and then its floor; returns the wall time of both [s]
+Pair = Callable[[], tuple[float, float]]
 
 
 @spec

@@ -380,9 +380,8 @@ def intrinsics_of(
         ) from None
     try:
         found = Intrinsics.of(K, np.ravel(k), (width, height), model)
-    except (
-        ParameterError
-    ) as error:  # OpenCV returns zeros, NaN or anything where nothing fixes the numbers
+    except ParameterError as error:
+        # OpenCV returns zeros, NaN or anything where nothing fixes the numbers
         words = (
             f"do not determine the focal length ({error}): views in which all boards are seen from"
             " the front leave it open"
@@ -726,9 +725,8 @@ def _drawn_views(
             camera.project(corners @ T_camera_board[:3, :3].T + T_camera_board[:3, 3]), 5.0
         ).all():
             continue
-        T_world_board = (
-            scenario.target.pose.T @ shift
-        )  # the target's frame is in the board's middle
+        # the target's frame is in the board's middle
+        T_world_board = scenario.target.pose.T @ shift
         try:
             q = robot.configuration_at(
                 T_world_board @ inverse(T_camera_board) @ inverse(camera.mount.T), q0

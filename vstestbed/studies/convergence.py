@@ -98,9 +98,8 @@ def _run_all(plugins: tuple[str, ...], packed: bytes, place: str | None = None) 
     return [run_one(scenario) for scenario in pickle.loads(packed)]
 
 
-Work = tuple[
-    list[tuple[int, Job]], Request[list[RunEnding]]
-]  # a request with its jobs and their places in the plan
+# a request with its jobs and their places in the plan
+Work = tuple[list[tuple[int, Job]], Request[list[RunEnding]]]
 
 
 @dataclass(frozen=True)
@@ -156,9 +155,8 @@ class Study:
                 try:
                     endings = future.result()
                 except WorkerLostError:
-                    if (
-                        len(chunk) > 1 or pool.tries(request) < MOST_TRIES
-                    ):  # each by itself: one of them may have killed the worker
+                    # each by itself: one of them may have killed the worker
+                    if len(chunk) > 1 or pool.tries(request) < MOST_TRIES:
                         again += [work for one in chunk if (work := _work([one], on_done))]
                         continue
                     endings = [RunEnding.without_run(Outcome.crashed)]
@@ -201,9 +199,8 @@ class Study:
             | {"time_to_converge_s": one.time_s, "final_position_error_m": one.away_m}
             for job, one in ended
         ]
-        return pl.DataFrame(rows).fill_nan(
-            None
-        )  # null in parquet and an empty field in CSV, as in the other tables
+        # null in parquet and an empty field in CSV, as in the other tables
+        return pl.DataFrame(rows).fill_nan(None)
 
 
 def _work(

@@ -100,11 +100,8 @@ def measure_lags(scenario: Scenario, delay_frames: float, off: float) -> list[La
 def _lag_of(
     plant: Plant, name: str, joint: int, period: float, delay_frames: float, off: float
 ) -> Lag:
-    w, g, b = (
-        math.pi / (2 * delay_frames + 1),
-        closed_form(delay_frames),
-        (1.0, 0.0),
-    )  # first guess: a robot without lag
+    # first guess: a robot without lag
+    w, g, b = math.pi / (2 * delay_frames + 1), closed_form(delay_frames), (1.0, 0.0)
     for _ in range(ROUNDS):
         w = min(w, 0.9 * math.pi)
         while sum(b := _shares(plant, joint, period, w, off * g / period)) <= 0 and w > LEAST_W:
@@ -136,9 +133,8 @@ def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> 
     q[frames] = plant.reading().q[joint]
     plant.apply(np.zeros(len(plant.reading().q)))
     plant.advance(5 * plant.steps_per_frame)  # the next joint begins with the arm at rest
-    A = np.column_stack(
-        [command[first:], command[first - 1 : -1], np.ones(frames - first)]
-    )  # the third takes up a constant drift
+    # the third takes up a constant drift
+    A = np.column_stack([command[first:], command[first - 1 : -1], np.ones(frames - first)])
     b = np.linalg.lstsq(A, (np.diff(q) / period)[first:], rcond=None)[0]
     return float(b[0]), float(b[1])
 
@@ -342,13 +338,11 @@ def by_the_oracle(scenario: Scenario) -> Scenario:
     }
     return replace(
         scenario,
-        law=replace(
-            law, **{name: value for name, value in plain.items() if name in names}
-        ),  # only those fields that this law has
+        # only those fields that this law has
+        law=replace(law, **{name: value for name, value in plain.items() if name in names}),
         noise=Noise(),
-        detector=Oracle(
-            field_of_view="unlimited"
-        ),  # exact pixels, and no target lost: only dynamics and delay count
+        # exact pixels, and no target lost: only dynamics and delay count
+        detector=Oracle(field_of_view="unlimited"),
         camera=replace(scenario.camera, latency_s=0.0),
         stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
     )
@@ -501,16 +495,14 @@ def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
     robot, g_linear = at_goal.robot, None
-    if (
-        robot.joints and at_goal.timing.interpolation == "hold"
-    ):  # the linear arm has no commands that are led to
+    # the linear arm has no commands that are led to
+    if robot.joints and at_goal.timing.interpolation == "hold":
         g_linear = linear_gain_limit(
             linear_arm(robot), delay_frames + _late_frames(at_goal), period
         )
     elastic = any(effect.springs(np.zeros(len(robot.joints))) for effect in robot.acting)
-    lags = (
-        () if elastic else _lags(at_goal, delay_frames)
-    )  # at a resonance two shares of a command do not describe a joint
+    # at a resonance two shares of a command do not describe a joint
+    lags = () if elastic else _lags(at_goal, delay_frames)
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
     # the bracket is centred on the better prediction
     expected, count = (theory if g_lag is None else g_lag), 0
@@ -527,9 +519,8 @@ def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
         raise ParameterError("law.gain", words)
     count += 1
     _must_take(at_start.law, high / period)
-    while (
-        growth(at_start, high / period, delay_frames) <= 1
-    ):  # a law that predicts is stable beyond the theory of one that does not
+    # a law that predicts is stable beyond the theory of one that does not
+    while growth(at_start, high / period, delay_frames) <= 1:
         low, high, count = high, 2 * high, count + 1
         _must_take(at_start.law, high / period)
         if high > MOST_G:
@@ -665,8 +656,7 @@ def branches(limit: Limit) -> Branches:
     """
     first = NO_LAG if limit.first is None else limit.first.shares
     end = limit.g_lag or limit.g_theory
-    gains = np.linspace(
-        1e-6, BEYOND * end, 400
-    )  # not from 0, where all poles but one coincide at the origin
+    # not from 0, where all poles but one coincide at the origin
+    gains = np.linspace(1e-6, BEYOND * end, 400)
     at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]
     return limit.delay_frames, locus(limit.delay_frames, gains, first), at_limit

@@ -37,9 +37,8 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
     """
     folder = new_folder(Path("runs") / kind, out, remedy)
     with only_writer(folder):
-        must_be_new(
-            folder, remedy
-        )  # again: another process may have finished there before this one held it
+        # again: another process may have finished there before this one held it
+        must_be_new(folder, remedy)
         try:
             yield folder
         except BaseException:

@@ -46,10 +46,8 @@ COMMAND_LATENCY, STAMPS = "timing.command_latency_s", "stamps_late_s"
 """The two parameters that only shift what is predicted: from when on a command acts, and how much
 later than its exposure a picture is stamped, by the clock of the joints' readings.
 """
-LEAST_NOISE = {
-    "joint": 1e-5,
-    "pixel": 0.02,
-}  # under which a sensor's noise is not believed [rad, px]
+# under which a sensor's noise is not believed [rad, px]
+LEAST_NOISE = {"joint": 1e-5, "pixel": 0.02}
 LEAST_MOMENTS, LONGEST_S = 20, 600.0  # of a record, and for how long one is flown again
 LARGEST = 1e12  # a number beyond is none of a robot's, and its square not far from that of infinity
 # share of a joint's readings outside of its range that failed encoders may have; of another unit it
@@ -64,11 +62,8 @@ APART = 0.998
 
 # The motion: of each of a robot's own motions a step to and fro, then sines of all at once.
 REST_S, STEP_S, SINES_S = 0.6, 0.4, 4.0
-SHARES = {
-    "fixed": (0.06, 0.25),
-    "planar": (0.25, 0.6),
-    "floating": (0.4, 0.4),
-}  # amplitudes by `Robot.base` [m/s, rad/s]
+# amplitudes by `Robot.base` [m/s, rad/s]
+SHARES = {"fixed": (0.06, 0.25), "planar": (0.25, 0.6), "floating": (0.4, 0.4)}
 
 
 def motion_of(scenario: Scenario) -> pl.DataFrame:
@@ -88,9 +83,8 @@ def motion_of(scenario: Scenario) -> pl.DataFrame:
         one[:step, i], one[2 * step : 3 * step, i] = sizes[i], -sizes[i]
         parts.append(one)
     at = np.arange(round(rate * SINES_S)) / rate
-    whole = np.array(
-        [(k + 2) / SINES_S * 2 for k in range(n)]
-    )  # whole periods, each motion its own
+    # whole periods, each motion its own
+    whole = np.array([(k + 2) / SINES_S * 2 for k in range(n)])
     parts += [
         0.7
         * sizes
@@ -424,9 +418,8 @@ def identify(
     start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
     model = _Model(record, scenario, fit, start, say)
     errors, x = _Errors(model, measured, sigma), start
-    for stage in range(
-        STAGES
-    ):  # by the sensors' noise alone first; then by how the errors of that go together
+    # by the sensors' noise alone first; then by how the errors of that go together
+    for stage in range(STAGES):
         x = _fitted(errors, x, fit)
         if stage + 1 < STAGES:
             errors = errors.whitened(x)
@@ -484,9 +477,8 @@ class _Errors:
         made = replace(self, rho=rho)
         left = made._onward(off)[1:]
         S = left.T @ left / len(left)
-        S = (
-            0.95 * S + 0.05 * np.diag(np.diag(S)) + 1e-3 * np.eye(len(S))
-        )  # shrunk: of few moments it is uncertain
+        # shrunk: of few moments it is uncertain
+        S = 0.95 * S + 0.05 * np.diag(np.diag(S)) + 1e-3 * np.eye(len(S))
         return replace(made, W=np.linalg.inv(np.linalg.cholesky(S)))
 
 
@@ -758,9 +750,8 @@ class _Model:
             given |= {**_EXACT, "robot.velocity": {**to_mapping(flow), "sigma_mps": 0.0}}
         if "image" in (law := self._scenario.law).inputs:  # it moves nothing here
             given["law"] = {"kind": "ibvs", "depth": "goal"}
-        elif (
-            law.depth.needs_pose and not self._scenario.goal.needs_pose
-        ):  # a quarter of the time would be for a pose that nobody reads
+        elif law.depth.needs_pose and not self._scenario.goal.needs_pose:
+            # a quarter of the time would be for a pose that nobody reads
             given["law.depth"] = "goal"
         given |= {
             f"camera.{name}": None

@@ -148,10 +148,8 @@ def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterato
     try:
         yield
     finally:
-        for (
-            name,
-            value,
-        ) in before.items():  # these alone: another thread may have changed others meanwhile
+        # these alone: another thread may have changed others meanwhile
+        for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
@@ -163,9 +161,8 @@ def _signals_held_back() -> Iterator[None]:
     """A process that is started meanwhile receives no Ctrl-C before `begin` ignores it: its imports
     would end with a traceback.
     """
-    if not hasattr(
-        signal, "pthread_sigmask"
-    ):  # Windows, where console processes cannot hold it back
+    # Windows, where console processes cannot hold it back
+    if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     resource_tracker.ensure_running()  # here, since it lets the signals pass again when it starts
@@ -222,9 +219,8 @@ class _Slot:
         """Kill the process, also one that is still starting: its run would otherwise go on, and
         hold this process at its end.
         """
-        for process in list(
-            (self.executor._processes or {}).values()
-        ):  # public only from Python 3.14 on (kill_workers)
+        # public only from Python 3.14 on (kill_workers)
+        for process in list((self.executor._processes or {}).values()):
             process.kill()
 
 
@@ -256,9 +252,8 @@ class LocalPool:
         place = clear(folder)
         with writing(folder):
             place.mkdir(exist_ok=True)
-            self._place = tempfile.mkdtemp(
-                dir=place
-            )  # another one each time: a worker of a killed process may live a moment longer
+            # another one each time: a worker of a killed process may live a moment longer
+            self._place = tempfile.mkdtemp(dir=place)
         self._slots: list[_Slot] = []
         self._free: list[_Slot] = []
         self._tries: dict[str, int] = {}
@@ -283,9 +278,8 @@ class LocalPool:
             return done
         self._start()
         slot = self._free.pop()
-        outer: Future[Done] = (
-            Future()
-        )  # not the executor's own: the slot must be free before the future is done
+        # not the executor's own: the slot must be free before the future is done
+        outer: Future[Done] = Future()
         outer.set_running_or_notify_cancel()
         slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
         return outer
@@ -327,9 +321,8 @@ class LocalPool:
             return slot.executor.submit(function, *arguments).result()
         except (BrokenProcessPool, CancelledError):  # killed, after its last run or now
             slot.broken = True
-            if (
-                self._closed
-            ):  # else what is interrupted would go on in this process, which could not end
+            # else what is interrupted would go on in this process, which could not end
+            if self._closed:
                 raise WorkerLostError("the pool is closed") from None
             return function(*arguments)
         finally:

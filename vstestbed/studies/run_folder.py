@@ -78,16 +78,13 @@ def run_into(
     """
     folder = make_folder(Path(folder))
     with files.only_writer(folder):
-        if (
-            folder / GIVEN
-        ).exists():  # of a process that ended between the check of `new_folder` and this one
+        # of a process that ended between the check of `new_folder` and this one
+        if (folder / GIVEN).exists():
             raise OutputError(folder, "holds a run", REMEDY)
         recording = _run_into(folder, scenario, films, watch, tile_px, fine, fly)
         if report:
-            from vstestbed.report import (
-                Setting,
-                write_report,
-            )  # imported only if a report is written
+            # imported only if a report is written
+            from vstestbed.report import Setting, write_report
 
             stage("writing the report")
             write_report(folder, log=recording.rows, setting=Setting.of(recording.scenario))
@@ -113,9 +110,8 @@ def _run_into(
             pictures = "camera" in FILM_CAMERAS[films] and scenario.by_rows
             recording = fly(scenario, [*filming, *watch], folder, pictures=pictures)
             for film in filming:
-                film.close(
-                    None if tile_px else (recording.outcome, recording.reason)
-                )  # a film of several runs shows it itself
+                # a film of several runs shows it itself
+                film.close(None if tile_px else (recording.outcome, recording.reason))
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
     finish(folder, recording.rows)
     goals: Files = {}
@@ -132,9 +128,9 @@ def _run_into(
 
 # What is in a run's folder, and how it is written: a single run, a worker of a study and a crash
 # have their files from here.
-Files = dict[
-    str, bytes
-]  # content of a run's folder by file name, in the order in which they are written
+
+# content of a run's folder by file name, in the order in which they are written
+Files = dict[str, bytes]
 
 
 def files_before(scenario: Scenario) -> Files:

@@ -217,10 +217,8 @@ def _alone(plan: Comparison, one: Parameter) -> list[Scenario]:
         return [
             c.scenario for c in controllers(changed(plan, axes={one.path: one.values}, seeds=None))
         ]
-    except (
-        ScenarioError,
-        ParameterError,
-    ):  # valid only together with another choice: then it is not what the scenario has now
+    except (ScenarioError, ParameterError):
+        # valid only together with another choice: then it is not what the scenario has now
         return []
 
 
@@ -360,10 +358,8 @@ def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
 #
 # Reference: Bergstra et al. 2011, Algorithms for hyper-parameter optimization, NeurIPS.
 STARTUP = 8  # trials that are drawn at random before the estimator has anything to go by
-GUIDED, ATTEMPTS = (
-    10,
-    200,
-)  # attempts at a setting that was not tried yet: by the estimator, then at random as well
+# attempts at a setting that was not tried yet: by the estimator, then at random as well
+GUIDED, ATTEMPTS = 10, 200
 
 
 def must_be_installed() -> Any:

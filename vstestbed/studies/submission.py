@@ -59,11 +59,8 @@ MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
 MOST_TEXT, MOST_UNPACKED = 1 << 20, 128 << 20
 """Largest sizes [B] of a file beside the law, and of all that a submission holds."""
 WORKS = "`vstestbed submit DIR` makes one"
-_END, _FIRST, _ZIP64 = (
-    b"PK\5\6",
-    b"PK\3\4",
-    b"PK\6\7",
-)  # of an archive: its last record, its first, and a record of larger archives
+# of an archive: its last record, its first, and a record of larger archives
+_END, _FIRST, _ZIP64 = b"PK\5\6", b"PK\3\4", b"PK\6\7"
 # of a member: how hard it is packed, sizes behind it, name in UTF-8; others mean that it is
 # encrypted
 _FLAGS = 0x80E
@@ -111,9 +108,8 @@ def pack(folder: Path, out: Path) -> Path:
         )
     with foreign(folder, "`vstestbed suite LAW_FILE --out DIR` makes one", RunFolderError):
         own = Path(json.loads((folder / ABOUT).read_bytes())["file"]).stem
-        runs = pl.read_csv(folder / RUNS, infer_schema=False).filter(
-            pl.col("law") == own
-        )  # those beside it are in the suite
+        # those beside it are in the suite
+        runs = pl.read_csv(folder / RUNS, infer_schema=False).filter(pl.col("law") == own)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:
         packed.writestr(RUNS, runs.write_csv())
@@ -303,9 +299,8 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
     if not planned:
         raise _refused(file, f"its law takes part in no task: {next(iter(entry.blank.values()))}")
     with foreign(file, works, _refused):
-        cells = pl.read_csv(
-            text, infer_schema=False, n_rows=planned.total() + 1
-        )  # one more tells that there are more
+        # one more tells that there are more
+        cells = pl.read_csv(text, infer_schema=False, n_rows=planned.total() + 1)
         if cells.columns != COLUMNS:
             raise _refused(
                 file, f"its {RUNS} has the columns {short(cells.columns)}, not {COLUMNS}", works
@@ -404,9 +399,8 @@ def _checked(
         asked_for = given.filter(
             (pl.col("task") == task) & pl.col("start").is_in([start for start, _ in drawn])
         )
-        both = asked_for.join(
-            again, on=["task", "start"], how="left", suffix="_again"
-        )  # one that leaves no run here is otherwise, too
+        # one that leaves no run here is otherwise, too
+        both = asked_for.join(again, on=["task", "start"], how="left", suffix="_again")
         least = LEAST if Metric.named(entry.suite.tasks[task].metric).unit == "s" else 0.0
         otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row, least)]
     return Checked(n, tuple(otherwise), entry.write(folder, given))

@@ -62,10 +62,8 @@ HOW = (
     " Holm's correction. The mean of the ranks stands beside its parts, with bootstrap intervals:"
     " on these tasks, from other starts, and on tasks like these."
 )
-HIDDEN_FROM, HIDDEN_SEEDS = (
-    1_000_000,
-    900_000_000,
-)  # the random starts that a word draws; those of the plans are the first
+# the random starts that a word draws; those of the plans are the first
+HIDDEN_FROM, HIDDEN_SEEDS = 1_000_000, 900_000_000
 
 
 @spec
@@ -228,9 +226,8 @@ class SuiteEntry:
     word: str | None = None
     file: str | None = None
     apart: tuple[str, ...] | None = None
-    blank: dict[tuple[str, str], str] = field(
-        default_factory=dict
-    )  # why a law takes no part in a task, by law and task
+    # why a law takes no part in a task, by law and task
+    blank: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def block(self, name: str, task: str) -> dict[str, Any] | str:
         """The block of a law in a task, with its files by their whole names, or why it does not fly
@@ -489,9 +486,8 @@ class SuiteEntry:
         if one.worst is not None:  # a run that ended early is no better than the worst that lasted
             lasted = success.fill_null(False) | (pl.col("outcome") == "timed_out")
             number = pl.when(lasted).then(pl.min_horizontal(number, one.worst)).otherwise(one.worst)
-        elif one.metric == TO_GOAL and bool(
-            table.select(number.is_null().any()).item()
-        ):  # of a run that crashed: the task's limit
+        elif one.metric == TO_GOAL and bool(table.select(number.is_null().any()).item()):
+            # of a run that crashed: the task's limit
             number = number.fill_null(
                 max(each.scenario.stop.duration_s for each in Variants(comparison))
             )

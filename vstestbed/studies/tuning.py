@@ -303,10 +303,8 @@ class Search:
 
     def _tried(self, settings: Mapping[int, dict[str, object]]) -> list[Trial]:
         refused = dict[int, str]()
-        for (
-            number,
-            values,
-        ) in settings.items():  # the scenario takes each of its values, but maybe not together
+        # the scenario takes each of its values, but maybe not together
+        for number, values in settings.items():
             try:
                 controllers(self._comparison({str(number): values}, self.plan.seeds))
             except (ScenarioError, ParameterError) as error:
@@ -690,9 +688,8 @@ def begun(
     """
     must_be_installed()
     if plan is not None:
-        comparison, space, seeds = prepared(
-            plan, plan.seeds
-        )  # before the folder is made: bad input leaves no folder
+        # before the folder is made: bad input leaves no folder
+        comparison, space, seeds = prepared(plan, plan.seeds)
         plan = replace(plan, seeds=seeds)
         with study_folder("tune", out, RESUMABLE) as folder:
             write_plan(folder / PLAN, plan, "scenario")

@@ -36,9 +36,8 @@ Body = tuple[Array | float, tuple[float, float, float], bool]
 the radius of a sphere about the origin [m]; its colour in 0..1; whether the scene's lights shade
 it, else its brightness is constant.
 """
-Name = Annotated[
-    str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")
-]  # of a marker: it begins with a letter, so that it is no number
+# of a marker: it begins with a letter, so that it is no number
+Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]
 
 
 @spec

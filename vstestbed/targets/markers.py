@@ -26,12 +26,8 @@ Family = Literal[
 """Families of square tags. AprilTag: bits and least Hamming distance of two tags; ArUco: bits and
 number of tags.
 """
-APRILTAGS = {
-    "16h5": (4, 30),
-    "25h9": (5, 35),
-    "36h10": (6, 2320),
-    "36h11": (6, 587),
-}  # bits along a side and number of tags
+# bits along a side and number of tags
+APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 587)}
 HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds
 under 0.02 px at 1 m.

@@ -23,9 +23,8 @@ from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import Disc, Marker, Sphere
 
 MOST_FACES = 200_000  # MuJoCo reads no more from a file
-RECORD = np.dtype(
-    [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
-)  # a triangle in a binary STL file
+# a triangle in a binary STL file
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 Triangles = NDArray[np.float64]  # corners (F, 3, 3), counter-clockwise from outside
 
 
@@ -108,9 +107,8 @@ def _fan(items: list[bytes], count: int) -> list[int]:
     so far; ValueError for no polygon.
     """
     numbers = [int(item.split(b"/")[0]) for item in items]
-    at = [
-        i - 1 if i > 0 else count + i for i in numbers
-    ]  # counted from 1; a negative number counts back from the last vertex
+    # counted from 1; a negative number counts back from the last vertex
+    at = [i - 1 if i > 0 else count + i for i in numbers]
     if len(at) < 3 or min(at) < 0 or max(at) >= count:
         raise ValueError
     return [k for i in range(1, len(at) - 1) for k in (at[0], at[i], at[i + 1])]
@@ -177,19 +175,16 @@ class MeshTarget(Target):
     color: Annotated[tuple[Channel, ...], Len(3, 3)] = (0.72, 0.74, 0.77)
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "file", absolute_file(self.file, Path.cwd())
-        )  # frozen; a run remembers where its solid is
+        # frozen; a run remembers where its solid is
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         if not self.file.lower().endswith((".stl", ".obj")):
             raise ParameterError.form("file", "FILE.stl or FILE.obj, a solid", self.file)
         if self.pad:
             raise ParameterError.only_for("pad", "target square or points")
-        size = float(
-            np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0))
-        )  # the diagonal of its box
-        if (
-            not 1e-4 <= size <= 100
-        ):  # a part of 0.1 m or more whose millimetres were taken for metres is larger
+        # the diagonal of its box
+        size = float(np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0)))
+        # a part of 0.1 m or more whose millimetres were taken for metres is larger
+        if not 1e-4 <= size <= 100:
             words = (
                 f"makes the solid {size:.3g} m large; give the metres of one unit of the file,"
                 " 0.001 for millimetres"
@@ -197,9 +192,8 @@ class MeshTarget(Target):
             raise ParameterError("scale", words, self.scale)
         for i, (point, (on, _)) in enumerate(zip(self.at, self._nearest, strict=True)):
             off = float(np.linalg.norm(np.array(point) * self.scale - on))
-            if off > max(
-                1e-3, 5e-3 * size
-            ):  # the triangles of a file deviate from curved surfaces by tenths of a millimetre
+            # the triangles of a file deviate from curved surfaces by tenths of a millimetre
+            if off > max(1e-3, 5e-3 * size):
                 near = [round(float(x), 6) for x in on / self.scale]
                 words = (
                     f"must lie on the solid's surface: it is {off * 1e3:.3g} mm off, nearest is"
@@ -282,9 +276,8 @@ class MeshTarget(Target):
             way = point - eye
             reach = float(np.linalg.norm(way))
             p = np.cross(way, e2)
-            with np.errstate(
-                divide="ignore", invalid="ignore"
-            ):  # a triangle seen edge on hides nothing
+            # a triangle seen edge on hides nothing
+            with np.errstate(divide="ignore", invalid="ignore"):
                 det = (e1 * p).sum(axis=1)
                 u, v, t = (off * p).sum(axis=1) / det, q @ way / det, (e2 * q).sum(axis=1) / det
                 covered[i] = bool(

@@ -241,9 +241,8 @@ class RandomWalk(MotionBase):
         from scipy.linalg import expm
 
         W = 2 * math.pi * self.corner_hz
-        damping = 1.0 / math.sqrt(
-            2.0
-        )  # damping ratio: a spectrum that is flat up to the corner frequency (Butterworth)
+        # damping ratio: a spectrum that is flat up to the corner frequency (Butterworth)
+        damping = 1.0 / math.sqrt(2.0)
         F = np.asarray(expm(np.array([[0.0, 1.0], [-W * W, -2 * damping * W]]) * dt), dtype=float)
         # The noise that keeps the stationary covariance P where it is: P = F P F^T + Q.
         stationary = np.diag([1.0, W * W])

@@ -27,14 +27,12 @@ MOST_PX = 2048  # longest side of a texture, with its margin [px]
 # textures, and without it a picture's right edge would shine through at its left edge, from afar
 # most.
 MARGIN = 16
-SHARE = (
-    1 - 2 / MARGIN
-)  # of the texture's width and height that the picture takes up, without the margin
+# of the texture's width and height that the picture takes up, without the margin
+SHARE = 1 - 2 / MARGIN
 KINDS = (".png", ".jpg", ".jpeg")
 TEXTURE = "texture:"  # before the name of a bundled texture, in place of a file's
-Texture = tuple[
-    bytes, tuple[int, int]
-]  # a PNG file, and width and height [px] of the picture that it was made of
+# a PNG file, and width and height [px] of the picture that it was made of
+Texture = tuple[bytes, tuple[int, int]]
 
 
 def textures() -> dict[str, Path]:
@@ -226,9 +224,8 @@ class PictureTarget(Target):
     one_sided: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "file", picture_name(self.file)
-        )  # frozen; a run remembers where its picture is
+        # frozen; a run remembers where its picture is
+        object.__setattr__(self, "file", picture_name(self.file))
         if self.pad:
             raise ParameterError.only_for(
                 "pad", "target square or points; a picture has a board of its own"
@@ -266,9 +263,8 @@ class PictureTarget(Target):
         those that are drawn. `source` stays.
         """
         other = copy(self)
-        other.__dict__["_texture"] = texture_of(
-            change(read_rgb(self.source))[..., ::-1]
-        )  # frozen; else it is read from the file
+        # frozen; else it is read from the file
+        other.__dict__["_texture"] = texture_of(change(read_rgb(self.source))[..., ::-1])
         return other
 
     @property

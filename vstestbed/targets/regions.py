@@ -73,9 +73,8 @@ def ellipse_points(C: Array, count: int) -> Array:
         level = -(C[..., 2, 2] + (b * middle).sum(axis=-1))
         S2 = inverse * level[..., None, None]
         det = S2[..., 0, 0] * S2[..., 1, 1] - S2[..., 0, 1] ** 2
-        root = np.sqrt(
-            np.where(S2[..., 0, 0] > 0, det, np.nan)
-        )  # of a hyperbola the determinant is negative
+        # of a hyperbola the determinant is negative
+        root = np.sqrt(np.where(S2[..., 0, 0] > 0, det, np.nan))
         S = (S2 + root[..., None, None] * np.eye(2)) / np.sqrt(
             S2[..., 0, 0] + S2[..., 1, 1] + 2 * root
         )[..., None, None]
@@ -564,7 +563,6 @@ class Ball(OneRegion):
         centre = self.centre_of(ray[seen])
         if centre is None:
             return np.full_like(ray, np.nan)
-        reach = math.sqrt(
-            max(float(centre @ centre) - self.radius**2, 0.0)
-        )  # of each point where a ray touches
+        # of each point where a ray touches
+        reach = math.sqrt(max(float(centre @ centre) - self.radius**2, 0.0))
         return ray * reach

@@ -37,12 +37,8 @@ from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision.observe import pose_by_depth, shown_goal
 
-PLANE_INPUTS = {
-    "xy",
-    "xyw",
-    "depth",
-    "relative",
-}  # fields of an observation that exist only for points in front of the camera
+# fields of an observation that exist only for points in front of the camera
+PLANE_INPUTS = {"xy", "xyw", "depth", "relative"}
 LEVEL_DEG = 1.0  # largest tilt of the craft at a goal view [deg]
 
 
@@ -59,9 +55,8 @@ def check_visible(
     p = target.seen_from(T_target_camera)
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
     lens, behind = isinstance(camera, Perspective), p[:, 2] <= 0
-    if behind.any() and (
-        lens or PLANE_INPUTS & set(law.inputs)
-    ):  # a law of rays or poses has no image plane
+    # a law of rays or poses has no image plane
+    if behind.any() and (lens or PLANE_INPUTS & set(law.inputs)):
         where = (
             "behind the camera"
             if lens
@@ -90,9 +85,8 @@ def check_visible(
     if (hidden := target.hides(T_target_camera) & counted).any():
         remedy = "move the goal, or let goal.markers name those that are to be seen"
         raise _not_visible(field, target, hidden, "hidden by the target itself", remedy)
-    if (
-        target.moves and not target.on_gripper
-    ):  # where the goal view is in the room is not known before the run
+    # where the goal view is in the room is not known before the run
+    if target.moves and not target.on_gripper:
         return
     T_world_camera = camera.mount.T if target.on_gripper else target.T_world_start @ T_target_camera
     names = setup.world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
@@ -158,9 +152,8 @@ class GoalPicture:
         """
         if self.file is None:
             return
-        object.__setattr__(
-            self, "file", absolute_file(self.file, Path.cwd())
-        )  # frozen; a run remembers where its picture is
+        # frozen; a run remembers where its picture is
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         if self.other_light:
             words = "a picture that the simulated camera takes; leave it out, or the file"
             raise ParameterError.only_for(
@@ -232,9 +225,8 @@ class Task:
     asks: ClassVar[str] = (
         "view"  # The word by which a law declares that it supports such tasks (`Law.tasks`)
     )
-    bases: ClassVar[frozenset[Base]] = frozenset(
-        {"fixed", "planar", "floating"}
-    )  # The bases of robots that can execute it
+    # The bases of robots that can execute it
+    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
     continuing: ClassVar[bool] = (
         # Whether it has no goal to reach, but an error to keep within a tolerance for the whole
         # duration
@@ -251,9 +243,8 @@ class Task:
     estimates it.
     """
     needs_still: ClassVar[bool] = False  # Whether the target must stand still
-    view_fields: ClassVar[
-        tuple[str, ...]
-    ] = ()  # The scenario's field of each goal view, for error messages; `goal` where there is none
+    # The scenario's field of each goal view, for error messages; `goal` where there is none
+    view_fields: ClassVar[tuple[str, ...]] = ()
 
     kind: Any  # The word in a scenario, a field of each task
     settle_s: Any = 0.0  # Settling time, after which the tolerance counts [s]

@@ -31,9 +31,8 @@ line at 25 degrees .91, a start within the first two seconds .87.
 # near
 FOLLOWS = 0.5
 
-MinSpeed = tuple[
-    str, float, float
-]  # who, in words, is commanded which speed, and must reach which [m/s]
+# who, in words, is commanded which speed, and must reach which [m/s]
+MinSpeed = tuple[str, float, float]
 Odometer = Callable[[Array, Array], tuple[float, ...]]
 """Distances so far [m] of the vehicles under a minimum speed, in their order, with vehicle and
 target now at these true poses (4, 4).

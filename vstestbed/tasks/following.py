@@ -74,10 +74,9 @@ class GoalGap(Continuing):
                     "goal.gap_m", "over", f"{least:.4g} m", self.gap_m, why=why
                 )
         # Points above one another do not determine the target's heading: they must lie over the
-        # origin to which the gap is measured.
-        p: Array = (
-            target.points @ target.pose.T[:3, :3].T
-        )  # from the target's origin, in the axes of what carries it
+        # origin to which the gap is measured. p is from the target's origin, in the axes of what
+        # carries it.
+        p: Array = target.points @ target.pose.T[:3, :3].T
         if not setup.law.depth.on_floor or np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
             return
         # One place gives one direction and, by the known height, one distance: enough for a point,
@@ -146,6 +145,7 @@ def leader_and_follower(target: Target) -> Odometer:
 
 
 # Line following: keep the vehicle over a line painted on the floor.
+
 # search range along the line round the vehicle's last arc length [m]; at 3 m/s and 10 Hz it moves
 # by .3 m a frame
 ALONG_M = 0.5
@@ -235,9 +235,8 @@ class GoalLine(Continuing):
 
 def _lines(target: Target) -> GroundLines:
     """The target as lines on the floor. Raises ParameterError: it is another kind of target."""
-    if not isinstance(
-        target, GroundLines
-    ):  # the one task that needs more of its target than markers: a route
+    # the one task that needs more of its target than markers: a route
+    if not isinstance(target, GroundLines):
         raise ParameterError.needs(
             "goal", "a line on the floor for kind line", works="target: {kind: lines}"
         )

@@ -62,9 +62,8 @@ class ImageError(NamedTuple):
         error = seen.uv - goal.uv
         squares = float(np.vdot(error, error))
         all_seen = math.isfinite(squares)
-        if (
-            not all_seen
-        ):  # the costlier masks only where something is missing: this runs for every frame
+        # the costlier masks only where something is missing: this runs for every frame
+        if not all_seen:
             error = error[seen.seen]
             squares = float(np.vdot(error, error))
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())

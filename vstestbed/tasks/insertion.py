@@ -176,17 +176,15 @@ class GoalInsertion(Task):
         if T is None or math.isnan(dt):
             return state._replace(t=seen.t), goal
         axis = reference[:3, 2]  # of the hole, into it, in the camera's frame
-        away = (
-            reference[:3, 3] - T[:3, 3]
-        )  # how far the camera still has to go, so that the target comes to where it is wanted
+        # how far the camera still has to go, so that the target comes to where it is wanted
+        away = reference[:3, 3] - T[:3, 3]
         lateral, lead = float(np.linalg.norm(away - (away @ axis) * axis)), float(-away @ axis)
         turned = math.degrees(rotation_angle(T[:3, :3].T @ reference[:3, :3]))
         in_line = lateral < self.within_m and turned < self.within_deg and abs(lead) < LEAD_M
         since = min(state.in_line_since, seen.t) if in_line else math.inf
         press = 0.0 if seen.wrench is None else float(-seen.wrench[:3] @ axis)
-        rest_n = (
-            press if way == 0.0 or math.isnan(state.rest_n) else state.rest_n
-        )  # the weight of the tool
+        # the weight of the tool
+        rest_n = press if way == 0.0 or math.isnan(state.rest_n) else state.rest_n
         presses = self.press_n is not None and press - rest_n > self.press_n
         begun = way > 0.0 or seen.t - since >= self.hold_s
         inside = way > self.standoff_m

@@ -200,9 +200,8 @@ class Reward:
         if self.kind == "sparse":
             return bonus
         if self.kind == "negative_error":
-            g = (
-                self.discount
-            )  # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
+            # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
+            g = self.discount
             lost = 1.0 * left if g == 1 else g * -np.expm1(left * math.log(g)) / (1.0 - g)
             return (
                 after

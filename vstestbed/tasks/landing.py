@@ -81,9 +81,8 @@ class GoalLanding(Task):
         """
         T = poses[view].copy()
         T[:3, 3] = 0.0
-        below_m = float(
-            inverse(setup.camera.mount.T @ T)[2, 3]
-        )  # the base in the target's frame, whose z points down
+        # the base in the target's frame, whose z points down
+        below_m = float(inverse(setup.camera.mount.T @ T)[2, 3])
         T[:3, 3] = ((setup.robot.body.standing_m if setup.robot.body else 0.0) + below_m) * T[:3, 2]
         return T
 

@@ -256,9 +256,8 @@ RUN_COLUMNS = {
 """What else a summary, or the row of a run in a comparison's table, has; the varied fields have
 columns of their own.
 """
-TAKEN = frozenset(
-    (*KNOWN, *RUN_COLUMNS)
-)  # Names that a summary or a comparison's table has already
+# Names that a summary or a comparison's table has already
+TAKEN = frozenset((*KNOWN, *RUN_COLUMNS))
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 

@@ -62,9 +62,8 @@ def held_since(since: float, holds: bool, t: float) -> float:
 
 def has_held(since: float, t: float, duration_s: float) -> bool:
     """Whether a condition that has held since then has held for so long [s]."""
-    return (
-        t - since + 1e-9 >= duration_s
-    )  # times are sums of steps: a hold of 0.5 s must not miss its frame by a rounding
+    # times are sums of steps: a hold of 0.5 s must not miss its frame by a rounding
+    return t - since + 1e-9 >= duration_s
 
 
 class TaskMonitor:

@@ -240,9 +240,8 @@ class _AfterPictures:
 
     def _at_rest(self, t: float, error_px: float) -> bool:
         """Whether the error in the image has stayed small, and fallen no further, for `rest_s`."""
-        if (
-            self._rule.rest_px is None or not error_px <= self._rule.rest_px
-        ):  # also where it is not known
+        # also where it is not known
+        if self._rule.rest_px is None or not error_px <= self._rule.rest_px:
             self._least_px = math.inf
         elif error_px < 0.9 * self._least_px or error_px > 1.1 * self._least_px + REST_PX:
             self._least_px, self._since = min(error_px, self._least_px), t

@@ -29,9 +29,8 @@ from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
 
 _TURN = ThetaU()
-JERK_PEAK = (
-    15 / 8
-)  # ratio of peak to mean speed of a minimum-jerk motion: s'(p) = 30 p^2 (1 - p)^2 at p = 1/2
+# ratio of peak to mean speed of a minimum-jerk motion: s'(p) = 30 p^2 (1 - p)^2 at p = 1/2
+JERK_PEAK = 15 / 8
 DIFFERENCE_S = 1e-3  # step of the central difference for the reference's velocity [s]
 LEAST_LEG_S = 0.5  # shortest duration of a leg [s]; two equal views would have a leg of none
 LATE_S = 2.0

@@ -31,23 +31,11 @@ from vstestbed.loop.isolated import JACOBIAN, Declared
 from vstestbed.scenario.plugins import load_plugins, registries
 from vstestbed.testing.laws import unnamed_in_source
 
-MEMORY, FILE, CPU_S = (
-    8 << 30,
-    64 << 20,
-    3600,
-)  # most bytes of memory and of a file; most processor time [s]
+# most bytes of memory and of a file; most processor time [s]
+MEMORY, FILE, CPU_S = 8 << 30, 64 << 20, 3600
 KEPT = 64  # states: a judge asks for one again only soon
-COMMAND = (
-    "u",
-    "twist",
-    "rates",
-    "wrench",
-    "rest_reason",
-    "scale",
-    "free",
-    "mode",
-    "row",
-)  # what is told of one
+# what is told of one
+COMMAND = "u", "twist", "rates", "wrench", "rest_reason", "scale", "free", "mode", "row"
 
 
 @spec

@@ -320,9 +320,8 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     """Why a law does not pass its suite; nothing where it does."""
     try:
         check_law(Isolated(**_apart(lab, student, {"kind": lab.kind})))
-    except (
-        Exception
-    ) as error:  # an assertion's; and whatever the numbers of a law bring about in the loop
+    except Exception as error:
+        # an assertion's; and whatever the numbers of a law bring about in the loop
         Child.lost += not isinstance(error, AssertionError | VstestbedError)
         yield str(error).replace("isolated", lab.kind)
 
@@ -335,9 +334,8 @@ def _reasons(
     Child.watch = None if task.may_be is None else like
     try:
         own = _runs(lab, task, student, first_seed, beside)
-    except (
-        Exception
-    ) as error:  # a refusal's; and whatever the numbers of a law bring about in the loop
+    except Exception as error:
+        # a refusal's; and whatever the numbers of a law bring about in the loop
         Child.lost += not isinstance(error, VstestbedError)
         yield f"It cannot be run: {error}"
         return

@@ -15,12 +15,8 @@ from vstestbed.laws.base import inputs_of
 # of the commands' size: pbvs and hybrid, the most alike on the course's tasks, differ by 0.085 and
 # more there
 ALIKE = 0.02
-SHARED = (
-    "depth",
-    "limits",
-    "visibility",
-    "feedforward",
-)  # settings that a law from elsewhere declares
+# settings that a law from elsewhere declares
+SHARED = "depth", "limits", "visibility", "feedforward"
 
 
 @spec

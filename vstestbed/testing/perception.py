@@ -64,10 +64,8 @@ def check_detector(
     undrawn = rng.bit_generator.state
     shown = s.camera.whole(truth.p_camera, s.target.marker.radius, MARGIN_PX) & ~truth.hidden
     assert shown.any(), f"{s.name or 'the scenario'} must show markers at its start"
-    for turn in (
-        "from the whole picture",
-        "beside the last one",
-    ):  # the second time it may look in windows
+    # the second time it may look in windows
+    for turn in ("from the whole picture", "beside the last one"):
         state, detection = detector.detect(state, picture, view, s.camera, s.target, rng)
         assert detection.uv.shape == true.shape, (
             f"{detector.kind}: uv must have shape {true.shape}, got {detection.uv.shape}"
@@ -226,11 +224,9 @@ def _check_pixels(camera: Camera, kind: str) -> Array:
 
 
 # What every kind of local features must do.
-WIDTH, HEIGHT, FINER = (
-    320,
-    240,
-    2,
-)  # size of the two pictures, and samples along each side of a pixel
+
+# size of the two pictures, and samples along each side of a pixel
+WIDTH, HEIGHT, FINER = 320, 240, 2
 TURN_DEG, SIZE = 8.0, 0.93  # rotation and scale of the second against the first
 SHEETS = 120
 
@@ -434,9 +430,8 @@ def check_monitor(monitor: MonitorContract, ends: Scenario | None = None) -> Non
         " into the object that `monitor` makes"
     )
     n = len(one.rows)
-    same = np.array_equal(
-        one.table[: n - 1], without.table[: n - 1], equal_nan=True
-    )  # the last command is not sent any more
+    # the last command is not sent any more
+    same = np.array_equal(one.table[: n - 1], without.table[: n - 1], equal_nan=True)
     assert same, (
         f"{kind}: the run before its verdict differs from one without it; a monitor must not write"
         " into a frame"

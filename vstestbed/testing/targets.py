@@ -182,9 +182,8 @@ def check_task(scenario: Scenario) -> None:
     )
     own = [name for name in scenario.own_columns if name not in whole.columns]
     assert not own, f"{task.kind}: its log lacks the columns {', '.join(own)}"
-    if (
-        task.continuing
-    ):  # its logged error was within the tolerance, since the run counts as completed
+    # its logged error was within the tolerance, since the run counts as completed
+    if task.continuing:
         assert "task_error_m" in whole.columns, (
             f"{task.kind}: a continuing task must log its error as task_error_m [m]"
         )

@@ -230,9 +230,8 @@ class BurstLoss:
         return self.good_loss > 0 or (self.enter_probability > 0 and self.bad_loss > 0)
 
 
-Loses = Callable[
-    [int], bool
-]  # whether what is sent in a camera period is lost; periods count from 0, and never go back
+# whether what is sent in a camera period is lost; periods count from 0, and never go back
+Loses = Callable[[int], bool]
 
 
 def bursty_link(loss: BurstLoss, rng: np.random.Generator) -> Loses:

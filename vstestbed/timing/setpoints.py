@@ -11,9 +11,8 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, all_finite
 
-Mode = Literal[
-    "hold", "ramp", "smooth"
-]  # held until the next command; led to it in a straight line; led to it with limited jerk
+# held until the next command; led to it in a straight line; led to it with limited jerk
+Mode = Literal["hold", "ramp", "smooth"]
 
 
 class Profile:

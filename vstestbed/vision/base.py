@@ -138,9 +138,8 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
     """
     ray, normal = goal.camera.ray(uv), goal.T_camera_target[:3, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        z = (
-            (normal @ goal.T_camera_target[:3, 3]) / (ray @ normal) * ray[:, 2]
-        )  # where rays meet the plane; negative behind the camera
+        # where rays meet the plane; negative behind the camera
+        z = (normal @ goal.T_camera_target[:3, 3]) / (ray @ normal) * ray[:, 2]
     if goal.image is not None and goal.image.depth is not None:
         measured = depth_at(goal.image.depth, uv)
         z = np.where(np.isfinite(measured), measured, z)

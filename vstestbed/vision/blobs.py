@@ -33,6 +33,7 @@ from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
 # Perspective bias: the centroid of a marker's image is not the image of its centre (discs and
 # spheres).
+
 # corners of the polygon that approximates an outline: its bias and area are then right to 1e-4
 CORNERS = 32
 # Closed polygon with the area of the unit circle: cosines and sines, shape (CORNERS + 1,) each.
@@ -148,14 +149,11 @@ def _across(
 # that explains them.
 Positioned = tuple[int, Blob]  # index of the camera's panel, and a blob in it
 Candidates = list[list[Positioned]]  # for each marker the blobs of its hue
-Hypothesis = tuple[
-    Array, Candidates, int
-]  # a pose (4, 4), the blobs that it may explain, and how many of them it must explain
+# a pose (4, 4), the blobs that it may explain, and how many of them it must explain
+Hypothesis = tuple[Array, Candidates, int]
 
-MOST_OF_A_HUE, SEEDS = (
-    4,
-    4,
-)  # candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
+# candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
+MOST_OF_A_HUE, SEEDS = 4, 4
 
 
 def allowed_px(uv: Array) -> float:
@@ -195,9 +193,8 @@ def assign_blobs(
     for hypotheses in (_of_four_or_near, _of_three):
         best, found = 0.0, None
         for T, blobs, least in hypotheses(few, present, camera, target, previous):
-            if (
-                target.one_sided and inverse(T)[2, 3] >= 0
-            ):  # from behind it shows no markers: it is the mirror image of a right match
+            # from behind it shows no markers: it is the mirror image of a right match
+            if target.one_sided and inverse(T)[2, 3] >= 0:
                 continue
             score, chosen = _explained(blobs, T, camera, target)
             if score > best and sum(f is not None for f in chosen) >= least:
@@ -217,9 +214,8 @@ def _of_four_or_near(
     if previous is None:
         return
     uv = camera.project(transform(previous, target.points))
-    radius = max(
-        15.0, 0.15 * float(np.ptp(uv, axis=0).max())
-    )  # round a marker under the last pose [px], by the target's size
+    # round a marker under the last pose [px], by the target's size
+    radius = max(15.0, 0.15 * float(np.ptp(uv, axis=0).max()))
     near = [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(few)]
     for three in combinations([i for i in present if near[i]][:SEEDS], 3):
         for T in _poses(list(three), near, camera, target, previous):
@@ -274,6 +270,7 @@ def _away(blob: Blob, uv: Array) -> float:
 
 # Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between
 # panels.
+
 # blobs are measured so far beyond their mask's box [px], which may touch the window in which they
 # were searched
 MEASURED_PX = 2
@@ -323,9 +320,8 @@ def regions_of(state: BlobsState, camera: Camera, margin: int) -> Regions | None
         if blob is None:
             return None
         lens = camera.panels[home].lens
-        wide = (
-            margin + 0.1 * lens.width
-        )  # so that a marker a little outside of its predicted window is still rendered
+        # so that a marker a little outside of its predicted window is still rendered
+        wide = margin + 0.1 * lens.width
         # In its own panel and, near the border, in every other that sees it.
         for panel in [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels)):
             seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
@@ -438,6 +434,7 @@ def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] |
 
 
 # From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.
+
 # error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of
 # 2 to 8 px radius)
 AREA_NOISE_PX = 3.5
@@ -523,9 +520,9 @@ class MarkerFit:
                 continue
             if misfit > 1:
                 centroid[worst] = area[worst] = np.nan
-            # Under .02 px another round would change it by a tenth of that. "not >", so that the
-            # NaN of lost markers ends the loop.
             elif not np.abs(bias - assumed).max() > 0.02:
+                # Under .02 px another round would change it by a tenth of that. "not >", so that
+                # the NaN of lost markers ends the loop.
                 break
             assumed = bias
             T = self._pose(centroid - assumed, area, T if previous is None else previous)
@@ -667,9 +664,8 @@ def _off(centroid: Array, expected: Outlines) -> Array:
 
 
 Place = tuple[int, Window]  # index of the camera's panel, and a window in it
-Found = (
-    tuple[int, Blob] | None
-)  # index of the camera's panel and a marker's blob in it; None: not found
+# index of the camera's panel and a marker's blob in it; None: not found
+Found = tuple[int, Blob] | None
 
 
 @spec

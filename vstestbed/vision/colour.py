@@ -98,9 +98,8 @@ def chroma_mask(image: Image, threshold: int) -> Image:
         )
     mask = np.empty((height, width), np.uint8)
     rows = max(1, STRIP_PX // width)
-    buffers = np.empty(
-        (4, rows, width), np.uint8
-    )  # reused for each strip; `chroma` would allocate six images
+    # reused for each strip; `chroma` would allocate six images
+    buffers = np.empty((4, rows, width), np.uint8)
     for top in range(0, height, rows):
         strip = image[top : top + rows]
         r, g, b, high = buffers[:, : len(strip)]

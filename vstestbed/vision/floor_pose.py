@@ -44,9 +44,8 @@ def solve_place(
     # the same one.
     solved = [] if previous is None else [_refined(d, points, origin, previous)]
     guess = _by_height(d, points, origin)
-    if guess is not None and not (
-        solved and np.abs(guess - solved[0][0]).max() < 0.05
-    ):  # within which it leads there, too [m, rad]
+    # within which it leads there, too [m, rad]
+    if guess is not None and not (solved and np.abs(guess - solved[0][0]).max() < 0.05):
         solved.append(_refined(d, points, origin, guess))
     if not solved:
         return None
@@ -91,9 +90,8 @@ def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Arra
     for _ in range(ROUNDS):
         e, J = _errors(d, across, points, origin, place)
         error = math.sqrt(float(e @ e) / len(points))
-        step = np.linalg.lstsq(J[:, :unknowns], -e, rcond=1e-4)[
-            0
-        ]  # two landmarks on one vertical leave the heading open
+        # two landmarks on one vertical leave the heading open
+        step = np.linalg.lstsq(J[:, :unknowns], -e, rcond=1e-4)[0]
         place[:unknowns] += step
         if np.abs(step).max() < SETTLED:
             break

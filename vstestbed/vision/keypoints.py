@@ -177,9 +177,8 @@ def refined(
         if np.abs(step).max(initial=0.0) < SETTLED_PX:
             break
     usable &= _inside(goal, uv_goal[:, None] + x) & _inside(image, at[:, None] + over)
-    found = (
-        usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < 3.0)
-    )  # farther away it has found something else
+    # farther away it has found something else
+    found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < 3.0)
     return np.where(found[:, None], at, np.nan)
 
 
@@ -232,9 +231,10 @@ def map_derivatives(camera: Camera, H: Array, uv_goal: Array) -> Array:
     (K, 2): d uv / d uv_goal (K, 2, 2).
     """
     steps = 0.5 * np.eye(2)  # [px]
+    # (K, 2 directions, 2)
     ahead, back = (
         camera.project(camera.ray(uv_goal[:, None] + sign * steps) @ H.T) for sign in (1, -1)
-    )  # (K, 2 directions, 2)
+    )
     return (ahead - back).mT
 
 
@@ -259,9 +259,8 @@ def planar_map(
     method = cv2.UsacParams()
     method.threshold, method.confidence, method.maxIterations = within_px, 0.9999, 5000
     method.randomGeneratorState = 1  # a seed, so that a run repeats
-    H, mask = cv2.findHomography(
-        f * a[usable], f * b[usable], method
-    )  # in pixels: of smaller numbers it loses its way
+    # in pixels: of smaller numbers it loses its way
+    H, mask = cv2.findHomography(f * a[usable], f * b[usable], method)
     if H is None or mask is None or np.count_nonzero(mask) < LEAST_INLIERS:
         return None
     agree = np.zeros(len(a), dtype=bool)
@@ -691,9 +690,8 @@ class Keypoints(DetectorBase):
         """The best pairs whose patches are found; where some are not, the next ones are tried in
         their place, up to a limit.
         """
-        tried = max(
-            round(1.5 * self.best), 16
-        )  # more than are reported, since some are not found; a plane needs eight that agree
+        # more than are reported, since some are not found; a plane needs eight that agree
+        tried = max(round(1.5 * self.best), 16)
         most = 4 * tried
         while True:
             some = self._best(pairs, first, tried)

@@ -214,17 +214,17 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     here, on, left = camera.project(
         on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]]))
     )
+    # a cell is a pixel, if neither
     row_m, column_m = (
         float(np.clip(step / np.linalg.norm(uv - here), 5e-4, 0.02)) for uv in (on, left)
-    )  # a cell is a pixel, if neither
+    )
     if not math.isfinite(row_m + column_m):
         raise ParameterError.bound(
             "target.look_m", "within", "the floor that the camera sees", ahead
         )
     half = math.ceil(reach / column_m)
-    lefts: Array = (
-        np.arange(half, -half - 1, -1, dtype=np.float64) * column_m
-    )  # left is left, as in the image
+    # left is left, as in the image
+    lefts: Array = np.arange(half, -half - 1, -1, dtype=np.float64) * column_m
     aheads: Array = ahead + (np.arange(ROWS, dtype=np.float64) - ROWS // 2) * row_m
     floor = np.stack(np.meshgrid(aheads, lefts, indexing="ij"), axis=-1)
     p = on_foot(mount, floor.astype(np.float64))

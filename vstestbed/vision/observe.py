@@ -38,6 +38,7 @@ from vstestbed.vision.pnp import solve_pose_from_rays, unit_for
 
 # Depth from motion: recursive least squares for each marker's inverse range from the flow of its
 # ray, for any lens.
+
 # standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
 FLOW_NOISE = 3e-4
 RANGE = 50.0  # the estimate is limited to the initial depth divided and multiplied by this
@@ -179,9 +180,8 @@ def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
     q = scale[:, None] * transform(T, points)
     at, to = points.mean(axis=0), q.mean(axis=0)
     U, s, Vt = np.linalg.svd((q - to).T @ (points - at))
-    line = (
-        s[1] < 1e-9 * s[0]
-    )  # collinear: the registration leaves the rotation about the line open, the old one is kept
+    # collinear: the registration leaves the rotation about the line open, the old one is kept
+    line = s[1] < 1e-9 * s[0]
     R = T[:3, :3] if line else U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = R, to - R @ at
@@ -530,9 +530,8 @@ class Observer:
         if self.target.moves:  # no landmark
             return odometry, None
         predicted = None if state.place is None else composed(state.place, step)
-        T_map_camera = (
-            None if T is None else self.target.pose.T @ inverse(T)
-        )  # by the landmarks, whose places are known
+        # by the landmarks, whose places are known
+        T_map_camera = None if T is None else self.target.pose.T @ inverse(T)
         return odometry, fused_place(
             predicted, T_map_camera, self.camera.mount.T, compass, corrections(dt)
         )
@@ -542,9 +541,8 @@ class Observer:
     ) -> Observation:
         """What the law requires of a view, with the errors of the calibration in its depths."""
         required = self.required_fields
-        predictable = (
-            not self.target.moves or self.target.on_gripper
-        )  # else the target's pose is known only while it is seen
+        # else the target's pose is known only while it is seen
+        predictable = not self.target.moves or self.target.on_gripper
         pose = view.T_camera_target if solved or predictable else None
         depth, reach, scale = view.depth, view.range, self.depth_scale
         if scale is not None:
@@ -558,9 +556,8 @@ class Observer:
         )
         motion = view.motion if "motion" in required else None
         radius = None
-        if (
-            "radius_px" in required
-        ):  # the larger of half width and half height; without ranges by the depths
+        # the larger of half width and half height; without ranges by the depths
+        if "radius_px" in required:
             ray = self.camera.ray(view.uv)
             p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
             radius = self.camera.half_size(p, self.target.marker.radius).max(axis=1)
@@ -617,9 +614,8 @@ def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[A
         for one, known in zip(seen, rows, strict=True):
             p = transform(one.T_this_reference @ T, points[known])
             error = one.uv[known] - one.camera.project(p)
-            if not np.isfinite(
-                error
-            ).all():  # beside the lens: the pose to begin with was a wrong one
+            # beside the lens: the pose to begin with was a wrong one
+            if not np.isfinite(error).all():
                 return None
             L = (pixel_interaction(one.camera, p) @ adjoint(one.T_this_reference)).reshape(
                 -1, 6

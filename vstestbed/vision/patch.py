@@ -188,9 +188,8 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
 
 # Grey pictures in several sizes, sampled where a plane is projected by any lens.
 OUTSIDE = -1e4  # a pixel far outside of every picture
-GRID = np.linspace(
-    -1, 1, 9
-)  # places along a template's sides at which its size in the picture is measured
+# places along a template's sides at which its size in the picture is measured
+GRID = np.linspace(-1, 1, 9)
 
 
 class GreyPicture:
@@ -296,6 +295,7 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
 #
 # The plane's homography G (3, 3), det G > 0, maps a template's point (x, y, 1) to the direction of
 # its image in the camera's frame.
+
 # residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)
 TUKEY = 4.685
 # least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`
@@ -345,9 +345,8 @@ def align(
     """
     visible = 0.0
     sizes = _sizes(template, picture, G)
-    for (level, halvings), rounds in zip(
-        sizes, (12, 8, 8)[-len(sizes) :], strict=True
-    ):  # most iterations, on the smallest copy first
+    # most iterations, on the smallest copy first
+    for (level, halvings), rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):
         # They end when no corner moves by more than this in the picture [px]; in the smaller copies
         # earlier.
         still = 0.03 * (1 if level is sizes[-1][0] else 8.0)
@@ -564,9 +563,10 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
     # Pixels per unit of tangent in the middle of the camera's (first) image.
     middle = camera.panels[0].lens.project(np.array([[0.0, 0.0, 1.0], [STEP, 0.0, 1.0]]))
     f = float(np.linalg.norm(middle[1] - middle[0])) / STEP
+    # within 3 px
     H, inliers = cv2.findHomography(
         places[index[ahead]], f * xy, cv2.RANSAC, 3.0, maxIters=2000, confidence=0.999
-    )  # within 3 px
+    )
     if H is None or np.count_nonzero(inliers) < LEAST_MATCHES:
         return None
     G = normalised(R @ np.diag([1 / f, 1 / f, 1]) @ H)

@@ -17,9 +17,8 @@ from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import GREY
 
-LUMA = np.array(
-    [0.299, 0.587, 0.114], np.float32
-)  # weights of red, green and blue in the grey of a colour (ITU-R BT.601)
+# weights of red, green and blue in the grey of a colour (ITU-R BT.601)
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 Share = Annotated[float, Ge(0), Le(1)]
 Probability = Annotated[float, Ge(0), Lt(1)]
 
@@ -227,9 +226,8 @@ class Perturbed:
 
     def __init__(self, kinds: Sequence[PerturbationBase], rng: np.random.Generator):
         n = len(kinds)
-        streams = rng.spawn(
-            3 * n
-        )  # independent: what is drawn once a run, for pictures, for pixels
+        # independent: what is drawn once a run, for pictures, for pixels
+        streams = rng.spawn(3 * n)
         begun = [(kind, kind.begin(stream)) for kind, stream in zip(kinds, streams, strict=False)]
         self._pictures = [
             (*one, s)

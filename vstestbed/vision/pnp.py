@@ -187,9 +187,8 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
         # Least squares of minimum norm: directions that the markers leave open do not move.
         x = np.linalg.lstsq((across @ dunit).reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
         size = float(np.abs(x).max())
-        T = (
-            exp(x / max(1.0, size)) @ T
-        )  # steps are limited to a unit and 1 rad, beyond which the linearisation is void
+        # steps are limited to a unit and 1 rad, beyond which the linearisation is void
+        T = exp(x / max(1.0, size)) @ T
         if size < SETTLED:
             break
     return T, error
@@ -220,14 +219,12 @@ _SETTLED = (3, 30, 1e-14)  # EPS + COUNT
 precision, would stop on the way from a tilted previous pose to a far frontal view, where each step
 only halves the tilt.
 """
-Layout = Literal[
-    "line", "line and one", "plane", "space"
-]  # collinear; collinear but for one point; coplanar; in space
+# collinear; collinear but for one point; coplanar; in space
+Layout = Literal["line", "line and one", "plane", "space"]
 _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
-_Candidate = tuple[
-    float, Array
-]  # reprojection error [rms of one coordinate] of a pose (4, 4) that a solver found, and the pose
+# reprojection error [rms of one coordinate] of a pose (4, 4) that a solver found, and the pose
+_Candidate = tuple[float, Array]
 
 
 def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array | None:

@@ -49,9 +49,8 @@ def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
     """
     near, inner = cv2.dilate(alone, NEIGHBOURS), cv2.erode(alone, NEIGHBOURS)
     out = (inner > 0).astype(np.float32)
-    border = (near > 0) & (
-        inner == 0
-    )  # the colours are worked out there alone: most of a region is its inside
+    # the colours are worked out there alone: most of a region is its inside
+    border = (near > 0) & (inner == 0)
     F, B = _mean_near(part, inner, border), _mean_near(part, cv2.bitwise_not(near), border)
     span = F - B
     out[border] = ((part[border] - B) * span).sum(axis=1) / np.maximum(
@@ -122,14 +121,12 @@ def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
     """
     inside = c > 0.5
     v, u = np.nonzero((inside[:, 1:-2] != inside[:, 2:-1]) & (steep[:, 1:-2] | steep[:, 2:-1]))
-    four = np.stack(
-        [c[v, u + k] for k in range(4)], axis=1
-    )  # pixels u .. u + 3; the border is between the middle two
+    # pixels u .. u + 3; the border is between the middle two
+    four = np.stack([c[v, u + k] for k in range(4)], axis=1)
     leaves = inside[v, u + 1]
     four = np.where(leaves[:, None], four, four[:, ::-1])
-    clear = (four[:, 0] > 0.85) & (
-        four[:, 3] < 0.15
-    )  # no border is measured at corners and in slots
+    # no border is measured at corners and in slots
+    clear = (four[:, 0] > 0.85) & (four[:, 3] < 0.15)
     way = four.sum(axis=1)
     at = np.where(leaves, u - 0.5 + way, u + 3.5 - way)
     return np.column_stack([at, v])[clear].astype(float)
@@ -214,9 +211,8 @@ def _likely(e: Array, q: Array, expected: float) -> list[float]:
     few = e[:: max(1, len(e) // 40)]
     turns = expected + np.arange(TURNS) * (2 * math.pi / TURNS)
     c, s = np.cos(turns), np.sin(turns)
-    turned = few @ np.stack(
-        [np.stack([c, s], -1), np.stack([-s, c], -1)], -1
-    )  # rotated back by each, (TURNS, K, 2)
+    # rotated back by each, (TURNS, K, 2)
+    turned = few @ np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -1)
     distance = _foot(turned.reshape(-1, 2), q)[2].reshape(TURNS, -1)
     cost = np.minimum(distance, 0.5).mean(axis=1)
     lowest = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
@@ -387,9 +383,8 @@ def fit_outline(
 # a region is measured so far beyond its box [px], which may touch the window in which it was
 # searched
 BESIDE_PX = 3
-Found = tuple[
-    Window, Array, OutlineFit
-]  # a region: its box [px], its centroid (2,) [px], and the outline fitted to it
+# a region: its box [px], its centroid (2,) [px], and the outline fitted to it
+Found = tuple[Window, Array, OutlineFit]
 
 
 @dataclass(frozen=True, slots=True)
@@ -600,12 +595,10 @@ class RegionDetector(DetectorBase):
         middle = np.array([left + m["m10"] / mass, top + m["m01"] / mass])
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / mass
         border = Border(edge, middle, spread, camera.panels[panel])
-        tolerance = (
-            self.tolerance_px + 0.05 * region.noise
-        )  # [px], and [px per grey level of its standard deviation]
-        for turn in (
-            [None] if state.box is None else [state.turn, None]
-        ):  # as in the last picture, or else all round
+        # [px], and [px per grey level of its standard deviation]
+        tolerance = self.tolerance_px + 0.05 * region.noise
+        # as in the last picture, or else all round
+        for turn in [None] if state.box is None else [state.turn, None]:
             fit = fit_outline(border, target, turn, state.expected)
             if fit is None:
                 continue

@@ -26,6 +26,7 @@ from vstestbed.vision.pnp import solve_pose_from_rays
 
 # Subpixel corners of tags: the four edges measured in the grey image and intersected, good to
 # hundredths of a pixel.
+
 # positions along an edge at which it is measured, shares of its length, without the blurred corners
 ALONG = np.linspace(0.1, 0.9, 16)
 ACROSS = np.linspace(-1, 1, 25)  # samples of one profile across an edge, in units of its reach
@@ -51,14 +52,12 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
     b)/(w - b)), which no symmetrical blur shifts. Lines are fitted to these points by total least
     squares; their intersections are the corners.
     """
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # parallel lines give NaN, which fails every check of a tag
+    # parallel lines give NaN, which fails every check of a tag
+    with np.errstate(divide="ignore", invalid="ignore"):
         edges = _measured_once(grey, corners, modules)
         for _ in range(3):
-            if (
-                np.abs(edges[0] - corners).max() < 0.02
-            ):  # another round would move them by a fraction of that
+            # another round would move them by a fraction of that
+            if np.abs(edges[0] - corners).max() < 0.02:
                 break
             corners, edges = edges[0], _measured_once(grey, edges[0], modules)
     return edges
@@ -129,9 +128,8 @@ def _cross(points: Array) -> tuple[Array, Array]:
     mean = points.mean(axis=2)
     d = points - mean[:, :, None]
     xx, yy, xy = (d[..., 0] ** 2).sum(-1), (d[..., 1] ** 2).sum(-1), (d[..., 0] * d[..., 1]).sum(-1)
-    angle = (
-        np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
-    )  # the scatter matrix's minor axis, in closed form
+    # the scatter matrix's minor axis, in closed form
+    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     lines = np.concatenate([normal, -(normal * mean).sum(-1, keepdims=True)], axis=-1)
     # Homogeneous lines: their cross product is the point of intersection.
@@ -140,6 +138,7 @@ def _cross(points: Array) -> tuple[Array, Array]:
 
 
 # Printed tags: images of each family's tags, for the textures of the scene.
+
 # texels along a module: a power of two, so that the edges stay between texels at every level of
 # OpenGL's mipmap
 PX_PER_MODULE = 16
@@ -168,9 +167,8 @@ def printed(marker: Marker, i: int) -> tuple[str, bytes]:
     """Name and PNG file of what is printed on marker i of a target.
     Raises TypeError: nothing is.
     """
-    if not isinstance(
-        marker, Tag
-    ):  # the one marker with a print; the picture comes from OpenCV, which targets do without
+    # the one marker with a print; the picture comes from OpenCV, which targets do without
+    if not isinstance(marker, Tag):
         raise TypeError(f"nothing is printed on a {marker.kind}")
     number = marker.first_id + i
     return f"{marker.family}_{number}", cv2.imencode(".png", tag_picture(marker, number))[
@@ -178,9 +176,8 @@ def printed(marker: Marker, i: int) -> tuple[str, bytes]:
     ].tobytes()
 
 
-Found = tuple[
-    int, Array
-]  # index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]
+# index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]
+Found = tuple[int, Array]
 # margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs;
 # besides the margin in pixels
 QUIET = 0.25
@@ -388,9 +385,8 @@ def _measure(
     seen = list(found)
     panels = [(camera.panels[panel], corners) for panel, corners in found.values()]
     rays = np.stack([panel.lens.ray(corners) @ panel.R_camera_panel.T for panel, corners in panels])
-    diagonals = np.cross(
-        rays[:, :2], rays[:, 2:]
-    )  # normals of the planes through the camera and each diagonal
+    # normals of the planes through the camera and each diagonal
+    diagonals = np.cross(rays[:, :2], rays[:, 2:])
     centre = np.cross(diagonals[:, 0], diagonals[:, 1])
     # The planes intersect in a line through the camera; of its two directions take the one towards
     # the corners.

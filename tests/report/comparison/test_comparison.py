@@ -132,12 +132,12 @@ def test_numbers_come_in_their_unit_and_gaps_as_nan() -> None:
             path_ratio=[1, 9, 2],
         )
     ).controllers[0]
+    # of every run, in mm
     np.testing.assert_array_equal(
         controller.counted(Metric.named("final_position_error_m")), [1.0, 500.0, np.nan]
-    )  # of every run, in mm
-    np.testing.assert_array_equal(
-        controller.counted(Metric.named("path_ratio")), [1, np.nan, 2]
-    )  # of those that reached the goal
+    )
+    # of those that reached the goal
+    np.testing.assert_array_equal(controller.counted(Metric.named("path_ratio")), [1, np.nan, 2])
     assert np.isnan(controller.values(Metric.named("no_such_number"))).all()
 
 
@@ -190,14 +190,12 @@ def test_a_run_holds_its_last_value_and_what_sees_nothing_ranks_last(tmp_path: P
     assert error.dtype == np.float32 and error.shape == (4, INSTANTS) and series.t[-1] == 10
     at = np.floor(series.t * 25 + 1e-6) / 25  # the last frame
     np.testing.assert_allclose(error[0], errors(1.0, 0, at), rtol=1e-5)
-    assert (
-        np.isfinite(error[1]).sum() == (series.t < 1.04 - 1e-9).sum()
-    )  # the last 25 of its 51 frames are blind, and it stays so
+    # the last 25 of its 51 frames are blind, and it stays so
+    assert np.isfinite(error[1]).sum() == (series.t < 1.04 - 1e-9).sum()
     assert np.isnan(error[2]).all()
     low, middle, high = series.quartiles(0)
-    assert np.isinf(
-        high
-    ).all()  # one of four has no log: the upper quartile lies between a number and none
+    # one of four has no log: the upper quartile lies between a number and none
+    assert np.isinf(high).all()
     assert np.isfinite(low).all() and np.isinf(middle[-1])
     np.testing.assert_allclose(middle[10], np.sort(error[[0, 1, 3], 10])[1:].mean(), rtol=1e-6)
 

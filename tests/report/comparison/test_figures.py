@@ -76,9 +76,8 @@ def test_pixels_and_grey_levels_have_panels_of_their_own(tmp_path: Path) -> None
         "RMS error [px]",
         "RMS difference\n[grey levels]",
     ]
-    assert (
-        len(grey.lines) == len(a.lines) - 1
-    )  # the median of b is in the panel of a, and none in that of the grey levels
+    # the median of b is in the panel of a, and none in that of the grey levels
+    assert len(grey.lines) == len(a.lines) - 1
 
 
 def test_laws_of_pictures_alone_share_the_axis_of_grey_levels(tmp_path: Path) -> None:

@@ -48,9 +48,8 @@ def test_failed_runs_are_worse_than_any_with_a_number() -> None:
     five, six = (
         interquartile_mean(np.where(np.arange(20) >= 20 - failed, np.inf, x)) for failed in (5, 6)
     )
-    assert five == interquartile_mean(x) and math.isfinite(
-        five.high
-    )  # the five greatest do not count
+    # the five greatest do not count
+    assert five == interquartile_mean(x) and math.isfinite(five.high)
     assert six.mean == math.inf and math.isnan(six.low)
     assert interquartile_mean(np.full(20, np.inf)).mean == math.inf
     many = interquartile_mean(np.r_[np.arange(900.0), np.full(100, np.inf)])
@@ -81,13 +80,11 @@ def test_the_runs_of_a_controller_count_as_the_page_says() -> None:
     )
     (found,) = interquartiles(ComparisonResults(frame, (), names))
     assert found["time_to_converge_s"].mean == 4.5  # the mean of 3, 4, 5, 6: two failed
-    assert (
-        found["min_border_margin_px"].mean == 25.0 and found["min_border_margin_px"].low < 10
-    )  # 10, 20, 30, 40
+    # 10, 20, 30, 40
+    assert found["min_border_margin_px"].mean == 25.0 and found["min_border_margin_px"].low < 10
     assert found["final_error_px"].mean == 0.1  # although both that failed ended nearer
-    assert (
-        found["feature_overshoot"].mean == 0.5
-    )  # of one that failed its own, of one that crashed the worst
+    # of one that failed its own, of one that crashed the worst
+    assert found["feature_overshoot"].mean == 0.5
     assert found["path_ratio"].n == found["tracking_rms_px"].n == 0
 
 

@@ -159,9 +159,10 @@ def test_failures_are_listed_with_seeds_and_commands(
         )
     assert page.count("<code>vstestbed run") == 4
     reasons = built[1].filter(pl.col("outcome") == "timed_out")["reason"].to_list()
+    # the numbers differ
     assert all(
         f"slow, seed {seed}: {reason}" in text for seed, reason in zip((0, 5), reasons, strict=True)
-    )  # the numbers differ
+    )
     assert "Its worker died once; done again: slow, seed 4 (converged)" in text
 
 
@@ -174,9 +175,8 @@ def test_commands_are_quoted_for_a_shell() -> None:
 
 def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None:
     place = built[0] / "figures"
-    plots = [
-        plot for plot in comparison_page.PLOTS if plot[0] not in ("grid", "matrix")
-    ]  # of two axes, of three
+    # of two axes, of three
+    plots = [plot for plot in comparison_page.PLOTS if plot[0] not in ("grid", "matrix")]
     assert sorted(p.name for p in place.iterdir()) == sorted(
         f"{n}.{end}" for n, *_ in plots for end in ("pdf", "png", "svg")
     )
@@ -192,18 +192,16 @@ def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None
         assert png.startswith(b"\x89PNG") and int.from_bytes(png[16:20], "big") == round(
             DPI * comparison_page.COLUMN_IN[columns]
         )
-        assert b"/XObject << >>" in pdf or not re.search(
-            rb"/Subtype /Image", pdf
-        )  # vectors, no picture of them
+        # vectors, no picture of them
+        assert b"/XObject << >>" in pdf or not re.search(rb"/Subtype /Image", pdf)
 
 
 def test_tables_for_latex_stand_on_their_side_where_they_are_wide(
     built: tuple[Path, pl.DataFrame],
 ) -> None:
     text = (built[0] / "tables.tex").read_text(encoding="utf-8")
-    assert not re.search(
-        r"\\\\ *\[", text
-    )  # LaTeX would take an interval for the argument of the line break
+    # LaTeX would take an interval for the argument of the line break
+    assert not re.search(r"\\\\ *\[", text)
     flat = re.sub(r"\\begin\{tabular\}\[t\].*?\\end\{tabular\}", "", text)
     tables = re.findall(
         r"\\begin\{tabular\}\{(l+r*)\}\n\\toprule\n(.*?)\\bottomrule", flat, re.DOTALL
@@ -258,9 +256,8 @@ def test_the_same_comparison_gives_the_same_bytes(
     folder, frame = built
     before = {p.name: zlib.crc32(p.read_bytes()) for p in (folder / "figures").iterdir()}
     page = write_comparison_report(folder, ComparisonResults(frame)).read_bytes()
-    with ProcessPoolExecutor(
-        2, mp_context=get_context("spawn")
-    ) as workers:  # figures drawn in other processes
+    # figures drawn in other processes
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
         assert (
             write_comparison_report(
                 folder, ComparisonResults(frame), call=workers.submit
@@ -378,9 +375,8 @@ def test_a_thousand_runs_fit_in_a_page(tmp_path: Path) -> None:
     assert path.stat().st_size < 20e6
     text = path.read_text()
     checked(text)
-    assert (
-        len(re.sub(r"base64,[\w+/=]*", "", text)) < 4e6
-    )  # what is not film or picture, so that it opens at once
+    # what is not film or picture, so that it opens at once
+    assert len(re.sub(r"base64,[\w+/=]*", "", text)) < 4e6
     assert len(re.findall("<(?:use|path)", text)) < 25_000
 
 

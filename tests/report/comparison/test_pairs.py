@@ -62,9 +62,8 @@ def test_the_quicker_one_is_better_from_starts_enough_and_no_verdict_from_few() 
     for n, decided in ((50, True), (30, True), (29, False), (20, False)):
         text = said(flown([*WAVE[:n]], [0.5 * t for t in WAVE[:n]]))
         assert ("B is better than A." in text) == ("outcome good" in text) == decided
-        assert (
-            "B arrives first from" in text
-        ) != decided  # what the verdict says is not said twice
+        # what the verdict says is not said twice
+        assert ("B arrives first from" in text) != decided
     assert (
         "B may fail up to 15 points more often (margin 10). About 30 starts like these would"
         " settle it." in text
@@ -285,10 +284,11 @@ def test_tasks_are_strata_so_that_their_means_do_not_count_as_spread() -> None:
     assert math.sqrt(one.test.saved.variance) > 3 and math.sqrt(two.test.saved.variance) < 0.12
     assert two.seeds == 60 and two.test.saved.free == 58
     as_flown = two.differences[RESTRICTED.name]
+    # of one sample it is 1.6
     assert (
         as_flown.mean == one.differences[RESTRICTED.name].mean
         and as_flown.high - as_flown.low < 0.06
-    )  # of one sample it is 1.6
+    )
 
 
 def test_one_seed_and_one_controller_claim_nothing() -> None:

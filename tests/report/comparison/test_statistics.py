@@ -63,9 +63,8 @@ def test_a_known_effect_is_recovered() -> None:
     slow, fast = (10.0 + start + rng.normal(0, 0.5, SEEDS) for _ in range(2))
     found = paired_difference(slow, fast - 2.0)
     assert found.p <= 0.001 and found.low < 2.0 < found.high
-    assert (
-        found.high - found.low < 1.2
-    )  # 4 standard errors of 0.5 sqrt(2 / 20): the starts have fallen out
+    # 4 standard errors of 0.5 sqrt(2 / 20): the starts have fallen out
+    assert found.high - found.low < 1.2
     assert (found.n, found.mean) == (SEEDS, pytest.approx(np.mean(slow - fast) + 2.0))
 
 
@@ -94,10 +93,8 @@ NULLS = {  # differences of mean zero: symmetric and skewed ones, heavy tails, t
     "exponential": lambda rng, n: rng.exponential(1, n) - 1,
     "lognormal": lambda rng, n: rng.lognormal(0, 1, n) - math.exp(0.5),
 }
-SKEWED = {
-    "exponential": (0.099, 0.079, 0.067),
-    "lognormal": (0.162, 0.131, 0.102),
-}  # false alarms at n = 10, 20, 50; of others 5 %
+# false alarms at n = 10, 20, 50; of others 5 %
+SKEWED = {"exponential": (0.099, 0.079, 0.067), "lognormal": (0.162, 0.131, 0.102)}
 
 
 def real(d: np.ndarray) -> bool:
@@ -151,9 +148,8 @@ def test_order_does_not_matter_and_the_sign_turns() -> None:
     rng = np.random.default_rng(2)
     a, b = rng.lognormal(0, 1, (2, SEEDS))
     found, order = paired_difference(a, b), rng.permutation(SEEDS)
-    assert (
-        paired_difference(a[order], b[order]) == found == paired_difference(a, b)
-    )  # and again the same
+    # and again the same
+    assert paired_difference(a[order], b[order]) == found == paired_difference(a, b)
     turned = paired_difference(b, a)
     assert (turned.mean, turned.low, turned.high) == pytest.approx(
         (-found.mean, -found.high, -found.low)
@@ -164,19 +160,16 @@ def test_order_does_not_matter_and_the_sign_turns() -> None:
 @pytest.mark.parametrize("shift", [0.0, 0.1, -3.0])
 def test_equal_differences_have_an_interval_of_one_point(shift: float) -> None:
     b = np.random.default_rng(0).uniform(1, 100, SEEDS)
-    found = paired_difference(
-        b + shift, b
-    )  # 0.1 comes back with another rounding error from every pair
+    # 0.1 comes back with another rounding error from every pair
+    found = paired_difference(b + shift, b)
     assert found.low == found.mean == found.high == pytest.approx(shift, abs=1e-12)
     assert found.p == (shift == 0)
 
 
 def test_rounding_is_no_difference() -> None:
     b = np.random.default_rng(0).uniform(1, 100, SEEDS)
-    for same in (
-        np.nextafter(b, np.inf),
-        b * (1 + np.linspace(-1e-12, 2e-12, SEEDS)),
-    ):  # also as a closed loop has amplified it
+    # also as a closed loop has amplified it
+    for same in (np.nextafter(b, np.inf), b * (1 + np.linspace(-1e-12, 2e-12, SEEDS))):
         found = paired_difference(same, b)
         assert (found.mean, found.low, found.high, found.p) == (0, 0, 0, 1)
     assert paired_difference(1e-14 * b, np.zeros(SEEDS)).mean == 0
@@ -197,9 +190,8 @@ def test_one_pair_of_many_that_differs_is_no_real_difference() -> None:
 
 
 def test_success_is_compared_on_the_seeds_where_two_controllers_disagree() -> None:
-    assert (
-        sign_test(6, 1) == sign_test(1, 6) == pytest.approx(2 * (1 + 7) / 2**7)
-    )  # 0 or 1 of 7, or 6 or 7
+    # 0 or 1 of 7, or 6 or 7
+    assert sign_test(6, 1) == sign_test(1, 6) == pytest.approx(2 * (1 + 7) / 2**7)
     assert sign_test(6, 1, "greater") == pytest.approx((1 + 7) / 2**7)
     assert sign_test(0, 0) == 1.0
 

@@ -175,9 +175,8 @@ def test_the_imagined_start_is_a_start_more() -> None:
 
 
 def test_holm_is_its_steps_by_hand() -> None:
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx(
-        [0.03, 0.06, 0.06]
-    )  # 3 x .01, 2 x .03, then not less than before
+    # 3 x .01, 2 x .03, then not less than before
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.5, 0.6]) == [1.0, 1.0]
     with_none = holm([math.nan, 0.02, 0.01])
     assert math.isnan(with_none[0]) and with_none[1:] == pytest.approx([0.02, 0.02])
@@ -370,9 +369,8 @@ def test_the_variance_within_strata_is_that_of_the_mean_over_many_draws() -> Non
     assert found[0].free == 17
     said = np.mean([one.variance for one in found]) / 20
     assert said == pytest.approx(draws.mean(axis=1).var(), rel=0.06)
-    assert (
-        sample_of(draws[0]).variance > 5 * found[0].variance
-    )  # as one stratum it has the means, too
+    # as one stratum it has the means, too
+    assert sample_of(draws[0]).variance > 5 * found[0].variance
 
 
 def test_strata_of_one_start_are_together() -> None:
@@ -399,9 +397,8 @@ def size_of(n: int, margin: float, share: float) -> float:
     unlike = only_a + only_b
     gained = (only_b - only_a) / n
     squares = unlike - n * gained**2 + n / (n + 1) * (-1 - gained) ** 2
-    with np.errstate(
-        divide="ignore"
-    ):  # where the second law never arrives, nothing is left to chance
+    # where the second law never arrives, nothing is left to chance
+    with np.errstate(divide="ignore"):
         t = ((n * gained - 1) / (n + 1) + margin) / np.sqrt(squares / n / (n + 1))
     by_time = 2 * special.stdtr(n, -t)
     by_success = np.where(

@@ -123,9 +123,8 @@ def test_each_frame_of_the_videos_is_the_picture_of_its_row(
             # coded, with colour at half the size; a picture of another frame, or blue for red, is
             # further off
             assert off.mean() < 4
-            for u, v in np.round(frame.state.uv).astype(
-                int
-            ):  # in the middle of each marker, away from its rim
+            # in the middle of each marker, away from its rim
+            for u, v in np.round(frame.state.uv).astype(int):
                 np.testing.assert_allclose(
                     found[v - 1 : v + 2, u - 1 : u + 2].mean((0, 1)), frame.picture[v, u], atol=16
                 )
@@ -139,9 +138,8 @@ def test_rows_hold_the_run(dataset: Path, folders: list[Path]) -> None:
             dict(zip(run.log.columns, run.log.table.T, strict=True)),
             data.filter(pl.col("episode_index") == i),
         )
-        np.testing.assert_allclose(
-            rows["action"].to_numpy()[:, 0], log["cmd_vx"], rtol=1e-6
-        )  # no limits: 1 is 1 m/s
+        # no limits: 1 is 1 m/s
+        np.testing.assert_allclose(rows["action"].to_numpy()[:, 0], log["cmd_vx"], rtol=1e-6)
         np.testing.assert_allclose(
             rows["observation.state"].to_numpy()[:, 5], log["q_joint_6"], rtol=1e-6
         )
@@ -303,9 +301,8 @@ def test_lerobot_itself_reads_it(dataset: Path, folders: list[Path], tmp_path: P
     np.testing.assert_allclose(
         found["images"], [frame.picture.mean(axis=(0, 1)) for frame in frames], atol=4
     )
-    np.testing.assert_allclose(
-        found["reds"], len(frames) * [[191, 0, 0]], atol=25
-    )  # a single pixel, with noise, coded
+    # a single pixel, with noise, coded
+    np.testing.assert_allclose(found["reds"], len(frames) * [[191, 0, 0]], atol=25)
     np.testing.assert_allclose(found["states"], [frame.state.q for frame in frames], atol=1e-6)
     np.testing.assert_allclose(
         [a[0][0] for a in found["actions"]], [frame.row["cmd_vx"] for frame in frames], atol=1e-6

@@ -87,9 +87,8 @@ def test_topics_have_foxgloves_schemas_and_the_logs_times(
     }
     times = [round(t * 1e9) for t in log[:, columns.index("t")]]
     for topic, those in found.items():
-        assert [t for t, _ in those] == times, (
-            topic
-        )  # no latency here: commands are in force at once
+        # no latency here: commands are in force at once
+        assert [t for t, _ in those] == times, topic
     assert [stamp_ns(m) for _, m in found["/camera/image"]] == times
 
 
@@ -172,9 +171,8 @@ def test_the_calibration_projects_the_target_through_the_transforms(
     p = transform(np.linalg.inv(pose("camera")) @ pose("target"), points)
     uv = (p @ np.array(calibration.K).reshape(3, 3).T)[:, :2] / p[:, 2:]
     circles = [(c.position.x, c.position.y) for c in found["/truth/markers"][-1][1].circles]
-    np.testing.assert_allclose(
-        uv + 0.5, circles, atol=1e-6
-    )  # K has 0 in the middle of the first pixel
+    # K has 0 in the middle of the first pixel
+    np.testing.assert_allclose(uv + 0.5, circles, atol=1e-6)
     goal = transform(np.linalg.inv(pose("goal")) @ pose("target"), points)
     np.testing.assert_allclose(goal[:, 2], 1.0, atol=1e-9)
 

@@ -108,9 +108,8 @@ def test_the_state_is_what_the_log_has_of_the_robots_own_sensors(name: str, tmp_
     vs.run_into(tmp_path, scenario, "none", report=False)
     numbers, state = numbers_of(RecordedRun.of(tmp_path))
     at = [scenario.robot.proprioception_names.index(entry) for entry in state]
-    assert (
-        len(at) >= len(scenario.robot.proprioception_names) - 1
-    )  # the log has no compass, and no range
+    # the log has no compass, and no range
+    assert len(at) >= len(scenario.robot.proprioception_names) - 1
     np.testing.assert_allclose(numbers["observation.state"], np.array(own)[:, at], atol=1e-12)
 
 

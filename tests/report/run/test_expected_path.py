@@ -20,9 +20,8 @@ UP = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]])
 def test_distances_are_to_the_line_between_the_points():
     line = np.array([[0, 0], [10.0, 0], [10, 10]])
     assert largest_deviation(np.array([[5, 0.2], [9.9, 0.1]]), line) == pytest.approx(0.2)
-    assert largest_deviation(np.array([[-3, 4.0]]), line) == pytest.approx(
-        5
-    )  # beyond its end: to the end
+    # beyond its end: to the end
+    assert largest_deviation(np.array([[-3, 4.0]]), line) == pytest.approx(5)
     assert largest_deviation(line, line) == 0
 
 
@@ -73,9 +72,8 @@ def test_only_what_drives_has_a_ride():
         and setting.settle_s == 8
         and not len(setting.goals)
     )
-    assert np.ptp(setting.reference_path, axis=0) == pytest.approx(
-        [14, 14], abs=4
-    )  # a figure of eight of 14 by 8 m, turned
+    # a figure of eight of 14 by 8 m, turned
+    assert np.ptp(setting.reference_path, axis=0) == pytest.approx([14, 14], abs=4)
 
 
 def test_lines_on_the_floor_are_the_route():
@@ -94,11 +92,9 @@ def test_the_ideal_way_leads_from_the_start_to_the_goal(name: str):
     ideal, goal = ideal_bicycle_path(s), s.goal_view.place
     assert ideal is not None and goal is not None
     np.testing.assert_array_equal(ideal[0], s.robot.configuration()[:2])
-    assert (
-        np.linalg.norm(ideal[-1] - goal[:2]) < 2 * 0.01
-    )  # within the law's rest_m, by steps of 4 cm and less
+    # within the law's rest_m, by steps of 4 cm and less
+    assert np.linalg.norm(ideal[-1] - goal[:2]) < 2 * 0.01
     last = ideal[-1] - ideal[-10]
     facing = np.array([np.cos(goal[2]), np.sin(goal[2])])
-    assert abs(last @ facing) > 0.99 * np.linalg.norm(
-        last
-    )  # along the goal's heading: forward, or in reverse
+    # along the goal's heading: forward, or in reverse
+    assert abs(last @ facing) > 0.99 * np.linalg.norm(last)

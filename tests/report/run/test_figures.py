@@ -87,9 +87,8 @@ def test_the_error_in_the_image_is_in_the_unit_that_is_measured(
         for unit in ("px", "grey")
     }
     panels = figures.error(LogArrays(pl.DataFrame(columns), Setting(threshold_grey=0.4))).panels
-    assert [
-        panel.labels[1].partition("[")[2].rstrip("]") for panel in panels
-    ] == labels  # first the one that decides
+    # first the one that decides
+    assert [panel.labels[1].partition("[")[2].rstrip("]") for panel in panels] == labels
     for panel, unit in zip(panels, measured[::-1], strict=True):
         assert not panel.title and any(
             np.array_equal(curve.y, columns[f"error_{unit}"]) for curve in panel.curves

@@ -56,9 +56,8 @@ def test_attitude_follows_what_the_velocity_loop_asks(tracks: LogArrays, step: R
     assert np.abs(true - told).max() < 1.5  # degrees; the estimate under noise and bias
     assert np.abs(asked).max() > 10
     delayed = [np.abs(true[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
-    assert (
-        2 <= int(np.argmin(delayed)) <= 9
-    )  # .2 s of attitude loop and rotors at 25 Hz, never ahead of its order
+    # .2 s of attitude loop and rotors at 25 Hz, never ahead of its order
+    assert 2 <= int(np.argmin(delayed)) <= 9
     assert np.degrees(step["ref_roll"]) == pytest.approx(asked)
 
 

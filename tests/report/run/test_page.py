@@ -194,13 +194,8 @@ def summary(**changes: object) -> dict[str, Any]:
     return made | changes
 
 
-OF_ANGLES = (
-    "polar",
-    "spherical",
-    "on_sphere",
-    "own_columns",
-    "other_cameras",
-)  # of two features, own columns, further cameras
+# of two features, own columns, further cameras
+OF_ANGLES = ("polar", "spherical", "on_sphere", "own_columns", "other_cameras")
 OF_VEHICLES = ("plane", "task_error", "localisation_error", "wheels", "slip")
 OF_FLIGHTS = ("velocity", "tilt", "rates", "rotors")
 EVERY_FIGURE = [
@@ -281,9 +276,8 @@ def test_limits_and_joints_that_friction_held_are_told() -> None:
             "ctrl_joint_1": 0.1 + 0 * t,
         }
     )
-    made = made.with_columns(
-        qd_joint_2=pl.lit(0.0), ctrl_joint_2=pl.lit(0.0)
-    )  # it stands since it is told to
+    # it stands since it is told to
+    made = made.with_columns(qd_joint_2=pl.lit(0.0), ctrl_joint_2=pl.lit(0.0))
     assert page.events(LogArrays.of(made, Setting())) == [
         "Limits of law or robot shortened or turned 13 of its 100 commands, the last at 0.48 s.",
         (
@@ -507,9 +501,8 @@ def test_marker_colours_show_on_white_and_on_black() -> None:
                 [0.2126, 0.7152, 0.0722],
             )
         )
-        assert (
-            1.05 / (luminance + 0.05) > 3 and (luminance + 0.05) / 0.062 > 3
-        )  # WCAG's contrast for graphics, card #1e2227
+        # WCAG's contrast for graphics, card #1e2227
+        assert 1.05 / (luminance + 0.05) > 3 and (luminance + 0.05) / 0.062 > 3
 
 
 def test_numbers_are_short() -> None:
@@ -572,9 +565,8 @@ def test_torques_of_an_inner_loop_are_not_taken_for_speeds_that_friction_held() 
 
     yielding = vs.load("arm_insert", {"detector": "oracle", "stop.duration_s": 3.0})
     recording = vs.run(yielding)
-    assert (
-        yielding.robot.controller.torques and np.abs(recording["ctrl_joint_2"])[1:].min() > 1
-    )  # it holds its weight [Nm]
+    # it holds its weight [Nm]
+    assert yielding.robot.controller.torques and np.abs(recording["ctrl_joint_2"])[1:].min() > 1
     assert not any(
         "Friction held" in one for one in events(LogArrays.of(recording.rows, Setting.of(yielding)))
     )

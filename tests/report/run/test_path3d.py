@@ -46,13 +46,11 @@ def test_words_stand_inside_the_figure_and_the_drawing_fills_it(
     words = re.findall(
         r'<text x="([\d.-]+)" y="([\d.-]+)" dy=".35em" text-anchor="(\w+)">([^<]*)<', drawing
     )
-    assert {"x [m]", "y [m]", "z [m]"} <= {text for *_, text in words} and len(
-        words
-    ) >= 9  # and two numbers on each axis
+    # and two numbers on each axis
+    assert {"x [m]", "y [m]", "z [m]"} <= {text for *_, text in words} and len(words) >= 9
     for x, y, anchor, text in words:
-        left = float(x) - {"start": 0, "middle": 0.5, "end": 1}[anchor] * 6 * len(
-            text
-        )  # letters of 9.5 pt are about 6 pt wide
+        # letters of 9.5 pt are about 6 pt wide
+        left = float(x) - {"start": 0, "middle": 0.5, "end": 1}[anchor] * 6 * len(text)
         assert left > 0 and left + 6 * len(text) < width and 5 < float(y) < height - 5
     box = re.findall(r'<svg x="[\d.]+" y="[\d.]+" width="([\d.]+)" height="([\d.]+)"', drawing)[0]
     assert float(box[0]) > 0.75 * width or float(box[1]) > 0.75 * height
@@ -61,6 +59,5 @@ def test_words_stand_inside_the_figure_and_the_drawing_fills_it(
 def test_the_view_is_as_long_in_all_directions_of_the_picture() -> None:
     space = Space(ChartPanel(), 22, -62)
     np.testing.assert_allclose(space.across @ space.across.T, np.eye(2), atol=1e-12)
-    np.testing.assert_allclose(
-        space.across @ [0, 0, 1], [0, np.cos(np.radians(22))], atol=1e-12
-    )  # z is up
+    # z is up
+    np.testing.assert_allclose(space.across @ [0, 0, 1], [0, np.cos(np.radians(22))], atol=1e-12)

@@ -113,9 +113,8 @@ def test_start_end_and_goal_lie_on_the_way() -> None:
 @pytest.mark.parametrize("offset", [0.0, 0.3, -0.3])
 def test_no_line_jumps_and_the_true_way_runs_beside_the_measured_one(offset: float) -> None:
     angle = way(turns=3)
-    angle[..., 1] += PI + np.random.default_rng(0).normal(
-        0, 0.02, angle.shape[:2]
-    )  # starts where atan2 jumps
+    # starts where atan2 jumps
+    angle[..., 1] += PI + np.random.default_rng(0).normal(0, 0.02, angle.shape[:2])
     figure = angles.polar(tracks(LENS, Polar(), angle, slice(20, 70), offset))
     for i in range(MARKERS):
         true, measured, *_ = lines(figure, i)

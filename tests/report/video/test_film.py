@@ -60,14 +60,11 @@ def test_a_film_is_h264_of_the_given_size_rate_and_length(tmp_path: Path, rate_h
 def test_the_colours_come_back(tmp_path: Path) -> None:
     with av.open(str(film(tmp_path / "a.mp4", 5))) as container:
         frame = next(container.decode(video=0))
-        assert (frame.colorspace, frame.color_range) == (
-            1,
-            1,
-        )  # BT.709, limited range: said in the file, so players agree
+        # BT.709, limited range: said in the file, so players agree
+        assert (frame.colorspace, frame.color_range) == (1, 1)
         image = frame.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
-    np.testing.assert_allclose(
-        image[14, 4], (230, 40, 40), atol=12
-    )  # yuv420p at crf 20 keeps a flat colour to about 5 %
+    # yuv420p at crf 20 keeps a flat colour to about 5 %
+    np.testing.assert_allclose(image[14, 4], (230, 40, 40), atol=12)
     np.testing.assert_allclose(image[40, 50], (90, 90, 90), atol=4)
 
 
@@ -108,9 +105,8 @@ def test_memory_does_not_grow_with_the_film(tmp_path: Path) -> None:
     grown_traced = tracemalloc.get_traced_memory()[0] - traced
     tracemalloc.stop()
     assert grown_traced < 1e6  # Python's side: no list of frames or packets
-    assert (
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - resident < 30_000
-    )  # [KiB] FFmpeg's side: 6 % of the pictures
+    # [KiB] FFmpeg's side: 6 % of the pictures
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - resident < 30_000
 
 
 def test_a_film_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
@@ -200,12 +196,10 @@ def test_crosses_and_diamonds_stand_where_they_should() -> None:
     image = drawn([[100.0, 120.0], [300.0, 200.0]], [[200.0, 150.0], [400.0, 250.0]])
     arm = 480 // 40 - 3
     red, blue = image[120, 100 + arm].astype(int), image[200 - arm, 300].astype(int)
-    assert (
-        red[0] > 200 > 120 > red[1] and blue[2] > 200 > 120 > blue[0]
-    )  # each in its colour, along the arms of its cross
-    assert (image[118:123, 98:103] == 128).all() and (
-        image[198:203, 298:303] == 128
-    ).all()  # which leave the marker free
+    # each in its colour, along the arms of its cross
+    assert red[0] > 200 > 120 > red[1] and blue[2] > 200 > 120 > blue[0]
+    # which leave the marker free
+    assert (image[118:123, 98:103] == 128).all() and (image[198:203, 298:303] == 128).all()
     assert (image[150, 200] == 128).all() and (image[250, 400] == 128).all()  # a diamond is hollow
     corner = image[150 - 14 : 150 - 10, 199:202].astype(int)  # its tip, 480/36 px above
     assert corner.min() < 60  # dark border
@@ -221,13 +215,13 @@ def test_of_a_region_both_outlines_are_drawn_and_the_trail_of_its_middle() -> No
         overlay.draw(image, square + [step, 0], square + [250, 0])
     assert image[100, 190].min() > 200 and image[120, 140].min() > 200  # white, as measured
     assert (image[120, 350] == (72, 214, 255)).all()  # cyan at the goal, of a region of any colour
+    # both with a dark edge
     assert (
         image[120, 345:350].max(axis=1).min() < 100 and image[120, 140:145].max(axis=1).min() < 100
-    )  # both with a dark edge
+    )
     assert image[200, 300].min() > 200  # lines from points to their goals
-    assert (
-        image[150, 170, 0] > 230 and image[150, 170, 1] < 30
-    )  # from the middle before to that now
+    # from the middle before to that now
+    assert image[150, 170, 0] > 230 and image[150, 170, 1] < 30
     assert (image[110:140, 250:340] == 128).all()
     lost = np.full((480, 640, 3), 128, np.uint8)
     overlay.draw(lost, np.full((4, 2), np.nan), None)
@@ -241,9 +235,8 @@ def test_the_centre_of_a_cross_follows_fractions_of_a_pixel() -> None:
         ).sum(axis=0)
         return float((weight * np.arange(60, 140)).sum() / weight.sum())
 
-    assert centroid(100.5) - centroid(100.0) == pytest.approx(
-        0.5, abs=0.15
-    )  # anti-aliasing spreads over whole pixels
+    # anti-aliasing spreads over whole pixels
+    assert centroid(100.5) - centroid(100.0) == pytest.approx(0.5, abs=0.15)
 
 
 def test_markers_not_seen_or_far_outside_are_left_out() -> None:

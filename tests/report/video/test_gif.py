@@ -31,9 +31,8 @@ def test_it_repeats_for_ever_in_real_time(film: Path):
         made == f"{film.with_suffix('.gif')} (320 x 180, 12.5 pictures a second,"
         f" {len(content) / 1e6:.2f} MB)"
     )
-    assert (
-        content.startswith(b"GIF89a") and b"NETSCAPE2.0\x03\x01\x00\x00" in content
-    )  # 0: without end
+    # 0: without end
+    assert content.startswith(b"GIF89a") and b"NETSCAPE2.0\x03\x01\x00\x00" in content
     with av.open(str(film.with_suffix(".gif"))) as container:
         frames = list(container.decode(video=0))
     assert [round(f.time or 0, 2) for f in frames] == [round(0.08 * k, 2) for k in range(25)]

@@ -20,9 +20,8 @@ def test_a_match_is_a_point_a_ring_and_a_line():
     MatchOverlay(320, 240, 3).marks(image, uv, goal)
     assert tuple(image[100, 100]) == MEASURED and tuple(image[180, 40]) == MEASURED
     assert image[100, 140].min() > 200
-    assert (
-        np.abs(image[100, 184].astype(int) - GOAL).max() < 40 and tuple(image[98, 181]) != GOAL
-    )  # a ring is open in its middle
+    # a ring is open in its middle
+    assert np.abs(image[100, 184].astype(int) - GOAL).max() < 40 and tuple(image[98, 181]) != GOAL
     assert (image[55:66, 55:66] == 128).all()  # where nothing is seen nothing is drawn
 
 

@@ -108,16 +108,14 @@ def test_a_part_that_is_drawn_again_fits_into_the_picture() -> None:
             "overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera
         )
         replay._views["overview"][0]._view = lambda: pytest.fail("the whole picture was drawn")
-        second = replay.picture(
-            "overview", *SIZE, 0.0, *poses
-        )  # at the same time the camera keeps its place
+        # at the same time the camera keeps its place
+        second = replay.picture("overview", *SIZE, 0.0, *poses)
         other.picture("overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera)
         other._views.clear()
         whole = other.picture("overview", *SIZE, 0.0, *poses)
         assert (np.abs(first.astype(int) - whole).max(axis=2) > 12).sum() > 50  # the arm has moved
-        assert (
-            np.abs(second.astype(int) - whole).max(axis=2) > 12
-        ).sum() < 5  # half a pixel at most along an edge
+        # half a pixel at most along an edge
+        assert (np.abs(second.astype(int) - whole).max(axis=2) > 12).sum() < 5
     finally:
         replay.close()
         other.close()
@@ -152,9 +150,8 @@ def test_a_trail_has_a_bounded_number_of_points_from_the_first_to_the_last() -> 
             assert len(outside._trail) <= MOST_PLACES
         np.testing.assert_array_equal(outside._trail[0], frame.T_world_camera[:3, 3])
         end = frame.T_world_camera[0, 3] + 1.1 * spacing * 3 * MOST_PLACES
-        assert (
-            end - outside._trail[-1, 0] <= outside._spacing + 1e-9
-        )  # the newest point is where the camera is, to one spacing
+        # the newest point is where the camera is, to one spacing
+        assert end - outside._trail[-1, 0] <= outside._spacing + 1e-9
         assert np.diff(outside._trail[:, 0]).max() < 3 * outside._spacing  # no gaps
     finally:
         replay.close()
@@ -168,9 +165,8 @@ def test_the_inset_shows_the_servo_cameras_picture_and_leaves_it_as_it_is() -> N
         picture = Pictures(s, "overview", replay, SIZE).picture(frame)
         width, height = round(0.26 * SIZE[0]), round(0.26 * SIZE[0] * 480 / 640)
         assert (picture[2 : height - 2, SIZE[0] - width + 2 : -2] == 77).all()
-        assert (
-            (picture[height + 4 : height + 8, SIZE[0] - width :] != 77).any(axis=2).all()
-        )  # and nothing below
+        # and nothing below
+        assert (picture[height + 4 : height + 8, SIZE[0] - width :] != 77).any(axis=2).all()
         assert frame.image is not None
         assert (frame.image == 77).all()
     finally:
@@ -221,9 +217,8 @@ def test_tasks_say_which_goal_pose_is_shown() -> None:
     assert goal_in_film("omni_line", 5.0) is None  # any place along the line
     pad = goal_in_film("quadrotor_land", 5.0)
     assert pad is not None
-    np.testing.assert_allclose(
-        pad[:3, 3], [0, 0, 0.172], atol=1e-12
-    )  # the craft stands on its legs, the camera at its centre
+    # the craft stands on its legs, the camera at its centre
+    np.testing.assert_allclose(pad[:3, 3], [0, 0, 0.172], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -254,14 +249,12 @@ def test_a_film_ends_with_the_outcome_for_a_second(
     strip = strip_height(240)
     band = last[-1][-strip + 4 : -4, 300:].astype(int)
     np.testing.assert_allclose(band.reshape(-1, 3).mean(axis=0), colour, atol=30)
-    assert (
-        np.abs(last[0][-strip + 4 : -4, 300:].astype(int) - colour).max(axis=2).min() > 20
-    )  # not before
+    # not before
+    assert np.abs(last[0][-strip + 4 : -4, 300:].astype(int) - colour).max(axis=2).min() > 20
     assert last[-1][-strip:, 60:150].max() > 200  # the words
     changed = np.abs(last[-1][: 240 - strip].astype(int) - last[0][: 240 - strip]).max()
-    assert (
-        last[-1].shape == (240, 320, 3) and changed < 25
-    )  # the picture above is as it was, but for its coding
+    # the picture above is as it was, but for its coding
+    assert last[-1].shape == (240, 320, 3) and changed < 25
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 180), (640, 360), (1280, 720)])

@@ -30,9 +30,8 @@ def test_the_name_is_whole_on_light_and_dark(width: int, height: int, grey: int)
     _label(inset, size)
     assert size // 2 + text_width(WORDS, size) < inset.shape[1]
     strip, below = inset[: round(1.5 * size)], inset[round(1.5 * size) + 1 :]
-    assert (
-        strip[0, 0].max() <= round(0.35 * grey) and strip.max() > 200
-    )  # white letters on what is darkened
+    # white letters on what is darkened
+    assert strip[0, 0].max() <= round(0.35 * grey) and strip.max() > 200
     assert (below == grey).all()
     lit = np.flatnonzero((strip > 200).any(axis=(0, 2)))
     assert lit[0] >= 1 and lit[-1] < inset.shape[1] - 1

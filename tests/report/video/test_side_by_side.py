@@ -66,12 +66,8 @@ def test_size_length_and_bars(tmp_path: Path) -> None:
     ]
     pictures, rate = read(side_by_side(runs, tmp_path / "all.mp4"))
     assert rate == 25.0
-    assert pictures.shape == (
-        10 * 3 + 25,
-        2 * BAR + 2 * 360,
-        3 * 480 + 2 * 2,
-        3,
-    )  # the longest, and one second
+    # the longest, and one second
+    assert pictures.shape == (10 * 3 + 25, 2 * BAR + 2 * 360, 3 * 480 + 2 * 2, 3)
     for left in (0, 482, 964):
         bar = pictures[10, :BAR, left : left + 480]
         assert np.median(bar) > 230 and bar.min() < 80  # dark words on light paper
@@ -170,12 +166,10 @@ def test_films_of_other_shapes_are_centred_and_long_words_shortened(tmp_path: Pa
     pictures, _ = read(side_by_side(runs, tmp_path / "all.mp4"))
     assert pictures.shape[1:3] == (2 * BAR + 360, 962)
     pane = pictures[3, BAR:-BAR, 200]
-    assert (
-        pane[:40].max() < 40 and pane[-40:].max() < 40 and pane[60:-60].min() > 20
-    )  # 270 of 360 rows
-    assert (
-        pictures[3, :BAR, :8].min() > 200 and pictures[3, :BAR, 472:480].min() > 200
-    )  # the label keeps off its edges
+    # 270 of 360 rows
+    assert pane[:40].max() < 40 and pane[-40:].max() < 40 and pane[60:-60].min() > 20
+    # the label keeps off its edges
+    assert pictures[3, :BAR, :8].min() > 200 and pictures[3, :BAR, 472:480].min() > 200
 
 
 def test_two_times_the_same_bytes(tmp_path: Path) -> None:

@@ -30,9 +30,8 @@ def both(changes: dict[str, object]) -> tuple[DepthImage, DepthImage]:
     with closing(stage):
         eyes = OpenGLRenderer(stage, s.camera), RayRenderer(stage, s.camera)
         for eye in eyes:
-            eye.images(
-                (((10, 10, 20, 20),),), with_depth=True
-            )  # the region of interest does not matter
+            # the region of interest does not matter
+            eye.images((((10, 10, 20, 20),),), with_depth=True)
             assert eye.whole
     assert eyes[0].depth is not None and eyes[1].depth is not None
     return eyes[0].depth, eyes[1].depth
@@ -56,9 +55,8 @@ UNALIGNED = {
 def test_opengl_measures_what_rays_do(changes: dict[str, object]):
     gl, rays = both(changes)
     sky = np.isinf(rays)
-    assert (
-        0.3 < sky.mean() < 0.7 and np.mean(np.isinf(gl) != sky) < 2e-3
-    )  # the sky is nothing, although MuJoCo draws it as a solid
+    # the sky is nothing, although MuJoCo draws it as a solid
+    assert 0.3 < sky.mean() < 0.7 and np.mean(np.isinf(gl) != sky) < 2e-3
     solid = ~sky & np.isfinite(gl) & (rays < (1.1 if "camera.distortion" in changes else 2.0))
     error = np.abs(gl[solid] - rays[solid])
     # The buffer has 24 bits, steps of 1e-5 Z^2 / m. Resampled, the floor towards the horizon has

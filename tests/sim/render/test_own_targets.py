@@ -129,9 +129,8 @@ def test_coloured_dots_printed_in_a_picture_are_found_where_they_are(tmp_path: P
     for (u, v), colour in zip(
         places, ((255, 0, 0), (127, 255, 0), (0, 255, 255), (127, 0, 255)), strict=True
     ):
-        cv2.circle(
-            page, (u * 16, v * 16), 32 * 16, colour[::-1], -1, cv2.LINE_AA, 4
-        )  # 32 px, the hues 0, 90, 180 and 270
+        # 32 px, the hues 0, 90, 180 and 270
+        cv2.circle(page, (u * 16, v * 16), 32 * 16, colour[::-1], -1, cv2.LINE_AA, 4)
     assert cv2.imwrite(str(tmp_path / "dots.png"), page)
     own = {"file": str(tmp_path / "dots.png"), "width": 0.8, "pose": Pose(xyz=(0, 0, 1))}
     target, camera = (
@@ -155,10 +154,8 @@ def test_coloured_dots_printed_in_a_picture_are_found_where_they_are(tmp_path: P
 
 def test_a_picture_is_upright_and_as_large_as_said(tmp_path: Path):
     page = np.full((300, 400, 3), 255, np.uint8)
-    page[:150, :200], page[150:, 200:] = (
-        (0, 0, 255),
-        (255, 0, 0),
-    )  # red above left, blue below right
+    # red above left, blue below right
+    page[:150, :200], page[150:, 200:] = (0, 0, 255), (255, 0, 0)
     assert cv2.imwrite(str(tmp_path / "quarters.png"), page)
     target = PictureTarget(
         file=str(tmp_path / "quarters.png"),
@@ -167,9 +164,8 @@ def test_a_picture_is_upright_and_as_large_as_said(tmp_path: Path):
         lit=False,
         pose=Pose(xyz=(0, 0, 1)),
     )
-    camera = Perspective(
-        width=401, height=301, fovy_deg=2 * np.degrees(np.arctan(0.5))
-    )  # 301 px to the metre at 1 m
+    # 301 px to the metre at 1 m
+    camera = Perspective(width=401, height=301, fovy_deg=2 * np.degrees(np.arctan(0.5)))
     with eyes(target, camera) as seen:
         for image in seen(Pose()):
             pixels = image.astype(int)
@@ -203,9 +199,8 @@ def test_from_afar_a_fine_pattern_is_its_mean(tmp_path: Path):
     )
     camera = Perspective(width=300, height=300)
     with eyes(target, camera) as seen:
-        for image in seen(
-            Pose(rpy_deg=(0, 0, 20))
-        ):  # 8 texels a pixel: without smoothing it would be black and white
+        # 8 texels a pixel: without smoothing it would be black and white
+        for image in seen(Pose(rpy_deg=(0, 0, 20))):
             assert (
                 np.ptp(image[140:160, 140:160].astype(int)) <= 6
                 and abs(image[150, 150, 0] - 127.5) < 8

@@ -117,9 +117,8 @@ def test_tags_are_printed_as_opengl_prints_them(lens: Camera, far: float):
     stage.place(0.0, target.pose.T, NONE, Pose(xyz=(0.3, -0.1, -far), rpy_deg=(4, -25, 20)).T)
     apart = np.abs(np.subtract(*(eye.full_image().astype(int) for eye in eyes))).max(axis=-1)
     stage.close()
-    assert (
-        apart.mean() < 0.5 and np.mean(apart > 40) < 0.003
-    )  # of the tags: a sixth of the picture, and a thirtieth from afar
+    # of the tags: a sixth of the picture, and a thirtieth from afar
+    assert apart.mean() < 0.5 and np.mean(apart > 40) < 0.003
 
 
 @pytest.mark.parametrize(
@@ -151,9 +150,8 @@ def test_from_outside_too(arm):
     )
     apart = np.abs(by_gl - RaySceneCamera(stage, "overview", 480, 270).full_image()).max(axis=-1)
     assert np.median(apart) == 0
-    assert (
-        np.mean(apart > 10) < 0.01
-    )  # an arm's length that is missing, or another arm, would be 2 % and more
+    # an arm's length that is missing, or another arm, would be 2 % and more
+    assert np.mean(apart > 10) < 0.01
 
 
 def test_what_stands_still_is_not_drawn_again_and_looks_the_same(arm):
@@ -222,9 +220,8 @@ def test_twenty_balls_lie_where_the_lens_projects_them_by_both_renderers(lens: C
         [rng.uniform(30, lens.width - 30, 4000), rng.uniform(30, lens.height - 30, 4000)], axis=-1
     )
     chosen: list[Array] = []
-    for uv in grid[
-        lens.ray(grid)[:, 2] > -0.85
-    ]:  # straight behind, a ball would be drawn out round the rim
+    # straight behind, a ball would be drawn out round the rim
+    for uv in grid[lens.ray(grid)[:, 2] > -0.85]:
         if len(chosen) < 20 and all(np.linalg.norm(uv - other) > 60 for other in chosen):
             chosen.append(uv)
     assert len(chosen) == 20

@@ -125,9 +125,8 @@ class TestParts:
             and 200 + half - 1 <= rows.max() < 200 + half + 5
         )
         assert (image[..., 0] == 1).sum() + len(rows) == 400 * 640
-        assert (self.image() == image).all() and len(
-            self.drawn
-        ) == 2  # it is known to be drawn there
+        # it is known to be drawn there
+        assert (self.image() == image).all() and len(self.drawn) == 2
 
     @pytest.mark.parametrize("what", ["camera", "near"])
     def test_all_of_it_where_the_camera_moves_or_a_geom_is_before_the_lens(self, what: str):

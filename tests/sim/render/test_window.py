@@ -76,9 +76,8 @@ def test_geoms_outside_of_the_frustum_are_not_missed(name: str, changes: dict[st
         for windows in (None, ((100, 40, 220, 120), (10, 200, 90, 240))):
             drawn = view.raw(windows).copy()
             kinds = [geom.type for geom in camera._scene.ptr.geoms[: camera._scene.ptr.ngeom]]
-            assert (LABEL in kinds) == (
-                windows is None
-            )  # of each window others are left out, for its draw alone
+            # of each window others are left out, for its draw alone
+            assert (LABEL in kinds) == (windows is None)
             camera.local = False
             camera._scene.ptr.flags[SKYBOX] = 1
             np.testing.assert_array_equal(view.raw(windows), drawn)
@@ -137,7 +136,6 @@ def test_a_floor_casts_no_shadow_on_itself():
         [m for m in range(stage.model.nmat) if stage.model.material(m).name != "floor"], 3
     ] = 0
     bare = view.full_image().max(axis=-1)
-    assert (
-        np.mean(lit < 120) > 1e-3
-    )  # the base, its shadow, those of the landmarks: so there are shadows
+    # the base, its shadow, those of the landmarks: so there are shadows
+    assert np.mean(lit < 120) > 1e-3
     assert not np.any(bare < 140)  # the floor's darker squares are 155 and more

@@ -185,9 +185,8 @@ class TestWhatItDoesToColourBlobs:
         )
         assert found(picture(target=dark), dark) == ([True] * 4, pytest.approx(0, abs=0.1))
         dim = Light(direction=(0, 0, 1), brightness=0.1, ambient=0.1)
-        assert (
-            found(picture(target=dark, light=dim), dark)[0] == [False] * 4
-        )  # 255 .6 .2 (1 - .4) = 18 grey levels of chroma
+        # 255 .6 .2 (1 - .4) = 18 grey levels of chroma
+        assert found(picture(target=dark, light=dim), dark)[0] == [False] * 4
 
 
 @pytest.mark.study

@@ -171,9 +171,8 @@ def test_a_vehicles_camera_stands_on_a_post_that_it_does_not_see(name: str, foot
     data = at_start(model)
     post, body = model.geom("eye_post"), model.body("robot/base")
     assert (post.group[0], post.contype[0], post.conaffinity[0]) == (1, 0, 0)
-    assert (
-        post.bodyid[0] == body.id and np.ptp(post.rgba[:3]) < 0.18
-    )  # grey: saturated pixels are markers
+    # grey: saturated pixels are markers
+    assert post.bodyid[0] == body.id and np.ptp(post.rgba[:3]) < 0.18
     middle, along = (
         data.geom("eye_post").xpos,
         data.geom("eye_post").xmat.reshape(3, 3)[:, 2] * post.size[1],

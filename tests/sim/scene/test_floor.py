@@ -72,7 +72,6 @@ def test_a_craft_that_sets_down_knows_it(place: tuple[float, float], opened: Cal
 def test_the_far_floor_is_no_part_of_any_picture(opened: Callable[..., Plant]):
     model = opened(0.0, 0.0, 2.0)._stage.model  # type: ignore[attr-defined] - not of the ideal plant
     ground = model.geom("ground")
-    assert (
-        ground.contype == 0 and ground.conaffinity == 0
-    )  # the floor itself is endless to contacts
+    # the floor itself is endless to contacts
+    assert ground.contype == 0 and ground.conaffinity == 0
     assert np.flatnonzero(model.geom_group == ground.group[0]).tolist() == [ground.id]

@@ -147,9 +147,8 @@ def test_a_lap_along_a_line_keeps_a_large_robot_in_the_middle() -> None:
         uv = film.pixels(film.robot())
         sizes.append(np.ptp(uv, axis=0).max())
         middles.append(uv.mean(axis=0))
-    assert (
-        min(sizes) > 80
-    )  # of 640 px; from where the whole track of 11 x 10 m is in the picture, it had 23
+    # of 640 px; from where the whole track of 11 x 10 m is in the picture, it had 23
+    assert min(sizes) > 80
     assert np.ptp(middles, axis=0)[0] < 0.1 * WIDTH
     assert np.ptp(middles, axis=0)[1] < 0.1 * HEIGHT
 
@@ -162,9 +161,8 @@ def test_a_target_that_moves_stays_in_an_arms_picture() -> None:
         film.show(t, film.start, None, path(t))
         eyes.append(film.pose[:3, 3].copy())
         assert shows(film.pixels(transform(path(t), s.target.points)))
-    assert (
-        np.linalg.norm(eyes[-1] - eyes[len(eyes) // 2]) < 0.005
-    )  # it has seen the whole circle, and stands
+    # it has seen the whole circle, and stands
+    assert np.linalg.norm(eyes[-1] - eyes[len(eyes) // 2]) < 0.005
 
 
 def test_the_view_of_an_arm_rests_until_something_leaves_its_margin() -> None:
@@ -194,17 +192,15 @@ def test_the_view_starts_and_stops_softly_and_keeps_up() -> None:
     eyes, dt = [], 1 / RATE_HZ
     for i in range(200):
         T = film.start.copy()
-        T[0, 3] += 1.0 * max(
-            min(i * dt, 10.0) - 1.0, 0.0
-        )  # stands, drives at 1 m/s from 1 to 10 s, stands
+        # stands, drives at 1 m/s from 1 to 10 s, stands
+        T[0, 3] += 1.0 * max(min(i * dt, 10.0) - 1.0, 0.0)
         film.show(i * dt, T, None)
         eyes.append(film.pose[:3, 3].copy())
     speed = np.linalg.norm(np.diff(eyes, axis=0), axis=1) / dt
     assert speed[100] == pytest.approx(1.0, abs=1e-3)
     assert speed[-1] < 1e-3
-    assert (
-        np.abs(np.diff(speed)).max() < 0.45
-    )  # [m/s] from one frame to the next; an unfiltered view has 1
+    # [m/s] from one frame to the next; an unfiltered view has 1
+    assert np.abs(np.diff(speed)).max() < 0.45
     lag = np.array(eyes[100]) - eyes[0] - [100 * dt - 1.0, 0, 0]
     assert np.linalg.norm(lag) < 0.01
 

@@ -157,15 +157,15 @@ class TestGloss:
     ):
         world = World(floor=Floor(texture=paper(0), gloss=0.8), light=light)
         with seen(world) as view:
-            for image, within in zip(
-                view(self.VIEW), (10, 1), strict=True
-            ):  # OpenGL has it at the corners of a grid alone
+            # OpenGL has it at the corners of a grid alone
+            for image, within in zip(view(self.VIEW), (10, 1), strict=True):
                 bright = image[..., 0].astype(float)
                 assert bright.max() == pytest.approx(255 * 0.8, abs=within)
                 v, u = np.argwhere(bright == bright.max()).mean(axis=0)
+                # 8 px: a cell of the grid
                 assert np.hypot(*(pixel_of(mirror, self.VIEW) - [u, v])) < (
                     8 if within > 1 else 1.5
-                )  # 8 px: a cell of the grid
+                )
 
     def test_it_falls_to_a_half_where_its_exponent_says(self, paper):
         world = World(
@@ -199,10 +199,8 @@ class TestGloss:
 
 class TestFloor:
     def test_a_tile_has_its_width(self, tmp_path: Path):
-        file, tile = (
-            tmp_path / "line.png",
-            np.full((30, 60, 3), 40, np.uint8),
-        )  # twice as wide as high, and no power of two
+        # twice as wide as high, and no power of two
+        file, tile = tmp_path / "line.png", np.full((30, 60, 3), 40, np.uint8)
         tile[:, 28:32] = 220
         cv2.imwrite(str(file), tile)
         with seen(

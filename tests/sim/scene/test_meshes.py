@@ -29,9 +29,8 @@ def test_a_geom_keeps_its_volume_and_faces_outwards(kind: str):
     xml = f"<mujoco><worldbody><body>{geom}</body></worldbody></mujoco>"
     (solid,) = solids(mujoco.MjModel.from_xml_string(xml))
     a, b, c = (solid.vertices[solid.faces[:, i]] for i in range(3))
-    signed = (
-        np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
-    )  # of the divergence theorem: positive where normals face outwards
+    # of the divergence theorem: positive where normals face outwards
+    signed = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
     assert (
         signed == pytest.approx(volume, rel=0.04)
         and solid.rgb == (1.0, 0.0, 0.0)
@@ -86,9 +85,8 @@ def test_markers_have_their_colours_and_tags_their_print():
         assert pane.image.shape == (size, size, 3) and pane.width == pytest.approx(
             s.target.marker.tile
         )
-        np.testing.assert_allclose(
-            pane.T_body_pane[:3, :3], np.eye(3), atol=1e-9
-        )  # upright for who looks along z
+        # upright for who looks along z
+        np.testing.assert_allclose(pane.T_body_pane[:3, :3], np.eye(3), atol=1e-9)
     replay.close()
 
 

@@ -122,6 +122,5 @@ def test_the_light_that_casts_shadows_covers_the_way():
     ):
         step = point - light.pos
         assert step @ along > 0  # before the light
-        assert (
-            np.linalg.norm(np.cross(step, along)) <= reach + 1e-9
-        )  # within its depth map, a square of twice that side
+        # within its depth map, a square of twice that side
+        assert np.linalg.norm(np.cross(step, along)) <= reach + 1e-9

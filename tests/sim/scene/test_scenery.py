@@ -115,9 +115,8 @@ def test_a_wall_before_the_target_hides_it_from_pictures_and_from_the_oracle(tmp
         "ibvs_book",
         {"world.scenery": {"file": wall, "pose": {"xyz": [200, 0, 0]}}, "stop.duration_s": 0.2},
     )
-    assert (
-        distance < 100 and vs.run(behind).outcome.name != "target_lost"
-    )  # far away it hides nothing
+    # far away it hides nothing
+    assert distance < 100 and vs.run(behind).outcome.name != "target_lost"
 
 
 def test_a_goal_view_and_random_starts_that_it_hides_are_refused(
@@ -131,9 +130,8 @@ def test_a_goal_view_and_random_starts_that_it_hides_are_refused(
     for changes in (wall, wall | oracle):
         with pytest.raises(ScenarioError, match=words):
             vs.load("arm_ibvs", changes)
-    vs.load(
-        "arm_ibvs", wall | {"detector": {"kind": "oracle", "field_of_view": "unlimited"}}
-    )  # it sees through walls
+    # it sees through walls
+    vs.load("arm_ibvs", wall | {"detector": {"kind": "oracle", "field_of_view": "unlimited"}})
     shelf = '<body name="shelf" pos="1.3 -.22 .92"><geom type="box" size=".02 .05 .05"/></body>'
     one = {"world.scenery": str(mjcf(tmp_path, shelf))}
     with pytest.raises(
@@ -145,10 +143,11 @@ def test_a_goal_view_and_random_starts_that_it_hides_are_refused(
     ):
         vs.load("arm_ibvs", one)
     vs.load("arm_ibvs", one | {"goal.markers": [1, 2, 3]})
+    # behind the target
     vs.load(
         "arm_ibvs",
         one | {"world.scenery": {"file": one["world.scenery"], "pose": {"xyz": [1, 0, 0]}}},
-    )  # behind the target
+    )
     held = {
         "world.scenery": str(
             mjcf(tmp_path, '<geom name="pane" type="box" size=".005 .3 .3" pos="1.2 -.1 .7"/>')
@@ -393,7 +392,6 @@ def test_jpeg_textures_of_a_file_are_drawn_and_kept(monkeypatch: pytest.MonkeyPa
         np.array([getattr(model.geom(f"scenery/box_{i}"), name) for i in range(6)])
         for name in ("size", "pos")
     )
-    np.testing.assert_allclose(
-        at[:, 2] - half[:, 2], 0, atol=1e-9
-    )  # they stand on the board in z = 0
+    # they stand on the board in z = 0
+    np.testing.assert_allclose(at[:, 2] - half[:, 2], 0, atol=1e-9)
     stage.close()

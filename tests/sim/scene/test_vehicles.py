@@ -29,9 +29,8 @@ def test_it_starts_at_rest_where_it_is_told(name):
     plant = plant_of(s)
     truth = plant.capture()[1]
     base = place_of(truth.T_world_camera @ inverse(s.camera.mount.T))
-    np.testing.assert_allclose(
-        base, s.robot.configuration(), atol=2e-4
-    )  # springs settle by .02 mrad
+    # springs settle by .02 mrad
+    np.testing.assert_allclose(base, s.robot.configuration(), atol=2e-4)
     assert np.abs(truth.twist).max() < 1e-6
     assert not truth.contact  # wheels on the floor are no collision
     before = truth.T_world_camera
@@ -61,10 +60,8 @@ def test_a_reading_stays_until_time_passes():
     plant = plant_of(vs.load("car_pbvs"))
     first = plant.reading()
     assert plant.reading() is first
-    assert type(first) is Reading and first.heading not in (
-        None,
-        0.0,
-    )  # the compass; the true heading does not come out
+    # the compass; the true heading does not come out
+    assert type(first) is Reading and first.heading not in (None, 0.0)
     plant.advance(5)
     assert plant.reading() is not first
 
@@ -117,9 +114,8 @@ class TestOverview:
             d @ up / (d @ forward) / half,
         )
         most = max(1.12 * np.abs(across).max(), 1.25 * np.abs(above).max())
-        assert most == pytest.approx(
-            1, rel=1e-6
-        )  # the room that is left round it, more above and below
+        # the room that is left round it, more above and below
+        assert most == pytest.approx(1, rel=1e-6)
 
     @pytest.mark.parametrize("name", NAMES)
     def test_start_goal_landmarks_and_route_are_in_the_picture(self, name):

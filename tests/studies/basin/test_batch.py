@@ -118,9 +118,8 @@ EVERY = {
     **{
         f"ibvs_{kind}": IBVS(gain=FAST, feature=FEATURES.members[kind](), interaction="mean")
         for kind in FEATURES.members
-        if FEATURES.members[
-            kind
-        ].rows_per_marker  # of one marker each: others need other targets, or leave motions open
+        # of one marker each: others need other targets, or leave motions open
+        if FEATURES.members[kind].rows_per_marker
     },
     "ibvs_current": IBVS(gain=FAST),
     "qp_desired": QP(law=IBVS(gain=FAST, interaction="desired")),

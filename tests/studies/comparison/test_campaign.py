@@ -189,9 +189,8 @@ def test_the_paired_difference_of_two_gains_is_what_theory_gives(quick: Path, tm
         slow["time_to_converge_s"].to_numpy(), fast["time_to_converge_s"].to_numpy()
     )
     assert found.p <= 0.05 and found.excludes_zero
-    assert (
-        found.low <= theory.mean() + 0.04 and theory.mean() - 0.04 <= found.high
-    )  # times are whole frames of 40 ms
+    # times are whole frames of 40 ms
+    assert found.low <= theory.mean() + 0.04 and theory.mean() - 0.04 <= found.high
     same = paired_difference(
         slow["time_to_converge_s"].to_numpy(), slow["time_to_converge_s"].to_numpy()
     )
@@ -251,9 +250,8 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothin
         assert json.loads(again["summary.json"])["outcome"] == "converged"
         assert pool.tries(request) == 2
         assert slot.pid.result() != before
-        assert (
-            pool.call(os.getpid).result() == os.getpid()
-        )  # one worker leaves shares of the report to this process
+        # one worker leaves shares of the report to this process
+        assert pool.call(os.getpid).result() == os.getpid()
         os.kill(slot.pid.result(), signal.SIGKILL)
         gone(slot.pid.result())
         runner.run(pool)  # before the pool hears of it
@@ -382,13 +380,13 @@ class TestResume:
         out, done = tmp_path / "c", []
         whole = compare([quick], GAINS, seeds=2, jobs=1, out=out, film=False, report=False)
         (out / "runs/quick/law.gain=3.0/1").rename(tmp_path / "taken")
+        # as a power cut leaves it
         (out / "runs/quick/law.gain=6.0/1").rename(
             out / f"runs/quick/law.gain=6.0/1.{16 * 'f'}.part"
-        )  # as a power cut leaves it
+        )
         kept = (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns
-        (out / "runs/quick/law.gain=6.0/0/summary.json").write_text(
-            "{", encoding="utf-8"
-        )  # as a broken disk leaves it
+        # as a broken disk leaves it
+        (out / "runs/quick/law.gain=6.0/0/summary.json").write_text("{", encoding="utf-8")
         again = compare(
             [],
             out=out,

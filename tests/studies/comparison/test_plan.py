@@ -37,9 +37,8 @@ def test_every_combination_from_every_seed_seed_by_seed(quick: Path):
     ]
     assert found[3].scenario.law.gain.value == 2.0
     assert found[3].scenario.camera.latency_s == 0.1
-    inner_first = controllers(
-        of(quick, law__gain=(0.75,), law=("ibvs", "pbvs"))
-    )  # the block is set first all the same
+    # the block is set first all the same
+    inner_first = controllers(of(quick, law__gain=(0.75,), law=("ibvs", "pbvs")))
     assert [(c.scenario.law.kind, c.scenario.law.gain.value) for c in inner_first] == [
         ("ibvs", 0.75),
         ("pbvs", 0.75),

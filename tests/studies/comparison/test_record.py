@@ -117,9 +117,8 @@ def test_files_that_a_model_and_a_module_need_are_copied_with_their_layout(tmp_p
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     moved = (tmp_path / "law.py").rename(elsewhere / "law.py")
-    must_be_unchanged(
-        folder, [str(moved)]
-    )  # it has moved, and is the same: the plan keeps its name, which `--plugin` answers for
+    # it has moved, and is the same: the plan keeps its name, which `--plugin` answers for
+    must_be_unchanged(folder, [str(moved)])
     assert str(tmp_path / "law.py") in (folder / "scenarios" / "s.yaml").read_text()
     moved.write_text("WEIGHTS = 'others.npy'\n")
     with pytest.raises(RunFolderError, match=r"elsewhere/law\.py has changed since"):

@@ -167,10 +167,8 @@ def test_names_of_cases_and_tasks_lead_nowhere_else(quick: Path, tmp_path: Path)
     made = Variants(comparison)
     for i in (0, 1, 2, 9, len(made) // 2, len(made) - 1):
         place = made[i].folder
-        assert len(Path(place).parts) == 4 and Path(place).parts[:2] == (
-            "runs",
-            "quick",
-        )  # the thousand, and the variant
+        # the thousand, and the variant
+        assert len(Path(place).parts) == 4 and Path(place).parts[:2] == ("runs", "quick")
         assert (tmp_path / place).resolve().is_relative_to(tmp_path.resolve())
         (tmp_path / place).mkdir(parents=True)
     near = [made[i].folder.casefold() for i in range(400)]

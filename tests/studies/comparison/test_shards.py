@@ -80,12 +80,10 @@ def test_merged_they_are_what_one_process_leaves(
         p.name for p in (tmp_path / "one").iterdir()
     }
     run = str(together["folder"][0])
-    assert (tmp_path / "all" / run / "log.parquet").samefile(
-        shards[0] / run / "log.parquet"
-    )  # no second copy on the disk
-    assert (
-        compare([], out=tmp_path / "all", resume=True, report=False).height == 2 * SEEDS
-    )  # a folder like any other
+    # no second copy on the disk
+    assert (tmp_path / "all" / run / "log.parquet").samefile(shards[0] / run / "log.parquet")
+    # a folder like any other
+    assert compare([], out=tmp_path / "all", resume=True, report=False).height == 2 * SEEDS
 
 
 def test_a_shard_has_its_own_runs_and_a_table_but_no_page(shards: list[Path]) -> None:

@@ -450,9 +450,8 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
     assert table["seed"].to_list() == [0, 1]  # also of a start that cannot be drawn
     assert "is out of its reach: it stays" in table["reason"][1]
     meshes = list((tmp_path / table["folder"][0] / "assets").iterdir())
-    assert len(meshes) == 5 and all(
-        mesh.stat().st_nlink == 2 for mesh in meshes
-    )  # one copy for all runs
+    # one copy for all runs
+    assert len(meshes) == 5 and all(mesh.stat().st_nlink == 2 for mesh in meshes)
     with pytest.raises(UnreachableError):
         runner.jobs[1].scenario()
 

@@ -82,9 +82,8 @@ def test_the_command_is_of_the_file_in_the_folder_where_the_bundled_one_says_som
         (["arm_laws", "arm_ibvs", "arm_pbvs"], {}),
     ):
         assert settings_of(chosen(names, settings, {})).endswith(TUNE)
-    assert "`vstestbed tune arm_laws " in settings_of(
-        chosen(["arm_laws"], {}, {}, seeds=3)
-    )  # the same laws from fewer starts
+    # the same laws from fewer starts
+    assert "`vstestbed tune arm_laws " in settings_of(chosen(["arm_laws"], {}, {}, seeds=3))
 
 
 def test_laws_that_were_all_tuned_by_one_budget_are_laws(two: Comparison) -> None:
@@ -117,9 +116,8 @@ def test_a_world_that_is_not_that_of_the_search_is_named(two: Comparison, quick:
         said(slow)
         == "points and pose fly with camera.rate_hz 10 in place of null, as in the search."
     )
-    assert (
-        settings_of(changed(two, axes={"camera.rate_hz": (10, 20)})) == ""
-    )  # what is compared is no other world
+    # what is compared is no other world
+    assert settings_of(changed(two, axes={"camera.rate_hz": (10, 20)})) == ""
     other = shutil.copy(quick, quick.with_name("other.yaml"))
     assert (
         said(replace(two, base=(str(other),)))

@@ -145,9 +145,8 @@ def test_a_delay_of_part_of_a_frame_and_of_commands_goes_unstable_where_theory_s
     at_goal = replace(free, timing=timing)
     limit = find_limit(at_goal, d)
     assert limit.g / limit.g_theory == pytest.approx(1.0, rel=0.004)
-    assert limit.g < 0.9 * closed_form(
-        int(d)
-    )  # the part of a frame, or the command's latency, lowers it
+    # the part of a frame, or the command's latency, lowers it
+    assert limit.g < 0.9 * closed_form(int(d))
 
 
 def test_the_scenarios_own_latency_comes_first_in_seconds(free):

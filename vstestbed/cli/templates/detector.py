@@ -49,9 +49,8 @@ class MyDetector(vs.DetectorBase):
             raise vs.errors.ParameterError("picture", "is missing: detector my_detector needs one")
         chroma = np.ptp(picture.image, axis=2)
         v, u = np.nonzero(chroma >= self.chroma)
-        hue = np.degrees(
-            np.angle(picture.image[v, u] @ np.exp(1j * np.radians([0, 120, 240])))
-        )  # seen along the grey axis
+        # seen along the grey axis
+        hue = np.degrees(np.angle(picture.image[v, u] @ np.exp(1j * np.radians([0, 120, 240]))))
         uv = np.full((len(target.hues_deg), 2), np.nan)
         for i, wanted in enumerate(target.hues_deg):
             own = np.abs((hue - wanted + 180) % 360 - 180) < min(15.0, 180 / len(uv))

@@ -45,11 +45,8 @@ class Churning(vs.effects.Actor):
     """The torques of one run."""
 
     def __init__(self, effect, body):
-        self.effect, self.data, self.at = (
-            effect,
-            body.data,
-            body.at.motor_qvel,
-        )  # the motors' side of elastic joints
+        # the motors' side of elastic joints
+        self.effect, self.data, self.at = effect, body.data, body.at.motor_qvel
         self.force = np.zeros(body.model.nv)  # the plant adds it to those of other effects
 
     def act(self, t, dt):

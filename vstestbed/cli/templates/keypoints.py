@@ -19,12 +19,12 @@ import vstestbed as vs
 import vstestbed.testing
 
 x = np.stack(np.meshgrid(np.arange(-8, 9), np.arange(-8, 9)), axis=-1).reshape(-1, 2)
-DISC = x[
-    np.linalg.norm(x, axis=1) < 8.5
-]  # the pixels (P, 2) whose brightness has its centre in a corner's direction
+# the pixels (P, 2) whose brightness has its centre in a corner's direction
+DISC = x[np.linalg.norm(x, axis=1) < 8.5]
+# where it is described [px]
 GRID = np.stack(np.meshgrid(np.linspace(-12, 12, 9), np.linspace(-12, 12, 9)), axis=-1).reshape(
     -1, 2
-)  # where it is described [px]
+)
 
 
 @vs.KEYPOINTS.add
@@ -53,9 +53,8 @@ class MyKeypoints:
         corners = cv2.goodFeaturesToTrack(grey, self.most, 0.01, 5)
         uv = np.empty((0, 2)) if corners is None else corners[:, 0].astype(float)
         weight = self.read(grey, uv[:, None] + DISC)
-        angle = np.arctan2(
-            weight @ DISC[:, 1], weight @ DISC[:, 0]
-        )  # of the centre of brightness (M,)
+        # of the centre of brightness (M,)
+        angle = np.arctan2(weight @ DISC[:, 1], weight @ DISC[:, 0])
         R = np.moveaxis(
             np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), 2, 0
         )

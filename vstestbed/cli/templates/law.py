@@ -30,10 +30,8 @@ class MyLaw(vs.ErrorLaw):
     # what is annotated is a field in YAML: --set law.depth=goal, estimate, oracle; gain, limits,
     # ... are the base's
     depth: Depth = PnP()
-    inputs = (
-        "xy",
-        "depth",
-    )  # what `equations` reads of a view: costly fields are computed only where they are named
+    # what `equations` reads of a view: costly fields are computed only where they are named
+    inputs = ("xy", "depth")
 
     def equations(self, view, goal):
         """The error e (..., 2N) and its Jacobian J (..., 2N, 6): e_dot = J v, v the camera twist,

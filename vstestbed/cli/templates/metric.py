@@ -29,9 +29,8 @@ class MyMetric:
 
     kind: Literal["my_metric"] = "my_metric"  # its word in a scenario
     limit_px: Annotated[float, Gt(0)] = 50.0
-    titles: ClassVar[
-        Mapping[str, tuple[str, str]]
-    ] = {  # name in summary.json: title, unit; (..., 100, 1): shown times 100, more is better
+    # name in summary.json: title, unit; (..., 100, 1): shown times 100, more is better
+    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
         "my_metric_mean_px": ("Mean image error", "px"),
         "my_metric_over_s": ("Time over the limit", "s"),
     }

@@ -33,9 +33,8 @@ class MyNoise(vs.PerturbationBase):
         once for the run.
         """
         hit = rng.random(image.shape[:2]) < self.share
-        image[hit] = np.where(
-            rng.random((hit.sum(), 1)) < 0.5, 0, 255
-        )  # `image` is a copy, which may be written to
+        # `image` is a copy, which may be written to
+        image[hit] = np.where(rng.random((hit.sum(), 1)) < 0.5, 0, 255)
         return image
 
 

@@ -16,9 +16,8 @@ import vstestbed as vs
 import vstestbed.testing
 from vstestbed.robots import Free
 
-MOTIONS = np.eye(6)[
-    :, [0, 1, 2, 5]
-]  # (6, 4): the flange twists vx, vy, vz and wz, (v, w) in the flange's frame
+# (6, 4): the flange twists vx, vy, vz and wz, (v, w) in the flange's frame
+MOTIONS = np.eye(6)[:, [0, 1, 2, 5]]
 
 
 @vs.ROBOTS.add

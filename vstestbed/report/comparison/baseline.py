@@ -33,9 +33,8 @@ FEWEST: Final = (
     5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
 )
 
-Number = Annotated[
-    float, BeforeValidator(lambda value: math.nan if value is None else value)
-]  # NaN, which JSON has not, is null there
+# NaN, which JSON has not, is null there
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 
 
 @dataclass(frozen=True)
@@ -115,9 +114,8 @@ class BaselineChanges:
 
     place: str  # of the earlier results
     matched: int  # number of runs that both have
-    only_now: tuple[
-        str, ...
-    ]  # only_now, only_before: controllers without a counterpart, or with some runs only; in words
+    # only_now, only_before: controllers without a counterpart, or with some runs only; in words
+    only_now: tuple[str, ...]
     only_before: tuple[str, ...]
     controllers: tuple[ControllerChange, ...]  # those with matched runs
 
@@ -230,6 +228,7 @@ def read_changes(folder: Path) -> BaselineChanges | None:
 
 # How a comparison differs from an earlier one, in words for the terminal and as a section of the
 # page.
+
 # Differing metrics, and lost runs, that a line of the terminal names; the page has all of them
 MOST: Final = 4
 

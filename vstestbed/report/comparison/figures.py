@@ -72,9 +72,8 @@ class Data:
     sampled: int | None = (
         None  # the errors are of so many first runs of each controller; None: of all
     )
-    measured: tuple[
-        MeasuredError, ...
-    ] = ()  # which error it is of each controller, with the threshold
+    # which error it is of each controller, with the threshold
+    measured: tuple[MeasuredError, ...] = ()
 
     @cached_property
     def labels(self) -> list[str]:
@@ -110,9 +109,8 @@ class Data:
         quartiles = np.quantile(
             np.where(np.isfinite(errors), errors, _FAR), [0.25, 0.5, 0.75], axis=0
         )
-        return np.where(
-            quartiles < 1e-3 * _FAR, quartiles, np.inf
-        )  # also where _FAR was only a part of the interpolation
+        # also where _FAR was only a part of the interpolation
+        return np.where(quartiles < 1e-3 * _FAR, quartiles, np.inf)
 
 
 def read_series(
@@ -138,12 +136,10 @@ def read_series(
     measured = tuple(measured) or (MeasuredError(),) * len(comparison.controllers)
     of_controllers = []
     for controller, error in zip(comparison.controllers, measured, strict=True):
-        places = (
-            controller.runs["folder"].head(most).to_list()
-        )  # the first, not a random choice: the same page from the same table
-        errors = np.full(
-            (len(places), len(t)), np.nan, dtype=np.float32
-        )  # single precision halves the memory of large comparisons
+        # the first, not a random choice: the same page from the same table
+        places = controller.runs["folder"].head(most).to_list()
+        # single precision halves the memory of large comparisons
+        errors = np.full((len(places), len(t)), np.nan, dtype=np.float32)
         for i, place in enumerate(places):
             errors[i] = _resampled(folder / str(place) / "log.parquet", error.column, t)
         of_controllers.append(errors)
@@ -172,11 +168,8 @@ BANDS = (
 )
 # Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
 PANELS = 24
-LINES, EACH_LEAST, EACH_MOST = (
-    200,
-    5,
-    30,
-)  # Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
+# Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
+LINES, EACH_LEAST, EACH_MOST = 200, 5, 30
 
 
 def medians(data: Data, width_in: float) -> Figure:
@@ -195,10 +188,8 @@ def medians(data: Data, width_in: float) -> Figure:
         _error_axes([axes], data.t[-1], error, [*quartiles, *(data.errors[i] for i in those)])
         axes.set_ylabel(wrapped(error.label, 16))
         if error.threshold and axes.get_yscale() == "log":
-            words, at = (
-                f"{error.threshold:g} {error.unit}",
-                (0.01, error.threshold),
-            )  # on the left, where no curve is at its goal yet
+            # on the left, where no curve is at its goal yet
+            words, at = f"{error.threshold:g} {error.unit}", (0.01, error.threshold)
             axes.annotate(words, at, xycoords=axes.get_yaxis_transform(), va="bottom", ha="left")
     grid[-1].set_xlabel(TIME_LABEL)
     legend(figure, data)
@@ -210,9 +201,8 @@ def each_run(data: Data, width_in: float) -> Figure:
     the others in the same unit.
     """
     n, units = len(data.labels), data.units()
-    columns = -(
-        -n // -(-n // 4)
-    )  # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
+    # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
+    columns = -(-n // -(-n // 4))
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
     grid = panels(figure, n, columns, sharex=True, sharey=len(units) == 1)
     for i, axes in enumerate(grid):
@@ -250,9 +240,8 @@ def _draw_runs(axes: Axes, data: Data, i: int) -> None:
     success = data.comparison.controllers[i].success
     for error, reached in zip(data.errors[i][:most], success, strict=False):
         line = _shown(error.astype(float))
-        color, alpha, order = (
-            (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)
-        )  # failures on top: they are few
+        # failures on top: they are few
+        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)
         axes.plot(data.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
         seen = np.flatnonzero(np.isfinite(line))
         if not reached and len(seen):
@@ -264,9 +253,8 @@ def _draw_quartiles(axes: Axes, t: Array, quartile: Array, style: Look, band: bo
     low, middle, high = quartile
     if band:
         seen = np.isfinite(low) & (low > 0)
-        top = np.where(
-            np.isfinite(high), high, 1e9
-        )  # a quarter of the runs is lost: the band is open above
+        # a quarter of the runs is lost: the band is open above
+        top = np.where(np.isfinite(high), high, 1e9)
         axes.fill_between(
             t,
             np.where(seen, low, 1),
@@ -306,9 +294,8 @@ def _error_axes(
             alpha=0.7,
         )
         return
-    low, high = np.quantile(
-        values, [0.001, 0.999]
-    )  # a single outlier may not squeeze all other curves
+    # a single outlier may not squeeze all other curves
+    low, high = np.quantile(values, [0.001, 0.999])
     for panel in panels:
         panel.set_yscale("log")
         panel.set_ylim(
@@ -419,9 +406,8 @@ def metric_panels(
         axes.grid(axis="y", visible=False)
         axes.tick_params(axis="y", length=0)
         axes.locator_params(axis="x", nbins=2)
-        axes.xaxis.set_major_formatter(
-            "{x:g}"
-        )  # 0, not 0.0000: numbers of many digits would overlap
+        # 0, not 0.0000: numbers of many digits would overlap
+        axes.xaxis.set_major_formatter("{x:g}")
     return grid, figure
 
 
@@ -449,6 +435,7 @@ def legend(figure: Figure, data: Data) -> None:
 
 # Strip plots of a comparison's metrics: the runs of each controller as points, with median and
 # quartiles, failures below.
+
 # Most runs drawn in one panel, shared among its controllers: every point is an element of the
 # page's SVG
 POINTS = 1500
@@ -541,10 +528,8 @@ def _draw_strip(
     failed, y = values[shown & ~controller.success], row + 0.27
     inside = failed[(failed >= low) & (failed <= high)]
     axes.plot(inside, [y] * len(inside), **FAILED)
-    for beyond, mark, at in (
-        (failed > high, ">", 0.97),
-        (failed < low, "<", 0.03),
-    ):  # [1] of the panel's width
+    # [1] of the panel's width
+    for beyond, mark, at in ((failed > high, ">", 0.97), (failed < low, "<", 0.03)):
         if beyond.any():
             arrow: Look = FAILED | {"marker": mark}
             axes.plot(at, y, transform=axes.get_yaxis_transform(), **arrow)
@@ -569,6 +554,7 @@ def _draw_strip(
 
 # Performance profiles of a comparison: which share of the runs is as good as a value or better,
 # over all values of a metric.
+
 # Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG
 STEPS: Final = 300
 COLUMNS: Final = 5  # Most panels side by side
@@ -588,9 +574,8 @@ def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array
     ranked = ranked[~np.isnan(ranked)]
     n = len(ranked)
     ordered = np.sort(ranked[np.isfinite(ranked)])
-    last = np.flatnonzero(
-        np.diff(ordered, append=np.inf) > 0
-    )  # of equal values the last: its share is that of all of them
+    # of equal values the last: its share is that of all of them
+    last = np.flatnonzero(np.diff(ordered, append=np.inf) > 0)
     kept = (
         last
         if len(last) <= STEPS

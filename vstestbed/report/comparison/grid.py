@@ -33,9 +33,8 @@ STRONGEST = 0.55  # Opacity of the strongest colour: the numbers are read throug
 LEAST_SHOWN_S = 0.005  # Changes and errors below this are shown as 0 [s, mm]
 ALL = "all"  # Heading of the mean over all columns
 Place = TypeVar("Place", bound=Hashable)
-Look = tuple[
-    str, str, float, bool
-]  # Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold
+# Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold
+Look = tuple[str, str, float, bool]
 
 
 @dataclass(frozen=True)
@@ -140,9 +139,8 @@ def grid(data: Data, width_in: float) -> Figure | None:
         return None
     figure = new_figure(0.24 * len(found.rows) + 1.4, width_in)
     n = len(found.columns)
-    panels = figure.subplots(
-        1, 3, sharey=True, width_ratios=(n, 1.3 * (n + (n > 1)), n)
-    )  # wider cells for a sign and two digits
+    # wider cells for a sign and two digits
+    panels = figure.subplots(1, 3, sharey=True, width_ratios=(n, 1.3 * (n + (n > 1)), n))
     _reached(panels[0], found)
     _times(panels[1], found)
     _errors(panels[2], found)
@@ -224,9 +222,8 @@ def _errors(axes: Axes, found: Grid) -> None:
 def _draw(axes: Axes, found: Grid, looks: Mapping[tuple[int, int], Look]) -> None:
     from matplotlib.patches import Rectangle
 
-    size = 6.5 * min(
-        1.0, 9 / len(found.columns)
-    )  # a number has its full size in up to nine columns
+    # a number has its full size in up to nine columns
+    size = 6.5 * min(1.0, 9 / len(found.columns))
     for (i, j), (words, color, strength, bold) in looks.items():
         axes.add_patch(
             Rectangle(

@@ -85,10 +85,8 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
 # A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB
 FILM_BYTES: Final = 8_000_000
 NOTEBOOK_PX: Final = 480  # Height of a comparison's result in a notebook [px]
-COLUMN_IN: Final = {
-    1: 3.5,
-    2: 7.16,
-}  # Width of a paper's figure over one and two columns (IEEE) [in]
+# Width of a paper's figure over one and two columns (IEEE) [in]
+COLUMN_IN: Final = {1: 3.5, 2: 7.16}
 
 # The figures of a comparison in their order: key (of files, identifiers, and of the caption in
 # `comparison.html`), title, columns that it takes, function that draws it.
@@ -328,9 +326,8 @@ ERROR_CHARACTERS: Final = (
     4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
 )
 
-Failure = dict[
-    str, Any
-]  # controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
+# controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
+Failure = dict[str, Any]
 
 
 def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:

@@ -56,9 +56,8 @@ class Pair:
     # probability by exploratory metric that b is better than a on the same seed, over all common
     # seeds (`ControllerResults.ranked`)
     improvements: dict[str, stats.IntervalEstimate]
-    adjusted: dict[Test, float] = field(
-        default_factory=dict
-    )  # p-values of all exploratory tests by Holm
+    # p-values of all exploratory tests by Holm
+    adjusted: dict[Test, float] = field(default_factory=dict)
 
     @property
     def exploratory(self) -> dict[Test, float]:

@@ -179,9 +179,8 @@ def fewest(pairs: int, margin: float) -> tuple[int | None, int | None, int | Non
         least(lambda n, tests=tests: sign_test(n, 0) * tests <= ALPHA, 1)
         for tests in (2 * pairs, pairs)
     )
-    sure = ExpectedPair(
-        gain=1, sd=0, limit=2.1, slower=2, pairs=pairs, margin=margin
-    )  # the margin alone is left to show
+    # the margin alone is left to show
+    sure = ExpectedPair(gain=1, sd=0, limit=2.1, slower=2, pairs=pairs, margin=margin)
     return success, sooner, sure.starts()
 
 

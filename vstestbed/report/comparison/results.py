@@ -206,17 +206,15 @@ class ComparisonResults:
         columns = [
             _words_of(name, each) for name, each in zip(short_names(self.axes), values, strict=True)
         ]
-        several = (
-            len(set(scenarios)) > 1
-        )  # the scenario is part of a label only where there are several, or nothing else is
+        # the scenario is part of a label only where there are several, or nothing else is
+        several = len(set(scenarios)) > 1
         parts = zip([str(name) if several else "" for name in scenarios], *columns, strict=True)
         labels = [
             ", ".join(filter(None, each)) or str(name)
             for each, name in zip(parts, scenarios, strict=True)
         ]
-        if len(set(labels)) < len(
-            labels
-        ):  # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
+        # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
+        if len(set(labels)) < len(labels):
             names = ("", *(f"{name}=" for name in short_names(self.axes)))
             labels = [
                 ", ".join(f"{name}{value}" for name, value in zip(names, key, strict=True))

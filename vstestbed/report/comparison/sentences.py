@@ -95,9 +95,8 @@ class _Standing:
         self.labels, self.pairs = labels, all_pairs
         self.most = max((p.seeds for p in all_pairs), default=0)
         everybody = range(len(labels))
-        self.beaten = {
-            i: [p.a + p.b - i for p in all_pairs if p.better == i] for i in everybody
-        }  # a + b - i: the other of the pair
+        # a + b - i: the other of the pair
+        self.beaten = {i: [p.a + p.b - i for p in all_pairs if p.better == i] for i in everybody}
         self.losers = {i for those in self.beaten.values() for i in those}
 
     @property

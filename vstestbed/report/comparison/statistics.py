@@ -191,9 +191,8 @@ def holm(p: Sequence[float]) -> list[float]:
     rejective multiple test procedure, Scand. J. Statist. 6, 65-70.
     """
     values = np.asarray(p, dtype=float)
-    order = np.argsort(values, kind="stable")[
-        : int((~np.isnan(values)).sum())
-    ]  # NaN is sorted last
+    # NaN is sorted last
+    order = np.argsort(values, kind="stable")[: int((~np.isnan(values)).sum())]
     factors = np.arange(len(order), 0, -1)
     adjusted = np.full(len(values), np.nan)
     adjusted[order] = np.maximum.accumulate(np.minimum(factors * values[order], 1.0))

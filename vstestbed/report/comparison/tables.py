@@ -58,9 +58,8 @@ def sections(
     return {
         "sections": found,
         "primary": comparison.primary_metric.title.lower(),
-        "of_any_run": ", ".join(
-            m.title for m in shown if m.every_pair
-        ),  # metrics for which a failed run counts with its own number
+        # metrics for which a failed run counts with its own number
+        "of_any_run": ", ".join(m.title for m in shown if m.every_pair),
         "margin": f"{100 * comparison.margin:g}",
         # over how many tests the p-values of verdicts and the exploratory ones are adjusted
         "deciding": sum(

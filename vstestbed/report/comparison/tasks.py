@@ -224,9 +224,8 @@ def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: M
                 markeredgewidth=0.7,
                 **look,
             )
-        if (
-            not good.all()
-        ):  # failed runs as crosses just below the top of the panel, each law at its own height
+        # failed runs as crosses just below the top of the panel, each law at its own height
+        if not good.all():
             height = np.full(int((~good).sum()), 0.99 - 0.1 * i / len(laws))
             axes.plot(at[~good], height, transform=axes.get_xaxis_transform(), **FAILED)
     if not commanded:

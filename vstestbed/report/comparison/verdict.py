@@ -33,9 +33,8 @@ FEWEST_UNLIKE: Final = 6
 corrected (Tarone 1990, doi:10.2307/2531456).
 """
 MOST_STARTS: Final = 100_000  # numbers of starts beyond this are not named
-ONE_PICTURE: Final = (
-    1 + 1e-6
-)  # periods by which two times may differ and be equal: one picture, and rounding
+# periods by which two times may differ and be equal: one picture, and rounding
+ONE_PICTURE: Final = 1 + 1e-6
 
 Side = Literal["a", "b"]
 Decision = Literal["better", "trade", "none"]
@@ -306,9 +305,10 @@ def test_of(starts: Starts, margin: float = MARGIN) -> PairTest:
     a, b = starts.reached_a, starts.reached_b
     saved = np.asarray(starts.cost_a - starts.cost_b, dtype=float)
     saved[np.abs(saved) <= rounding(starts.cost_a, starts.cost_b)] = 0.0
+    # a than b
     later = (
         saved if starts.time_a is None or starts.time_b is None else starts.time_a - starts.time_b
-    )  # a than b
+    )
     tied = (~a & ~b) | (a & b & (np.abs(later) <= starts.period * ONE_PICTURE))
     first_b = ~tied & np.where(a == b, later > 0, b)
     return PairTest(

@@ -69,9 +69,8 @@ def write_mcap(
     written.
     """
     start_ns, series = round(start_s * NS), _series(run.scenario, run.log.columns)
-    colors = np.resize(
-        run.scenario.target.colors, (run.scenario.rows, 3)
-    )  # of more points than markers: over again
+    # of more points than markers: over again
+    colors = np.resize(run.scenario.target.colors, (run.scenario.rows, 3))
     goal_colors = np.column_stack([colors, np.ones(len(colors))]).tolist()
     with writing(path), PartFile(path) as part:
         writer = Writer(part.file)
@@ -109,9 +108,8 @@ def described(run: RecordedRun) -> dict[str, str]:
     }
 
 
-Series = dict[
-    str, tuple[Any, dict[str, str]]
-]  # By topic the class of a message, and the columns of the log by its fields
+# By topic the class of a message, and the columns of the log by its fields
+Series = dict[str, tuple[Any, dict[str, str]]]
 
 
 def _messages(
@@ -143,9 +141,8 @@ def _messages(
         t = row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t
         time_ns = start_ns + round(t * NS)
         made = kind(**{field: row[column] for field, column in columns.items()})
-        made.timestamp.seconds, made.timestamp.nanos = divmod(
-            time_ns, NS
-        )  # its class is of another pool than `Timestamp`
+        # its class is of another pool than `Timestamp`
+        made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)
         yield topic, time_ns, made
 
 
@@ -305,9 +302,8 @@ def _message_class(name: str, fields: Sequence[str]) -> Any:
     )
     for number, field in enumerate(fields, start=2):
         made.field.add(name=field, number=number, label=one, type=kind.TYPE_DOUBLE)
-    pool = (
-        descriptor_pool.DescriptorPool()
-    )  # its own: runs of other robots have messages of the same name
+    # its own: runs of other robots have messages of the same name
+    pool = descriptor_pool.DescriptorPool()
     pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"vstestbed.{name}"))

@@ -29,9 +29,8 @@ from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Rerendering
 
-Bodies = tuple[
-    list[str], Array, Array
-]  # The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world
+# The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world
+Bodies = tuple[list[str], Array, Array]
 
 
 class Taken(NamedTuple):
@@ -168,9 +167,8 @@ Whose = Literal["clock", "measured", "command", "truth", "own"]
 command; `truth`: the simulator's alone; `own`: of the robot's kind or the task.
 """
 
-Meaning = tuple[
-    str, Whose, str
-]  # Of a column: its unit ("" for numbers without one), who knows it, and in words
+# Of a column: its unit ("" for numbers without one), who knows it, and in words
+Meaning = tuple[str, Whose, str]
 
 _SUFFIXES = {
     "px": "px",

@@ -282,9 +282,8 @@ def tilt(tracks: LogArrays) -> Chart | None:
     )
     if camera is None or not np.isfinite(estimated).any():
         return None
-    up = (tracks.poses("cam") @ inverse(camera.mount.T))[
-        :, 2, :3
-    ]  # the world's z axis in the base frame: independent of yaw
+    # the world's z axis in the base frame: independent of yaw
+    up = (tracks.poses("cam") @ inverse(camera.mount.T))[:, 2, :3]
     true = np.column_stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1, 1))])
     chart = over_time(tracks, 3.0, "tilt [deg]")
     (panel,) = chart.panels
@@ -305,9 +304,8 @@ def rotors(tracks: LogArrays) -> Chart | None:
         return None
     windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)  # without wind its columns are zero
     chart = over_time(tracks, 4.2 if windy else 2.8, "rotors [rad/s]", *["wind [m/s]"] * windy)
-    chart.panels[0].rule(
-        1000.0, linewidth=1.4, linestyle=":"
-    )  # [rad/s], the limit of a rotor in models/quadrotor.xml
+    # [rad/s], the limit of a rotor in models/quadrotor.xml
+    chart.panels[0].rule(1000.0, linewidth=1.4, linestyle=":")
     for i, name in enumerate(names):
         chart.panels[0].plot(
             tracks.t,

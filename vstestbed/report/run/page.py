@@ -131,9 +131,8 @@ def write_report(
                     run_dir, "has a log without frames; there is nothing to report", NOTHING_RAN
                 )
             for name in (f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"):
-                if not (
-                    abs(log[name]) < FARTHEST_M
-                ).all():  # only a damaged file can have it, and figures have no scale for it
+                # only a damaged file can have it, and figures have no scale for it
+                if not (abs(log[name]) < FARTHEST_M).all():
                     raise RunFolderError(
                         run_dir,
                         f"its log is damaged (a position over {FARTHEST_M:g} m in the column"
@@ -244,9 +243,8 @@ def sentences(summary: Summary) -> str:
     reason = str(summary.get("reason") or "")
     found = [reason[:1].upper() + reason[1:].rstrip(".") + "."] if reason else []
     swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
-    if (
-        _is_number(swung_s) and _is_number(frames) and summary.get("outcome") != "unstable"
-    ):  # that outcome says so
+    # that outcome says so
+    if _is_number(swung_s) and _is_number(frames) and summary.get("outcome") != "unstable":
         found.append(
             f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s"
             " without a break: it is badly damped."
@@ -328,9 +326,8 @@ def still_moving(tracks: LogArrays) -> list[str]:
 
 def _joints_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     driven = tracks.named("ctrl")
-    for name in [
-        joint for joint in tracks.named("q") if joint in driven
-    ]:  # a car's wheels are not: they roll on with it
+    # a car's wheels are not: they roll on with it
+    for name in [joint for joint in tracks.named("q") if joint in driven]:
         span = float(np.ptp(tracks.column(f"q_{name}")[last]))
         unit = "m" if name in tracks.setting.slides else "rad"
         if span > STANDS_RADPS:

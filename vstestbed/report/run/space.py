@@ -198,9 +198,10 @@ def plane(tracks: LogArrays) -> Chart | None:
     if not setting.planar or not known.any():
         return None
     targets, points = _known(tracks.poses("tgt")), setting.points
+    # where the target was last
     landmarks = (
         transform(targets[-1], points) if points is not None and len(targets) else np.empty((0, 3))
-    )  # where the target was last
+    )
     moved = (
         targets[:, :2, 3]
         if len(targets) and np.ptp(targets[:, :2, 3], axis=0).max() > 1e-3
@@ -210,9 +211,8 @@ def plane(tracks: LogArrays) -> Chart | None:
         [places[known, :2], setting.goals[:, :2], landmarks[:, :2], setting.reference_path, moved]
     )
     low, high = shown.min(axis=0), shown.max(axis=0)
-    span = float(
-        max((high - low).max(), 0.5)
-    )  # [m]; a vehicle that hardly moves is not magnified further
+    # [m]; a vehicle that hardly moves is not magnified further
+    span = float(max((high - low).max(), 0.5))
     chart = Chart()
     (panel,) = chart.panels
     _draw_views(panel, tracks, float(landmarks[:, 2].mean()) if len(landmarks) else 0.0, span)
@@ -263,17 +263,15 @@ def _draw_views(panel: ChartPanel, tracks: LogArrays, height: float, span: float
         x, y, seen = visible_region(camera, T, height, 0.45 * span)
         if not seen.any():
             continue
-        generator: Any = contour_generator(
-            x, y, seen, fill_type="OuterOffset"
-        )  # Any: its types are unions over all fill types
+        # Any: its types are unions over all fill types
+        generator: Any = contour_generator(x, y, seen, fill_type="OuterOffset")
         for region, start in zip(*generator.filled(0.5, 1.5), strict=True):
             # NaN between the outline and its holes, which turn the other way round: in one path
             # they are not filled
             outlines = np.insert(region, start[1:-1].astype(int), np.nan, axis=0).T
             panel.plot(*outlines, color=color, fill=color, linewidth=0, alpha=0.07, zorder=1)
-        for line in (
-            generator.lines(0.5) if seen.min() < 1 else ()
-        ):  # else all within reach is visible
+        # else all within reach is visible
+        for line in generator.lines(0.5) if seen.min() < 1 else ():
             panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
 
 
@@ -350,9 +348,8 @@ def camera_path(tracks: LogArrays) -> Chart | None:
     if len(cameras) == 0:
         return None
     view = tracks.setting.T_camera_target
-    goal = (
-        targets[-1] @ inverse(view) if view is not None and len(targets) else None
-    )  # for the last pose of the target
+    # for the last pose of the target
+    goal = targets[-1] @ inverse(view) if view is not None and len(targets) else None
     shown = [cameras[:, :3, 3], targets[:, :3, 3]] + (
         [goal[None, :3, 3]] if goal is not None else []
     )
@@ -361,9 +358,8 @@ def camera_path(tracks: LogArrays) -> Chart | None:
     points = np.concatenate(shown)
     chart = Chart()
     space = Space(chart.panels[0], elev=22, azim=-62)
-    size = 0.13 * float(
-        np.ptp(points, axis=0).max() or 1.0
-    )  # [m] of a pyramid; 1 m where nothing moves and no target is known
+    # [m] of a pyramid; 1 m where nothing moves and no target is known
+    size = 0.13 * float(np.ptp(points, axis=0).max() or 1.0)
     low, high = points.min(axis=0) - size, points.max(axis=0) + size
     span = np.maximum(high - low, 0.3 * (high - low).max())  # a flat scene gets some thickness
     space.box((low + high - span) / 2, (low + high + span) / 2)
@@ -494,9 +490,8 @@ def draw_cross_axes(axes: Axes3D | Space, at: Array, length: float, start: float
         _letter(axes, at + (start + 1.3 * length) * direction, name, color)
 
 
-def _letter(
-    axes: Any, at: Array, letter: str, color: str
-) -> None:  # Any: matplotlib's stubs have only the 2-D signature of text
+def _letter(axes: Any, at: Array, letter: str, color: str) -> None:
+    # Any: matplotlib's stubs have only the 2-D signature of text
     axes.text(*drawn(at).tolist(), letter, color=color, ha="center", va="center")
 
 
@@ -535,10 +530,8 @@ def _plane(tracks: LogArrays, feature: Polar | Spherical, label: str) -> Chart |
     (panel,) = chart.panels
     measured, true, goal = (way * in_pi for way in ways)
     draw_trails(panel, measured, true, goal, tracks.names)
-    panel.labels, panel.lowest = (
-        ("φ [rad]", label),
-        0,
-    )  # from zero, so that what hardly varies does not fill the height
+    # from zero, so that what hardly varies does not fill the height
+    panel.labels, panel.lowest = ("φ [rad]", label), 0
     panel.in_words = _in_pi, _in_pi if isinstance(feature, Spherical) else None
     return chart
 
@@ -561,9 +554,8 @@ def turns_joined(measured: Array, true: Array, goal: Array) -> None:
     The measured trajectory keeps its first angle. The true one is shifted next to it, and the goal
     next to its end.
     """
-    for seen, real, target in zip(
-        measured.T, true.T, goal.T, strict=True
-    ):  # views: they write into the arrays
+    # views: they write into the arrays
+    for seen, real, target in zip(measured.T, true.T, goal.T, strict=True):
         # the true angle bridges gaps of the measurement, in which the marker may turn by more than
         # half a turn
         path = _unwrapped(np.where(np.isfinite(seen), seen, real))

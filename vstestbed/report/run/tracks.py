@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from vstestbed.features import Feature
     from vstestbed.scenario.scenario import Scenario
 
-RINGS, DIRECTIONS = (
-    120,
-    541,
-)  # Polar grid around the camera's foot point on which the visible region of a plane is sampled
+# Polar grid around the camera's foot point on which the visible region of a plane is sampled
+RINGS, DIRECTIONS = 120, 541
 
 
 def ideal_bicycle_path(scenario: Scenario) -> Array | None:
@@ -116,12 +114,10 @@ class Setting:
     feature: Feature | None = None  # the image feature of the law; None for a law without one
     camera: Camera | None = None  # the servo camera
     planar: bool = False  # the robot is a ground vehicle, which has the next three
-    goals: Array = field(
-        default_factory=lambda: np.empty((0, 3))
-    )  # poses (x, y, heading) in their order, shape (K, 3) [m, m, rad]
-    reference_path: Array = field(
-        default_factory=lambda: np.empty((0, 2))
-    )  # to be driven, by it or by what it follows, shape (M, 2) [m]
+    # poses (x, y, heading) in their order, shape (K, 3) [m, m, rad]
+    goals: Array = field(default_factory=lambda: np.empty((0, 3)))
+    # to be driven, by it or by what it follows, shape (M, 2) [m]
+    reference_path: Array = field(default_factory=lambda: np.empty((0, 2)))
     expected_path: Array | None = (
         None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
     )
@@ -133,9 +129,8 @@ class Setting:
     # the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`
     changed: tuple[str, ...] = ()
     outlined: bool = False  # the markers are the outline of one region
-    modes: tuple[
-        str, ...
-    ] = ()  # words for what the law does in a frame; () for a law without modes
+    # words for what the law does in a frame; () for a law without modes
+    modes: tuple[str, ...] = ()
     changing: bool = False  # whether a row of the log may come to show another point
     threshold_grey: float | None = (
         None  # RMS difference of picture and goal picture that counts as converged [grey levels]
@@ -145,9 +140,8 @@ class Setting:
     told_speeds: bool = (
         True  # whether the joints' inputs are speeds: of inner loops they are torques
     )
-    cameras: Mapping[str, tuple[int, int]] = field(
-        default_factory=dict[str, tuple[int, int]]
-    )  # further cameras' width and height [px]
+    # further cameras' width and height [px]
+    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
     @property
     def image_errors(self) -> tuple[MeasuredError, ...]:
@@ -243,9 +237,8 @@ class LogArrays:
 
     def column(self, name: str) -> Array:
         """One column as floats, shape (T,)."""
-        if (
-            name not in self.log.columns
-        ):  # columns differ between robots and laws, and older logs lack some
+        # columns differ between robots and laws, and older logs lack some
+        if name not in self.log.columns:
             return np.full(len(self.log), np.nan)
         return self.log[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
 

@@ -70,9 +70,8 @@ class Quality:
 
 DRAFT = Quality((640, 360), longest=1280, samples=0, shadows=False, most_hz=15.0)
 FINE = Quality((1280, 720), longest=4320, samples=4, shadows=True, most_hz=math.inf)
-RAYS = Quality(
-    (320, 180), longest=320, samples=0, shadows=False, most_hz=5.0
-)  # Without OpenGL a picture takes some twenty times as long
+# Without OpenGL a picture takes some twenty times as long
+RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)
 
 
 def quality_of(scenario: Scenario, fine: bool = False) -> Quality:
@@ -179,9 +178,8 @@ class Pictures:
         if self._camera == "eye":
             taken = self._taken(frame)
             seen = self._rendered("eye", frame) if taken is None else taken
-            image = np.array(
-                scaled(seen, self._size)
-            )  # a copy: the detector and other films use it
+            # a copy: the detector and other films use it
+            image = np.array(scaled(seen, self._size))
             uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
             self._overlay.draw(image, uv, goal_uv, frame.lost)
             if self._residual is not None:
@@ -387,9 +385,8 @@ def open_films(
     """Films of a run by the names of their cameras; they are finished at the end, and discarded on
     an exception.
     """
-    own = not {"eye", *scenario.eyes}.isdisjoint(
-        paths
-    )  # else the servo camera is in an inset alone
+    # else the servo camera is in an inset alone
+    own = not {"eye", *scenario.eyes}.isdisjoint(paths)
     replay = replay_of(scenario, quality, None if own else size or quality.size, view)
     films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
     try:
@@ -448,6 +445,7 @@ def picture_of_the_end(scenario: Scenario, log: Log, path: Path, quality: Qualit
 
 # Films a run while it goes on: what the loop hands over is drawn and encoded by a thread of its
 # own.
+
 # Most frames that wait to be drawn: two seconds of simulated time, 30 MB of pictures of 640 x 480
 WAITING = 32
 

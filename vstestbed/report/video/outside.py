@@ -41,10 +41,8 @@ FOLDED: Final = np.array(
     [[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))]
 )
 """Corners of the pyramid that stands for the frustum of a lens that sees sideways."""
-EDGES: Final = (
-    [0, 1, 2, 3, 0, 4, 1],
-    [2, 4, 3],
-)  # The edges of a pyramid as two polylines through its corners, the last of which is its top
+# The edges of a pyramid as two polylines through its corners, the last of which is its top
+EDGES: Final = ([0, 1, 2, 3, 0, 4, 1], [2, 4, 3])
 
 
 class Outside:
@@ -124,9 +122,8 @@ class Outside:
             # rest
             every = max(1, image.shape[1] // (2 * width))
             sampled = image[every // 2 :: every, every // 2 :: every]
-            if (
-                sampled.shape[1] >= 2 * width
-            ):  # half the size takes a tenth of the time of any other share
+            # half the size takes a tenth of the time of any other share
+            if sampled.shape[1] >= 2 * width:
                 sampled = cv2.resize(
                     sampled,
                     (sampled.shape[1] // 2, sampled.shape[0] // 2),
@@ -156,9 +153,8 @@ class Outside:
         self._trail = trail
 
 
-Stroke = tuple[
-    list[Array], Color, int
-]  # Polylines (N, 3) of points in the world, their colour, and their width in that of a pen
+# Polylines (N, 3) of points in the world, their colour, and their width in that of a pen
+Stroke = tuple[list[Array], Color, int]
 
 
 class Pen:

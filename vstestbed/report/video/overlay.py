@@ -99,15 +99,13 @@ class Overlay:
         self.size = (width, height)
         self._joined = joined
         self._colors = _bytes(colors)
-        self._light = _bytes(
-            0.7 * np.asarray(colors) + 0.3
-        )  # lighter, or blue and violet would not stand out from their dark borders
+        # lighter, or blue and violet would not stand out from their dark borders
+        self._light = _bytes(0.7 * np.asarray(colors) + 0.3)
         self._stroke = max(1, round(height / 480))
         self._edge = self._stroke if height > SMALL else 0
         self._least = LEAST[height > SMALL]
-        self._figure_stroke = math.ceil(
-            height / 240
-        )  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
+        # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
+        self._figure_stroke = math.ceil(height / 240)
         self._outlined = outlined
         self._trails = [
             Trail(max(2.0, height / 240)) for _ in (self._colors[:1] if outlined else self._colors)
@@ -339,9 +337,8 @@ class FilmFrame:
     goal_image: Image | None = (
         None  # the picture taken at the goal, if law or detector compare with one
     )
-    cameras: Mapping[str, OtherPicture] = field(
-        default_factory=dict[str, "OtherPicture"]
-    )  # what further cameras showed last, by name
+    # what further cameras showed last, by name
+    cameras: Mapping[str, OtherPicture] = field(default_factory=dict[str, "OtherPicture"])
 
     @classmethod
     def of_frame(cls, frame: Frame) -> FilmFrame:

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 # Reads a film frame by frame as simulated time advances.
-EARLY_S: Final = Fraction(
-    1, 10_000
-)  # How much before its time a frame may be shown: the time base of a film is about 1/12800 s
+
+# How much before its time a frame may be shown: the time base of a film is about 1/12800 s
+EARLY_S: Final = Fraction(1, 10_000)
 
 
 class FrameReader:
@@ -155,9 +155,8 @@ class _Sheet:
     """The image of the joint film, with one column per run."""
 
     def __init__(self, columns: Sequence[Column], readers: list[list[FrameReader]]):
-        width = (
-            min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2
-        )  # even: H.264 stores colour for 2 x 2 pixels
+        # even: H.264 stores colour for 2 x 2 pixels
+        width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2
         self._size = max(15, width // 28)
         self._bar = 2 * self._size // 2 * 2
         self._base = round(0.5 * self._bar + 0.36 * self._size)
@@ -173,9 +172,8 @@ class _Sheet:
         total = 2 * self._bar + sum(heights)
         self.image: Image = np.full((total, len(columns) * (width + GAP) - GAP, 3), PAPER, np.uint8)
         self._foot = self.image[total - self._bar :]
-        self._running: list[
-            tuple[Column, Image, Image, Shown]
-        ] = []  # with the column's part of the image, its first film, all its films
+        # with the column's part of the image, its first film, all its films
+        self._running: list[tuple[Column, Image, Image, Shown]] = []
         for k, (column, own) in enumerate(zip(columns, readers, strict=True)):
             left = k * (width + GAP)
             part = self.image[: total - self._bar, left : left + width]
@@ -191,9 +189,8 @@ class _Sheet:
         self._running = [run for run in self._running if not self._ended(*run, t)]
         if self._running:
             self._foot[:] = INK
-            left = (
-                self._foot.shape[1] - text_width("00.00 s", self._size)
-            ) // 2  # independent of t, so that the digits do not move
+            # independent of t, so that the digits do not move
+            left = (self._foot.shape[1] - text_width("00.00 s", self._size)) // 2
             draw_text(self._foot, f"{float(t):.2f} s", (left, self._base), PAPER, self._size)
         return bool(self._running)
 

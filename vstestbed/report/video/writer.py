@@ -57,11 +57,8 @@ def _to_yuv(luma: tuple[float, float, float]) -> NDArray[np.float64]:
     return np.array([[*219 / 255 * y, 16], [*224 / 255 * blue, 128], [*224 / 255 * red, 128]])
 
 
-FILM: Final[Coding] = (
-    BT709,
-    _to_yuv((0.2126, 0.7152, 0.0722)),
-    ENCODER,
-)  # For players: BT.709, item 3.2
+# For players: BT.709, item 3.2
+FILM: Final[Coding] = (BT709, _to_yuv((0.2126, 0.7152, 0.0722)), ENCODER)
 DATASET: Final[Coding] = 6, _to_yuv((0.299, 0.587, 0.114)), ENCODER | {"g": "2"}
 """For learners, which read frames in any order (every other one can be decoded by itself), and with
 libraries that take any video as coded by BT.601 (its item 2.5.1).
@@ -142,10 +139,8 @@ class VideoWriter:
             frame = av.VideoFrame.from_ndarray(
                 _yuv420p(np.ascontiguousarray(image), self._coding[1]), format="yuv420p"
             )
-            frame.pts, frame.time_base = (
-                self.frames,
-                1 / self.rate,
-            )  # exact fractions: no drift over a long film
+            # exact fractions: no drift over a long film
+            frame.pts, frame.time_base = self.frames, 1 / self.rate
             self._mux(frame)
         self.frames += 1
 
@@ -169,9 +164,8 @@ class VideoWriter:
         if sink is None:
             return
         self._aborted = True
-        with contextlib.suppress(
-            OSError, ValueError, RuntimeError
-        ):  # the film is discarded: errors of the encoder do not matter
+        # the film is discarded: errors of the encoder do not matter
+        with contextlib.suppress(OSError, ValueError, RuntimeError):
             if container is not None:
                 container.close()
         with contextlib.suppress(OSError):  # a full disk, or a folder that is gone
@@ -197,9 +191,8 @@ class VideoWriter:
         import av
 
         matrix, _, options = self._coding
-        self._sink = sink = _Sink(
-            self.path
-        )  # the encoder gets the open file, and not its name, which may lead elsewhere by then
+        # the encoder gets the open file, and not its name, which may lead elsewhere by then
+        self._sink = sink = _Sink(self.path)
         # `io_open`: to move the index to the front, the encoder reads the film once more, beside
         # the writing
         self._container = av.open(

@@ -297,9 +297,8 @@ class ImageSensor:
             is.
         """
         regions = None if self._always_whole else regions
-        contribution = (
-            weight if isinstance(weight, tuple) else ((1.0, weight),)
-        )  # a weight alone: under the mean light
+        # a weight alone: under the mean light
+        contribution = weight if isinstance(weight, tuple) else ((1.0, weight),)
         self._add(self._blur, contribution, regions, middle)
         self._keep_state(len(self._exposed), regions)
         self._exposed.append(contribution)

@@ -140,9 +140,8 @@ class PartCamera(dm.Camera):
         assert contexts is not None and contexts.mujoco is not None
         context = contexts.mujoco.ptr
         if self.windows is None:
-            context.readDepthMap = (
-                mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-            )  # floats are finest at 0, where the depths are coarsest
+            # floats are finest at 0, where the depths are coarsest
+            context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
             mujoco.mjr_readPixels(None, self._depth_buffer, self._rect, context)
             return
         for part in self._drawn:
@@ -198,9 +197,8 @@ def _fills(plane: Any, place: Array, corners: Array, far: float) -> bool:
 
 def _frustum(eye: mujoco.MjvGLCamera, aspect: float) -> tuple[float, ...]:
     """Left, right, lower and upper end of a camera's frustum, at a distance of 1."""
-    half = (
-        eye.frustum_width or (eye.frustum_top - eye.frustum_bottom) * aspect / 2
-    )  # MuJoCo: 0 means "from the viewport's aspect ratio"
+    # MuJoCo: 0 means "from the viewport's aspect ratio"
+    half = eye.frustum_width or (eye.frustum_top - eye.frustum_bottom) * aspect / 2
     ends = eye.frustum_center - half, eye.frustum_center + half, eye.frustum_bottom, eye.frustum_top
     return tuple(end / eye.frustum_near for end in ends)
 
@@ -213,9 +211,8 @@ def _narrow(
     """
     left, top, right, bottom = window
     high = camera.frustum_top - camera.frustum_bottom
-    half = (
-        camera.frustum_width or high * width / height / 2
-    )  # MuJoCo: 0 means "from the viewport's aspect ratio"
+    # MuJoCo: 0 means "from the viewport's aspect ratio"
+    half = camera.frustum_width or high * width / height / 2
     first = camera.frustum_center - half
     camera.frustum_center = first + half * (left + right) / width
     camera.frustum_width = half * (right - left) / width
@@ -365,9 +362,8 @@ class SceneCamera:
             )
             self._camera, self.renderer = made
             self._camera.local = culls and not (shadows or self._flags["reflection"])
-        except (
-            Exception
-        ) as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
+        except Exception as error:
+            # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
             raise (
                 lack_of(error)
                 or EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy())
@@ -585,9 +581,8 @@ class OpenGLRenderer:
         image = self._views[0].raw(windows, with_depth)
         if with_depth:
             lens = self._depth_lens
-            image = (
-                image if lens is None else np.ascontiguousarray(image)
-            )  # the same buffer is drawn into again
+            # the same buffer is drawn into again
+            image = image if lens is None else np.ascontiguousarray(image)
             depth = (
                 self._views[0].depth()
                 if lens is None

@@ -149,9 +149,8 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
         del told  # its traceback has this frame, and with it the scene: a cycle
     try:
         made = by_rays()
-    except (
-        EnvironmentLackError
-    ) as refused:  # what rays cannot draw, and why OpenGL could not draw it
+    except EnvironmentLackError as refused:
+        # what rays cannot draw, and why OpenGL could not draw it
         raise EnvironmentLackError(f"{refused.lack} ({lack})", remedy) from None
     _warn_once(lack, remedy)
     return made

@@ -97,9 +97,8 @@ MOST_RAYS = 1 << 15
 # us
 TILE_PX = 48
 FAR = 1e10  # length of a ray [m]: unlimited in effect
-NO_RAY = (
-    -2
-)  # geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky
+# geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky
+NO_RAY = -2
 
 
 class Caster:
@@ -439,9 +438,8 @@ class RaySceneCamera:
             (tile, cone_of(self._raster.rays(tile).reshape(-1, 3)))
             for tile in tiles_of((0, 0, width, height))
         ]
-        self._pixel = (
-            2 / lens.f if samples else 0.0
-        )  # angle by which antialiasing looks beyond a tile [rad]
+        # angle by which antialiasing looks beyond a tile [rad]
+        self._pixel = 2 / lens.f if samples else 0.0
         self._image = np.empty((height, width, 3), np.uint8)
         self._before: tuple[Array, Array, Array] | None = None
         self._lamp, self._lit = lamp_of(stage.model, stage.data), b""

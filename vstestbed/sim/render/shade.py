@@ -284,9 +284,8 @@ class Paint:
         # A pixel covers `across` / cosine along the ray's shadow on the face, and `across` at a
         # right angle to it.
         shadow = rays - np.einsum("ni,ni->n", rays, normal)[:, None] * normal
-        steep = (
-            np.linalg.norm(shadow, axis=1) < 1e-9
-        )  # seen at a right angle: any direction on the face will do
+        # seen at a right angle: any direction on the face will do
+        steep = np.linalg.norm(shadow, axis=1) < 1e-9
         shadow[steep] = R.T[i[steep]]
         shadow /= np.linalg.norm(shadow, axis=1)[:, None]
         two = (
@@ -357,10 +356,8 @@ def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
         side = faces.shape[1]
         if len(faces) != 6 * side:  # right, left, up, down, front, back
             continue
-        middle, along = (
-            side // 2,
-            1 - (2 * np.arange(side) + 1) / side,
-        )  # the middle column, from 1 (top) to -1
+        # the middle column, from 1 (top) to -1
+        middle, along = side // 2, 1 - (2 * np.arange(side) + 1) / side
         sine = along / np.sqrt(1 + along * along)  # of rows of a wall
         slope = 1 / np.sqrt(1 + along * along)  # and of the ceiling's, which rise to its middle
         right, _, up, down, _, _ = np.split(faces, 6)

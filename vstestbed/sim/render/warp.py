@@ -38,18 +38,10 @@ MOST_TILES = 16  # of a slot
 SIDE = math.isqrt(PLACES) - 2  # of a square tile without its rim [px]
 LIGHTS = "place", "along", "ambient", "diffuse", "specular"  # of `warp_kernels.Lamps`
 SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together, at most
-MOST_LOOKS, MOST_LENSES = (
-    4,
-    16,
-)  # that are kept on the device: a look with its buffers is 150 MB of a card, a lens up to 20
-LOOKS = (
-    "geom_",
-    "mat_",
-    "tex_",
-    "mesh_",
-    "hfield_",
-    "light_",
-)  # prefixes of the arrays of a model that say what its pictures show
+# that are kept on the device: a look with its buffers is 150 MB of a card, a lens up to 20
+MOST_LOOKS, MOST_LENSES = 4, 16
+# prefixes of the arrays of a model that say what its pictures show
+LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")
 MOVED = (
     "geom_pos",
     "geom_quat",
@@ -83,9 +75,8 @@ class PictureRequest:
     outside: bool
 
 
-Draw = Callable[
-    [PictureRequest], Sequence[Image]
-]  # draws the tiles of a picture, among those of other runs
+# draws the tiles of a picture, among those of other runs
+Draw = Callable[[PictureRequest], Sequence[Image]]
 
 
 def cut(window: Window) -> Iterator[Window]:
@@ -180,9 +171,8 @@ class _Filling:
 
     def __init__(self, number: int, shot: PictureRequest):
         self.number, self.shot, self.places = number, shot, 0
-        self.tiles: list[
-            tuple[int, Window, Window]
-        ] = []  # first place, pixels with the rim, pixels
+        # first place, pixels with the rim, pixels
+        self.tiles: list[tuple[int, Window, Window]] = []
 
     def takes(self, tile: Window, grown: Window) -> bool:
         """Take a tile, if there is room."""
@@ -199,9 +189,8 @@ class _Filling:
             whole = drawn[start : start + (right - left) * (bottom - top)].reshape(
                 bottom - top, right - left, 3
             )
-            yield whole[
-                b - top : d - top, a - left : c - left
-            ].copy()  # the next tiles are drawn into the same memory
+            # the next tiles are drawn into the same memory
+            yield whole[b - top : d - top, a - left : c - left].copy()
 
 
 def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
@@ -325,10 +314,8 @@ class _World:
                 (lights, values[at])
                 for lights, values in zip(self._lights, self._lit(shots), strict=True)
             ]
-        for (
-            there,
-            values,
-        ) in put:  # bytes for bytes; CUDA returns when it has read memory that is not pinned
+        # bytes for bytes; CUDA returns when it has read memory that is not pinned
+        for there, values in put:
             held = np.ascontiguousarray(values)
             wp.copy(
                 there,

@@ -317,9 +317,8 @@ def _print(
         )
         return _texel(look, texture, place, texels)
     shadow = ray - wp.dot(ray, normal) * normal
-    if (
-        wp.length(shadow) < 1.0e-6
-    ):  # seen at a right angle: any direction on the face will do; single floats give no less
+    # seen at a right angle: any direction on the face will do; single floats give no less
+    if wp.length(shadow) < 1.0e-6:
         shadow = wp.vec3(R[0, i], R[1, i], R[2, i])
     shadow = wp.normalize(shadow)
     first = _on_face(turned @ (shadow * (across / cosine)), face, edges, times)

@@ -142,9 +142,8 @@ def add_robot(
         effect.edit(edited)
     files = carry_files(model, Path(body.file), scene, prefix)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
-    if (
-        files
-    ):  # after it: an attached model brings its own assets, under a prefix that nothing refers to
+    # after it: an attached model brings its own assets, under a prefix that nothing refers to
+    if files:
         scene.assets = {**scene.assets, **files}
     return _flange_body(scene, f"{prefix}{body.flange}"), edited.T_body_flange
 

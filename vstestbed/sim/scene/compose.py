@@ -143,10 +143,8 @@ POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, ano
 # The free camera's housing is drawn this many times as large as the arm's: it is seen from farther
 # away
 FREE_HOUSING = 6.0
-NEAR_START_M, FAR_START_M = (
-    0.5,
-    25.0,
-)  # a start farther than this and nearer than that leaves the planes as they are [m]
+# a start farther than this and nearer than that leaves the planes as they are [m]
+NEAR_START_M, FAR_START_M = 0.5, 25.0
 GEOMS = {
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -158,10 +156,8 @@ PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a h
 # How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the
 # two far away
 BEHIND_SHEET_M = 1e-3
-SOCKET_SIDES, SOCKET_BOTTOM_M = (
-    32,
-    0.002,
-)  # flat insides of a socket's hole, and half the thickness of its bottom [m]
+# flat insides of a socket's hole, and half the thickness of its bottom [m]
+SOCKET_SIDES, SOCKET_BOTTOM_M = 32, 0.002
 # Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal
 # point are in pixels
 PITCH_M = 1e-5
@@ -219,10 +215,8 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world, parts.glossy)
-    scene.assets = {
-        **scene.assets,
-        **carried,
-    }  # last: MuJoCo warns of models that are attached to one with assets
+    # last: MuJoCo warns of models that are attached to one with assets
+    scene.assets = {**scene.assets, **carried}
     return scene
 
 
@@ -504,9 +498,8 @@ def _facing(normal: Array) -> tuple[float, ...]:
     """
     if normal[2] < -1 + 1e-9:
         return FACE_VIEWER
-    turn = np.array(
-        [1 + normal[2], -normal[1], normal[0], 0.0]
-    )  # the shortest turn of z: (1 + z . n, z x n)
+    # the shortest turn of z: (1 + z . n, z x n)
+    turn = np.array([1 + normal[2], -normal[1], normal[0], 0.0])
     return tuple(turn / np.linalg.norm(turn))
 
 
@@ -554,6 +547,7 @@ def _visual(
 
 # The lights of a scene: `world.light` in place of the room's own, windows, and what is seen of
 # their light on the floor.
+
 # Distance of a lamp that is as far as the sun, from the room's middle [m]: shadows are drawn from
 # there
 SUN_M = 6.0

@@ -30,9 +30,8 @@ ENOUGH = 0.12
 """Share of the picture's width beyond which a moving robot need not appear larger: views from
 nearer the ground show less of the floor.
 """
-SIDES = np.radians(
-    [0.0, 10.0, 20.0, -10.0, -20.0]
-)  # Turns of the view of a free camera about its vertical, from the composed one [rad]
+# Turns of the view of a free camera about its vertical, from the composed one [rad]
+SIDES = np.radians([0.0, 10.0, 20.0, -10.0, -20.0])
 # Extent shown round a moving robot over its own: it never fills the picture, and the floor beside
 # it shows its motion
 AROUND = 2.2
@@ -304,9 +303,8 @@ class FollowCamera:
             * (0.4 + 0.6 * max(faces, 0.0))
             * (0.4 + 0.6 * aside)
         )
-        return round(
-            merit, 6
-        )  # of views that are equally good the first wins, whatever the last bit of a sum is
+        # of views that are equally good the first wins, whatever the last bit of a sum is
+        return round(merit, 6)
 
     def _sees(self, eye: Array, point: Array, slack: float) -> bool:
         """Whether nothing hides a point (3,) from the eye."""

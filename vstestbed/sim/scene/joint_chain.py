@@ -295,9 +295,8 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
         return set()
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
         one, other = int(model.site_bodyid[one]), int(model.site_bodyid[other])
-    return set(_joints_to(model, one)) ^ set(
-        _joints_to(model, other)
-    )  # what moves both changes nothing between them
+    # what moves both changes nothing between them
+    return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
 
 
 def _wrapped(model: mujoco.MjModel, tendon: int) -> set[int]:

@@ -15,12 +15,8 @@ from vstestbed.core.geometry import FLIP, Array
 from vstestbed.effects.base import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed, turned
 
-PLAIN_RGBA = (
-    0.5,
-    0.5,
-    0.5,
-    1.0,
-)  # MuJoCo's default colour of a geom, for which its material's is used
+# MuJoCo's default colour of a geom, for which its material's is used
+PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 PAPER_RGB = (0.96, 0.96, 0.96)
 PRINT_M = 2e-4  # distance of a print before its box [m]
 ENDLESS_M = 20.0
@@ -65,9 +61,8 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
         if texture < 0 or not _shows_print(model, int(i)):
             continue
         R, half = turned(model.geom_quat[i]), model.geom_size[i].astype(float)
-        T = (
-            placed(model.geom_pos[i] + (half[2] + PRINT_M) * R[:, 2], R) @ FLIP
-        )  # of a geom's texture y is up
+        # of a geom's texture y is up
+        T = placed(model.geom_pos[i] + (half[2] + PRINT_M) * R[:, 2], R) @ FLIP
         share = np.minimum(model.mat_texrepeat[model.geom_matid[i]], 1.0)
         image = texels_of(model, texture)
         columns, rows = (
@@ -127,17 +122,17 @@ def solids(model: mujoco.MjModel) -> list[Solid]:
             or model.geom_rgba[i, 3] == 0
             or model.geom(i).name == HAND_PLATE
         )
+        # viewers have their own
         if unseen or (
             model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE and model.geom(i).name == "floor"
-        ):  # viewers have their own
+        ):
             continue
         triangles = _triangles(model, i) @ turned(model.geom_quat[i]).T + model.geom_pos[i]
         found.setdefault((int(model.geom_bodyid[i]), _colour(model, i)), []).append(triangles)
     joined = []
     for (body, rgb), parts in found.items():
-        vertices = np.concatenate(parts).reshape(
-            -1, 3
-        )  # corners are not shared: every face keeps its own normal
+        # corners are not shared: every face keeps its own normal
+        vertices = np.concatenate(parts).reshape(-1, 3)
         joined.append(Solid(body, vertices, np.arange(len(vertices)).reshape(-1, 3), rgb))
     return joined
 
@@ -198,10 +193,11 @@ def _box() -> Array:
     for axis in range(3):
         for side in (-1.0, 1.0):
             corners = np.full((4, 3), side)
+            # counter-clockwise seen from +axis
             corners[:, (axis + 1) % 3], corners[:, (axis + 2) % 3] = (
                 (-1, 1, 1, -1),
                 (-1, -1, 1, 1),
-            )  # counter-clockwise seen from +axis
+            )
             turned = corners[:: int(side)]
             faces += [turned[[0, 1, 2]], turned[[0, 2, 3]]]
     return np.array(faces)

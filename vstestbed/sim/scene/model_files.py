@@ -276,10 +276,8 @@ PARSING = re.compile(
 LINE = re.compile(r",?\s*line (\d+)\s*$")
 ELEMENT = re.compile(r"\s*Element '(\w*)'(?:, id \d+)?\s*$|\s*Element name '([^']*)', id \d+\s*$")
 BEGINS = re.compile(r"^(?:XML )?Error:\s*(?:Schema violation:\s*)?")
-FOREIGN = (
-    "could not find decoder",
-    "Unrecognized XML model type",
-)  # How MuJoCo says that a file is of another format, such as SDF
+# How MuJoCo says that a file is of another format, such as SDF
+FOREIGN = "could not find decoder", "Unrecognized XML model type"
 MISSING = re.compile(r"Error opening file '([^']*)'")
 
 
@@ -405,9 +403,8 @@ def _parsed(path: Path) -> mujoco.MjSpec:
             str(path),
         )
     if "<mujoco" not in text:
-        text = (
-            text[: root.end()] + KEEP + text[root.end() :]
-        )  # in the same line: MuJoCo's errors tell lines
+        # in the same line: MuJoCo's errors tell lines
+        text = text[: root.end()] + KEEP + text[root.end() :]
     text = UNREADABLE.sub(_blank, text)
     spec = mujoco.MjSpec.from_string(
         MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text)
@@ -415,9 +412,8 @@ def _parsed(path: Path) -> mujoco.MjSpec:
     spec.meshdir = str(path.parent.resolve() / spec.meshdir)
     for body in spec.bodies:
         touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
-        if not all(
-            touch
-        ):  # shapes for contacts are left out of pictures where a link has others to be seen
+        # shapes for contacts are left out of pictures where a link has others to be seen
+        if not all(touch):
             for geom, touches in zip(body.geoms, touch, strict=True):
                 geom.group = CONTACT_GROUP if touches else geom.group
     return spec

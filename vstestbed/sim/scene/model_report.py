@@ -22,10 +22,8 @@ from vstestbed.sim.scene.joint_chain import before, compiled, drivers, inertia_a
 from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
-DRAWS, TRIED = (
-    400,
-    100,
-)  # Postures that are drawn, and how many of them, the best first, are looked at more closely
+# Postures that are drawn, and how many of them, the best first, are looked at more closely
+DRAWS, TRIED = 400, 100
 DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)
 """Distances of the target from the camera at the goal, and of the camera from the flange; the first
 with a good posture are taken [m].
@@ -129,9 +127,8 @@ def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
     drawn, scale = _drawn(chain), unit_scale(chain.unit_m)[:, None]
     least = [np.linalg.svd(scale * chain.kinematics(q)[1], compute_uv=False)[-1] for q in drawn]
     best = drawn[np.argsort(least)[::-1][:TRIED]]
-    ranked = np.where(
-        chain.slides, best.round(3), np.radians(np.degrees(best).round(0))
-    )  # as the scenario will have them
+    # as the scenario will have them
+    ranked = np.where(chain.slides, best.round(3), np.radians(np.degrees(best).round(0)))
     apart = [q for q in ranked if not touching(file, chain, q)] or [ranked[0]]
     seen = (
         posture for posture in _views(file, flange, chain, apart) if _sees(file, chain, posture)
@@ -199,9 +196,8 @@ def _placed(
     goal = np.clip(q + apart, *chain.limits.T)
     T_world_target = chain.kinematics(goal)[0] @ Pose(xyz=(0, 0, mount + distance)).T
     model, data = _at(file, chain, q)
-    moving = [
-        model.joint(name).bodyid[0] for name in chain.names[1:]
-    ]  # the first one may be in the foot
+    # the first one may be in the foot
+    moving = [model.joint(name).bodyid[0] for name in chain.names[1:]]
     heights = [
         *data.xpos[moving, 2],
         chain.kinematics(q)[0][2, 3],
@@ -264,9 +260,8 @@ ARM, MEND = (
     "correct it in the file",
 )
 
-Line = tuple[
-    str, bool, str, str
-]  # what was examined, whether it can be used, what was found, a remedy
+# what was examined, whether it can be used, what was found, a remedy
+Line = tuple[str, bool, str, str]
 
 
 def examine_model(file: str) -> Iterator[Line]:
@@ -439,9 +434,10 @@ def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
         if drive not in ("velocity", "position"):
             missing.append(f"a {drive} actuator" if drive else "no actuator")
         wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(name)}"')
+        # 0: in a file that it includes
         line = next(
             (number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0
-        )  # 0: in a file that it includes
+        )
         where = f", line {line}" if missing and line else ""
         note = f" [{'; '.join(missing)}{where}]" if missing else ""
         yield "joint", True, f"{name}: {_span(chain, i)}{note}", ""
@@ -465,9 +461,8 @@ def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) ->
         )
         if chain.drives[i] in ("velocity", "position"):
             (servo,) = drivers(model, model.joint(name).id)
-            kp, kv = (
-                -model.actuator_biasprm[servo, 1:3]
-            ).tolist()  # the joint's damping not counted
+            # the joint's damping not counted
+            kp, kv = (-model.actuator_biasprm[servo, 1:3]).tolist()
             yield (
                 "servo",
                 True,

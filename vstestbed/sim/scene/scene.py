@@ -187,9 +187,8 @@ class Scene:
             self.leader.put(self.data.qpos, T @ self.target_inverse)
             return
         mocap = self._target.mocapid[0]
-        if not np.array_equal(
-            T, self._turned[0]
-        ):  # most targets are at rest, and the quaternion takes .2 ms
+        # most targets are at rest, and the quaternion takes .2 ms
+        if not np.array_equal(T, self._turned[0]):
             self._turned = T.copy(), quaternion_wxyz(T[:3, :3])
         self.data.mocap_pos[mocap] = T[:3, 3]
         self.data.mocap_quat[mocap] = self._turned[1]
@@ -237,9 +236,8 @@ class Scene:
             self.model.body(int(self.model.geom_bodyid[g])).name if g >= 0 else "" for g in geoms
         ]
         near_m = float(self.model.vis.map.znear) * float(self.model.stat.extent)
-        depth = np.abs(p_camera).max(
-            axis=1
-        )  # before the face of the camera's cube that shows the point
+        # before the face of the camera's cube that shows the point
+        depth = np.abs(p_camera).max(axis=1)
         plane = f"the near plane (nothing within {1e3 * near_m:.2g} mm of the lens is drawn)"
         return tuple(plane if z < near_m else body for z, body in zip(depth, bodies, strict=True))
 
@@ -249,9 +247,8 @@ class Scene:
         """The geom that a ray from the lens hits before each of marker centres (N, 3);
         -1 for none.
         """
-        slack = self.parts.target.marker.clearance_m(
-            p_camera
-        )  # the ray hits the marker itself before its centre, by its height
+        # the ray hits the marker itself before its centre, by its height
+        slack = self.parts.target.marker.clearance_m(p_camera)
         eye = np.ascontiguousarray(T_world_camera[:3, 3])
         # A lens on the flange lies inside the last of these groups; neither is in its picture.
         unseen = (RANGE_GROUP,) if self.parts.stands(name) else (RANGE_GROUP, LENS_GROUP)

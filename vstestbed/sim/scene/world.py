@@ -72,9 +72,8 @@ class Floor:
         """Read the texture, and remember where it is."""
         if self.texture is not None:
             try:
-                object.__setattr__(
-                    self, "texture", picture_name(self.texture)
-                )  # frozen; a run remembers where its picture is
+                # frozen; a run remembers where its picture is
+                object.__setattr__(self, "texture", picture_name(self.texture))
                 read_rgb(place_of_picture(self.texture))
             except ParameterError as error:
                 raise ParameterError("texture", error.problem, error.found) from None
@@ -359,9 +358,8 @@ class World:
 
     def __post_init__(self) -> None:
         if self.scenery is not None:
-            from vstestbed.sim.scene.scenery import (
-                check_scenery,
-            )  # here: MuJoCo is imported where there is any
+            # here: MuJoCo is imported where there is any
+            from vstestbed.sim.scene.scenery import check_scenery
 
             try:
                 check_scenery(self.scenery.file, self.scenery.pose.T, self.floor_z)
@@ -420,9 +418,8 @@ class World:
         """
         if self.scenery is None:
             return ("",) * len(p_camera)
-        from vstestbed.sim.scene.scenery import (
-            parts_before,
-        )  # here: MuJoCo is imported where there is any
+        # here: MuJoCo is imported where there is any
+        from vstestbed.sim.scene.scenery import parts_before
 
         return parts_before(
             self.scenery.file, inverse(self.scenery.pose.T) @ T_world_camera, p_camera, slack

@@ -293,10 +293,8 @@ def prepared(
         elif requested is None:
             raise ParameterError.missing("SCENARIO", "name scenarios to compare, or a comparison")
         else:
-            comparison, found = (
-                requested,
-                controllers(requested, force),
-            )  # before the folder is made: bad input leaves no folder
+            # before the folder is made: bad input leaves no folder
+            comparison, found = requested, controllers(requested, force)
             _check_workers_find(found)
             must_have_reference(comparison, found)
             every = Share(Jobs(found, comparison.seeds, comparison.first_seed), shard or Shard())
@@ -307,9 +305,8 @@ def prepared(
             (shard or Shard()).keep(folder)
             keep(folder)
         first = comparison.first_seed if comparison.seeds is not None else None
-        filmed = (
-            (first,) if film and not comparison.tasks else ()
-        )  # a film of a few starts would not show a task
+        # a film of a few starts would not show a task
+        filmed = (first,) if film and not comparison.tasks else ()
         yield Runner(folder, every, filmed), comparison
 
 

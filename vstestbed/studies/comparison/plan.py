@@ -150,9 +150,8 @@ class StartTable:
             return tuple(range(self.runs))
         if self.seeds is not None:
             return tuple(range(limit))
-        return tuple(
-            (2 * i + 1) * self.runs // (2 * limit) for i in range(limit)
-        )  # in the middle of equal parts
+        # in the middle of equal parts
+        return tuple((2 * i + 1) * self.runs // (2 * limit) for i in range(limit))
 
     def labels(self) -> tuple[str, ...]:
         """The label of each run; without amounts its number from 0, by which table and folder have
@@ -189,20 +188,15 @@ def _read_lists(file: str) -> StartLists:
         ) from None
     except RecursionError:
         raise ParameterError.unreadable("file", "it is nested too deeply", STARTS, file) from None
-    except (
-        ValueError,
-        TypeError,
-        AttributeError,
-    ) as error:  # a Pose of something else raises a ValueError, too
+    except (ValueError, TypeError, AttributeError) as error:
+        # a Pose of something else raises a ValueError, too
         raise ParameterError.unreadable("file", error, STARTS, file) from None
     return StartLists(each, **poses)
 
 
 T = TypeVar("T")
-TUNED, CHECKED = (
-    2_000_000_000,
-    3_000_000_000,
-)  # first seeds of the trials of a search, and of its check; comparisons have those below
+# first seeds of the trials of a search, and of its check; comparisons have those below
+TUNED, CHECKED = 2_000_000_000, 3_000_000_000
 TASK, AMOUNT = "task", "amount"  # columns that only a comparison with tasks has
 OWN_COLUMNS = (
     "scenario",
@@ -414,9 +408,8 @@ def changed(comparison: Comparison, places: Marks | None = None, **changes: Any)
     or other ones.
     """
     new = replace(comparison, **changes)
-    object.__setattr__(
-        new, "places", dict(comparison.places if places is None else places)
-    )  # no YAML field, and lost by `replace`
+    # no YAML field, and lost by `replace`
+    object.__setattr__(new, "places", dict(comparison.places if places is None else places))
     return new
 
 
@@ -444,11 +437,12 @@ def chosen(
         ("axes", dotted): "--vary" for dotted in axes
     }
     options |= {("base",): "SCENARIO"} if names[1:] else {}
+    # scenarios
     if (
         path is None
         or not is_there(path)
         or "base" not in plain_mapping(text_of(path), str(path), needs)[0]
-    ):  # scenarios
+    ):
         plugins = load_plugins(plugins)
         own = Comparison(
             base=tuple(names), set=dict(settings), axes=dict(axes), plugins=tuple(plugins), **given
@@ -513,6 +507,7 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
 
 # The controllers and runs of a comparison: counted before any is made, and made when their turn
 # comes.
+
 # scenarios of a task's runs that are kept in memory; of more, each is made again when its turn
 # comes
 STARTS_KEPT = 100
@@ -672,9 +667,8 @@ class Variants(Sequence[Variant]):
             | {path: value for path, (value, _) in axes.items()}
             | ({TASK: task} if task else {})
         )
-        words = [
-            words[place] for words, place in zip(self._words, varied, strict=False)
-        ]  # without tasks the last place has no word
+        # without tasks the last place has no word
+        words = [words[place] for words, place in zip(self._words, varied, strict=False)]
         # paths of fields are words of files, but the name of a case may be anything
         variant = allowed(
             ",".join(
@@ -684,9 +678,8 @@ class Variants(Sequence[Variant]):
         )
         variants = math.prod(self._sizes[1:])
         place = f"runs/{self._bases[base]}/{among(i % variants, variants, variant)}"
-        outer_first = dict(
-            sorted(axes.items(), key=lambda axis: axis[0].count("."))
-        )  # a whole block would overwrite its fields
+        # a whole block would overwrite its fields
+        outer_first = dict(sorted(axes.items(), key=lambda axis: axis[0].count(".")))
         return _controller(c, base, merged(*blocks, outer_first), values, place, task)
 
     def _places(self, i: int) -> list[int]:

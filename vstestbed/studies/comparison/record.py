@@ -72,9 +72,8 @@ def keep(place: Path) -> None:
             "not copied, since they are not below the folder of what names them: %s",
             sorted(elsewhere),
         )
-    tuned = plain_mapping(text_of(place / PLAN), PLAN, "")[0].get(
-        "tuned", {}
-    )  # how each law was tuned
+    # how each law was tuned
+    tuned = plain_mapping(text_of(place / PLAN), PLAN, "")[0].get("tuned", {})
     write_json(
         place / RECORD,
         {

@@ -70,10 +70,8 @@ def perform(text: str, filmed: bool, place: str | None = None) -> Files:
             raise
         except UnreachableError as error:  # its motors cannot hold it there
             return files_of_failure(text, error.problem, outcome=Outcome.unreachable)
-        except (
-            Exception,
-            SystemExit,
-        ) as error:  # a plugin that calls sys.exit ends its run, not the worker
+        except (Exception, SystemExit) as error:
+            # a plugin that calls sys.exit ends its run, not the worker
             return files_of_failure(
                 text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder)
             )
@@ -104,9 +102,8 @@ def picture_of_the_end(scenario: Scenario, rows: Log, folder: Path) -> None:
     film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
 
 
-OnDone = Callable[
-    [Job, dict[str, Any]], None
-]  # called after every finished run with the job and its summary
+# called after every finished run with the job and its summary
+OnDone = Callable[[Job, dict[str, Any]], None]
 
 
 @dataclass
@@ -156,9 +153,8 @@ class Runner:
                     )
                 self._store(job, files, max(1, pool.tries(request)), on_done)
         except KeyboardInterrupt:
-            vars(self).pop(
-                "_done", None
-            )  # it may have come after a run was stored and before it was counted
+            # it may have come after a run was stored and before it was counted
+            vars(self).pop("_done", None)
             raise
 
     def _store(self, job: Job, files: Files, attempts: int, on_done: OnDone) -> None:

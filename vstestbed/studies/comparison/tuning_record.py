@@ -19,12 +19,8 @@ from vstestbed.studies.comparison.plan import Comparison, Tuned, Variant, Varian
 # laws of a comparison that are looked at, each of which takes a hundredth of a second to load
 MOST = 500
 MOST_REASONS = 4  # groups of laws that the sentence names
-UNCOMPARED = (
-    "name",
-    "description",
-    "law",
-    "metrics",
-)  # settings for all laws that change nothing of the world in which they fly
+# settings for all laws that change nothing of the world in which they fly
+UNCOMPARED = ("name", "description", "law", "metrics")
 
 
 def of_law(paths: Iterable[str]) -> bool:
@@ -215,9 +211,8 @@ def _remedy(comparison: Comparison, laws: Mapping[str, Variant]) -> str:
     """The command that tunes all gains of all laws."""
     if not tunable(comparison):
         return "`vstestbed tune` makes laws of those that are scenarios, or one axis of `cases`."
-    files = {
-        place.rsplit(":", 2)[0] for place in comparison.places.values()
-    }  # of an option its name
+    # of an option its name
+    files = {place.rsplit(":", 2)[0] for place in comparison.places.values()}
     bundled = {str(path): name for name, path in bundled_comparisons().items()}
     words = [
         bundled.get("".join(files), "comparison.yaml"),
