@@ -200,8 +200,8 @@ def without_conditions(shown: Shown) -> Iterator[str]:
             and NUMBER.search(CODE.sub("", words.partition("\n")[2]))
         ):
             yield (
-                f"{heading}: numbers of no command; say under('run ...') of what was flown, or no"
-                " run: and why"
+                f"{heading}: numbers of no command;"
+                " say under('run ...') of what was flown, or no run: and why"
             )
     for table in re.finditer(r"^\|.*\n(?:\|.*\n)+", shown.text, re.MULTILINE):
         first = table[0].partition("\n")[0]

@@ -104,8 +104,12 @@ def test_few_ask_of_what_kind_a_thing_is(room):
 
 def test_the_counter_counts():
     tree = ast.parse(
-        "isinstance(x, Car | Omni)\nmatch y:\n    case Car(start=s):\n        pass\nz.kind =="
-        " 'car'\nq.kind in ('a', 'omni')\n"
+        "isinstance(x, Car | Omni)\n"
+        "match y:\n"
+        "    case Car(start=s):\n"
+        "        pass\n"
+        "z.kind == 'car'\n"
+        "q.kind in ('a', 'omni')\n"
     )
     assert len(list(asked(ast.walk(tree), {"Car"}, {"car", "omni"}))) == 4
 

@@ -253,8 +253,8 @@ def test_a_mistake_in_python_has_the_sentence_of_a_file() -> None:
         (
             lambda: vs.targets.Square(side=1, pose=(0, 0, 3)),
             (
-                "Square.pose must be a block (a mapping) of xyz, rpy_deg, got (0, 0, 3); did you"
-                " mean {xyz: [0, 0, 3]}?"
+                "Square.pose must be a block (a mapping) of xyz, rpy_deg, got (0, 0, 3);"
+                " did you mean {xyz: [0, 0, 3]}?"
             ),
         ),
         (

@@ -101,8 +101,8 @@ def flown_by(command: str) -> Iterator[vs.Scenario]:
         yield from (scenario for _, scenario in laws(comparison, given["field_of_view"]))
     else:
         raise ValueError(
-            f"what `vstestbed {word}` flies is not known in docs/build/conditions.py; known:"
-            f" {KNOWN}"
+            f"what `vstestbed {word}` flies is not known in"
+            f" docs/build/conditions.py; known: {KNOWN}"
         )
 
 

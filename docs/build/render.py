@@ -191,8 +191,8 @@ def sentences(rows: Sequence[Row], command: str) -> str:
     table = pl.DataFrame([dict(row) for row in rows], infer_schema_length=None, strict=False)
     if LIMIT.name not in table.columns:
         raise ValueError(
-            f"`vstestbed {command}` was kept without {LIMIT.name}: python -m docs.build PAGE"
-            f" --again '{command}'"
+            f"`vstestbed {command}` was kept without {LIMIT.name}:"
+            f" python -m docs.build PAGE --again '{command}'"
         )
     results = results_of(table, comparison_of(command))
     found = findings(results, pairs(results))

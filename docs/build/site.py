@@ -269,8 +269,8 @@ def python_page() -> str:
     import vstestbed as vs
 
     words = (
-        "`import vstestbed as vs` has these names. [A scenario in Python](../guides/python.md)"
-        " shows how they go together."
+        "`import vstestbed as vs` has these names."
+        " [A scenario in Python](../guides/python.md) shows how they go together."
     )
     homes: dict[str, tuple[str, ...]] = vs._HOMES
     names = [

@@ -338,8 +338,8 @@ def _with_numbers(block: str, values: Sequence[float], where: str) -> str:
     places = list(NUMBER.finditer(block))
     if len(places) != len(values):
         raise ValueError(
-            f"{where}: must show its {len(values)} gains as numbers, and shows {len(places)}:"
-            f" {block!r}"
+            f"{where}: must show its {len(values)} gains as numbers,"
+            f" and shows {len(places)}: {block!r}"
         )
     for place, value in reversed(list(zip(places, values, strict=True))):
         block = f"{block[: place.start()]}{place[1]}: {value:g}{block[place.end() :]}"

@@ -367,8 +367,13 @@ def test_files_of_other_libraries_are_told_from_damaged_ones(write, tmp_path):
         (
             "mat.yml",
             (
-                "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 99999\n   cols: 99999\n  "
-                " dt: d\n   data: [ 1. ]\n"
+                "%YAML:1.0\n"
+                "---\n"
+                "camera_matrix: !!opencv-matrix\n"
+                "   rows: 99999\n"
+                "   cols: 99999\n"
+                "   dt: d\n"
+                "   data: [ 1. ]\n"
             ),
             "and has 1",
         ),

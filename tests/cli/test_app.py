@@ -46,8 +46,8 @@ class TestBadInput:
             (
                 ["arm_ibv"],
                 (
-                    "arm_ibv: no such file, and no bundled scenario of that name; did you mean"
-                    " 'arm_ibvs'?"
+                    "arm_ibv: no such file, and no bundled scenario of that name;"
+                    " did you mean 'arm_ibvs'?"
                 ),
             ),
             ([""], "SCENARIO: no such file"),
@@ -111,8 +111,8 @@ class TestBadInput:
             (
                 ["quick.yaml", "--plugin", "no_such_module"],
                 (
-                    "--plugin: there is no module 'no_such_module' on Python's path or in the"
-                    " current folder; "
+                    "--plugin: there is no module 'no_such_module' on Python's path"
+                    " or in the current folder; "
                 ),
             ),
         ):
@@ -137,8 +137,8 @@ class TestBadInput:
             (
                 ["list", "nowhere"],
                 (
-                    "'scenarios', 'robots', 'effects', 'cameras', 'targets', 'features', 'laws',"
-                    " 'detectors'"
+                    "'scenarios', 'robots', 'effects', 'cameras', 'targets', 'features',"
+                    " 'laws', 'detectors'"
                 ),
             ),
             (["bench", "quick.yaml", "--repeats", "0"], "Invalid value for '--repeats'"),
@@ -156,8 +156,8 @@ class TestBadInput:
             (
                 ["render", "nowhere"],
                 (
-                    "nowhere: no such folder; a run's folder holds scenario.yaml and log.parquet"
-                    " (or log.part)"
+                    "nowhere: no such folder;"
+                    " a run's folder holds scenario.yaml and log.parquet (or log.part)"
                 ),
             ),
             (["report", "nowhere"], "nowhere: no such folder; a run's folder holds"),
@@ -199,9 +199,8 @@ class TestOutputFolder:
         ended = command("run", "quick.yaml", "--out", older, *NO_FILM)
         assert ended.code == 2
         assert (
-            ended.err
-            == "out: exists and is not an empty folder; give a new folder; an older run is never"
-            " written over\n"
+            ended.err == "out: exists and is not an empty folder; give a new folder;"
+            " an older run is never written over\n"
         )
         assert [p.name for p in older.iterdir()] == ["log.parquet"]
         assert (older / "log.parquet").read_bytes() == b"precious"
@@ -258,8 +257,8 @@ class TestRun:
         )
         assert error.startswith("  error     0.00")
         assert re.fullmatch(
-            r"  path      at the goal from \d+\.\d s on; \d+\.\d\d times the straight line; largest"
-            r" retreat \d+\.\d\d m",
+            r"  path      at the goal from \d+\.\d s on; \d+\.\d\d times the straight line;"
+            r" largest retreat \d+\.\d\d m",
             path,
         )
         assert "simulated in" in time

@@ -131,8 +131,8 @@ def test_bad_input(command, quick: Path):
         (
             ["ibvs_retreat", "--seeds", "3"],
             (
-                "ibvs_retreat: robot.start.random is missing, and nothing else is random: every"
-                " seed would"
+                "ibvs_retreat: robot.start.random is missing,"
+                " and nothing else is random: every seed would"
             ),
         ),
         (
@@ -156,9 +156,8 @@ def test_a_folder_that_holds_something_stays_as_it_is(command, quick: Path):
     ended = command("compare", "quick.yaml", "--out", "mine", *NO_FILM)
     assert ended.code == 2
     assert (
-        ended.err
-        == "mine: exists and is not an empty folder; give a new one, or --resume to go on with what"
-        " is there\n"
+        ended.err == "mine: exists and is not an empty folder;"
+        " give a new one, or --resume to go on with what is there\n"
     )
     assert [p.name for p in Path("mine").iterdir()] == ["thesis.tex"]
 

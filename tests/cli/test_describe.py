@@ -154,8 +154,8 @@ def test_an_example_has_the_field_that_holds_it() -> None:
 def test_the_kinds_of_a_field_of_another_name_say_its_name() -> None:
     words = " ".join(shown("keypoint").split())
     assert words.endswith(
-        "vstestbed describe keypoint.sift shows one of them. In a scenario the field is called"
-        " features."
+        "vstestbed describe keypoint.sift shows one of them."
+        " In a scenario the field is called features."
     )
     assert "is called" not in shown("law")
 
@@ -189,8 +189,8 @@ def test_words_that_are_not_one() -> None:
         (
             "qqqq",
             (
-                "qqqq is no kind, block or field of a scenario; a scenario has name, description,"
-                " plugins, seed,"
+                "qqqq is no kind, block or field of a scenario;"
+                " a scenario has name, description, plugins, seed,"
             ),
         ),
         ("qqqq.gain", "qqqq is no kind and no block of a scenario; a scenario has name,"),
@@ -198,8 +198,8 @@ def test_words_that_are_not_one() -> None:
         (
             "camera.readout",
             (
-                "camera.readout is no field of a scenario: camera has no readout; did you mean"
-                " 'readout_s'?"
+                "camera.readout is no field of a scenario: camera has no readout;"
+                " did you mean 'readout_s'?"
             ),
         ),
         (
@@ -209,8 +209,8 @@ def test_words_that_are_not_one() -> None:
         (
             "camera.optic.defocus",
             (
-                "camera.optic.defocus is no field of a scenario: camera has no optic; did you mean"
-                " 'optics'?"
+                "camera.optic.defocus is no field of a scenario: camera has no optic;"
+                " did you mean 'optics'?"
             ),
         ),
         ("seed.x", "seed.x is no field of a scenario; seed is no block, and has no fields"),

@@ -88,8 +88,8 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(
         (
             {"ID": "debian"},
             (
-                "as root: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; then"
-                " `vstestbed doctor`"
+                "as root: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri;"
+                " then `vstestbed doctor`"
             ),
         ),
         ({"ID": "linuxmint", "ID_LIKE": "ubuntu debian"}, "as root: apt-get install libegl1"),
@@ -219,15 +219,15 @@ class TestChoiceOfBackend:
             (
                 "vulkan",
                 (
-                    "MUJOCO_GL=vulkan is set, and there is no such backend; unset MUJOCO_GL, or set"
-                    " it to egl, glfw, osmesa"
+                    "MUJOCO_GL=vulkan is set, and there is no such backend;"
+                    " unset MUJOCO_GL, or set it to egl, glfw, osmesa"
                 ),
             ),
             (
                 "glfw",
                 (
-                    "MUJOCO_GL=glfw needs a display, and there is none; unset MUJOCO_GL or set"
-                    " MUJOCO_GL=egl"
+                    "MUJOCO_GL=glfw needs a display, and there is none;"
+                    " unset MUJOCO_GL or set MUJOCO_GL=egl"
                 ),
             ),
             ("off", "MUJOCO_GL=disable is set; unset MUJOCO_GL or set MUJOCO_GL=egl"),

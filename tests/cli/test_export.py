@@ -106,8 +106,8 @@ def test_what_is_left_out_is_told(command, place):
     shutil.rmtree(runs / "0")
     ended = command("export", place / "comparison", "--to", "csv", "--out", place / "b")
     assert (
-        f"1 of 2 runs are not done yet; vstestbed compare --resume --out {place / 'comparison'}"
-        " does them" in ended.err
+        "1 of 2 runs are not done yet;"
+        f" vstestbed compare --resume --out {place / 'comparison'} does them" in ended.err
     )
     (place / "run/summary.json").unlink()
     ended = command("export", place / "run", "--to", "csv", "--out", place / "c")

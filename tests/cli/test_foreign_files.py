@@ -42,13 +42,14 @@ LONGEST_S = 60.0
 """No answer within this is a hang: the slowest takes 1 s, on a machine with other work 20 s."""
 DEEP = 3000
 ARM = (
-    '<mujoco><worldbody><body><joint name="j" axis="0 0 1"/><geom size="0.1"/><site'
-    ' name="tool"/></body></worldbody></mujoco>'
+    '<mujoco><worldbody><body><joint name="j" axis="0 0 1"/><geom size="0.1"/><site name="tool"/>'
+    "</body></worldbody></mujoco>"
 )
 STAND = '<mujoco><worldbody><geom size="0.1"/></worldbody></mujoco>'
 CALIBRATION = (
-    "camera_matrix: {rows: 3, cols: 3, data: [600, 0, 320, 0, 600, 240, 0, 0, 1]}\nimage_width:"
-    " 640\nimage_height: 480\n"
+    "camera_matrix: {rows: 3, cols: 3, data: [600, 0, 320, 0, 600, 240, 0, 0, 1]}\n"
+    "image_width: 640\n"
+    "image_height: 480\n"
 )
 TRIANGLE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
 

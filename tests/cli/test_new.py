@@ -150,8 +150,8 @@ class TestRefusals:
             (
                 ("law", "My Law"),
                 (
-                    "NAME needs the form of a word in small letters, digits and _, such as my_law,"
-                    " got 'My Law'"
+                    "NAME needs the form of a word in small letters, digits and _,"
+                    " such as my_law, got 'My Law'"
                 ),
             ),
             (("law", "class"), "NAME needs the form of a word in small letters"),
@@ -165,8 +165,8 @@ class TestRefusals:
             (
                 ("law", "numpy"),
                 (
-                    "and pytest would import that in its place; take another, such as my_numpy, got"
-                    " 'numpy'"
+                    "and pytest would import that in its place;"
+                    " take another, such as my_numpy, got 'numpy'"
                 ),
             ),
             (

@@ -75,8 +75,8 @@ def test_a_missing_member_is_named_with_the_base_that_has_it() -> None:
     with pytest.raises(
         ParameterError,
         match=(
-            r"^Bare lacks corners, colours, area\(scale\); derive it from .*ShapeBase.* all but"
-            r" kind and area$"
+            r"^Bare lacks corners, colours, area\(scale\);"
+            r" derive it from .*ShapeBase.* all but kind and area$"
         ),
     ):
         shapes().add(Bare)

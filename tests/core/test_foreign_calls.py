@@ -130,7 +130,12 @@ def test_every_foreign_call_is_guarded():
 
 def test_a_new_call_is_found():
     source = (
-        'def a():\n    with foreign("x", "y"):\n        yaml.safe_load("")\n\n\ndef b():\n   '
-        ' return json.loads("")\n'
+        "def a():\n"
+        '    with foreign("x", "y"):\n'
+        '        yaml.safe_load("")\n'
+        "\n"
+        "\n"
+        "def b():\n"
+        '    return json.loads("")\n'
     )
     assert unguarded(source) == {"b": {"json.loads"}}

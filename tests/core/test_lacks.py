@@ -17,8 +17,8 @@ from vstestbed.core.errors import EnvironmentLackError, OutputError, lack_of, sh
 from vstestbed.core.files import writing
 
 LIMITED = (
-    "import resource, runpy, sys; resource.setrlimit(resource.{name}, ({value}, {value})); sys.argv"
-    " = sys.argv[1:]; "
+    "import resource, runpy, sys; resource.setrlimit(resource.{name}, ({value}, {value}));"
+    " sys.argv = sys.argv[1:]; "
 )
 
 

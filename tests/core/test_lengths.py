@@ -39,8 +39,8 @@ REASONS = {
         tasks/metrics.py LEAST"""
     ),
     (
-        "the size of a robot that exists, of its parts and its sensors, or a tolerance of what is"
-        " that large"
+        "the size of a robot that exists, of its parts and its sensors,"
+        " or a tolerance of what is that large"
     ): (
         """
         effects/links.py Payload.com_m Payload.edge_m
@@ -77,8 +77,8 @@ REASONS = {
         vision/lines.py Lines.reach_m"""
     ),
     (
-        "the room that is drawn: its floor, lamps and views from outside, which no law sees, and"
-        " shadows"
+        "the room that is drawn:"
+        " its floor, lamps and views from outside, which no law sees, and shadows"
     ): (
         """
         effects/floor.py HALF_M
@@ -95,8 +95,8 @@ REASONS = {
         sim/scene/world.py AWAY DISC_HALF_M"""
     ),
     (
-        "the most of a length that is a share of the scene where that is small, or whose ratio to"
-        " it drops out"
+        "the most of a length that is a share of the scene where that is small,"
+        " or whose ratio to it drops out"
     ): (
         """
         imaging/depth.py NEAREST_M
@@ -210,16 +210,17 @@ def test_every_constant_length_has_its_reason():
         if names - found.get(file, set())
     }
     assert not new, (
-        "constants in metres without a reason here; make them shares of the scene, or say why not:"
-        f" {new}"
+        "constants in metres without a reason here;"
+        f" make them shares of the scene, or say why not: {new}"
     )
     assert not gone, f"no constants in metres any more: {gone}"
 
 
 def test_a_new_constant_length_is_found():
     constants = (
-        "NEAREST_M = 0.01\nLEAST = 1e-3  # under which nothing is seen [m, rad]\nQUICK = 2.0  #"
-        " [m/s]\n"
+        "NEAREST_M = 0.01\n"
+        "LEAST = 1e-3  # under which nothing is seen [m, rad]\n"
+        "QUICK = 2.0  # [m/s]\n"
     )
     source = constants + "class A:\n    gap: PositiveLength = 0.1\n"
     assert lengths_in(source) == {"NEAREST_M", "LEAST", "A.gap"}

@@ -27,8 +27,8 @@ def test_a_mistake_is_told_with_what_works() -> None:
             "world.windows",
             {},
             (
-                "world.windows: must be a list of blocks, each of pose, width, height, brightness,"
-                " got {}"
+                "world.windows: must be a list of blocks, each of pose, width,"
+                " height, brightness, got {}"
             ),
         ),
         ("randomise", {}, "randomise: must be a list of blocks, each a distribution, got {}"),
@@ -73,9 +73,9 @@ def test_a_mistake_is_told_with_what_works() -> None:
             "world.windows",
             [{}],
             (
-                "world.windows.0.pose: is missing: its middle and axes in the world; it spans its x"
-                " and y axes, and shines along z, e.g. {xyz: [1, 2, 1.5], rpy_deg: [90, 0, 0]}; a"
-                " block of xyz, rpy_deg"
+                "world.windows.0.pose: is missing: its middle and axes in the world;"
+                " it spans its x and y axes, and shines along z, e.g."
+                " {xyz: [1, 2, 1.5], rpy_deg: [90, 0, 0]}; a block of xyz, rpy_deg"
             ),
         ),
         # the field of the scenario, not that of the file's reader

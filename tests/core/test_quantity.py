@@ -93,8 +93,8 @@ def test_a_value_beyond_is_refused_with_the_reason() -> None:
             "at",
             1e308,
             (
-                "must be -1000 to 1000 m (five times the 200 m at which a camera counts as"
-                " diverged), got 1e+308"
+                "must be -1000 to 1000 m"
+                " (five times the 200 m at which a camera counts as diverged), got 1e+308"
             ),
         ),
         ("at", -1000.1, "must be -1000 to 1000 m"),
@@ -187,16 +187,16 @@ class TestOneNumberForAllJoints:
                 "most",
                 True,
                 (
-                    "Joints.most must be a number for all joints, or a list with one for each, got"
-                    " True"
+                    "Joints.most must be a number for all joints,"
+                    " or a list with one for each, got True"
                 ),
             ),
             (
                 "most",
                 None,
                 (
-                    "Joints.most must be a number for all joints, or a list with one for each, got"
-                    " None"
+                    "Joints.most must be a number for all joints,"
+                    " or a list with one for each, got None"
                 ),
             ),
             ("most", 11, "Joints.most must be <= 10, got 11"),

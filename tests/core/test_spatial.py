@@ -89,8 +89,8 @@ def test_what_is_no_pose_is_refused_with_a_sentence() -> None:
             "pose",
             SE2(1, 2, 3),
             (
-                r"pose is a place in the plane \(SE2\), and here a pose in space belongs; its"
-                r" SE3\(\) lifts it"
+                r"pose is a place in the plane \(SE2\), and here a pose in space belongs;"
+                r" its SE3\(\) lifts it"
             ),
         ),
         ("pose", SO3(), r"pose must be a pose \(SE3\), got an SO3; SE3.Rt"),
@@ -99,8 +99,8 @@ def test_what_is_no_pose_is_refused_with_a_sentence() -> None:
             "pose",
             np.eye(3),
             (
-                r"pose must be a pose: an SE3, or a homogeneous matrix \(4, 4\), got ndarray of"
-                r" shape \(3, 3\)"
+                r"pose must be a pose:"
+                r" an SE3, or a homogeneous matrix \(4, 4\), got ndarray of shape \(3, 3\)"
             ),
         ),
         ("pose", np.full((4, 4), np.nan), "pose must be finite"),

@@ -46,12 +46,12 @@ def test_the_sentence_has_both_torques_and_what_would_be_held(tmp_path: Path) ->
     words = message(tmp_path, **loaded(20.0))
     needed = LOAD + 20 * 9.81 * (REACH + 0.2)
     assert words.startswith(
-        f"robot.payload.mass_kg asks swing for {needed:.4g} Nm to hold the arm at its start, and"
-        " its motor and friction have"
+        f"robot.payload.mass_kg asks swing for {needed:.4g} Nm to hold the arm at its start,"
+        " and its motor and friction have"
     )
     assert (
-        f"{MOST:g} Nm: it would fall; works: at most {np.floor(100 * MOST_KG) / 100:g} kg here, got"
-        " 20.0" in words
+        f"{MOST:g} Nm: it would fall;"
+        f" works: at most {np.floor(100 * MOST_KG) / 100:g} kg here, got 20.0" in words
     )
 
 

@@ -75,8 +75,8 @@ def test_a_stiffness_of_the_preset_does_not_hide_it() -> None:
     with pytest.raises(
         ScenarioError,
         match=(
-            r"is given by realism field and by strain_wave; works:"
-            r" robot.gears.stiffness_nmprad=\[\]"
+            r"is given by realism field and by strain_wave;"
+            r" works: robot.gears.stiffness_nmprad=\[\]"
         ),
     ):
         vs.load("arm_ibvs", given)

@@ -122,8 +122,8 @@ def test_what_a_batch_leaves_out_is_not_left_out_silently() -> None:
     with pytest.raises(
         ParameterError,
         match=(
-            r"ideal must be True .* leaves out the dynamics and limits of robot puma560.*detector"
-            r" blobs"
+            r"ideal must be True .* leaves out the dynamics"
+            r" and limits of robot puma560.*detector blobs"
         ),
     ):
         gymnasium.make_vec(

@@ -149,8 +149,8 @@ def test_goals_at_which_rows_are_singular():
             WHALE,
             Moments().rows,
             (
-                "the condition 1.3e.03 .at most 500 is accepted.; use c4 and c7 in place of sx and"
-                " sy, which have"
+                "the condition 1.3e.03 .at most 500 is accepted.;"
+                " use c4 and c7 in place of sx and sy, which have"
             ),
         ),
         (

@@ -67,8 +67,8 @@ def test_the_suite_finds_what_is_read_and_not_named(monkeypatch: pytest.MonkeyPa
     law = bare()
     monkeypatch.setattr(law, "inputs", ("xy",))
     words = (
-        r"^bare reads observation\.depth, which its `inputs` do not name; write inputs = \('xy',"
-        r" 'depth'\)$"
+        r"^bare reads observation\.depth, which its `inputs` do not name;"
+        r" write inputs = \('xy', 'depth'\)$"
     )
     with pytest.raises(AssertionError, match=words):
         check_law(law())
@@ -84,8 +84,8 @@ def test_the_suite_finds_what_is_read_and_not_named(monkeypatch: pytest.MonkeyPa
     with pytest.raises(
         AssertionError,
         match=(
-            r"law_failed, .*; its `inputs` do not name ray, which it reads, and which may be None"
-            r" then$"
+            r"law_failed, .*; its `inputs` do not name ray, which it reads,"
+            r" and which may be None then$"
         ),
     ):
         check_law(Rays())
@@ -115,8 +115,8 @@ def test_a_wrong_law_is_refused_when_it_is_registered() -> None:
         (
             lambda: named(object, step=step),
             (
-                r"^Mine lacks tasks, inputs, depth, feature, limits, .*; derive it from"
-                r" vstestbed.laws.base.Law, .* all but kind and step$"
+                r"^Mine lacks tasks, inputs, depth, feature, limits, .*;"
+                r" derive it from vstestbed.laws.base.Law, .* all but kind and step$"
             ),
         ),
         (

@@ -107,6 +107,6 @@ def test_equations_of_a_wrong_shape_are_named_with_what_they_gave():
     ended = vs.run(vs.load("ibvs_book", {"law": "transposed", "detector": "oracle"}))
     assert ended.outcome is vs.Outcome.law_failed
     assert (
-        "Transposed.equations must give e (..., rows) and J (..., rows, 6); it gave e (8,) and J"
-        " (6, 8)" in ended.reason
+        "Transposed.equations must give e (..., rows) and J (..., rows, 6);"
+        " it gave e (8,) and J (6, 8)" in ended.reason
     )

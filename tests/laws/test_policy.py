@@ -139,8 +139,12 @@ class TestMemory:
 
     def test_an_object_is_copied_and_reset(self, tmp_path: Path):
         text = (
-            "class P:\n  n = 0\n  def reset(self): self.n = 10\n  def act(self, o):\n    self.n +="
-            " 1; return [self.n / 100] * 6\np = P()\n"
+            "class P:\n"
+            "  n = 0\n"
+            "  def reset(self): self.n = 10\n"
+            "  def act(self, o):\n"
+            "    self.n += 1; return [self.n / 100] * 6\n"
+            "p = P()\n"
         )
         law, frame = Policy(file=written(tmp_path, text) + ":p"), first_frame()
         goal, seen = frame.goal, frame.observation
@@ -450,8 +454,8 @@ class TestOnnx:
         with pytest.raises(
             EnvironmentLackError,
             match=(
-                r"onnxruntime is not installed, which net.onnx needs; pip install"
-                r" 'vstestbed\[policy\]'"
+                r"onnxruntime is not installed, which net.onnx needs;"
+                r" pip install 'vstestbed\[policy\]'"
             ),
         ):
             vs.load("ibvs_book", {"law": {"kind": "policy", "file": str(tmp_path / "net.onnx")}})

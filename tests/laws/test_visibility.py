@@ -161,8 +161,8 @@ class TestGoal:
     def test_a_goal_within_the_margin_is_refused(self):
         Visibility(margin_px=283.9).check(GOAL, 0.02)
         words = (
-            r"^law.visibility.margin_px reaches marker 0 of the goal view, whose edge is 284 px"
-            r" from the border"
+            r"^law.visibility.margin_px reaches marker 0 of the goal view,"
+            r" whose edge is 284 px from the border"
         )
         with pytest.raises(ParameterError, match=words):
             Visibility(margin_px=284).check(GOAL, 0.02)

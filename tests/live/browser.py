@@ -36,8 +36,8 @@ KEYS = {"ArrowRight": 39, "ArrowLeft": 37, "End": 35, "Home": 36}
 def labelled(label: str) -> str:
     """JavaScript for the control with a label; the last one, where several have it."""
     labels = (
-        "[...document.querySelectorAll('label')].filter(l => l.innerText.trim() ==="
-        f" {json.dumps(label)})"
+        "[...document.querySelectorAll('label')].filter(l => l.innerText.trim()"
+        f" === {json.dumps(label)})"
     )
     return f"document.getElementById({labels}.at(-1)?.htmlFor)"
 
@@ -89,8 +89,8 @@ class Tab:
     def click(self, words: str) -> None:
         """Click the button with these words."""
         found = (
-            "[...document.querySelectorAll('button')].find(b => b.innerText.trim() ==="
-            f" {json.dumps(words)})"
+            "[...document.querySelectorAll('button')].find(b => b.innerText.trim()"
+            f" === {json.dumps(words)})"
         )
         self.wait(f"!!({found})")
         self.js(f"{found}.click()")
@@ -129,8 +129,8 @@ class Tab:
         self.wait(f"!!({labelled(label)})")
         self.js(f"{labelled(label)}.click()")
         option = (
-            "[...document.querySelectorAll('[role=option]')].find(o => o.innerText.trim() ==="
-            f" {json.dumps(word)})"
+            "[...document.querySelectorAll('[role=option]')].find(o => o.innerText.trim()"
+            f" === {json.dumps(word)})"
         )
         self.wait(f"!!({option})")
         self.js(f"{option}.click()")
@@ -140,8 +140,8 @@ class Tab:
         found = labelled(label)
         return str(
             self.js(
-                f"(() => {{ const e = {found}; const s = e.querySelector('[role=slider]'); return s"
-                " ? s.ariaValueNow : e.value })()"
+                f"(() => {{ const e = {found}; const s = e.querySelector('[role=slider]');"
+                " return s ? s.ariaValueNow : e.value })()"
             )
         )
 

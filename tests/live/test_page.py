@@ -118,8 +118,8 @@ def test_the_page_opens_soon(browser: Browser):
     bare.stop()
     empty, page = min(e for e, _ in pairs), min(p for _, p in pairs)
     print(
-        f"\nthe page opens in {page:.2f} s; one of the same program with nothing in it in"
-        f" {empty:.2f} s"
+        f"\nthe page opens in {page:.2f} s;"
+        f" one of the same program with nothing in it in {empty:.2f} s"
     )
     # on a machine that is busy with other things an empty one takes longer, too
     assert page < max(OPENS_S, 2.5 * empty)
@@ -186,8 +186,8 @@ def _print_latency(live: Served, tab: Tab) -> None:
         took.append(1e3 * (time.perf_counter() - began))
         time.sleep(0.1)  # the next change of the slider is a message of its own
     print(
-        f"\nfrom the slider to the command: median {np.median(took):.0f} ms, most {max(took):.0f}"
-        " ms (a frame has 40 ms)"
+        "\nfrom the slider to the command:"
+        f" median {np.median(took):.0f} ms, most {max(took):.0f} ms (a frame has 40 ms)"
     )
     assert np.median(took) < 1000
 
@@ -198,8 +198,8 @@ def test_a_refused_value_shows_its_sentence_and_changes_nothing(browser: Browser
         tab.unfold("law")
         tab.choose("depth", "oracle")
         tab.wait(
-            "document.body.innerText.includes('refused: law.depth: may be oracle only with"
-            " detector')"
+            "document.body.innerText.includes('refused: law.depth:"
+            " may be oracle only with detector')"
         )
         tab.wait(f"{labelled('depth')}.value === 'pnp'")
         tab.type_into("solve.damping", "-3")
@@ -303,8 +303,8 @@ def test_who_has_not_the_address_is_not_let_in(browser: Browser):
             f" ['viser-v{viser.__version__}'])"
         )
         said = (
-            f"new Promise(done => {{ const s = {socket}; s.onopen = () => done('open'); s.onerror ="
-            " () => done('refused') })"
+            f"new Promise(done => {{ const s = {socket}; s.onopen = () => done('open');"
+            " s.onerror = () => done('refused') })"
         )
         assert tab.js(said) == "refused"  # a page at another port, though it knows the address
         tab.close()
@@ -394,8 +394,8 @@ def test_reloads_leak_nothing(browser: Browser):
         tab.close()
     (first_mb, first_fds, _), (last_mb, last_fds, last_threads) = seen[0], seen[-1]
     print(
-        f"\n{RELOADS} reloads: memory {first_mb:.0f} -> {last_mb:.0f} MB, descriptors {first_fds}"
-        f" -> {last_fds}, threads {last_threads}"
+        f"\n{RELOADS} reloads: memory {first_mb:.0f} -> {last_mb:.0f} MB,"
+        f" descriptors {first_fds} -> {last_fds}, threads {last_threads}"
     )
     assert last_fds <= first_fds + 1 and last_mb - first_mb < 40
 

@@ -44,8 +44,8 @@ def test_arrives_from_everywhere(name: str, capsys: pytest.CaptureFixture[str]):
     failed = {(name, seed): r.outcome for seed, r in enumerate(runs) if not r.outcome.success}
     with capsys.disabled():
         print(
-            f"\n{name:16s} {len(arrived)}/{SEEDS}, {min(t):.1f} to {max(t):.1f} s, worst {px:.2f}"
-            f" px {mm:.2f} mm {deg:.3f} deg {failed}"
+            f"\n{name:16s} {len(arrived)}/{SEEDS}, {min(t):.1f} to {max(t):.1f} s,"
+            f" worst {px:.2f} px {mm:.2f} mm {deg:.3f} deg {failed}"
         )
     assert failed == {key: outcome for key, outcome in CANNOT.items() if key[0] == name}
     assert px < 0.3 and mm < 5 and deg < 0.3

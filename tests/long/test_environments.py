@@ -68,8 +68,8 @@ def test_a_thousand_resets_leave_nothing_behind(name: str) -> None:
         if k in (100, 200, 400, RESETS):
             marks[k] = held()
             print(
-                f"\n{name} {k} resets, {time.process_time() - began:.0f} s of processor time:"
-                f" {marks[k]}"
+                f"\n{name} {k} resets,"
+                f" {time.process_time() - began:.0f} s of processor time: {marks[k]}"
             )
     env.close()
     first, last = marks[400], marks[RESETS]
@@ -122,13 +122,13 @@ def test_what_starts_and_steps_cost(capsys: pytest.CaptureFixture[str]) -> None:
             table.append((name, mode, *json.loads(done.stdout)))
     with capsys.disabled():
         print(
-            "\nscenario, observation: import and make [s], first reset [s], reset [ms], step [ms],"
-            " steps/s"
+            "\nscenario, observation:"
+            " import and make [s], first reset [s], reset [ms], step [ms], steps/s"
         )
         for name, mode, made, first, reset, step in table:
             print(
-                f"{name:16} {mode:8} {made:6.2f} {first:6.2f} {1e3 * reset:7.1f} {1e3 * step:7.2f}"
-                f" {1 / step:6.0f}"
+                f"{name:16} {mode:8} {made:6.2f} {first:6.2f} {1e3 * reset:7.1f}"
+                f" {1e3 * step:7.2f} {1 / step:6.0f}"
             )
     steps = np.array([row[-1] for row in table])
     assert (steps < 0.2).all()  # faster than five a second, or something is wrong

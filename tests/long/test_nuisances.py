@@ -83,9 +83,9 @@ def test_decoys_that_wander_before_the_target_steal_nothing(seed):
     right = np.count_nonzero(off < 3, axis=1)
     stolen, misled = (off > 10).any(axis=1) & (right == 3), (off > 10).any(axis=1)
     print(
-        f"{seed} {r.outcome.name} {r['t'][-1]:.1f} s, all four"
-        f" {np.mean(np.isfinite(off).all(axis=1)):.2f}, stolen {stolen.sum()}, three or fewer"
-        f" misled {misled.sum()} of {len(off)}"
+        f"{seed} {r.outcome.name} {r['t'][-1]:.1f} s,"
+        f" all four {np.mean(np.isfinite(off).all(axis=1)):.2f}, stolen {stolen.sum()},"
+        f" three or fewer misled {misled.sum()} of {len(off)}"
     )
     assert r.outcome is vs.Outcome.converged
     assert not stolen.any()

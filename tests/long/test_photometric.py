@@ -80,8 +80,8 @@ def test_basin() -> None:
         ]
         share[name] = float(np.mean(reached))
         print(
-            f"\n{name}: {share[name]:.0%} of {len(LATERAL_M) * len(TURN_DEG)}; turn {TURN_DEG} deg"
-            " across"
+            f"\n{name}: {share[name]:.0%} of {len(LATERAL_M) * len(TURN_DEG)};"
+            f" turn {TURN_DEG} deg across"
         )
         for x, row in zip(LATERAL_M, reached, strict=True):
             print(f"  {100 * x:4.0f} cm  {'  '.join('.#'[int(ok)] for ok in row)}")

@@ -17,8 +17,8 @@ SEEDS = 20
 JOINTS = [f"joint_{i}" for i in range(1, 7)]
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 HEAD = (
-    "seed  start [deg, off nominal]                outcome     t [s]  error [px]    [mm]   [deg] "
-    " detection [px]"
+    "seed  start [deg, off nominal]                outcome     t [s]  error"
+    " [px]    [mm]   [deg]  detection [px]"
 )
 
 
@@ -116,8 +116,8 @@ def test_raw_stops_inside_its_dead_band(seed: int | None, capsys: pytest.Capture
     told_mm, told_deg = 1e3 * np.linalg.norm(x[:3]), np.degrees(np.linalg.norm(x[3:]))
     left_mm, left_deg = 1e3 * r["position_error_m"][-1], np.degrees(r["rotation_error_rad"][-1])
     rows.append(
-        f"      left {left_mm:.1f} mm, {left_deg:.2f} deg; dead band explains {told_mm:.1f} mm,"
-        f" {told_deg:.2f} deg"
+        f"      left {left_mm:.1f} mm, {left_deg:.2f} deg;"
+        f" dead band explains {told_mm:.1f} mm, {told_deg:.2f} deg"
     )
     # First order in x, which is several centimetres and degrees of 1 m: a quarter.
     assert (left_mm, left_deg) == pytest.approx((told_mm, told_deg), rel=0.25)

@@ -66,8 +66,8 @@ def converged_after(r: vs.Recording) -> float:
 def line(renderer: str, r: vs.Recording) -> str:
     s = r.summary()
     return (
-        f"{renderer}: lost {s['frames_lost']} of {s['frames']}, {s['outcome']}, converged after"
-        f" {s['time_to_converge_s']} s"
+        f"{renderer}: lost {s['frames_lost']} of {s['frames']}, {s['outcome']},"
+        f" converged after {s['time_to_converge_s']} s"
     )
 
 
@@ -87,8 +87,8 @@ def test_the_renderer_does_not_change_the_experiment(name: str) -> None:
                 for other in nearly(vs.load(name, {"camera.renderer": renderer}))
             ]
             words += (
-                f" | {renderer}, target or tolerance changed a little: {np.nanmin(of):.2f} to"
-                f" {np.nanmax(of):.2f} s"
+                f" | {renderer}, target or tolerance changed a little:"
+                f" {np.nanmin(of):.2f} to {np.nanmax(of):.2f} s"
             )
     print(words, flush=True)
     assert by_gl.outcome is by_rays.outcome

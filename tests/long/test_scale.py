@@ -223,7 +223,7 @@ def test_a_hundred_thousand_runs_are_merged_within_a_gigabyte(
     wall_s, processor_s, memory_mb = ended(merging, **place)
     table = pl.read_parquet(tmp_path / "all/comparison.parquet")
     print(
-        f"\nmerged {n:,} runs of {SHARDS} shards: {wall_s:.0f} s, {processor_s:.0f} s of processor"
-        f" time, {memory_mb:.0f} MB"
+        f"\nmerged {n:,} runs of {SHARDS} shards:"
+        f" {wall_s:.0f} s, {processor_s:.0f} s of processor time, {memory_mb:.0f} MB"
     )
     assert table["seed"].to_list() == list(range(n)) and memory_mb < 1000

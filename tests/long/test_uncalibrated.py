@@ -26,8 +26,8 @@ def test_arrives_from_everywhere_whatever_the_calibration(
     )
     with capsys.disabled():
         print(
-            f"\n{estimator:8s} {len(t)}/20, {min(t):.1f} to {max(t):.1f} s, worst {px:.2f} px"
-            f" {mm:.2f} mm"
+            f"\n{estimator:8s} {len(t)}/20, {min(t):.1f} to {max(t):.1f} s,"
+            f" worst {px:.2f} px {mm:.2f} mm"
         )
     assert len(t) == 20 and px < 0.3 and mm < 20
     # Nothing that the law reads depends on the calibration: another error of it changes no number.

@@ -76,8 +76,8 @@ def test_markers_stay_in_the_image_and_no_run_is_the_worse_for_it(name: str, n: 
         for margin_px in (0, 60)
     )
     print(
-        f"{name}: of {n} lose a marker {lost_before.sum()} without, {lost.sum()} with; converge"
-        f" {reached_before.sum()}, {reached.sum()}"
+        f"{name}: of {n} lose a marker {lost_before.sum()} without, {lost.sum()} with;"
+        f" converge {reached_before.sum()}, {reached.sum()}"
     )
     assert lost_before.sum() >= 0.02 * n or name == "points"
     assert lost.sum() <= min(0.02 * n, lost_before.sum())

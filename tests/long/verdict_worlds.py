@@ -302,8 +302,8 @@ def fragile_leads() -> Iterator[World]:
             laws = Law(1, 5, sd), Law(1, 5 - lead, sd, lapse=lapse, lapse_s=more)
             yield of(
                 kind,
-                f"{lead:.2f} s quicker, from {lapse:g} of the starts {more:g} s slower, sd"
-                f" {sd:g} s",
+                f"{lead:.2f} s quicker,"
+                f" from {lapse:g} of the starts {more:g} s slower, sd {sd:g} s",
                 *laws,
                 limit=30.0,
             )

@@ -467,8 +467,8 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
         (
             {"cameras.right.camera.rate_hz": 24.0},
             (
-                "cameras.right.camera.rate_hz: must be that of pictures a whole number of physics"
-                " steps"
+                "cameras.right.camera.rate_hz:"
+                " must be that of pictures a whole number of physics steps"
             ),
         ),
         ({"cameras.Eye": {}}, "cameras.Eye: must have a name of small letters"),

@@ -662,8 +662,8 @@ class TestAFrozenCamera:
         ended = next(k for k, order in enumerate(orders) if order.latched)
         assert 0.3 <= ended * PERIOD_S <= 0.42 and all(moves(order) for order in orders[:ended])
         words = (
-            "the pictures were the same to the byte for 0.3 s, although a velocity was ordered: the"
-            " camera is frozen"
+            "the pictures were the same to the byte for 0.3 s, although a velocity was ordered:"
+            " the camera is frozen"
         )
         assert orders[ended].stopped and orders[ended].reason == words
         assert robot.controller.supervisor.aborted == (Outcome.target_lost, words)

@@ -45,8 +45,8 @@ def wild(value: Any) -> Any:
         (
             lambda c: replace(c, twist=[0.0] * 6),
             (
-                "gave the twist [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]; the twist of a Command must be an"
-                " array"
+                "gave the twist [0.0, 0.0, 0.0, 0.0, 0.0, 0.0];"
+                " the twist of a Command must be an array"
             ),
         ),
         (

@@ -43,8 +43,8 @@ def reason(name: str, **changes: object) -> str:
 def test_the_border(xyz: list[float], border: str):
     said = reason("ibvs_book", **SIDEWAYS | {"robot.start.nominal.xyz": xyz})
     assert re.search(
-        rf"; markers \d, \d were beyond the {border} border of the picture from the start on; a"
-        r" wider camera",
+        rf"; markers \d, \d were beyond the {border} border of the picture from the"
+        r" start on; a wider camera",
         said,
     )
 
@@ -61,8 +61,8 @@ def test_what_hides_them_and_from_when_on():
 def test_too_small_with_the_radius_and_the_least_that_is_found():
     said = reason("arm_ibvs", **{"target.marker.radius": 0.002})
     assert (
-        "markers 0, 1, 2, 3 were too small (a radius of 0.85 px; blobs finds 1.7 px and more, of"
-        " full colour) from the start on" in said
+        "markers 0, 1, 2, 3 were too small (a radius of 0.85 px;"
+        " blobs finds 1.7 px and more, of full colour) from the start on" in said
     )
     assert "larger markers (target.marker.radius)" in said
     # no guess where the truth is known
@@ -137,8 +137,8 @@ class TestFrames:
         lost.add(self.given(0.08, 0, 3, x=0.45))
         lost.add(self.given(0.12, 0, 2, 3, x=0.45))
         assert lost.sentence().startswith(
-            "markers 0, 3 were beyond the left border of the picture from 0.04 s on, the last one"
-            " from 0.08 s on; "
+            "markers 0, 3 were beyond the left border of the picture from 0.04 s on,"
+            " the last one from 0.08 s on; "
         )
         assert "marker 2 was not found although in the picture" in lost.sentence()
         lost.add(self.given(0.16, 2))

@@ -77,8 +77,8 @@ def test_a_name_is_in_the_reason_of_a_run_and_chooses_markers():
     with pytest.raises(
         ScenarioError,
         match=(
-            r"goal.markers: must be numbers of markers, 0 to 3, or names: bolt A, bolt B, bolt C,"
-            r" bolt D, got"
+            r"goal.markers: must be numbers of markers, 0 to 3, or names:"
+            r" bolt A, bolt B, bolt C, bolt D, got"
         ),
     ):
         vs.load("arm_mesh", {"goal.markers": ["bolt A", "nut", "bolt C"]})
@@ -87,8 +87,8 @@ def test_a_name_is_in_the_reason_of_a_run_and_chooses_markers():
 def test_markers_that_no_picture_can_show_are_told():
     bare = {"target.draw_markers": False}
     words = (
-        "target.draw_markers: may not be false with detector blobs: a mesh without markers shows it"
-        " nothing to detect; use true, or"
+        "target.draw_markers: may not be false with detector blobs:"
+        " a mesh without markers shows it nothing to detect; use true, or"
     )
     with pytest.raises(ScenarioError, match=f"{words} detector oracle"):
         vs.load("arm_mesh", bare)
@@ -101,8 +101,8 @@ def test_markers_that_no_picture_can_show_are_told():
         )
     )
     words = (
-        "the file page.png may not show tags of family apriltag_25h9, number 3 to 6 there) for 0.2"
-        " s; markers"
+        "the file page.png may not show tags of family apriltag_25h9,"
+        " number 3 to 6 there) for 0.2 s; markers"
     )
     assert r.outcome is vs.Outcome.target_lost
     assert f"(detector tags has not found one of 4 markers in any picture: {words}" in r.reason
@@ -111,8 +111,8 @@ def test_markers_that_no_picture_can_show_are_told():
 def test_a_goal_view_from_behind_the_part_is_refused():
     behind = {"goal.T_camera_target": {"xyz": [0, 0, 0.8]}}
     words = (
-        r"markers 0 \(bolt A\), 1 \(bolt B\), 2 \(bolt C\), 3 \(bolt D\) are hidden by the target"
-        r" itself; move the goal"
+        r"markers 0 \(bolt A\), 1 \(bolt B\), 2 \(bolt C\),"
+        r" 3 \(bolt D\) are hidden by the target itself; move the goal"
     )
     with pytest.raises(ScenarioError, match=words):
         vs.load("arm_mesh", behind)

@@ -44,8 +44,8 @@ def test_each_effect_is_told(name: str, caplog: pytest.LogCaptureFixture) -> Non
     warn_without_effect(scenario)
     warn_without_effect(scenario)
     words = (
-        "without effect, for it changes pictures and detector oracle looks at none; works: a"
-        " detector of pictures, such as blobs"
+        "without effect, for it changes pictures and detector oracle looks at none;"
+        " works: a detector of pictures, such as blobs"
     )
     assert [record.getMessage() for record in caplog.records] == [f"{field}: {words}"]
 
@@ -59,8 +59,8 @@ def test_effects_on_points_that_nobody_measures_are_told(caplog: pytest.LogCaptu
     warn_without_effect(vs.load("arm_photometric", noise))
     (record,) = caplog.records
     words = (
-        "it changes measured points and detector none measures none; works: noise of the picture,"
-        " noise.image_sigma"
+        "it changes measured points and detector none measures none;"
+        " works: noise of the picture, noise.image_sigma"
     )
     assert (
         record.getMessage()

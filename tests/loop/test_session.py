@@ -328,8 +328,8 @@ def test_a_session_is_not_pickled_and_says_what_is() -> None:
         with pytest.raises(
             SessionError,
             match=(
-                r"a running simulation and cannot be pickled or copied; take its scenario, or its"
-                r" recording"
+                r"a running simulation and cannot be pickled or copied;"
+                r" take its scenario, or its recording"
             ),
         ):
             take(session)

@@ -381,8 +381,8 @@ class TestThreads:
             with pytest.raises(
                 SessionError,
                 match=(
-                    "another thread is in a call of this controller, which serves one thread at a"
-                    " time; hold"
+                    "another thread is in a call of this controller,"
+                    " which serves one thread at a time; hold"
                 ),
             ):
                 call()

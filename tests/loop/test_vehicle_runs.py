@@ -100,8 +100,8 @@ class TestCar:
         turned = run("car_pbvs", robot__compass={"bias_deg": 10, "sigma_deg": 0}, detector="oracle")
         assert turned.outcome is Outcome.local_minimum
         told = re.fullmatch(
-            r"the commanded twist is zero (\S+) m and (\S+) deg from the goal by the robot's own"
-            r" estimate",
+            r"the commanded twist is zero (\S+) m and (\S+)"
+            r" deg from the goal by the robot's own estimate",
             turned.reason,
         )
         assert told, turned.reason
@@ -320,8 +320,8 @@ class TestRefusals:
                 "car_pursuit",
                 {"law.depth": "goal"},
                 (
-                    "may not be goal with law pursuit, which needs the pose itself; works: floor"
-                    " or pnp"
+                    "may not be goal with law pursuit, which needs the pose itself;"
+                    " works: floor or pnp"
                 ),
             ),
             (

@@ -115,8 +115,8 @@ class TestMount:
                 check_metres(robot, under, target)
             assert told.value.field == "camera.mount.xyz"
             assert (
-                "must have z > 0: the vehicle's frame lies on the floor, and the camera would be"
-                " under it" in str(told.value)
+                "must have z > 0: the vehicle's frame lies on the floor,"
+                " and the camera would be under it" in str(told.value)
             )
 
     def test_the_motion_basis_spans_what_is_allocated(self, name):

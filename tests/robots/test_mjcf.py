@@ -358,8 +358,8 @@ class TestMistakes:
             (
                 {"joints": ["shoulder", "lift"]},
                 (
-                    "must be those between the root and tool, in their order: shoulder, elbow,"
-                    " lift, roll"
+                    "must be those between the root and tool, in their order:"
+                    " shoulder, elbow, lift, roll"
                 ),
             ),
             (
@@ -459,14 +459,14 @@ class TestUrdf:
     """
 
     LINK = (
-        '<inertial><mass value="1"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0"'
-        ' iyz="0"/></inertial>'
+        '<inertial><mass value="1"/>'
+        '<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>'
     )
     SHAPE = '<{0}><origin xyz="0 0 0.15"/><geometry>{1}</geometry></{0}>'
     JOINT = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>{4}</joint>'
     HINGE = (
-        '<origin xyz="0 0 .3"/><axis xyz="0 {} {}"/><limit lower="-2" upper="2" effort="60"'
-        ' velocity="0.7"/>'
+        '<origin xyz="0 0 .3"/><axis xyz="0 {} {}"/>'
+        '<limit lower="-2" upper="2" effort="60" velocity="0.7"/>'
     )
 
     def written(self, folder: Path, mesh: str) -> Path:
@@ -497,8 +497,8 @@ class TestUrdf:
     def test_what_is_seen_and_where_it_ends(self, tmp_path: Path) -> None:
         file = self.written(tmp_path, "package://my_arm/meshes/one.obj")
         absent = (
-            r"names the mesh package://my_arm/meshes/one\.obj, and no folder my_arm with it is"
-            r" beside the file or above it"
+            r"names the mesh package://my_arm/meshes/one\.obj,"
+            r" and no folder my_arm with it is beside the file or above it"
         )
         with pytest.raises(ParameterError, match=absent):
             compiled(str(file))
@@ -566,8 +566,8 @@ class TestUrdf:
         text = (HERE / "two_link.xml").read_text()
         assert "<worldbody>" in text
         classed = (
-            '<default><default class="arm"><geom'
-            ' material="white"/></default></default><asset><material name="white"/></asset>'
+            '<default><default class="arm"><geom material="white"/></default></default><asset>'
+            '<material name="white"/></asset>'
         )
         (tmp_path / "arm.xml").write_text(
             text.replace("<worldbody>", f"{classed}<worldbody>").replace(
@@ -617,8 +617,8 @@ class TestCoupledJoints:
             ('<joint joint1="c" joint2="b" active="false"/>', ""),
             (
                 (
-                    '<joint joint1="r" joint2="l"/><connect body1="left" body2="right" anchor="0 0'
-                    ' 0"/>'
+                    '<joint joint1="r" joint2="l"/>'
+                    '<connect body1="left" body2="right" anchor="0 0 0"/>'
                 ),
                 "",
             ),
@@ -650,8 +650,8 @@ class TestCoupledJoints:
         with pytest.raises(
             ParameterError,
             match=(
-                r"couples b \(equality joint, such as a URDF's <mimic>\).*a flange before these"
-                r" joints"
+                r"couples b \(equality joint,"
+                r" such as a URDF's <mimic>\).*a flange before these joints"
             ),
         ):
             joint_chain(str(file), "tool0", ())
@@ -693,8 +693,8 @@ class TestDoctor:
         assert told.code == 0 and "tool: shoulder, elbow, lift, roll" in told.out
         assert "lift: slide, -0.3 to 0.1 m, at most 200 N [no actuator, line 17]" in told.out
         assert (
-            "shoulder: hinge, -150 to 150 deg [no torque limit (actuatorfrcrange); no actuator,"
-            " line 11]" in told.out
+            "shoulder: hinge, -150 to 150 deg [no torque limit (actuatorfrcrange);"
+            " no actuator, line 11]" in told.out
         )
         assert "lift: kp 5400 N/m, kv 135 N s/m, added by actuation: velocity" in told.out
         assert (
@@ -718,8 +718,8 @@ class TestDoctor:
 
     def test_a_gripper_is_no_part_of_the_arm(self, tmp_path: Path) -> None:
         finger = (
-            '<body name="{0}"><joint name="{0}" type="slide" range="0 .04"/><geom size=".01"'
-            ' mass=".05"/></body>'
+            '<body name="{0}"><joint name="{0}" type="slide" range="0 .04"/>'
+            '<geom size=".01" mass=".05"/></body>'
         )
         text = (
             (HERE / "scara.xml")

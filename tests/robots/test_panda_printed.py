@@ -59,8 +59,8 @@ def by_the_printed_links(folder: Path) -> JointChain:
         place, turn = LINKS[i]
         inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
         text = (
-            f'<body pos="{place}" euler="{turn}">{inertia}<joint name="q{i}" axis="0 0'
-            f' 1"/>{text}</body>'
+            f'<body pos="{place}" euler="{turn}">{inertia}'
+            f'<joint name="q{i}" axis="0 0 1"/>{text}</body>'
         )
     file = folder / "panda.xml"
     file.write_text(f'<mujoco><compiler angle="degree"/><worldbody>{text}</worldbody></mujoco>')

@@ -170,8 +170,8 @@ def test_what_cannot_be_is_told_with_what_would_work():
         (
             lambda: QuadrotorParameters(mass_kg=8),
             (
-                "mass_kg up to 4.15, or thrust_coefficient from 2.55e-05, or rotor_speed_radps from"
-                " 1388"
+                "mass_kg up to 4.15, or thrust_coefficient from 2.55e-05,"
+                " or rotor_speed_radps from 1388"
             ),
         ),
         (

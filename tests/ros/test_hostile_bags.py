@@ -247,8 +247,8 @@ def test_of_a_bag_without_a_usable_picture_the_refusal_says_why(taken, scenario,
     with pytest.raises(
         RunFolderError,
         match=(
-            rf"no picture that can be used: /cam/color: {n} .*must be \(240, 320, 3\).*--set"
-            r" camera.width"
+            r"no picture that can be used: /cam/color:"
+            rf" {n} .*must be \(240, 320, 3\).*--set camera.width"
         ),
     ):
         replayed(sorted(put + small, key=lambda one: one[1]), scenario, tmp_path / "bag")

@@ -172,8 +172,8 @@ def test_an_attitude_that_is_none_is_refused_by_name(o):
     with pytest.raises(
         ParameterError,
         match=(
-            r"imu.orientation is no unit quaternion; a driver without an attitude sets the first"
-            r" number"
+            r"imu.orientation is no unit quaternion;"
+            r" a driver without an attitude sets the first number"
         ),
     ):
         m.check_finite("imu", imu)

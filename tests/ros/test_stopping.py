@@ -199,9 +199,8 @@ def test_the_status_says_why(shown, clocks):
     law = Law(shown, clocks)
     law.hears(clocks.time() + 100.0)
     assert (
-        law.said[-1]
-        == "stopped: the picture's stamp is 100 s ahead of this machine's clock; set the clocks of"
-        " both machines by NTP"
+        law.said[-1] == "stopped: the picture's stamp is 100 s ahead of this machine's clock;"
+        " set the clocks of both machines by NTP"
     )
 
 
@@ -822,8 +821,8 @@ def test_commands_of_another_time_are_dropped_and_the_clocks_named(clocks, skew_
     assert [one.obeys(clocks.time() + PERIOD_S + skew_s) for _ in range(5)] == [None] * 5
     side = "behind" if skew_s < 0 else "ahead of"
     words = (
-        f"the commands' stamps are {abs(skew_s):.3g} s {side} this clock: they are dropped; set the"
-        " clocks of both machines by NTP"
+        f"the commands' stamps are {abs(skew_s):.3g} s {side} this clock: they are dropped;"
+        " set the clocks of both machines by NTP"
     )
     assert one.node.dropped == 5 and one.said == [words] and one.node.refused == words
 

@@ -128,8 +128,8 @@ def test_markers_that_leave_the_pose_open():
             "arm_ibvs",
             {"law.depth": "floor"},
             (
-                "law.depth: may be floor only for a vehicle, and robot puma560 is none; use pnp,"
-                " goal or"
+                "law.depth: may be floor only for a vehicle,"
+                " and robot puma560 is none; use pnp, goal or"
             ),
         ),
         (
@@ -212,8 +212,8 @@ def test_features_that_leave_motions_open():
         (
             {"law.feature": "segment"},
             (
-                "law.feature: segment tells 4 of this robot's 6 motions at the goal; use"
-                " law.redundant: true, which leaves"
+                "law.feature: segment tells 4 of this robot's 6 motions at the goal;"
+                " use law.redundant: true, which leaves"
             ),
         ),
         (
@@ -227,8 +227,8 @@ def test_features_that_leave_motions_open():
         (
             {"law.feature": "moments"},
             (
-                "law.feature.rows: may not have alpha, sx, sy: the target is as wide as long in the"
-                " goal view"
+                "law.feature.rows: may not have alpha, sx, sy:"
+                " the target is as wide as long in the goal view"
             ),
         ),
     ):

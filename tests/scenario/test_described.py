@@ -64,8 +64,8 @@ class TestEveryField:
     def test_has_an_example_that_is_valid(self, cls: type) -> None:
         without = [name for name, rule in fields(whole_schema(cls)) if not rule.get("examples")]
         assert not without, (
-            f"{', '.join(without)}: no default, and set in no bundled file: end its line under"
-            " Args: with `; e.g. `VALUE`.`"
+            f"{', '.join(without)}: no default, and set in no bundled file:"
+            " end its line under Args: with `; e.g. `VALUE`.`"
         )
         wrong = [
             name

@@ -186,8 +186,8 @@ def test_a_start_over_a_run_is_where_it_begins() -> None:
 def test_nothing_is_put_over_what_ran(tmp_path: Path) -> None:
     (tmp_path / RESOLVED).write_text(documents(vs.load("arm_ibvs", seed=3))[RESOLVED])
     words = (
-        r"resolved.yaml: is the record of a run, .*; put other values and seeds over scenario.yaml"
-        r" beside it"
+        r"resolved.yaml: is the record of a run, .*;"
+        r" put other values and seeds over scenario.yaml beside it"
     )
     for settings, seed in (({"robot.realism": "lab"}, None), ({}, 4)):
         with pytest.raises(ScenarioError, match=words):
@@ -355,8 +355,8 @@ def test_a_level_put_into_a_robot_that_has_been_filled_is_refused_with_what_work
     with pytest.raises(
         ParameterError,
         match=(
-            r"realism fills nothing here, where every effect is given as at none; works:"
-            r" robot.at_level\('lab'\)"
+            r"realism fills nothing here, where every effect is given as at none;"
+            r" works: robot.at_level\('lab'\)"
         ),
     ):
         replace(robot, realism="lab")

@@ -176,8 +176,8 @@ class TestOwnKinds:
         with pytest.raises(
             ParameterError,
             match=(
-                r"law is Mine of .*mine_dumped.py, which the file would not name; give the scenario"
-                r" plugins="
+                r"law is Mine of .*mine_dumped.py, which the file would not name;"
+                r" give the scenario plugins="
             ),
         ):
             vs.dump(replace(scenario, plugins=()))
@@ -189,8 +189,8 @@ class TestOwnKinds:
         with pytest.raises(
             ParameterError,
             match=(
-                r"law is Mine, which is defined in the program that runs .* put the class into a"
-                r" file"
+                r"law is Mine, which is defined in the program"
+                r" that runs .* put the class into a file"
             ),
         ):
             vs.dump(built(law=space.Mine(boost=2)))

@@ -74,8 +74,8 @@ class TestOneMistake:
                 "law: {",
                 "lwa: {",
                 (
-                    f"s.yaml:1:1: law: is missing; valid kinds: {kinds_of('laws')}\ns.yaml:9:1:"
-                    " lwa: is an unknown field; did you mean 'law'?"
+                    f"s.yaml:1:1: law: is missing; valid kinds: {kinds_of('laws')}\n"
+                    "s.yaml:9:1: lwa: is an unknown field; did you mean 'law'?"
                 ),
             ),
             (
@@ -149,8 +149,8 @@ class TestOneMistake:
                 "kind: puma560",
                 "kind: puma",
                 (
-                    f"s.yaml:2:3: robot.kind: is no robot; valid kinds: {kinds_of('robots')}, got"
-                    " 'puma'"
+                    "s.yaml:2:3: robot.kind: is no robot;"
+                    f" valid kinds: {kinds_of('robots')}, got 'puma'"
                 ),
             ),
             (
@@ -167,8 +167,8 @@ class TestOneMistake:
                 "gain: 0.5",
                 "gain: fast",
                 (
-                    "law.gain: must be a number, or a block of one of the kinds adaptive, constant,"
-                    " got 'fast'"
+                    "law.gain: must be a number, or a block of one of the kinds adaptive,"
+                    " constant, got 'fast'"
                 ),
             ),
             ("gain: 0.5", "gain: .nan", "s.yaml:9:19: law.gain: must be a finite number, got nan"),
@@ -201,24 +201,24 @@ class TestOneMistake:
                 "45, -180, 0",
                 "45, 180, 0",
                 (
-                    "s.yaml:3:36: robot.start.nominal.q_deg.2: must be within joint_3's range, -225"
-                    " to 45 deg"
+                    "s.yaml:3:36: robot.start.nominal.q_deg.2:"
+                    " must be within joint_3's range, -225 to 45 deg"
                 ),
             ),
             (
                 "xyz: [0, 0, 1]",
                 "xyz: [0, 0, -1]",
                 (
-                    "s.yaml:10:8: goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are"
-                    " behind"
+                    "s.yaml:10:8: goal.T_camera_target:"
+                    " is a view in which markers 0, 1, 2, 3 are behind"
                 ),
             ),
             (
                 "xyz: [0, 0, 1]",
                 "xyz: [0.6, 0, 1]",
                 (
-                    "is a view in which markers 1, 2 are outside the 640 x 480 picture; move the"
-                    " goal back"
+                    "is a view in which markers 1, 2 are outside the 640 x 480 picture;"
+                    " move the goal back"
                 ),
             ),
             (
@@ -244,15 +244,15 @@ class TestOneMistake:
             (
                 "- a\n- b\n",
                 (
-                    "s.yaml:1:1: must be a mapping (name: value); a scenario needs robot, target,"
-                    " law and goal"
+                    "s.yaml:1:1: must be a mapping (name: value);"
+                    " a scenario needs robot, target, law and goal"
                 ),
             ),
             (
                 "just words\n",
                 (
-                    "s.yaml:1:1: must be a mapping (name: value); a scenario needs robot, target,"
-                    " law and goal"
+                    "s.yaml:1:1: must be a mapping (name: value);"
+                    " a scenario needs robot, target, law and goal"
                 ),
             ),
             (
@@ -273,15 +273,15 @@ class TestOneMistake:
             (
                 "law: !!omap x\n",
                 (
-                    "s.yaml:1:1: law: has the tag tag:yaml.org,2002:omap; a scenario holds plain"
-                    " values only"
+                    "s.yaml:1:1: law: has the tag tag:yaml.org,2002:omap;"
+                    " a scenario holds plain values only"
                 ),
             ),
             (
                 GOOD + "law: ibvs\n",
                 (
-                    "s.yaml:11:1: law: stands here for the second time in its block; keep one of"
-                    " the two"
+                    "s.yaml:11:1: law: stands here for the second time in its block;"
+                    " keep one of the two"
                 ),
             ),
             (
@@ -308,15 +308,15 @@ class TestOneMistake:
             (
                 "{nominal: {q_deg: [0, 0], qdg: 1}}",
                 (
-                    "s.yaml:3:45: robot.start.random.nominal.qdg: is an unknown field; did you mean"
-                    " 'q_deg'?"
+                    "s.yaml:3:45: robot.start.random.nominal.qdg: is an unknown field;"
+                    " did you mean 'q_deg'?"
                 ),
             ),
             (
                 "3",
                 (
-                    "s.yaml:3:11: robot.start.random: must be a block (a mapping) of xyz, rpy_deg,"
-                    " got 3"
+                    "s.yaml:3:11: robot.start.random:"
+                    " must be a block (a mapping) of xyz, rpy_deg, got 3"
                 ),
             ),
         ):
@@ -420,9 +420,8 @@ class TestFiles:
     @pytest.mark.parametrize("name", ["arm_ibv", "arm_ibvs.yml", "nowhere/arm_ibvss.yaml"])
     def test_a_missing_file_with_the_nearest_bundled_name(self, name: str) -> None:
         assert (
-            self.told(name)
-            == f"{name}: no such file, and no bundled scenario of that name; did you mean"
-            " 'arm_ibvs'?"
+            self.told(name) == f"{name}: no such file, and no bundled scenario of that name;"
+            " did you mean 'arm_ibvs'?"
         )
 
     def test_a_missing_file_like_none_that_is_bundled(self) -> None:
@@ -818,8 +817,8 @@ class TestContradictions:
         with pytest.raises(
             ScenarioError,
             match=(
-                r"^overrides: law.turn_limits_deg: is an unknown field of hybrid; partitioned"
-                r" has it$"
+                r"^overrides: law.turn_limits_deg: is an unknown field of hybrid;"
+                r" partitioned has it$"
             ),
         ):
             load("arm_hybrid", {"law.turn_limits_deg": "none"})

@@ -14,8 +14,8 @@ def test_another_kind_over_the_fields_of_a_block_is_one_mistake() -> None:
         (
             {"law.kind": "qp"},
             [
-                "law.kind: .* qp has no gain, feature, interaction, depth; law=qp, without .kind,"
-                " replaces the block"
+                "law.kind: .* qp has no gain, feature, interaction, depth;"
+                " law=qp, without .kind, replaces the block"
             ],
         ),
         (

@@ -137,8 +137,8 @@ def test_two_files_of_one_name_and_one_file_by_two_names(
     with pytest.raises(
         PluginError,
         match=(
-            r"c\.py:\d+: cannot be imported \(ParameterError: kind 'one' is already a law"
-            r" \(.*a/mine\.py\)"
+            r"c\.py:\d+: cannot be imported \(ParameterError:"
+            r" kind 'one' is already a law \(.*a/mine\.py\)"
         ),
     ):
         load_plugins([str(plugin(tmp_path / "c.py", "one"))])
@@ -160,8 +160,8 @@ def test_a_module_in_the_current_folder_is_remembered_by_its_file(
         (
             "1 / 0",
             (
-                r"bad\.py:9: cannot be imported \(ZeroDivisionError: division by zero\); correct"
-                r" the plugin, or leave it out"
+                r"bad\.py:9: cannot be imported \(ZeroDivisionError: division by zero\);"
+                r" correct the plugin, or leave it out"
             ),
         ),
         ("def (", r"bad\.py:9: cannot be imported \(SyntaxError: .*"),
@@ -172,8 +172,8 @@ def test_a_module_in_the_current_folder_is_remembered_by_its_file(
         (
             "import no_such_thing",
             (
-                r"bad\.py:9: cannot be imported \(ModuleNotFoundError: No module named"
-                r" 'no_such_thing'\).*"
+                r"bad\.py:9: cannot be imported \(ModuleNotFoundError:"
+                r" No module named 'no_such_thing'\).*"
             ),
         ),
     ],
@@ -201,8 +201,8 @@ def test_a_plugin_that_adds_no_kind_is_told_until_it_adds_one(tmp_path: Path) ->
         with pytest.raises(
             PluginError,
             match=(
-                r"forgot\.py: adds no kind; write @vs\.LAWS\.add .* and @vs\.spec above its class"
-                r" Forgotten"
+                r"forgot\.py: adds no kind;"
+                r" write @vs\.LAWS\.add .* and @vs\.spec above its class Forgotten"
             ),
         ):
             load_plugins([str(path)])
@@ -226,8 +226,8 @@ def test_a_plugin_that_is_gone_and_its_new_place(
         ended = command(name, "run")
         assert ended.code == 2
         line = (
-            rf"run/scenario.yaml:\d+:\d+: plugins.0: {law} is not there; put it there, or give its"
-            r" place with --plugin PLACE/mine.py\n"
+            rf"run/scenario.yaml:\d+:\d+: plugins.0: {law} is not there;"
+            r" put it there, or give its place with --plugin PLACE/mine.py\n"
         )
         assert re.fullmatch(line, ended.err), ended.err
     words, environment = vstestbed_process  # this process has the old one loaded

@@ -187,8 +187,9 @@ class TestRefusals:
         file = tmp_path / "mine.yaml"
         text = vs.dump(vs.load("ibvs_book"))
         file.write_text(
-            text + "randomise:\n  - {field: camera.latency_s, uniform: [0, 0.1]}\n  - {field:"
-            " camera.speed, uniform: [0, 1]}\n"
+            text + "randomise:\n"
+            "  - {field: camera.latency_s, uniform: [0, 0.1]}\n"
+            "  - {field: camera.speed, uniform: [0, 1]}\n"
         )
         line = text.count("\n") + 3
         with pytest.raises(
@@ -201,8 +202,8 @@ class TestRefusals:
         with pytest.raises(
             ScenarioError,
             match=(
-                r"randomise.0: drew -\d.* for camera.latency_s with seed 2: camera.latency_s"
-                r" must be"
+                r"randomise.0: drew -\d.* for camera.latency_s with seed 2:"
+                r" camera.latency_s must be"
             ),
         ):
             arm([{"field": LATENCY, "uniform": [-2, -1]}], seed=2)

@@ -70,8 +70,8 @@ print(before, same, flush=True)
 print(child(refused), log() == log())
 """
 REFUSED = (
-    "no OpenGL: this process is a fork of one that has drawn with it; start processes with"
-    " multiprocessing's method spawn"
+    "no OpenGL: this process is a fork of one that has drawn with it;"
+    " start processes with multiprocessing's method spawn"
 )
 
 

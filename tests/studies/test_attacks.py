@@ -163,9 +163,10 @@ CODE: dict[str, Callable[[Files], Files]] = {
         PATCH.format(module="vstestbed.studies.submission", name="LEAST", value="1e9")
     ),
     "summaries are replaced": with_code(
-        "from vstestbed.loop.recording import Recording\nplain ="
-        " Recording.summary\nRecording.summary = lambda self: (found := plain(self)) |"
-        " {'time_to_goal_s': found['time_to_goal_s'] / 2}\n"
+        "from vstestbed.loop.recording import Recording\n"
+        "plain = Recording.summary\n"
+        "Recording.summary = lambda self:"
+        " (found := plain(self)) | {'time_to_goal_s': found['time_to_goal_s'] / 2}\n"
     ),
     "the process is ended": with_code("import os\nos._exit(0)"),
     "exits are replaced": with_code(

@@ -258,8 +258,8 @@ def test_a_submission_to_an_older_vs_1_is_refused_by_its_hash_and_told_what_to_d
         unpacked(zipped(older, world.folder / "older.zip"), world.folder / "law")
     assert str(refused.value).endswith(
         f"older.zip: was flown on another VS-1, of the files '32187406c2dc' and not '{now[:12]}';"
-        " fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`, then `vstestbed submit"
-        " DIR`"
+        " fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`,"
+        " then `vstestbed submit DIR`"
     )
     assert not (world.folder / "law").exists()  # nothing of it is unpacked
 

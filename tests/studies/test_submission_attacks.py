@@ -64,8 +64,8 @@ METRICS._members.clear()
     "ends its process in a run": "Mine.step = lambda *given: os._exit(0)",
     "registers an end": "atexit.register(os._exit, 0)",
     "prints that all agree": (
-        "print('1 of 1 runs that were flown again agree')\nMine.equations = lambda *given:"
-        " sys.exit(0)"
+        "print('1 of 1 runs that were flown again agree')\n"
+        "Mine.equations = lambda *given: sys.exit(0)"
     ),
     "takes the word of the judge's law": "vs.LAWS._members['isolated'] = Mine",
 }

@@ -387,8 +387,11 @@ def test_each_law_of_a_comparison_is_tuned_and_compared_from_starts_that_no_sear
     is, and the page says so.
     """
     text = (
-        "base: [quick.yaml]\nset: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\nseeds:"
-        " 4\ncases:\n  law:\n"
+        "base: [quick.yaml]\n"
+        "set: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\n"
+        "seeds: 4\n"
+        "cases:\n"
+        "  law:\n"
     )
     laws = (
         "points: {law: {kind: ibvs, gain: 1}}",
@@ -417,8 +420,8 @@ def test_each_law_of_a_comparison_is_tuned_and_compared_from_starts_that_no_sear
     )
     plan = " ".join(Path("t/comparison/comparison.yaml").read_text().split())
     assert (
-        "each law with 3 trials from 2 starts that are not among these: law.gain=5:7,"
-        " law.interaction=" in plan
+        "each law with 3 trials from 2 starts that are not among these:"
+        " law.gain=5:7, law.interaction=" in plan
     )
     seeds = [
         {int(p.parent.name) for p in Path(f"t/{part}").rglob("summary.json")}
@@ -435,8 +438,8 @@ def test_all_gains_of_all_laws_are_tuned_where_none_is_named_and_the_record_make
 ) -> None:
     """Points with one gain, a partitioned law with three."""
     laws = (
-        "    points: {law: {kind: ibvs, gain: 4}}\n    partitioned: {law: {kind: partitioned, gain:"
-        " 3, gain_z: 3, gain_turn: 3}}\n"
+        "    points: {law: {kind: ibvs, gain: 4}}\n"
+        "    partitioned: {law: {kind: partitioned, gain: 3, gain_z: 3, gain_turn: 3}}\n"
     )
     world = "set: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}"
     Path("laws.yaml").write_text(f"base: [quick.yaml]\n{world}\nseeds: 2\ncases:\n  law:\n{laws}")
@@ -469,8 +472,9 @@ def test_laws_in_scenarios_of_their_own_have_their_record_by_the_name_of_the_fil
     """
     Path("my pose.yaml").write_text(quick.read_text().replace("ibvs", "pbvs"))
     Path("laws.yaml").write_text(
-        f"base: [quick.yaml, {Path('my pose.yaml').absolute()}]\nset: {{camera.rate_hz:"
-        " 10}\nseeds: 2\n"
+        f"base: [quick.yaml, {Path('my pose.yaml').absolute()}]\n"
+        "set: {camera.rate_hz: 10}\n"
+        "seeds: 2\n"
     )
     ended = command("tune", "laws.yaml", "--trials", 2, "--seeds", 2, "--check", 0, "--out", "t")
     assert ended.code == 0, ended.err
@@ -485,9 +489,13 @@ def test_laws_that_the_search_leaves_as_they_are_make_the_comparison_one_of_sett
     command, quick: Path, here: None, one_figure: None
 ) -> None:
     Path("laws.yaml").write_text(
-        "base: [quick.yaml]\nset: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\nseeds:"
-        " 2\ncases:\n  law:\n    points: {law: {kind: ibvs, gain: 4}}\n    pose: {law: {kind: pbvs,"
-        " gain: 4}}\n"
+        "base: [quick.yaml]\n"
+        "set: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\n"
+        "seeds: 2\n"
+        "cases:\n"
+        "  law:\n"
+        "    points: {law: {kind: ibvs, gain: 4}}\n"
+        "    pose: {law: {kind: pbvs, gain: 4}}\n"
     )
     ended = command(
         "tune",

@@ -61,8 +61,8 @@ def test_what_is_no_solid_is_told(tmp_path: Path):
             "none.stl",
             as_stl(BOX[:0]),
             (
-                "cannot be read .it has no faces with an area.; works: a part that is exported as"
-                " triangles"
+                "cannot be read .it has no faces with an area.;"
+                " works: a part that is exported as triangles"
             ),
         ),
         ("flat.stl", as_stl(BOX[:, [0, 0, 1]]), r"cannot be read \(it has no faces with an area\)"),
@@ -70,8 +70,8 @@ def test_what_is_no_solid_is_told(tmp_path: Path):
             "cut.stl",
             as_stl(BOX)[:-10],
             (
-                r"cannot be read \(as a binary STL it should have 684 bytes, it has 674\); works:"
-                r" an STL or OBJ file"
+                r"cannot be read \(as a binary STL it should have 684 bytes, it has 674\);"
+                r" works: an STL or OBJ file"
             ),
         ),
         (
@@ -126,8 +126,8 @@ def test_discs_belong_on_flat_places(tmp_path: Path):
     with pytest.raises(
         ParameterError,
         match=(
-            r"marker.radius does not fit at marker 0 \(rim\): the surface is curved or ends there,"
-            r" 15 mm"
+            r"marker.radius does not fit at marker 0 \(rim\):"
+            r" the surface is curved or ends there, 15 mm"
         ),
     ):
         solid(**edge, marker=Disc(radius=0.02))

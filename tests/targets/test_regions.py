@@ -160,8 +160,8 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
 
 
 ALIKE = (
-    "of this robot's 6 motions at the goal, since a ball looks alike from other places; use"
-    " law.redundant: true"
+    "of this robot's 6 motions at the goal, since a ball looks alike from other places;"
+    " use law.redundant: true"
 )
 DISC: dict[str, Any] = {
     "target.figure": {"kind": "disc", "radius": 0.15},
@@ -207,8 +207,8 @@ def test_what_does_not_go_together_is_refused():
             "arm_ball",
             {"stop.converged": {"position_m": 0.003, "rotation_deg": 0.3}},
             (
-                "stop.converged.position_m: needs the target's pose, which the outline of a ball"
-                " does not tell; works: error_px alone"
+                "stop.converged.position_m: needs the target's pose,"
+                " which the outline of a ball does not tell; works: error_px alone"
             ),
         ),
         (
@@ -220,8 +220,8 @@ def test_what_does_not_go_together_is_refused():
             "arm_region",
             {"law.depth": "goal"},
             (
-                "needs the target's pose, which law.depth goal does not estimate; works: law.depth"
-                " pnp, or error_px alone"
+                "needs the target's pose, which law.depth goal does not estimate;"
+                " works: law.depth pnp, or error_px alone"
             ),
         ),
         ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),

@@ -48,8 +48,8 @@ def test_a_picture_may_be_one_by_its_name():
     with pytest.raises(
         ParameterError,
         match=(
-            r"is no bundled texture; there are texture:alphabet, .* texture:text, got"
-            r" 'texture:postr'"
+            r"is no bundled texture;"
+            r" there are texture:alphabet, .* texture:text, got 'texture:postr'"
         ),
     ):
         PictureTarget(pose=Pose(), file="texture:postr", width=0.8)

@@ -70,8 +70,8 @@ def test_within_the_band_and_too_slow_or_backwards_it_is_not(speed):
     assert outcome is Outcome.timed_out
     commanded = CAR.law.cruise_mps
     assert (
-        f"the vehicle, along its line, made {speed:.2f} m/s in the 2 s before 4 s; {commanded:g}"
-        " m/s were commanded" in reason
+        f"the vehicle, along its line, made {speed:.2f} m/s in the 2 s before 4 s;"
+        f" {commanded:g} m/s were commanded" in reason
     )
 
 

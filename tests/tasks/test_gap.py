@@ -69,8 +69,8 @@ def test_a_gap_that_cannot_be_kept_is_refused_with_what_would_work():
         (
             {"goal.gap_m": 1.1},
             (
-                "goal.gap_m: must be over 1.146 m: there the front of robot car, 1.208 m before its"
-                " origin"
+                "goal.gap_m: must be over 1.146 m:"
+                " there the front of robot car, 1.208 m before its origin"
             ),
         ),
         ({"target.motion.by": "omni", "goal.gap_m": 1.1}, "must be over 1.166 m"),

@@ -94,8 +94,8 @@ def test_a_line_that_cannot_be_driven_is_refused_with_what_would_work():
             "car_line",
             {"law.cruise_mps": 1.5},
             (
-                "law.cruise_mps: must be at most 1 m/s, which the limits of robot and law allow,"
-                " got 1.5"
+                "law.cruise_mps: must be at most 1 m/s,"
+                " which the limits of robot and law allow, got 1.5"
             ),
         ),
         ("omni_line", {"law.limits.speed_mps": 0.5}, "law.cruise_mps: must be at most 0.5 m/s"),

@@ -172,8 +172,8 @@ def test_a_monitor_with_a_wrong_verdict_is_said(own_kinds):
     with pytest.raises(
         ParameterError,
         match=(
-            r"monitors: chatty update must return None or \(Outcome, reason\)|chatty.*Outcome,"
-            r" reason"
+            r"monitors: chatty update must return None"
+            r" or \(Outcome, reason\)|chatty.*Outcome, reason"
         ),
     ):
         vs.run(vs.load("ibvs_book", FAST | {"monitors": ["chatty"]}))

@@ -95,9 +95,8 @@ def test_each_missing_point_has_its_reason(own_kinds, tmp_path: Path) -> None:
     assert arrives.startswith("0 of 3 runs reached the goal, 3 are needed (")
     assert "The median of time_to_converge_s is unknown, since no run reached the goal." in soon
     assert (
-        better
-        == "It is not better: these starts show neither better (it reached the goal from 0 of 8"
-        " starts, the other from 0)."
+        better == "It is not better: these starts show neither better"
+        " (it reached the goal from 0 of 8 starts, the other from 0)."
     )
 
 

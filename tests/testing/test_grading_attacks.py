@@ -564,8 +564,8 @@ raise ValueError("done: " + "".join([
 def test_the_filter_of_calls_is_in_force_and_jumps_to_nowhere_else() -> None:
     """Each call that is named is refused, and those that Python and numpy need are not."""
     words = (
-        "import ctypes, os; from vstestbed.testing import child; libc = ctypes.CDLL(None,"
-        " use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
+        "import ctypes, os; from vstestbed.testing import child;"
+        " libc = ctypes.CDLL(None, use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
     )
     words += "child._drop_capabilities(libc); assert child._refuse_calls(libc); "
     words += "first, *others = child.CALLS[os.uname().machine].values(); allowed = ["

@@ -130,8 +130,8 @@ def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_re
         detection.why,
     )
     words = (
-        r"^ \(detector keypoints: \d+ points match the goal's picture, of which \d+ agree with one"
-        r" plane; of those tried the patches of 0 "
+        r"^ \(detector keypoints: \d+ points match the goal's picture,"
+        r" of which \d+ agree with one plane; of those tried the patches of 0 "
     )
     assert re.search(words, sentence)
     sentence = detail(
@@ -145,8 +145,8 @@ def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_re
         1
     ]
     assert re.search(
-        r"\d+ points match the goal's picture, of which 0 agree with one plane: the target may have"
-        r" too little",
+        r"\d+ points match the goal's picture, of which 0 agree with one plane:"
+        r" the target may have too little",
         detection.why,
     )
 
@@ -172,8 +172,8 @@ def test_what_cannot_work_is_refused_with_a_sentence():
     with pytest.raises(
         ParameterError,
         match=(
-            "must find least = 4 key points or more in the goal's picture: sift finds 0; use a"
-            " target"
+            "must find least = 4 key points or more in the goal's picture:"
+            " sift finds 0; use a target"
         ),
     ):
         Keypoints(ransac="none").begin(flat, CAMERA, TARGET)
@@ -247,30 +247,30 @@ def test_laws_and_cameras_that_need_markers_are_refused():
         (
             {"law.feature": "polygon", "law.redundant": True},
             (
-                r"law\.feature: may not be polygon: it is made of several markers together, .*; use"
-                r" point, polar or spherical"
+                r"law\.feature: may not be polygon: it is made of several markers together, .*;"
+                r" use point, polar or spherical"
             ),
         ),
         (
             {"law.visibility": {"margin_px": 20}},
             (
-                r"law\.visibility\.margin_px: keeps points from the border or a plane, .*; works:"
-                r" law\.visibility\.margin_px: 0"
+                r"law\.visibility\.margin_px: keeps points from the border or a plane, .*;"
+                r" works: law\.visibility\.margin_px: 0"
             ),
         ),
         ({"camera": {"kind": "spherical"}}, "with a camera that sees all round"),
         (
             THREE,
             (
-                r"detector\.best: must be at least 4 where the target's pose is needed, .*; works:"
-                r" 4, or law\.depth goal or sensor, got 3"
+                r"detector\.best: must be at least 4 where the target's pose is needed, .*;"
+                r" works: 4, or law\.depth goal or sensor, got 3"
             ),
         ),
         (
             THREE | {"law": "pbvs"},
             (
-                r"detector\.best: must be at least 4 where the target's pose is needed, .*; works:"
-                r" 4, got 3"
+                r"detector\.best: must be at least 4 where the target's pose is needed,"
+                r" .*; works: 4, got 3"
             ),
         ),
     ):

@@ -56,16 +56,16 @@ def test_what_does_not_belong_together_is_refused() -> None:
             "arm_ibvs",
             {"detector": "tags"},
             (
-                r"overrides: target.marker: may not be disc: detector tags sees tag; with disc use"
-                r" detector blobs or oracle"
+                r"overrides: target.marker: may not be disc: detector tags sees tag;"
+                r" with disc use detector blobs or oracle"
             ),
         ),
         (
             "arm_tags",
             {"detector": "blobs"},
             (
-                r"target.marker: may not be tag: detector blobs sees disc, sphere; with tag use"
-                r" detector tags or oracle"
+                r"target.marker: may not be tag: detector blobs sees disc, sphere;"
+                r" with tag use detector tags or oracle"
             ),
         ),
         ("arm_tags", {"target.marker.size": 0.3}, r"target.*marker.size: must be under 0.2828 m"),

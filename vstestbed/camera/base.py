@@ -190,8 +190,8 @@ class Camera(ABC):
         if self.width * self.height * self.multisampling > MOST_SAMPLES:
             most = MOST_SAMPLES // (self.width * self.height)
             words = (
-                f"{most} for a {self.width} x {self.height} picture, whose samples would not fit"
-                " into the memory"
+                f"{most} for a {self.width} x {self.height} picture,"
+                " whose samples would not fit into the memory"
             )
             raise ParameterError.bound("multisampling", "at most", words, self.multisampling)
         if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
@@ -223,8 +223,8 @@ class Camera(ABC):
                 if getattr(self, name) is not None
             )
             words = (
-                f"is of a camera with one picture, and {getattr(self, 'kind', 'this lens')} has"
-                " several"
+                "is of a camera with one picture,"
+                f" and {getattr(self, 'kind', 'this lens')} has several"
             )
             raise ParameterError(field, f"{words}; works: perspective, fisheye or catadioptric")
         if self.optics is not None:
@@ -298,8 +298,8 @@ class Camera(ABC):
     def with_intrinsics(self, intrinsics: Intrinsics) -> Camera:
         """The same camera with other intrinsics; ParameterError where its lens has none."""
         words = (
-            "are of a perspective or a fisheye lens, and this camera is"
-            f" {getattr(self, 'kind', 'another')}"
+            "are of a perspective or a fisheye lens,"
+            f" and this camera is {getattr(self, 'kind', 'another')}"
         )
         raise ParameterError("calibration.intrinsics", words)
 

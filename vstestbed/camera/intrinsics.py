@@ -94,8 +94,8 @@ class Intrinsics:
             )
         if self.size is not None and self.size != (width, height):
             words = (
-                f"are of pictures of {self.size[0]} x {self.size[1]} px, and the camera has {width}"
-                f" x {height}"
+                f"are of pictures of {self.size[0]} x {self.size[1]} px,"
+                f" and the camera has {width} x {height}"
             )
             raise ParameterError(field, f"{words}; set its width and height to theirs")
 
@@ -201,8 +201,8 @@ def _tell(words: str) -> None:
 # Reading. Each file is first a plain mapping, whichever of the formats it has.
 WORKS = "a camera_info of ROS, or OpenCV's YAML, XML or JSON"
 MOUNTS = (
-    "a transformation of x, y, z, qx, qy, qz, qw (easy_handeye), a matrix (4, 4), or R_cam2gripper"
-    " and t_cam2gripper"
+    "a transformation of x, y, z, qx, qy, qz, qw (easy_handeye), a matrix (4, 4),"
+    " or R_cam2gripper and t_cam2gripper"
 )
 MOST_BYTES = 1 << 20
 """A calibration has some kilobytes, with all corners of its board 100."""
@@ -440,8 +440,8 @@ def _check_raw(plain: Mapping[str, Any]) -> None:
     changes nothing.
     """
     works = (
-        "works: for raw pictures (image_raw) neither R nor P; for rectified ones the first three"
-        " columns of P as"
+        "works: for raw pictures (image_raw) neither R nor P;"
+        " for rectified ones the first three columns of P as"
     )
     works += " camera_matrix, without distortion"
     R = _numbers(plain.get("rectification_matrix", np.eye(3)), "rectification_matrix")
@@ -553,12 +553,12 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
     for name, valid in (("eye_on_hand", (True, "true")), ("calibration_type", ("eye_in_hand",))):
         if said.get(name, valid[0]) not in valid:
             words = (
-                "is of a camera that stands beside the robot, and this is read as the mount on the"
-                " flange"
+                "is of a camera that stands beside the robot,"
+                " and this is read as the mount on the flange"
             )
             works = (
-                "works: a calibration eye in hand, or, for a camera with on: world, the pose in the"
-                " scenario itself"
+                "works: a calibration eye in hand,"
+                " or, for a camera with on: world, the pose in the scenario itself"
             )
             raise ParameterError(name, f"{words}; {works}", said[name])
     parent = str(_block(plain, "header", STAMP).get("frame_id", ""))

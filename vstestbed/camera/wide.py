@@ -191,8 +191,8 @@ class Fisheye(Radial):
             self.intrinsics.check("fisheye", self.width, self.height, "intrinsics")
         if self.reach[1] >= self.turn:
             words = (
-                f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller"
-                " coefficients or a fov_deg below"
+                f"fold the picture over itself within fov_deg = {self.fov_deg:g};"
+                " use smaller coefficients or a fov_deg below"
             )
             field = "coefficients" if self.intrinsics is None else "intrinsics.distortion"
             raise ParameterError(
@@ -320,8 +320,8 @@ class Catadioptric(Radial):
             )
         if self.blind_deg >= self.fov_deg / 2:
             words = (
-                "hides the whole field of view; it must be below fov_deg / 2 ="
-                f" {self.fov_deg / 2:g}"
+                "hides the whole field of view;"
+                f" it must be below fov_deg / 2 = {self.fov_deg / 2:g}"
             )
             raise ParameterError("blind_deg", words, self.blind_deg)
 
@@ -383,8 +383,8 @@ class SphericalCamera(Radial):
         """
         raise ParameterError(
             "calibration",
-            "may have no lens errors with camera spherical, which has no one lens; mount_error"
-            " it may",
+            "may have no lens errors with camera spherical,"
+            " which has no one lens; mount_error it may",
         )
 
     @property

@@ -235,8 +235,8 @@ def view_of(words: str | None) -> FixedView | None:
         or not 0 < numbers[2] <= 1e4
     ):
         form = (
-            "AZIMUTH,ELEVATION,DISTANCE[,X,Y,Z] in degrees and metres, such as 120,-20,3 or"
-            " 120,-20,3,0.5,0,0.8"
+            "AZIMUTH,ELEVATION,DISTANCE[,X,Y,Z] in degrees and metres,"
+            " such as 120,-20,3 or 120,-20,3,0.5,0,0.8"
         )
         raise ParameterError.form("--view", form, words)
     return FixedView(*numbers[:3], at=np.array(numbers[3:]) if numbers[3:] else None)

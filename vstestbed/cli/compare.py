@@ -197,8 +197,8 @@ def compare(
         except KeyboardInterrupt:
             # counted in the folder: finished runs are there in full, others not at all
             words = (
-                f"interrupted: {runner.done} of {total} runs are done; go on with: vstestbed"
-                f" compare --resume --out {runner.folder}"
+                f"interrupted: {runner.done} of {total} runs are done;"
+                f" go on with: vstestbed compare --resume --out {runner.folder}"
             )
             typer.echo(words, err=True)
             raise typer.Exit(INTERRUPTED) from None
@@ -360,8 +360,8 @@ def suite(
         typer.Option(
             "--alone",
             help=(
-                "Fly LAW_FILE alone; the suite's own laws stand beside it with the runs that are"
-                " kept."
+                "Fly LAW_FILE alone; the suite's own laws stand beside it"
+                " with the runs that are kept."
             ),
         ),
     ] = False,
@@ -442,8 +442,8 @@ def suite(
             raise typer.Exit(INTERRUPTED) from None
     if share is not None:
         typer.echo(
-            f"shard {share} is in {folder}; `vstestbed suite ... --merge DIR --merge DIR` puts all"
-            " together",
+            f"shard {share} is in {folder};"
+            " `vstestbed suite ... --merge DIR --merge DIR` puts all together",
             err=True,
         )
         return
@@ -461,8 +461,8 @@ def _ranking(found: Sequence[Score]) -> Iterator[str]:
     for one in overall(found):
         rank = f"mean rank {one.rank.mean:.1f} [{one.rank.low:.1f}, {one.rank.high:.1f}]"
         yield (
-            f"{one.law}: {rank} over {one.tasks} tasks, place {one.place} of the {one.of} laws that"
-            " flew them"
+            f"{one.law}: {rank} over {one.tasks} tasks,"
+            f" place {one.place} of the {one.of} laws that flew them"
         )
 
 

@@ -46,8 +46,8 @@ def export(
         typer.Option(
             "--to",
             help=(
-                "mcap: Foxglove, PlotJuggler, rerun. rosbag2: ROS 2. lerobot: a dataset v3.0. csv:"
-                " tables."
+                "mcap: Foxglove, PlotJuggler, rerun. rosbag2: ROS 2."
+                " lerobot: a dataset v3.0. csv: tables."
             ),
         ),
     ],
@@ -164,8 +164,8 @@ def _found(folder: Path, plugins: list[str], only: Only = "all") -> Exported:
         if run.summary
         else (
             (
-                f"{folder}: the run has no summary: it was cut off, or goes on; its {frames} frames"
-                " so far are exported"
+                f"{folder}: the run has no summary: it was cut off, or goes on;"
+                f" its {frames} frames so far are exported"
             ),
         )
     )
@@ -198,8 +198,8 @@ def _comparison(folder: Path, plugins: list[str], only: Only) -> Exported:
         words.append(f"{failed} of {len(every)} runs are no successes, and are left out")
     if left := total - len(every):
         words.append(
-            f"{left} of {total} runs are not done yet; vstestbed compare --resume --out {folder}"
-            " does them"
+            f"{left} of {total} runs are not done yet;"
+            f" vstestbed compare --resume --out {folder} does them"
         )
     frames = int(table["frames"].sum()) if "frames" in table.columns else 0
     return Exported(folder, folder, runs, frames, table, tuple(words), comparison.plugins)

@@ -134,8 +134,8 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
             )
             reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
             lines.append(
-                f"  path      {reached}{ratio}; largest retreat"
-                f" {_number(s, 'max_retreat_m', digits=_digits(s))}"
+                f"  path      {reached}{ratio};"
+                f" largest retreat {_number(s, 'max_retreat_m', digits=_digits(s))}"
             )
     speed = _number(s, "real_time_factor", " real time", digits=1) + (
         " with films and log" if filmed else " with its log"

@@ -53,8 +53,8 @@ def ros(
         Role,
         typer.Option(
             help=(
-                "robot: simulate it. law: servo. excite: the motion of `excite`. start, stop,"
-                " reset: tell nodes."
+                "robot: simulate it. law: servo. excite: the motion of `excite`."
+                " start, stop, reset: tell nodes."
             )
         ),
     ],
@@ -180,8 +180,8 @@ def _heed(parameters: list[str]) -> None:
                 words,
             )
         note = (
-            "%s changes nothing: nodes go by the stamps of the messages, and waits are counted by"
-            " this computer's own clock"
+            "%s changes nothing: nodes go by the stamps of the messages,"
+            " and waits are counted by this computer's own clock"
         )
         logging.getLogger("vstestbed").warning(note, words)
 

@@ -213,8 +213,8 @@ def _summary_text(mapped: Basin) -> str:
         for ending, share in summary["shares"].items()
     )
     lines = [
-        f"{mapped.label}: {shares}; {summary['starts']} starts in {mapped.processor_s:.1f} s of one"
-        " core"
+        f"{mapped.label}: {shares};"
+        f" {summary['starts']} starts in {mapped.processor_s:.1f} s of one core"
     ]
     if mapped.checked:
         lines.append(f"  the time loop agrees on {summary['agreeing']} of {mapped.checked}")
@@ -353,8 +353,8 @@ def _summary_line(limit: Limit) -> str:
     """
     row = limit.row()
     delay = (
-        f"{limit.latency_s:g} s ({limit.delay_frames:g}"
-        f" frame{'' if limit.delay_frames == 1 else 's'})"
+        f"{limit.latency_s:g} s"
+        f" ({limit.delay_frames:g} frame{'' if limit.delay_frames == 1 else 's'})"
     )
     if limit.unlimited:
         return f"{delay}: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
@@ -380,8 +380,8 @@ def _summary_line(limit: Limit) -> str:
 
 
 RANGES = (
-    "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated. [default: all"
-    " gains, of a comparison]"
+    "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated."
+    " [default: all gains, of a comparison]"
 )
 
 
@@ -497,8 +497,8 @@ def tune(
                 result = finished(search)
         except KeyboardInterrupt:
             words = (
-                f"interrupted: {len(search.trials)} of {search.plan.trials} trials are done; go on"
-                " with: "
+                f"interrupted: {len(search.trials)} of {search.plan.trials} trials"
+                " are done; go on with: "
             )
             typer.echo(
                 f"{words}vstestbed tune --resume --out {shlex.quote(str(search.folder))}", err=True

@@ -130,8 +130,8 @@ def list_(
         width = max((len(entry) for entry, _ in entries), default=0)
         if not entries:
             typer.echo(
-                f"{'' if registry else '  '}none; those of the package are blocks of robots"
-                " (vstestbed describe puma560)"
+                f"{'' if registry else '  '}none;"
+                " those of the package are blocks of robots (vstestbed describe puma560)"
             )
         for entry, text in entries:
             typer.echo(f"{'' if registry else '  '}{entry:{width}}  {text}")
@@ -299,8 +299,8 @@ def new(
     if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise ParameterError(
             "--out",
-            "must be a Python file, such as"
-            f" {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py",
+            "must be a Python file,"
+            f" such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py",
             str(path),
         )
     if path.exists() or path.is_symlink():
@@ -310,8 +310,8 @@ def new(
     if (taken := importlib.util.find_spec(path.stem)) is not None:
         other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
         words = (
-            f"is the name of a module that Python finds already ({taken.origin}), and pytest would"
-            " import that in its place"
+            f"is the name of a module that Python finds already ({taken.origin}),"
+            " and pytest would import that in its place"
         )
         raise ParameterError(
             "NAME" if out is None else "--out", f"{words}; take another, such as {other}", path.stem

@@ -84,8 +84,8 @@ def place_of_file(file: str) -> Path:
     if not (is_there(path) or _is_special(path)):
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
         words = (
-            "give its path: absolute, or relative to the scenario's file (with --set to this"
-            " folder)"
+            "give its path: absolute,"
+            " or relative to the scenario's file (with --set to this folder)"
         )
         raise ParameterError("file", f"is not there{where}; {words}", file)
     return plain_file(path, "a regular file, and a smaller one", refusal=of_field("file"))
@@ -116,8 +116,8 @@ def _no_package(name: str, inside: str) -> str:
         files = [path.as_posix() for path in metadata.distribution(name).files or ()]
     except (metadata.PackageNotFoundError, ValueError):
         remedy = (
-            f"pip install --no-deps {name}, if that is its name there (only its files are read), or"
-            " give the file's path"
+            f"pip install --no-deps {name}, if that is its name there (only its files are read),"
+            " or give the file's path"
         )
         return f"names the package {name}, which is not installed; {remedy}"
     # the outermost folder with an __init__.py that holds the file: packages of several
@@ -130,13 +130,13 @@ def _no_package(name: str, inside: str) -> str:
     package = next((one for one in packages if not there or there.startswith(f"{one}/")), "")
     if not package:
         return (
-            f"names the distribution {name}, which is installed and has no such package; give the"
-            " file's path"
+            f"names the distribution {name}, which is installed and has no such package;"
+            " give the file's path"
         )
     dotted, at = package.replace("/", "."), there.removeprefix(f"{package}/") or "PATH"
     return (
-        f"names the distribution {name}, which is installed, and is imported as {dotted}; write"
-        f" {PACKAGE}{dotted}/{at}"
+        f"names the distribution {name}, which is installed, and is imported as {dotted};"
+        f" write {PACKAGE}{dotted}/{at}"
     )
 
 

@@ -40,8 +40,8 @@ class Bounded:
     ) -> CoreSchema:
         number = core_schema.int_schema if source is int else core_schema.float_schema
         words = (
-            f"must be {_shown(self.low)} to {_shown(self.high)}{self.unit and ' '}{self.unit}"
-            f" ({self.why})"
+            f"must be {_shown(self.low)}"
+            f" to {_shown(self.high)}{self.unit and ' '}{self.unit} ({self.why})"
         )
         bounds = core_schema.custom_error_schema(
             number(ge=self.low, le=self.high), "out_of_bounds", custom_error_message=words

@@ -133,8 +133,8 @@ class Registry:
             name = getattr(member, "__name__", repr(member))
             raise ParameterError(
                 name,
-                f"is not a spec; a {self.what} is a class with @spec directly above it, below any"
-                " `add`",
+                f"is not a spec; a {self.what} is a class"
+                " with @spec directly above it, below any `add`",
             )
         kind = kind_of(member)
         known = self.members.get(kind, member)
@@ -172,8 +172,8 @@ class Registry:
             return value
         if not self.members:
             words = (
-                f"must not be given: there is no kind of {self.what}; a plugin may add one"
-                " (`--plugin FILE.py`)"
+                f"must not be given: there is no kind of {self.what};"
+                " a plugin may add one (`--plugin FILE.py`)"
             )
             raise PydanticCustomError("block", "{words}", {"words": words})
         block, words = self.expanded(value), ", ".join(sorted(self.members))
@@ -420,8 +420,8 @@ class Contract:
             return f"add what is missing (see {self.protocol.__module__}.{self.protocol.__name__})"
         rest = [name for name in _public_members(self.protocol) if not self._has(self.base, name)]
         return (
-            f"derive it from {self.base.__module__}.{self.base.__name__}, which has defaults for"
-            f" all but {' and '.join(rest)}"
+            f"derive it from {self.base.__module__}.{self.base.__name__},"
+            f" which has defaults for all but {' and '.join(rest)}"
         )
 
 

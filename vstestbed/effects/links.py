@@ -103,8 +103,8 @@ class GeometryError(Effect):
                     else "is inside a <frame>"
                 )
                 words = (
-                    f"cannot displace {name}, which {where} in the file; works: a body for each"
-                    " joint"
+                    f"cannot displace {name}, which {where} in the file;"
+                    " works: a body for each joint"
                 )
                 raise ParameterError("robot.geometry_error", words)
             number = compiled.jnt_bodyid[compiled.joint(name).id]

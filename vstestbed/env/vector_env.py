@@ -289,8 +289,8 @@ def _ideal(scenario: Scenario, wanted: bool) -> Scenario:
     )
     if omitted and not wanted:
         words = (
-            "must be True for this scenario: a batch is of ideal cameras, and leaves out"
-            f" {', '.join(omitted)}"
+            "must be True for this scenario:"
+            f" a batch is of ideal cameras, and leaves out {', '.join(omitted)}"
         )
         raise ParameterError("ideal", words)
     return ideal(scenario)

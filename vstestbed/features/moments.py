@@ -453,8 +453,8 @@ class Moments(Feature):
         require_plane(xy, depth, self.kind)
         if self.of == "region" and not spans_area(size(xy), segments(xy)):
             words = (
-                "encloses no area in the goal view, which moments {of: region} need; its markers"
-                " must be in order around an outline"
+                "encloses no area in the goal view, which moments {of: region} need;"
+                " its markers must be in order around an outline"
             )
             raise ParameterError("target", words)
         m = MomentSet.measured(xy, self.of, 3)
@@ -507,8 +507,8 @@ class Moments(Feature):
                 "the target may be an ellipse; use fewer rows, feature ellipse, or another target"
             )
         return (
-            f"use {' and '.join(pair)} in place of {' and '.join(before)}, which have the condition"
-            f" {best:.2g}"
+            f"use {' and '.join(pair)} in place of {' and '.join(before)},"
+            f" which have the condition {best:.2g}"
         )
 
     def _symmetry(self, m: MomentSet) -> str:
@@ -517,8 +517,8 @@ class Moments(Feature):
         axial = self._named("alpha", "sx", "sy", "c1")
         if axial and np.abs(m.complex(2, 0)) < ROUND * c11:
             words = (
-                f"may not have {axial}: the target is as wide as long in the goal view (a disc, a"
-                " square, a regular polygon)"
+                f"may not have {axial}: the target is as wide as long in the goal view"
+                " (a disc, a square, a regular polygon)"
             )
             return f"{words}, and has no principal axis; leave them out, or use an elongated target"
         odd = self._named("py", "c2", "c3", "c4", "c5", "c6", "c9", "c10")
@@ -627,8 +627,8 @@ class Ellipse(Feature):
             < OFF
         ):
             words = (
-                "must have its markers on the outline of an ellipse for the feature ellipse (a"
-                " disc, or a ball); use moments or point"
+                "must have its markers on the outline of an ellipse for the feature ellipse"
+                " (a disc, or a ball); use moments or point"
             )
             raise ParameterError("target", words)
         m = ellipse_moments(s)

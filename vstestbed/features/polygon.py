@@ -95,8 +95,8 @@ class Polygon(Feature):
         """
         if len(xy) > 2 and not spans_area(size(xy), segments(xy)):
             words = (
-                "spans no area in the goal view, by which the law measures size; the markers must"
-                " not lie on one line, and must be in"
+                "spans no area in the goal view, by which the law measures size;"
+                " the markers must not lie on one line, and must be in"
             )
             raise ParameterError(
                 "target",

@@ -122,8 +122,8 @@ class Optics:
         given = self.defocus.focal_length_m
         if given is None and focal_length_m is None:
             words = (
-                "is needed in metres, as the camera is given by its field of view; or give"
-                " camera.focal_length_m and camera.pixel_size_m"
+                "is needed in metres, as the camera is given by its field of view;"
+                " or give camera.focal_length_m and camera.pixel_size_m"
             )
             raise ParameterError("optics.defocus.focal_length_m", words)
         if given is not None and focal_length_m is not None:

@@ -59,8 +59,8 @@ class Hybrid(ErrorLaw):
         *_, thickness = reaches = _reaches(points)
         if thickness > FLAT * reaches[0]:
             words = (
-                "has markers that are not in one plane, which a homography requires; use"
-                " law.source: model"
+                "has markers that are not in one plane, which a homography requires;"
+                " use law.source: model"
             )
         elif any(
             _reaches(np.delete(points, i, axis=0))[1] <= FLAT * reaches[0]
@@ -69,8 +69,8 @@ class Hybrid(ErrorLaw):
             # With all but one on a line, no four points are in general position, which a homography
             # needs.
             words = (
-                "has all markers but one on a line, which leaves the homography undetermined; use"
-                " law.source: model, or other places"
+                "has all markers but one on a line, which leaves the homography undetermined;"
+                " use law.source: model, or other places"
             )
         else:
             return

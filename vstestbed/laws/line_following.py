@@ -110,8 +110,8 @@ class LineFollowing(Law[LineState]):
         # also where it is NaN: a ray that does not meet the floor
         if not ahead.mean() >= LEAST_AHEAD_M:
             words = (
-                f"must have its middle {LEAST_AHEAD_M:g} m or more before the vehicle's origin, in"
-                " the camera's view of the floor"
+                f"must have its middle {LEAST_AHEAD_M:g} m or more before the vehicle's origin,"
+                " in the camera's view of the floor"
             )
             raise ParameterError(
                 "target.look_m", f"{words}; with this mount it is {ahead.mean():.3g} m"

@@ -121,8 +121,8 @@ class Partitioned(ErrorLaw):
         """
         if len(points) < 4:
             words = (
-                f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at"
-                " the goal from up to four poses"
+                f"has {len(points)} markers, and law partitioned needs 4 or more:"
+                " three look as at the goal from up to four poses"
             )
             raise ParameterError("target", words)
         check_goal(_POLYGON, goal)
@@ -134,8 +134,8 @@ class Partitioned(ErrorLaw):
         """
         if basis.shape[1] != 6:
             words = (
-                "partitioned moves a camera in all six directions, and this robot has"
-                f" {basis.shape[1]}; use ibvs"
+                "partitioned moves a camera in all six directions,"
+                f" and this robot has {basis.shape[1]}; use ibvs"
             )
             raise ParameterError("law.kind", words)
         return 3

@@ -360,8 +360,8 @@ def _slope(camera: Perspective, xy: Array, scale: int) -> tuple[Grey | float, ..
 NO_PICTURE = "the law has no picture"
 BLANK = "the picture shows next to nothing of what the goal's shows"
 NO_STRUCTURE = (
-    "the goal's picture has too little structure (1 % of the distance, or 1 degree, change it by"
-    " under 0.05 grey levels)"
+    "the goal's picture has too little structure"
+    " (1 % of the distance, or 1 degree, change it by under 0.05 grey levels)"
 )
 NO_DEPTH = "the depth camera measured no pixel: all is nearer than its near_m or beyond its far_m"
 LEAST_CHANGE = 0.05
@@ -467,8 +467,8 @@ class Photometric(Law[PhotometricState]):
         """Refuse sources of depth that know nothing of a pixel."""
         if not (self.depth.measured or isinstance(self.depth, AtGoal | Constant)):
             words = (
-                "is of markers, and law photometric needs it of pixels; use goal, constant or"
-                " sensor (a depth camera)"
+                "is of markers, and law photometric needs it of pixels;"
+                " use goal, constant or sensor (a depth camera)"
             )
             raise ParameterError("depth", words, self.depth.kind)
 
@@ -488,8 +488,8 @@ class Photometric(Law[PhotometricState]):
         if inner < LEAST_SIDE:
             given = f"margin_px {self.margin_px}, levels {self.levels} and stride {self.stride}"
             words = (
-                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the coarsest level with"
-                f" {given}"
+                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the"
+                f" coarsest level with {given}"
             )
             raise ParameterError(
                 "law", f"{words}, and {LEAST_SIDE} are needed; make one of them smaller"

@@ -250,8 +250,8 @@ def check_margin(
     marker = int(nearest.argmin())
     if nearest[marker] <= margin_px:
         words = (
-            f"reaches marker {called(marker)} of the goal view, whose edge is {nearest[marker]:.4g}"
-            " px from the border"
+            f"reaches marker {called(marker)} of the goal view,"
+            f" whose edge is {nearest[marker]:.4g} px from the border"
         )
         words += ", and would keep it"
         raise ParameterError(

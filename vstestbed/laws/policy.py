@@ -181,8 +181,8 @@ class Policy(Law[Act]):
         except Exception as error:  # the code of others
             path = Path(self.file.rpartition(":")[0])
             words = (
-                f"{line_of(error, str(path), path)}: the policy cannot begin"
-                f" ({type(error).__name__}: {error})"
+                f"{line_of(error, str(path), path)}:"
+                f" the policy cannot begin ({type(error).__name__}: {error})"
             )
             raise ParameterError("law.file", words) from error
         act = getattr(made, "act", made)
@@ -297,8 +297,8 @@ def _network(path: Path, written: int, known: tuple[str, ...]) -> Act:
         if wanted.name not in known or wanted.type not in ONNX_KINDS:
             hint = "; agent_pos needs law.agent_pos: true" if wanted.name == "agent_pos" else ""
             words = (
-                f"wants {wanted.name!r} as {wanted.type}; a policy sees {', '.join(known)} as"
-                f" float, double or uint8{hint}"
+                f"wants {wanted.name!r} as {wanted.type};"
+                f" a policy sees {', '.join(known)} as float, double or uint8{hint}"
             )
             raise ParameterError("file", f"{path.name} {words}")
 

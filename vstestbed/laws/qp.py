@@ -328,8 +328,8 @@ class QP(Law[ErrorState]):
             and (distance := float(goal.normal @ goal.middle)) <= self.plane_m
         ):
             words = (
-                f"{distance:.4g} m, the distance of the goal from the target's plane, which it"
-                " would keep the camera off"
+                f"{distance:.4g} m, the distance of the goal from the target's plane,"
+                " which it would keep the camera off"
             )
             raise ParameterError.bound("law.plane_m", "under", words, self.plane_m)
 

@@ -284,16 +284,16 @@ class Switched(Law[SwitchedState]):
                 )
             if not part.until.limits and i < len(self.laws) - 1:
                 words = (
-                    "needs a condition, such as {border_under_px: 30}: without one no law after it"
-                    " in the list ever works"
+                    "needs a condition, such as {border_under_px: 30}:"
+                    " without one no law after it in the list ever works"
                 )
                 raise ParameterError(f"laws.{i}.until", words)
         depths = [(i, part.law.depth) for i, part in enumerate(self.laws) if _reads_depth(part.law)]
         for i, depth in depths[1:]:
             if depth != depths[0][1]:
                 words = (
-                    f"must be the same as that of laws.{depths[0][0]} ({depths[0][1].kind}): a"
-                    " frame has one source of depth"
+                    f"must be the same as that of laws.{depths[0][0]} ({depths[0][1].kind}):"
+                    " a frame has one source of depth"
                 )
                 raise ParameterError(f"laws.{i}.law.depth", words, depth.kind)
 

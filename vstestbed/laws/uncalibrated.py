@@ -328,12 +328,12 @@ def _room(i: int, side: float, robot: OwnModel) -> float:
 
 EXCITES, SERVOES = range(2)
 NO_CIRCLE = (
-    "the robot cannot turn on the spot, by which its velocities are not free to be excited one"
-    " by one"
+    "the robot cannot turn on the spot,"
+    " by which its velocities are not free to be excited one by one"
 )
 TILTS = (
-    "the craft tilts when it moves, by which the picture does not depend on its own velocities"
-    " alone"
+    "the craft tilts when it moves,"
+    " by which the picture does not depend on its own velocities alone"
 )
 
 

@@ -322,8 +322,8 @@ class Plots:
             for axis, color in zip("xyz", AXIS_COLORS, strict=True)
         )
         self._key = gui.add_html(
-            f'<div style="font-size:12px;text-align:center">commanded twist: {key} of the'
-            " camera</div>"
+            '<div style="font-size:12px;text-align:center">'
+            f"commanded twist: {key} of the camera</div>"
         )
         self._v = _plot(gui, "commanded speed [m/s]", ["vx", "vy", "vz"], AXIS_COLORS)
         self._w = _plot(gui, "commanded rate [rad/s]", ["wx", "wy", "wz"], AXIS_COLORS)

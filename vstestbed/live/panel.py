@@ -302,8 +302,8 @@ class StatusLine:
             else "target not in sight"
         )
         words = (
-            f"**t = {sample.film.t:.2f} s** · frame {sample.number} · error {error} "
-            f" \n{_state(sample, transport)}"
+            f"**t = {sample.film.t:.2f} s** · frame {sample.number} · error {error}  \n"
+            f"{_state(sample, transport)}"
         )
         if words != self._words:
             self._words = self._state.content = words
@@ -326,8 +326,8 @@ def _told(by_hand: tuple[str, ...]) -> str:
         return ""
     if by_hand == (LAW,):
         return (
-            "The law was changed during this run; *save as scenario* keeps the last setting, from"
-            " the start."
+            "The law was changed during this run;"
+            " *save as scenario* keeps the last setting, from the start."
         )
     return f"By hand in this run: {', '.join(by_hand)}. No scenario file repeats this."
 

@@ -121,8 +121,8 @@ class Settings:
                 hint = nearest(text, filter(str.isidentifier, known))
                 if block in TEXTS or not hint.startswith("did you mean"):
                     hint = (
-                        "files and new names are given on the command line alone (--set"
-                        f" {path}=...)"
+                        "files and new names are given on the command line"
+                        f" alone (--set {path}=...)"
                     )
                 raise ScenarioError(
                     [Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")]

@@ -62,8 +62,8 @@ class Gate:
         first, _ = _parts(request.path)
         if not secrets.compare_digest(first.encode(errors="surrogateescape"), self.secret.encode()):
             return (
-                "Open the whole address that `vstestbed live` has printed: it holds a secret, which"
-                " is another one after each start."
+                "Open the whole address that `vstestbed live` has printed:"
+                " it holds a secret, which is another one after each start."
             )
         if origins != [f"http://{hosts[0]}"] and (origins or "Upgrade" in request.headers):
             return "This server serves its own pages only."

@@ -101,8 +101,8 @@ class Layout:
         self.columns: tuple[str, ...] = tuple(name for names, _ in self._blocks for name in names)
         if twice := sorted({name for name in self.columns if self.columns.count(name) > 1}):
             words = (
-                f"must have columns of their own: the log has {', '.join(twice)} twice; works: one"
-                " effect of a kind, or other names"
+                f"must have columns of their own: the log has {', '.join(twice)} twice;"
+                " works: one effect of a kind, or other names"
             )
             raise ParameterError(
                 "law.columns" if set(twice) & set(self._of_law) else "robot.effects", words
@@ -238,8 +238,8 @@ def check_own(columns: Sequence[str]) -> None:
         name for name in columns if text_of(name) is not None or not plain.fullmatch(name)
     ]:
         words = (
-            "must be names that no log has, of whichever robot, of letters, digits and _; works:"
-            " law_NAME"
+            "must be names that no log has, of whichever robot, of letters,"
+            " digits and _; works: law_NAME"
         )
         raise ParameterError("law.columns", words, taken[0])
 

@@ -102,8 +102,8 @@ class GuardedLaw:
         modes = len(self._law.modes)
         if modes and not 0 <= command.mode < modes:
             return (
-                f"gave the mode {short(command.mode)}; the modes of its commands must be 0 to"
-                f" {modes - 1}"
+                f"gave the mode {short(command.mode)};"
+                f" the modes of its commands must be 0 to {modes - 1}"
             )
         wrong = _wrong_numbers(command, self._law.columns) or _wrong_rates(
             command.rates, seen.robot
@@ -136,8 +136,8 @@ def _wrong_numbers(command: Command, columns: Sequence[str]) -> str:
         return "gave free motions that are not finite"
     if command.row and len(command.row) != len(columns):
         return (
-            f"gave {len(command.row)} numbers as the row of its Command, and has the columns"
-            f" {', '.join(columns) or 'none'}"
+            f"gave {len(command.row)} numbers as the row of its Command,"
+            f" and has the columns {', '.join(columns) or 'none'}"
         )
     return ""
 
@@ -196,22 +196,22 @@ def _never_found(scenario: Scenario) -> str:
     """That a detector of pictures has found nothing from the start on, and the likely causes."""
     if scenario.detector.changing:
         words = (
-            f"detector {scenario.detector.kind} has found nothing of the goal's picture in any"
-            " picture"
+            f"detector {scenario.detector.kind} has found nothing of the goal's"
+            " picture in any picture"
         )
         return (
-            f"{words}: the start may show too little of it, or from too far aside, or too few"
-            " points of it are looked for"
+            f"{words}: the start may show too little of it, or from too far aside,"
+            " or too few points of it are looked for"
         )
     target, n = scenario.target, len(scenario.target.points)
     words = (
-        f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any"
-        " picture"
+        f"detector {scenario.detector.kind} has not found one of {n}"
+        f" marker{'s' * (n != 1)} in any picture"
     )
     if scenario.detector.needs_sheet:
         return (
-            f"{words}: at the start the picture may be outside of it, too small, too oblique or"
-            " without structure"
+            f"{words}: at the start the picture may be outside of it, too small,"
+            " too oblique or without structure"
         )
     if target.draw_markers:
         return words + GUESS
@@ -765,8 +765,8 @@ class Controller:
             allocation = robot.pressed(allocation, command.wrench, mount)
         elif command.wrench is not None:
             words = (
-                f"law {self.law.kind} orders a wrench, which needs an arm with `controller:"
-                " impedance`"
+                f"law {self.law.kind} orders a wrench,"
+                " which needs an arm with `controller: impedance`"
             )
             self.guarded.failure = self.guarded.failure or words
         if not (
@@ -774,8 +774,8 @@ class Controller:
             and (allocation.twist is command.twist or all_finite(allocation.twist))
         ):
             words = (
-                f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint}, of"
-                f" the twist {np.round(twist, 3)}"
+                f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint},"
+                f" of the twist {np.round(twist, 3)}"
             )
             self.guarded.failure = self.guarded.failure or words
             allocation = Allocation(np.zeros_like(allocation.setpoint), np.zeros(6), 0.0)

@@ -84,12 +84,12 @@ class Inputs:
             if beyond.max() > OUTSIDE:  # of another unit, in another order, or of a failed encoder
                 i = int(beyond.argmax())
                 words = (
-                    f"has {self._robot.joints[i]} outside of its range of {low[i]:.4g} to"
-                    f" {high[i]:.4g}"
+                    f"has {self._robot.joints[i]} outside of its range of"
+                    f" {low[i]:.4g} to {high[i]:.4g}"
                 )
                 works = (
-                    "must be in radians, a slide's in metres, in the order"
-                    f" {', '.join(self._robot.joints)}"
+                    "must be in radians, a slide's in metres,"
+                    f" in the order {', '.join(self._robot.joints)}"
                 )
                 raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
         if reading.heading is not None:
@@ -225,8 +225,8 @@ class Inputs:
                 )
             return (
                 (
-                    f"the picture of {t:g} s is older than the last one, of {before:g} s: it is"
-                    " refused"
+                    f"the picture of {t:g} s is older than the last one,"
+                    f" of {before:g} s: it is refused"
                 ),
             )
         if before is not None and t == before:
@@ -238,8 +238,8 @@ class Inputs:
         return (
             (
                 (
-                    f"{missing} {'picture is' if missing == 1 else 'pictures are'} missing before"
-                    " this one"
+                    f"{missing} {'picture is' if missing == 1 else 'pictures are'}"
+                    " missing before this one"
                 ),
             )
             if periods > MISSING

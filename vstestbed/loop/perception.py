@@ -283,8 +283,8 @@ class OtherCameras:
         for name, latest in self._latest.items():
             if t - latest.shot.t <= self._fresh_s(name) and name not in fresh:
                 notes.append(
-                    f"{name}: the last picture came {own_s - latest.came_s:.2g} s ago: it counts"
-                    " for nothing"
+                    f"{name}: the last picture came {own_s - latest.came_s:.2g} s ago:"
+                    " it counts for nothing"
                 )
         return tuple(notes)
 

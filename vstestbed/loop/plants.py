@@ -69,8 +69,8 @@ def warn_without_effect(scenario: Scenario) -> None:
     detector = scenario.detector
     if not scenario.needs_image and (found := ", ".join(effects_on_pictures(scenario))):
         why = (
-            f"it changes pictures and detector {detector.kind} looks at none; works: a detector of"
-            " pictures, such as blobs"
+            f"it changes pictures and detector {detector.kind} looks at none;"
+            " works: a detector of pictures, such as blobs"
         )
         _warn_once(found, why)
     on_points = [
@@ -82,8 +82,8 @@ def warn_without_effect(scenario: Scenario) -> None:
         found := ", ".join([*on_points, *_perturbing(scenario.noise, "pixels")])
     ):
         why = (
-            f"it changes measured points and detector {detector.kind} measures none; works: noise"
-            " of the picture, noise.image_sigma"
+            f"it changes measured points and detector {detector.kind} measures none;"
+            " works: noise of the picture, noise.image_sigma"
         )
         _warn_once(found, why)
 
@@ -129,8 +129,8 @@ def sight_of(picture: Picture) -> Sight:
     if whole.image is None:
         raise ParameterError(
             "camera",
-            "must have a single image, of which a law or a detector takes all; use a perspective"
-            " camera",
+            "must have a single image, of which a law or a detector takes all;"
+            " use a perspective camera",
         )
     # The renderer overwrites its picture, and a law may keep one to compare the next with.
     return Sight(whole.image.copy(), whole.depth)

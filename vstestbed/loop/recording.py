@@ -84,8 +84,8 @@ class Recording:
     def __getitem__(self, name: str) -> Array:
         if name not in self.columns:
             raise KeyError(
-                f"no column {name!r} in the log; {nearest(name, self.columns)}; `vstestbed describe"
-                " log` explains them"
+                f"no column {name!r} in the log; {nearest(name, self.columns)};"
+                " `vstestbed describe log` explains them"
             )
         return self.rows[name]
 

@@ -325,13 +325,13 @@ def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
     )
     if frames:
         return (
-            f"{over} the command {reversal(frames, scenario.camera.period)}, and the error {how};"
-            f" {_cause(scenario)}"
+            f"{over} the command {reversal(frames, scenario.camera.period)},"
+            f" and the error {how}; {_cause(scenario)}"
         )
     if late > first_error and grows(part, least):
         return (
-            f"{over} the error grew from {early:.3g} to {late:.3g} {unit}, and the command with it;"
-            f" {_cause(scenario)}"
+            f"{over} the error grew from {early:.3g} to {late:.3g} {unit},"
+            f" and the command with it; {_cause(scenario)}"
         )
     if turned := to_and_fro(part, least, _share_of_limit(scenario), first_error):
         limited, blind = (
@@ -341,8 +341,8 @@ def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
         held = f", at its limits in {limited:.0%} of the frames" if limited > LIMITED_SHARE else ""
         lost = f", {blind:.0%} of the frames had no measurement" if blind else ""
         return (
-            f"{over} the command turned round {turned} times{held}{lost}, and the error {how};"
-            f" {_cause(scenario)}".replace("%", " %")
+            f"{over} the command turned round {turned} times{held}{lost},"
+            f" and the error {how}; {_cause(scenario)}".replace("%", " %")
         )
     return ""
 
@@ -410,8 +410,8 @@ def _cause(scenario: Scenario) -> str:
     gain, proportional = _gain(scenario.law)
     if gain is None:
         return (
-            f"it is sampled at {camera.rate_hz:g} Hz with {delay}; try lower gains, a higher rate,"
-            " or less latency"
+            f"it is sampled at {camera.rate_hz:g} Hz with {delay};"
+            " try lower gains, a higher rate, or less latency"
         )
     said = (
         f"a gain of {gain:.4g} 1/s at {camera.rate_hz:g} Hz is {gain * T:.4g} a frame, with {delay}"
@@ -423,17 +423,17 @@ def _cause(scenario: Scenario) -> str:
     if gain * T > limit:
         helps = "or the delay" if delay_s else "or raise the rate"
         return (
-            f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain,"
-            f" {helps}"
+            f"{said}: without lag a loop with that delay is unstable over {bound};"
+            f" lower law.gain, {helps}"
         )
     rest = (
-        "we do not know what makes the difference (the lag and the limits of the robot, the"
-        " calibration, the noise)"
+        "we do not know what makes the difference"
+        " (the lag and the limits of the robot, the calibration, the noise)"
     )
     helps = "less delay" if delay_s else "a higher rate"
     return (
-        f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain,"
-        f" or {helps}"
+        f"{said}: without lag it would be stable up to {bound}, and {rest};"
+        f" try a lower law.gain, or {helps}"
     )
 
 

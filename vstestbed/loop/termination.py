@@ -50,8 +50,8 @@ REMEDIES = {
         "larger markers (target.marker.radius), a nearer start or a longer focal length would help"
     ),
     UNKNOWN: (
-        "why is not known: noise, light, or another object of their colour may be it; the film"
-        " shows the picture"
+        "why is not known: noise, light, or another object of their colour may be it;"
+        " the film shows the picture"
     ),
 }
 """What would help, by what happened; {law}: what `_minding` says."""
@@ -158,8 +158,8 @@ class LostMarkers:
             return (
                 TINY,
                 (
-                    f"too small (a radius of {{px}} px; {kind} finds {least:.2g} px and more, of"
-                    " full colour)"
+                    f"too small (a radius of {{px}} px;"
+                    f" {kind} finds {least:.2g} px and more, of full colour)"
                 ),
                 t,
                 radius,

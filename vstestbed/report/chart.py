@@ -146,8 +146,8 @@ class Curve:
                 *(np.array([[10.0], [4.5]]) if self.marker else np.array([[2.0, 18.0], [4.5, 4.5]]))
             )
         return (
-            f'<svg viewBox="0 0 {20 * POINT} {9 * POINT}" aria-hidden="true"><g'
-            f' stroke-linecap="round">{body}</g></svg>'
+            f'<svg viewBox="0 0 {20 * POINT} {9 * POINT}" aria-hidden="true">'
+            f'<g stroke-linecap="round">{body}</g></svg>'
         )
 
 
@@ -174,8 +174,8 @@ def text(
     """Words in the SVG, vertically centred at y [pt]."""
     shade = "" if color == INK else f' fill="{paint(color)}"'
     return (
-        f'<text x="{x:.1f}" y="{y:.1f}" dy=".35em"'
-        f' text-anchor="{anchor}"{shade}{more}>{escape(words)}</text>'
+        f'<text x="{x:.1f}" y="{y:.1f}" dy=".35em" text-anchor="{anchor}"{shade}{more}>'
+        f"{escape(words)}</text>"
     )
 
 

@@ -134,8 +134,8 @@ def draw_plane(name: str, depth: float = 1.0) -> Figure:
     for axes in grid[:, 0]:
         axes.set_ylabel(labels[1])
     figure.suptitle(
-        f"{name}, {'distance' if name == 'spherical' else 'depth'} {depth:g} m; arrows to scale"
-        " within each field"
+        f"{name}, {'distance' if name == 'spherical' else 'depth'} {depth:g} m;"
+        " arrows to scale within each field"
     )
     return figure
 
@@ -181,8 +181,8 @@ def draw_sphere(depth: float = 1.0) -> Figure:
     title = f"spherical, distance {depth:g} m: the unit sphere around the camera, seen from outside"
     figure.text(0.02, 0.985, title, va="top", fontsize=11)
     legend = (
-        "Dashed: the optical axis z. The dark circle, 90 deg from it, divides what is ahead of the"
-        " camera from what is behind."
+        "Dashed: the optical axis z."
+        " The dark circle, 90 deg from it, divides what is ahead of the camera from what is behind."
     )
     figure.text(0.02, 0.95, legend, va="top")
     return figure

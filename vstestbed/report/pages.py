@@ -52,8 +52,8 @@ def cell(page: str, height_px: int) -> str:
     """
     look = f"width:100%;height:{height_px}px;border:0;border-radius:10px"
     return (
-        f'<iframe srcdoc="{escape(page)}" style="{look}" sandbox="allow-scripts'
-        ' allow-popups"></iframe>'
+        f'<iframe srcdoc="{escape(page)}" style="{look}"'
+        ' sandbox="allow-scripts allow-popups"></iframe>'
     )
 
 

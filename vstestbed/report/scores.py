@@ -286,12 +286,12 @@ def write_scores(
             )
         )
     of_ranks = (
-        "Rank by the mean of each task's number, 1 is the best, as tests of all pairs leave it"
-        " open; no mark: not flown."
+        "Rank by the mean of each task's number, 1 is the best,"
+        " as tests of all pairs leave it open; no mark: not flown."
     )
     of_profile = (
-        "Of the starts that a law flew: on which share it needed at most so many times the best"
-        " law's number; a failure never."
+        "Of the starts that a law flew:"
+        " on which share it needed at most so many times the best law's number; a failure never."
     )
     place = make_folder(out / FIGURES)
     plots = [
@@ -361,8 +361,8 @@ def _cell(score: Score | None, task: TaskOfSuite) -> list[str]:
     rate, value, rank, unit = score.rate, score.value, score.rank, task.metric.unit
     return [
         (
-            f"{round(rate.mean * rate.n)} of {rate.n} ({100 * rate.low:.0f} to"
-            f" {100 * rate.high:.0f} %)"
+            f"{round(rate.mean * rate.n)} of {rate.n}"
+            f" ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
         ),
         f"{value.mean:.3g} {unit} ({value.low:.3g} to {value.high:.3g})",
         f"rank {rank.mean:.3g} ({rank.low:.3g} to {rank.high:.3g})",

@@ -149,8 +149,8 @@ def write_basin(
     )
     caption = (
         f"Start of the camera, {x[0]} and {y[0]} in the frame of its"
-        f" goal{_fixed_coordinates(summaries)}. Ideal cameras, without latency or noise{view}. Blue"
-        " converges, darker later; the number is its share."
+        f" goal{_fixed_coordinates(summaries)}. Ideal cameras, without latency or noise{view}."
+        " Blue converges, darker later; the number is its share."
     )
     image = _plate(folder, "basin", lambda: draw_basin(maps, x, y))
     heads, lines = _basin_table(summaries)
@@ -300,8 +300,8 @@ def write_sweep(
     the page's path.
     """
     caption = (
-        f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others"
-        f" ended ({_letters(maps)})."
+        f"Share of {seeds} seeds that reached the goal [%];"
+        f" the letter: how most of the others ended ({_letters(maps)})."
     )
     image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
     what = "median distance from the true goal, of those that converged [mm]"
@@ -418,8 +418,8 @@ def write_delay(
 ) -> Path:
     """Write `delay.png`, `delay.pdf` and `report.html`; returns the page's path."""
     caption = (
-        "Left: the gain, times the camera's period, at which the loop becomes unstable. Right: its"
-        " poles as the gain rises."
+        "Left: the gain, times the camera's period, at which the loop becomes unstable."
+        " Right: its poles as the gain rises."
     )
     plate = (
         "Gain limit over delay",
@@ -571,9 +571,9 @@ PLOTS: Final = (
         "Trials over each parameter",
         slices,
         (
-            "A point for each trial whose runs all reached the goal: the mean of the metric, later"
-            " trials darker, the best one ringed. Red crosses at the top: trials of which a run"
-            " failed, which count as worse than all of the others."
+            "A point for each trial whose runs all reached the goal: the mean of the metric,"
+            " later trials darker, the best one ringed. Red crosses at the top:"
+            " trials of which a run failed, which count as worse than all of the others."
         ),
     ),
     ("history", "Trials in their order", history, "The line is the best trial so far."),

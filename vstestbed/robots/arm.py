@@ -166,8 +166,8 @@ def joints_at(
         # By .3 rad or m at most: within it the Jacobian is a fair guess.
         q = np.clip(q + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12)), *limits.T)
     words = (
-        f"is out of its reach: it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg"
-        " away"
+        "is out of its reach:"
+        f" it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
     )
     raise UnreachableError("robot.start", words)
 
@@ -346,8 +346,8 @@ class Arm(Realistic):
             if self.actuation == "ideal" and getattr(self, field) is not None:
                 raise ParameterError.only_for(
                     field,
-                    "actuators with limits, and `actuation: ideal` has none; works: another"
-                    " actuation",
+                    "actuators with limits, and `actuation: ideal` has none;"
+                    " works: another actuation",
                 )
 
     @property
@@ -481,8 +481,8 @@ class Arm(Realistic):
         if gears.stiffness_nmprad:
             if self.strain_wave is not None and gears == preset:
                 words = (
-                    f"is given by realism {self.realism} and by strain_wave; works:"
-                    " robot.gears.stiffness_nmprad=[]"
+                    f"is given by realism {self.realism} and by strain_wave;"
+                    " works: robot.gears.stiffness_nmprad=[]"
                 )
                 raise ParameterError("gears.stiffness_nmprad", words)
             return (
@@ -494,8 +494,8 @@ class Arm(Realistic):
             return *self.strain_wave.curves(slides), self.strain_wave.rotors(slides)
         if gears != preset:
             words = (
-                "is missing; or give the catalogue sizes of its gears, e.g. robot.strain_wave:"
-                " {sizes: [20]}"
+                "is missing; or give the catalogue sizes of its gears, e.g."
+                " robot.strain_wave: {sizes: [20]}"
             )
             raise ParameterError("gears.stiffness_nmprad", words)
         return np.zeros(len(slides)), None, None
@@ -517,8 +517,8 @@ class Arm(Realistic):
         k = self.elastic.stiffest
         for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
             words = (
-                "must be 0 for {joint}, which has no rotor that could move by itself; give it an"
-                " `armature` in its file{or_here}"
+                "must be 0 for {joint}, which has no rotor that could move by itself;"
+                " give it an `armature` in its file{or_here}"
             )
             raise self._too_stiff(i, float(k[i]), words)
         w, joint = quickest(M, rotors, k)
@@ -526,8 +526,8 @@ class Arm(Realistic):
         if step < SHORTEST_STEP_S:
             most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
             needs = (
-                f"it vibrates at {w / 2 / np.pi:.0f} Hz, which needs physics steps of"
-                f" {1e6 * step:.0f} us"
+                f"it vibrates at {w / 2 / np.pi:.0f} Hz,"
+                f" which needs physics steps of {1e6 * step:.0f} us"
             )
             raise self._too_stiff(
                 joint,

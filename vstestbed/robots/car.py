@@ -432,8 +432,8 @@ class Car(Vehicle, Onboard):
                 f" {body.track_m:g} and wheelbase_m"
             )
             words = (
-                f"{words} {body.wheelbase_m:g}: the inner front wheel would turn beyond 71 degrees,"
-                " into the chassis"
+                f"{words} {body.wheelbase_m:g}:"
+                " the inner front wheel would turn beyond 71 degrees, into the chassis"
             )
             raise ParameterError("limits.steering_rad", words, limits.steering_rad)
         # by default 1.32 Nm of the buggy's four wheels, by the file

@@ -129,8 +129,8 @@ class Mjcf(Arm):
             name, drive = unfit[0]
             found = f"a {drive} actuator" if drive else "no actuator"
             words = (
-                f"must not be file: {name} has {found} there, which follows no speed; works:"
-                " velocity, which adds servos"
+                f"must not be file: {name} has {found} there, which follows no speed;"
+                " works: velocity, which adds servos"
             )
             raise ParameterError("actuation", words)
         if self.actuation == "velocity":

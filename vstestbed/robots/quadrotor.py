@@ -297,8 +297,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         least = max(GRAVITY / (GRAVITY + MAX_TRIM), craft.hover / craft.limit)
         if self.battery and share < least:
             words = (
-                f"leaves {share:.2g} of the ordered thrust at the start; the flight loops make up"
-                f" for {least:.2g} at least. Works:"
+                f"leaves {share:.2g} of the ordered thrust at the start;"
+                f" the flight loops make up for {least:.2g} at least. Works:"
             )
             raise ParameterError(
                 "battery.charge",
@@ -314,8 +314,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
                 most = share * factor * craft.limit
                 if most < W:
                     words = (
-                        f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover, beyond its"
-                        f" {most**0.5:.4g}"
+                        f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover,"
+                        f" beyond its {most**0.5:.4g}"
                     )
                     raise ParameterError(
                         "motors.thrust",

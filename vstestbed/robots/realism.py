@@ -74,8 +74,8 @@ class Realistic(Robot):
         if level != "none" and level not in cls.presets:
             raise ParameterError(
                 "realism",
-                f"fills nothing: {cls.__name__} has no preset of that name; works: none, and single"
-                " effects",
+                f"fills nothing: {cls.__name__} has no preset of that name;"
+                " works: none, and single effects",
                 level,
             )
         if isinstance(given, ArgsKwargs):
@@ -102,8 +102,8 @@ class Realistic(Robot):
                 name in values and values[name] == value for name, value in filled.items()
             ):
                 words = (
-                    f"fills nothing here, where every effect is given as at {other}; works:"
-                    f" robot.at_level({level!r})"
+                    f"fills nothing here, where every effect is given as at {other};"
+                    f" works: robot.at_level({level!r})"
                 )
                 raise ParameterError("realism", words, level)
 

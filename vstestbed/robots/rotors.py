@@ -89,20 +89,20 @@ class QuadrotorParameters:
         a, b, c = sorted(self.inertia)
         if a + b < c:
             words = (
-                f"must have no moment over the sum of the two others, as any body has; {c:g} is"
-                f" over {a + b:.4g}"
+                "must have no moment over the sum of the two others, as any body has;"
+                f" {c:g} is over {a + b:.4g}"
             )
             raise ParameterError("inertia_kgm2", words, list(self.inertia))
         ratio = 4 * self.thrust_coefficient * self.limit / (self.mass_kg * GRAVITY)
         if ratio < LEAST_THRUST_TO_WEIGHT:
             need = LEAST_THRUST_TO_WEIGHT / ratio
             words = (
-                f"leaves a thrust of {ratio:.3g} times the weight; to hover with a margin takes"
-                f" {LEAST_THRUST_TO_WEIGHT:g}. Works:"
+                f"leaves a thrust of {ratio:.3g} times the weight;"
+                f" to hover with a margin takes {LEAST_THRUST_TO_WEIGHT:g}. Works:"
             )
             ways = (
-                f"mass_kg up to {self.mass_kg / need:.3g}, or thrust_coefficient from"
-                f" {self.thrust_coefficient * need:.3g}"
+                f"mass_kg up to {self.mass_kg / need:.3g},"
+                f" or thrust_coefficient from {self.thrust_coefficient * need:.3g}"
             )
             raise ParameterError(
                 "mass_kg",
@@ -118,8 +118,8 @@ class QuadrotorParameters:
         )
         if turn < LEAST_TURN:
             words = (
-                f"lets the rotors turn the craft by {turn:.2g} rad/s^2, which takes {LEAST_TURN:g}"
-                " to keep it level"
+                f"lets the rotors turn the craft by {turn:.2g} rad/s^2,"
+                f" which takes {LEAST_TURN:g} to keep it level"
             )
             raise ParameterError(
                 "inertia_kgm2",

@@ -230,8 +230,8 @@ def _topics(
             )
             raise ParameterError(
                 "--remap",
-                f"{role}=TOPIC must say which topic it is: of {' or '.join(those)} there are"
-                f" {listed}",
+                f"{role}=TOPIC must say which topic it is:"
+                f" of {' or '.join(those)} there are {listed}",
             )
     return found
 
@@ -572,8 +572,8 @@ def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Pa
         same = int((differs <= SAME).sum())
         head = f"{same} of {len(differs)} recorded twists are computed again to {SAME:g}"
         sentences.append(
-            f"The largest difference is {differs.max():.3g}, the median {np.median(differs):.3g}"
-            " [m/s, rad/s]."
+            f"The largest difference is {differs.max():.3g},"
+            f" the median {np.median(differs):.3g} [m/s, rad/s]."
         )
         state = "good" if same == len(differs) else "open"
     else:
@@ -612,9 +612,9 @@ def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Pa
 
 
 CAPTION = (
-    "Recorded twists (dots) and those that the controller computes of the recorded pictures and"
-    " readings (lines), in the frame in which they were sent; below the largest difference of a"
-    " component."
+    "Recorded twists (dots) and those that the controller computes of the recorded pictures"
+    " and readings (lines), in the frame in which they were sent;"
+    " below the largest difference of a component."
 )
 
 

@@ -26,9 +26,9 @@ from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.ros.messages import NS, Message, PassedOver, from_cdr, stamp, time_of
 
 WORKS = (
-    "a folder of rosbag2, or its MCAP or .db3 file; `mcap recover FILE -o OUT`, or `sqlite3"
-    " FILE.db3 .recover`, mends one that was cut off, `ros2 bag reindex` a folder,"
-    " `rosbags-convert` makes one of ROS 1"
+    "a folder of rosbag2, or its MCAP or .db3 file;"
+    " `mcap recover FILE -o OUT`, or `sqlite3 FILE.db3 .recover`, mends one that was cut off,"
+    " `ros2 bag reindex` a folder, `rosbags-convert` makes one of ROS 1"
 )
 MOST_BAG, MOST_METADATA = 1 << 36, 1 << 19  # bytes of a bag's file, and of its metadata.yaml
 LONGEST_QOS = 1000  # characters that tell how a topic is transmitted

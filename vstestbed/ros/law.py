@@ -91,8 +91,8 @@ def watchdog_of(scenario: Scenario, given: float | None) -> float:
     watchdog_s = given or scenario.timing.order_s(scenario.camera)
     if not 0 < watchdog_s <= LONGEST_S:
         words = (
-            "for so long the last twist may stand; by default it is as long as an order lasts"
-            " (`timing.command_timeout_s`)"
+            "for so long the last twist may stand;"
+            " by default it is as long as an order lasts (`timing.command_timeout_s`)"
         )
         raise ParameterError.bound(
             "--watchdog", "between", f"0 and {LONGEST_S:g} s", watchdog_s, words
@@ -184,8 +184,8 @@ class Senses:
         for name, (t, _) in found.items():
             if stamp is not None and abs(t - stamp) > self._near_s:
                 words = (
-                    f"of {name} nearest to the picture of {stamp:.3f} s is of {t:.3f} s; are both"
-                    " stamped by one clock?"
+                    f"of {name} nearest to the picture of {stamp:.3f} s is of {t:.3f} s;"
+                    " are both stamped by one clock?"
                 )
                 raise ParameterError("readings", words)
         return reading if not joints else replace(reading, **self._between(joints, stamp))

@@ -86,8 +86,8 @@ def rules_of(words: Iterable[str]) -> list[Rule]:
             )
         if not (NAME.fullmatch(name) and NAME.fullmatch(other) and node in ("", *NODES)):
             form = (
-                "[NODE:]NAME:=OTHER, such as image_raw:=/camera/color/image_raw, NODE one of"
-                f" {', '.join(NODES)}"
+                "[NODE:]NAME:=OTHER, such as image_raw:=/camera/color/image_raw,"
+                f" NODE one of {', '.join(NODES)}"
             )
             raise ParameterError.form("--remap", form, word)
         found.append(Rule(node, name, other))

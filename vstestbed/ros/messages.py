@@ -280,8 +280,8 @@ def _rows(message: Message, kind: np.dtype[Any], channels: int) -> Any:
     data, step = np.asarray(message.data, np.uint8), message.step or used
     if step < used or data.size < step * height:
         words = (
-            f"has {data.size} bytes in rows of {step}; {width} x {height} pixels of"
-            f" {message.encoding} are {used * height}"
+            f"has {data.size} bytes in rows of {step};"
+            f" {width} x {height} pixels of {message.encoding} are {used * height}"
         )
         raise ParameterError("image", words)
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :used]).view(kind)
@@ -534,8 +534,8 @@ def check_finite(topic: str, message: Message) -> None:
         raise ParameterError.infinite(topic, numbers)
     if topic == "imu" and oriented and abs(math.hypot(*numbers[:4]) - 1.0) > UNIT:
         words = (
-            "is no unit quaternion; a driver without an attitude sets the first number of its"
-            " covariance to -1"
+            "is no unit quaternion;"
+            " a driver without an attitude sets the first number of its covariance to -1"
         )
         raise ParameterError("imu.orientation", words, numbers[:4])
 
@@ -547,8 +547,8 @@ def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
     there = {name: i for i, name in enumerate(message.name)}
     if missing := [name for name in names if name not in there]:
         words = (
-            f"have no {', '.join(missing)}; this robot's joints are {', '.join(names)}, in any"
-            " order, with others or without"
+            f"have no {', '.join(missing)};"
+            f" this robot's joints are {', '.join(names)}, in any order, with others or without"
         )
         raise ParameterError("joint_states", words, list(message.name))
     order = [there[name] for name in names]

@@ -193,8 +193,8 @@ class RobotNode:
             frame = message.header.frame_id
             if frame not in (OPTICAL, body_frame(self.scenario.robot), ""):
                 words = (
-                    f"is in the frame {frame}; works: {OPTICAL} or"
-                    f" {body_frame(self.scenario.robot)}"
+                    f"is in the frame {frame};"
+                    f" works: {OPTICAL} or {body_frame(self.scenario.robot)}"
                 )
                 raise ParameterError("twist", words)
             if np.abs(v).max() > FASTEST:

@@ -274,8 +274,8 @@ def check_cameras(scenario: Scenario) -> None:
             )
         if not eyes[name].rigid:
             words = (
-                f"must name a camera that moves as the law's own does, and {name} does not; works:"
-                " fusion: pose"
+                f"must name a camera that moves as the law's own does, and {name} does not;"
+                " works: fusion: pose"
             )
             raise ParameterError(field, words, name)
     if law.cameras and not getattr(law, "law", law).stacks:
@@ -332,8 +332,8 @@ def _check_camera(scenario: Scenario, eye: OtherCamera) -> None:
         )
     if not eye.rigid and not isinstance(eye.robot, Arm):
         words = (
-            f"must be flange for robot {eye.robot.kind}, which does not know its place in the room;"
-            " an arm does"
+            f"must be flange for robot {eye.robot.kind},"
+            " which does not know its place in the room; an arm does"
         )
         raise ParameterError("on", words, "world")
 
@@ -346,8 +346,8 @@ def _check_pair(scenario: Scenario, eye: OtherCamera) -> None:
     for name in ("rate_hz", "latency_s"):
         if getattr(own, name) != getattr(other, name):
             words = (
-                f"{getattr(own, name):g}, as camera.{name} is: depths are triangulated from"
-                " pictures of the same time"
+                f"{getattr(own, name):g}, as camera.{name} is:"
+                " depths are triangulated from pictures of the same time"
             )
             raise ParameterError.bound(
                 f"cameras.{eye.name}.camera.{name}", "equal to", words, getattr(other, name)

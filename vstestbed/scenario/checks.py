@@ -45,8 +45,8 @@ def check_metres(robot: Robot, camera: Camera, target: Target) -> None:
     """
     if robot.base == "planar" and camera.mount.xyz[2] <= 0:
         words = (
-            "must have z > 0: the vehicle's frame lies on the floor, and the camera would be"
-            " under it"
+            "must have z > 0: the vehicle's frame lies on the floor,"
+            " and the camera would be under it"
         )
         raise ParameterError("camera.mount.xyz", words, camera.mount.xyz)
     check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
@@ -61,8 +61,8 @@ def check_length(field: str, T: Array, most_m: float) -> None:
     length = float(np.linalg.norm(T[:3, 3]))
     if length > most_m:
         words = (
-            f"is {length:.4g} m away, and may be at most {most_m:g} m; lengths are in metres: did"
-            f" you mean {length / 1000:.4g} m?"
+            f"is {length:.4g} m away, and may be at most {most_m:g} m;"
+            f" lengths are in metres: did you mean {length / 1000:.4g} m?"
         )
         raise ParameterError(field, words)
 
@@ -76,14 +76,14 @@ def check_times(
     """
     if timing.robot_clock is not None and robot.body is None:
         words = (
-            f"stamps a robot's sensor readings, and robot {robot.kind} has none; errors of the"
-            " pictures' stamps: timing.camera_clock"
+            f"stamps a robot's sensor readings, and robot {robot.kind} has none;"
+            " errors of the pictures' stamps: timing.camera_clock"
         )
         raise ParameterError("timing.robot_clock", words)
     if step_s > (1 + 1e-9) * (most_s := needed_step(robot)):
         words = (
-            f"{most_s:.4g} s with these gears and drives; without step_s the longest that works is"
-            " taken"
+            f"{most_s:.4g} s with these gears and drives;"
+            " without step_s the longest that works is taken"
         )
         raise ParameterError.bound("physics.step_s", "at most", words, step_s)
     if stop.duration_s * camera.rate_hz > MOST_FRAMES:
@@ -104,8 +104,8 @@ def check_times(
     transit_s = MOST_BYTES / size / camera.rate_hz
     if camera.latency_s + timing.latency_jitter_s > transit_s:
         words = (
-            f"may be at most {transit_s:.4g} s with its jitter: more of these pictures in transit"
-            " do not fit into memory"
+            f"may be at most {transit_s:.4g} s with its jitter:"
+            " more of these pictures in transit do not fit into memory"
         )
         raise ParameterError("camera.latency_s", words, camera.latency_s)
 
@@ -156,8 +156,8 @@ def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[
     """
     if law.depth.true and not detector.needs_truth:
         words = (
-            "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal,"
-            " estimate or sensor"
+            "may be oracle only with detector: {kind: oracle};"
+            " with pixels use pnp, constant, goal, estimate or sensor"
         )
         raise ParameterError("law.depth", words)
     if law.depth.measured and camera.depth_sensor is None:
@@ -172,8 +172,8 @@ def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[
         )
     if law.depth.on_floor and robot.base != "planar":
         words = (
-            f"may be floor only for a vehicle, and robot {robot.kind} is none; use pnp, goal or"
-            " estimate"
+            f"may be floor only for a vehicle, and robot {robot.kind} is none;"
+            " use pnp, goal or estimate"
         )
         raise ParameterError("law.depth", words)
 
@@ -188,8 +188,8 @@ def check_carrier(target: Target) -> None:
     leader = VEHICLES[by]()
     if route.least_radius_m < leader.turning_radius_m:
         words = (
-            f"has a bend of {route.least_radius_m:.3g} m, and the car that carries the target turns"
-            " no tighter than"
+            f"has a bend of {route.least_radius_m:.3g} m,"
+            " and the car that carries the target turns no tighter than"
         )
         raise ParameterError(
             "target.motion.route",
@@ -210,8 +210,8 @@ def check_goal_pictures(
         field = "goal.picture" if len(goal.pictures) == 1 else f"goal.views.{i}.picture"
         if not needed and (said.file is not None or said.other_light):
             words = (
-                f"is looked at by neither law {law.kind} nor detector {detector.kind}; it is for"
-                " law photometric, or detector keypoints"
+                f"is looked at by neither law {law.kind} nor detector {detector.kind};"
+                " it is for law photometric, or detector keypoints"
             )
             raise ParameterError(field, words)
         if said.file is None:
@@ -306,8 +306,8 @@ def check_markers(
         )
     if runs_along(target) and (law.depth.needs_pose or needs_pose):
         words = (
-            f"may not be {law.depth.kind}: the outline of {called(target)} does not tell how it is"
-            " turned, and so has no pose"
+            f"may not be {law.depth.kind}:"
+            f" the outline of {called(target)} does not tell how it is turned, and so has no pose"
         )
         remedy = (
             f"; use {'size or ' if sized else ''}goal"
@@ -363,8 +363,8 @@ def check_own_points(
         )
     if detector.fleeting and law.depth.estimator is not None:
         words = (
-            f"estimates each point's depth from its motion, and detector {detector.kind} shows"
-            " other points in every picture"
+            "estimates each point's depth from its motion,"
+            f" and detector {detector.kind} shows other points in every picture"
         )
         raise ParameterError(
             "law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)"
@@ -374,8 +374,8 @@ def check_own_points(
     needs_pose = law.depth.needs_pose or "T_camera_target" in law.inputs
     if needs_pose and not upright and detector.rows is not None and detector.rows < FIRST_POSE:
         words = (
-            f"must be at least {FIRST_POSE} where the target's pose is needed, since three points"
-            " have up to four poses"
+            f"must be at least {FIRST_POSE} where the target's pose is needed,"
+            " since three points have up to four poses"
         )
         depths = (
             ", or law.depth goal or sensor"
@@ -402,8 +402,8 @@ def _check_changing(law: Any, detector: str) -> None:
             and part.needs_same_markers
         ):
             why = (
-                f"it is made of several markers together, which takes {wanted}; use point, polar or"
-                " spherical"
+                f"it is made of several markers together, which takes {wanted};"
+                " use point, polar or spherical"
             )
             raise ParameterError.excluded(f"{place}.feature", feature.kind, why=why)
     if law.needs_same_markers:
@@ -418,8 +418,8 @@ def _check_changing(law: Any, detector: str) -> None:
     if getattr(getattr(law, "visibility", None), "margin_px", 0) > 0:
         given["visibility.margin_px"] = "0"
     words = (
-        f"keeps points from the border or a plane, and those of detector {detector} are all over"
-        " the picture"
+        "keeps points from the border or a plane,"
+        f" and those of detector {detector} are all over the picture"
     )
     remedy = (
         " and ".join(f"law.{name}: {off}" for name, off in given.items())
@@ -438,8 +438,8 @@ def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[A
     goal, in_grey = stop.converged, "image" in law.inputs
     if goal.error_grey is not None and not in_grey:
         words = (
-            f"is of a law that works on grey levels (photometric), and law {law.kind} does not; use"
-            " error_px"
+            "is of a law that works on grey levels (photometric),"
+            f" and law {law.kind} does not; use error_px"
         )
         raise ParameterError("stop.converged.error_grey", words)
     field = next(
@@ -465,8 +465,8 @@ def _untold_pose(target: Target, law: Law[Any]) -> str:
     if law.depth.needs_pose or {"T_camera_target", "place"} & set(law.inputs):
         return ""
     return (
-        f"which law.depth {law.depth.kind} does not estimate; works:"
-        f" {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
+        f"which law.depth {law.depth.kind} does not estimate;"
+        f" works: {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
     )
 
 
@@ -487,8 +487,8 @@ def check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> No
             if not member.markers or marker in member.markers
         ]
         why = (
-            f"detector {detector.kind} sees {', '.join(detector.markers)}; with {marker} use"
-            f" detector {' or '.join(able)}"
+            f"detector {detector.kind} sees {', '.join(detector.markers)};"
+            f" with {marker} use detector {' or '.join(able)}"
         )
         raise ParameterError.excluded("target.marker", marker, why=why)
     if set(law.inputs) == {"image"} and detector.needs_goal:
@@ -496,8 +496,8 @@ def check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> No
         raise ParameterError.excluded("detector", detector.kind, why=why)
     if set(law.inputs) == {"image"} and detector.markers and not target.draw_markers:
         why = (
-            f"no markers are drawn (target.draw_markers: false), and law {law.kind} needs none; use"
-            " none"
+            "no markers are drawn (target.draw_markers: false),"
+            f" and law {law.kind} needs none; use none"
         )
         raise ParameterError.excluded("detector", detector.kind, why=why)
     if detector.needs_sheet and target.sheet is None:
@@ -508,8 +508,8 @@ def check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> No
     if detector.markers and not target.draw_markers and target.sheet is None:
         able = [kind for kind, member in of_markers.items() if not member.markers]
         why = (
-            f"a {shown} without markers shows it nothing to detect; use true, or detector"
-            f" {' or '.join(able)}"
+            f"a {shown} without markers shows it nothing to detect;"
+            f" use true, or detector {' or '.join(able)}"
         )
         raise ParameterError.excluded(
             "target.draw_markers", f"false with detector {detector.kind}", False, why=why
@@ -534,8 +534,8 @@ def _check_told_apart(target: Target, detector: Detector[Any]) -> None:
             seen = "turned" if target.one_sided else "turned, or from behind"
             words = f"leave it open which marker is which: {seen}, the target shows"
             works = (
-                "other hues of these, none (all are then different), marker tag, an arrangement"
-                " without symmetry"
+                "other hues of these, none (all are then different), marker tag,"
+                " an arrangement without symmetry"
             )
             words += f" {', '.join(exchanged)}; works: {works}"
             raise ParameterError("target.marker.hues", words, list(target.marker.hues))
@@ -579,8 +579,8 @@ def _check_marker_count(
     needed = max(law.markers_needed(basis), 1)
     if detector.rows is not None and detector.rows < law.markers_needed(basis):
         why = (
-            f"it reports {detector.rows} points, and law {law.kind} needs {needed} or more; use"
-            " another one, or law photometric"
+            f"it reports {detector.rows} points, and law {law.kind} needs {needed} or more;"
+            " use another one, or law photometric"
         )
         raise ParameterError.excluded("detector", detector.kind, why=why)
     if detector.rows is None and len(points) < needed:

@@ -107,8 +107,8 @@ class Gaussian(Distribution):
             self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma
         ):
             words = (
-                f"must reach into three standard deviations about the mean, {mean - 3 * sigma:g} to"
-                f" {mean + 3 * sigma:g}"
+                "must reach into three standard deviations about the mean,"
+                f" {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
             )
             raise ParameterError("within", words, list(self.within))
 

@@ -264,18 +264,18 @@ def check_plugins(scenario: Scenario) -> None:
         file = getattr(home, "__file__", None)
         if file is None or cls.__module__ == "__main__":
             words = (
-                f"is {cls.__name__}, which is defined in the program that runs (a script, a"
-                " notebook), where no scenario file finds it"
+                f"is {cls.__name__}, which is defined in the program that runs"
+                " (a script, a notebook), where no scenario file finds it"
             )
             remedy = (
-                "put the class into a file mine.py, import it from there, and give the scenario"
-                " plugins=('mine.py',)"
+                "put the class into a file mine.py, import it from there,"
+                " and give the scenario plugins=('mine.py',)"
             )
             raise ParameterError(field, f"{words}; {remedy}")
         file = str(Path(file).resolve())
         words = (
-            f"is {cls.__name__} of {file}, which the file would not name; give the scenario"
-            f" plugins=({file!r},)"
+            f"is {cls.__name__} of {file}, which the file would not name;"
+            f" give the scenario plugins=({file!r},)"
         )
         raise ParameterError(field, words)
 

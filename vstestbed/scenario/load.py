@@ -92,8 +92,8 @@ def load(
     path = find(name)
     if path.name == RESOLVED and (overrides or seed is not None):
         words = (
-            "is the record of a run, with every preset and draw written out; put other values and"
-            f" seeds over {GIVEN} beside it"
+            "is the record of a run, with every preset and draw written out;"
+            f" put other values and seeds over {GIVEN} beside it"
         )
         raise ScenarioError([Mistake(str(path), "", words)])
     scenario = parse(text_of(path), str(path), overrides, seed, places, plugins)
@@ -166,8 +166,8 @@ def _refuse_drawn(
         for dotted in overrides:
             if f"{dotted}.".startswith(f"{one.field}."):
                 words = (
-                    f"is drawn from the seed by randomise.{i}; set randomise=[], or leave that"
-                    " distribution out, to give it a value"
+                    f"is drawn from the seed by randomise.{i};"
+                    " set randomise=[], or leave that distribution out, to give it a value"
                 )
                 raise ScenarioError([Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words)])
 

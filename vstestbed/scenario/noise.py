@@ -51,8 +51,8 @@ class TargetNoise:
             return
         if not hasattr(target, "repainted"):
             words = (
-                f"changes the target's own picture, and a {kind_of(type(target))} has none; works:"
-                " target picture, or noise.perturb"
+                f"changes the target's own picture, and a {kind_of(type(target))} has none;"
+                " works: target picture, or noise.perturb"
             )
             raise ParameterError("noise.target", words)
         for i, kind in enumerate(self.perturb):
@@ -63,8 +63,8 @@ class TargetNoise:
                     if "picture" in member.changes
                 ]
                 words = (
-                    "changes measured pixels, and here the target's picture is changed; works:"
-                    f" {', '.join(able)}"
+                    "changes measured pixels, and here the target's picture is changed;"
+                    f" works: {', '.join(able)}"
                 )
                 raise ParameterError(f"noise.target.perturb.{i}", words, kind.kind)
 

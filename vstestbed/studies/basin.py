@@ -44,8 +44,8 @@ def left_out(scenario: Scenario) -> list[str]:
     found = [] if scenario.robot.body is None else [*_of_robot(scenario.robot)]
     if scenario.detector.rows is not None:
         found.append(
-            f"the points that detector {scenario.detector.kind} finds (the law has the target's"
-            " corners in their place)"
+            f"the points that detector {scenario.detector.kind} finds"
+            " (the law has the target's corners in their place)"
         )
     of_cameras = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
     found += [
@@ -278,15 +278,15 @@ def laws(
         BatchSetup(scenario)  # raises if the law cannot run in a batch
         if same := [other for other, s in found if s == scenario]:
             problem = (
-                f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without"
-                " the arm's dynamics, latency"
+                f"`{label}` would make the same map as `{same[0]}`:"
+                " its cameras are ideal, without the arm's dynamics, latency"
             )
             raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
         found.append((label, scenario))
     if omitted := dict.fromkeys(name for c in chosen for name in left_out(c.scenario)):
         words = (
-            "the maps are of the law behind an ideal camera, and leave out %s; vstestbed compare"
-            " runs it all, start by start"
+            "the maps are of the law behind an ideal camera, and leave out %s;"
+            " vstestbed compare runs it all, start by start"
         )
         logging.getLogger("vstestbed").warning(words, ", ".join(omitted))
     return found

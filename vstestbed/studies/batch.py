@@ -133,8 +133,8 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     """
     if "image" in scenario.law.inputs:
         words = (
-            "works on whole pictures, and a batch draws none; sweep and compare --vary run it start"
-            " by start"
+            "works on whole pictures, and a batch draws none;"
+            " sweep and compare --vary run it start by start"
         )
         raise ParameterError("law.kind", f"{scenario.law.kind} {words}")
     robot, camera, detector = scenario.resolved.robot, scenario.camera, scenario.detector
@@ -201,8 +201,8 @@ class BatchSetup:
             "law.kind",
             not foreign,
             (
-                f"{law.kind} reads {''.join(foreign[:1])}, which the ideal cameras of a batch do"
-                " not measure"
+                f"{law.kind} reads {''.join(foreign[:1])},"
+                " which the ideal cameras of a batch do not measure"
             ),
         )
         margin_px = law.visibility.margin_px
@@ -215,8 +215,8 @@ class BatchSetup:
             f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle",
         )
         words = (
-            "must be [] in a batch, whose runs share one scenario; compare --seeds draws it for"
-            " each run"
+            "must be [] in a batch, whose runs share one scenario;"
+            " compare --seeds draws it for each run"
         )
         yield "randomise", not s.randomise, words
         one_view = not (
@@ -228,8 +228,8 @@ class BatchSetup:
         solid = s.target.body is not None and not s.target.outlined
         bordered = isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited"
         words = (
-            "has a solid, and a batch does not know which markers it hides; give an unlimited field"
-            " of view, or a target without one"
+            "has a solid, and a batch does not know which markers it hides;"
+            " give an unlimited field of view, or a target without one"
         )
         yield "target", not (solid and bordered), words
         exact = s.calibration.camera_exact and s.calibration.depth_exact
@@ -307,8 +307,8 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
     maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
     if maps * n * n > MOST_STARTS and not force:
         words = (
-            f"would make {maps:,} maps of {n} x {n} starts; more than {MOST_STARTS:,} starts in all"
-            " need --force"
+            f"would make {maps:,} maps of {n} x {n} starts;"
+            f" more than {MOST_STARTS:,} starts in all need --force"
         )
         raise ParameterError("basin", words)
 
@@ -440,8 +440,8 @@ def simulate_in_parts(scenario: Scenario, start: Array, jobs: int | None, folder
     count = workers(jobs, len(start))
     minutes = (time.perf_counter() - began) / len(few) * len(start) / count / 60
     words = (
-        "law %s has no equations for many runs at once, and is asked run by run: %d starts take"
-        " some %.2g min with %d workers"
+        "law %s has no equations for many runs at once, and is asked run by run:"
+        " %d starts take some %.2g min with %d workers"
     )
     logging.getLogger("vstestbed").warning(words, scenario.law.kind, len(start), minutes, count)
     shares = [

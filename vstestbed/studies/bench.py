@@ -215,8 +215,8 @@ class Bench:
             ),
             f"  {self.ratio:.2f} times the floor ({self.ratio_low:.2f} to {self.ratio_high:.2f})",
             (
-                f"  {self.real_time_factor:.1f} times real time, after {self.setup_s:.2f} s to"
-                " build the scene"
+                f"  {self.real_time_factor:.1f} times real time,"
+                f" after {self.setup_s:.2f} s to build the scene"
             ),
             "",
             f"  {'ms a frame':12}{'run':>8}{'floor':>8}",

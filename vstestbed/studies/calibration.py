@@ -92,8 +92,8 @@ class Board:
                 raise ValueError(words)
         except (ValueError, AttributeError, cv2.error):
             form = (
-                f"COLUMNSxROWS:SQUARE_M:MARKER_M:DICTIONARY, 3 or more each way, {LEAST_M:g} to"
-                f" {MOST_M:g} m, such as 7x5:0.04:0.03:4X4_50"
+                "COLUMNSxROWS:SQUARE_M:MARKER_M:DICTIONARY, 3 or more each way,"
+                f" {LEAST_M:g} to {MOST_M:g} m, such as 7x5:0.04:0.03:4X4_50"
             )
             raise ParameterError.form("--board", form, short(words)) from None
         if (needed := made.columns * made.rows // 2) > markers:  # before OpenCV makes them
@@ -308,8 +308,8 @@ def calibrated(
     unseen = [shot.name for shot in shots if not any(shot is one for one, _ in seen)]
     if len(seen) < 3:
         words = (
-            f"show the board {board.columns}x{board.rows} in {len(seen)} of {len(shots)}, and 3 are"
-            " needed; is --board right?"
+            f"show the board {board.columns}x{board.rows} in {len(seen)} of {len(shots)},"
+            " and 3 are needed; is --board right?"
         )
         raise ParameterError("pictures", words)
     camera, rms = (
@@ -375,16 +375,16 @@ def intrinsics_of(
     except cv2.error as error:
         raise ParameterError(
             "pictures",
-            f"do not determine the lens ({' '.join(str(error.err).split())}); take more, from"
-            " aslant",
+            f"do not determine the lens ({' '.join(str(error.err).split())});"
+            " take more, from aslant",
         ) from None
     try:
         found = Intrinsics.of(K, np.ravel(k), (width, height), model)
     except ParameterError as error:
         # OpenCV returns zeros, NaN or anything where nothing fixes the numbers
         words = (
-            f"do not determine the focal length ({error}): views in which all boards are seen from"
-            " the front leave it open"
+            f"do not determine the focal length ({error}):"
+            " views in which all boards are seen from the front leave it open"
         )
         raise ParameterError(
             "pictures", f"{words}; tilt the board by 20 to 40 degrees, about both of its axes"
@@ -408,8 +408,8 @@ def advice(made: Calibrated) -> list[str]:
         if angle < 15:
             words = ", ".join(f"{a:.1f}" for a in axis)
             found.append(
-                f"The flange turns by {angle:.0f} degrees (RMS) about its axis ({words}): add views"
-                " turned by 30 degrees about it."
+                f"The flange turns by {angle:.0f} degrees (RMS) about its axis ({words}):"
+                " add views turned by 30 degrees about it."
             )
     uv = np.concatenate([v.uv for v in made.views])
     cells = np.floor(uv / (np.array([made.camera.width, made.camera.height]) / 3)).astype(int)
@@ -421,8 +421,8 @@ def advice(made: Calibrated) -> list[str]:
     filled = {int(v) * 3 + int(u) for u, v in np.clip(cells, 0, 2)}
     if empty := [name for i, name in enumerate(names) if i not in filled]:
         found.append(
-            f"No corner was in these ninths of the picture: {', '.join(empty)}; the lens is not"
-            " known there."
+            f"No corner was in these ninths of the picture: {', '.join(empty)};"
+            " the lens is not known there."
         )
     return found
 
@@ -448,8 +448,8 @@ def write(
     from vstestbed.report.pages import write_page
 
     comment = (
-        f"{len(made.views)} views of {source}; corners RMS {made.rms_px:.3f} px, by the hand-eye"
-        f" pose {made.found.rms_px:.3f} px"
+        f"{len(made.views)} views of {source};"
+        f" corners RMS {made.rms_px:.3f} px, by the hand-eye pose {made.found.rms_px:.3f} px"
     )
     write_calibration(folder / "calibration.yaml", made.camera, made.found.X, comment)
     place, turn = 1e3 * made.found.sigma[0], np.degrees(made.found.sigma[1])
@@ -462,9 +462,9 @@ def write(
     where = "on the flange" if made.in_hand else "in the room"
     sentences = [
         (
-            f"The corners are {made.found.rms_px:.3f} px (RMS) from where the pose puts them; of"
-            f" views that were left out {px:.3f} px, {1e3 * mm:.2f} mm and {math.degrees(deg):.3f}"
-            " degrees."
+            f"The corners are {made.found.rms_px:.3f} px (RMS) from where the pose puts them;"
+            f" of views that were left out {px:.3f} px,"
+            f" {1e3 * mm:.2f} mm and {math.degrees(deg):.3f} degrees."
         ),
         *(
             [f"The lens alone explains them to {made.rms_px:.3f} px."]
@@ -506,8 +506,8 @@ def write(
 
 
 CAPTION = (
-    "Corners of all views in the picture, each with its error by the hand-eye pose, 200 times as"
-    " long."
+    "Corners of all views in the picture,"
+    " each with its error by the hand-eye pose, 200 times as long."
 )
 Table = tuple[str, list[str], list[list[str]]]
 
@@ -598,8 +598,8 @@ def told(made: Calibrated, truth: Scenario | None) -> list[str]:
         math.degrees(float(np.linalg.norm(made.found.sigma[1]))),
     )
     lines = [
-        f"{len(made.views)} views; xyz {x:.2f} {y:.2f} {z:.2f} mm, rpy {roll:.3f} {pitch:.3f}"
-        f" {yaw:.3f} deg, +-{place:.2f} mm +-{turn:.3f} deg"
+        f"{len(made.views)} views; xyz {x:.2f} {y:.2f} {z:.2f} mm,"
+        f" rpy {roll:.3f} {pitch:.3f} {yaw:.3f} deg, +-{place:.2f} mm +-{turn:.3f} deg"
     ]
     if truth is not None:
         lines += [
@@ -796,8 +796,8 @@ def write_table(
     said = [
         about,
         (
-            "In each table the others are as above: errors in mm, in brackets that of 95 % of the"
-            " calibrations, then in degrees."
+            "In each table the others are as above:"
+            " errors in mm, in brackets that of 95 % of the calibrations, then in degrees."
         ),
     ]
     with style():

@@ -255,8 +255,8 @@ def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
     seeds = study.comparison.seeds or 0
     left = len(study.runs) - len(ended)
     caution = (
-        f"Interrupted: {left:,} of {len(study.runs):,} runs are missing, and the shares are of"
-        " fewer seeds."
+        f"Interrupted: {left:,} of {len(study.runs):,} runs are missing,"
+        " and the shares are of fewer seeds."
         if left
         else ""
     )

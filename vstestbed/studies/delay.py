@@ -369,8 +369,8 @@ def prepared(scenario: Scenario) -> Scenario:
         raise ParameterError.fixed("robot.kind", "free or puma560", settled.robot.kind, why=why)
     if isinstance(settled.robot, Arm) and settled.robot.controller.takes_wrench:
         why = (
-            "servos of speeds are in the loop whose limit is found, and this controller is told"
-            " forces besides"
+            "servos of speeds are in the loop whose limit is found,"
+            " and this controller is told forces besides"
         )
         raise ParameterError.fixed(
             "robot.controller",
@@ -395,8 +395,8 @@ def _fields_of(law: Law[Any]) -> set[str]:
     """
     if "image" in law.inputs:
         words = (
-            "works on whole pictures, and the loop is measured by the oracle's markers; use a law"
-            " of markers"
+            "works on whole pictures, and the loop is measured by the oracle's markers;"
+            " use a law of markers"
         )
         raise ParameterError("law.kind", f"{law.kind} {words}: ibvs, pbvs, hybrid or predictive")
     names = {field.name for field in fields(law)}
@@ -435,8 +435,8 @@ def _warn_unless_linear(at_goal: Scenario) -> None:
     gain = sizes[1.0] * SMALLER / sizes[SMALLER] if sizes[SMALLER] else math.nan
     if abs(gain - 1) > LINEAR:
         words = (
-            "the law's gain depends on the error: at the offset from which the limit is measured it"
-            " is %.3g of that at the goal itself"
+            "the law's gain depends on the error:"
+            " at the offset from which the limit is measured it is %.3g of that at the goal itself"
         )
         logging.getLogger("vstestbed").warning(
             words + "; the limit holds for swings of that size, not for smaller ones", gain
@@ -513,8 +513,8 @@ def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     _must_take(at_start.law, low / period)
     if growth(at_start, low / period, delay_frames) > 1:
         words = (
-            f"is still unstable at {low / period:.3g} 1/s with {delay_frames} frames of delay, half"
-            " of what is expected"
+            f"is still unstable at {low / period:.3g} 1/s with {delay_frames} frames of delay,"
+            " half of what is expected"
         )
         raise ParameterError("law.gain", words)
     count += 1

@@ -158,8 +158,8 @@ def read_record(path: Path) -> pl.DataFrame:
     """
     file = path / RECORD if path.is_dir() else path
     works = (
-        "a file or folder of `vstestbed excite`, with columns t, arrived, u_0, ..., q_...,"
-        " u_px_0, ..."
+        "a file or folder of `vstestbed excite`, with columns t, arrived, u_0,"
+        " ..., q_..., u_px_0, ..."
     )
     if not file.exists():
         raise RunFolderError(path, f"has no {RECORD}", works)
@@ -200,8 +200,8 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     if len(used) < LEAST_MOMENTS:
         raise ParameterError(
             "record",
-            f"has {len(used)} moments that can be used of {len(table)}; at least {LEAST_MOMENTS}"
-            " are needed",
+            f"has {len(used)} moments that can be used of {len(table)};"
+            f" at least {LEAST_MOMENTS} are needed",
         )
     if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
         raise ParameterError.bound(
@@ -241,8 +241,8 @@ def _within_range(record: pl.DataFrame, scenario: Scenario) -> pl.DataFrame:
                 f" of {len(q)} moments"
             )
             works = (
-                "must be in radians, a slide's in metres, in the order"
-                f" {', '.join(scenario.robot.joints)}"
+                "must be in radians, a slide's in metres,"
+                f" in the order {', '.join(scenario.robot.joints)}"
             )
             raise ParameterError("record", f"{words}: {works}", round(float(q[outside][0]), 4))
         wrong += int(outside.sum())
@@ -260,8 +260,8 @@ def _tell_left(left: list[int], t: Array, no_numbers: int) -> None:
     """
     first, last = (f"line {i + 1} (t = {t[i]:g})" for i in (left[0], left[-1]))
     words = (
-        f"{len(left)} of {len(t)} moments of the record are passed over, the first in {first}, the"
-        f" last in {last}"
+        f"{len(left)} of {len(t)} moments of the record are passed over,"
+        f" the first in {first}, the last in {last}"
     )
     words += f": {no_numbers} with times or commands that are no numbers"
     words += f", {len(left) - no_numbers} whose times go back or stand still"
@@ -315,8 +315,8 @@ class Parameter:
             or (made.factor and made.shifts)
         ):
             form = (
-                "FIELD=LOW..HIGH, such as robot.drive_lag_s=0.001..0.5; with xLOW..xHIGH as a"
-                " factor, of no latency"
+                "FIELD=LOW..HIGH, such as robot.drive_lag_s=0.001..0.5;"
+                " with xLOW..xHIGH as a factor, of no latency"
             )
             raise ParameterError.form("--fit", form, words)
         return made
@@ -409,8 +409,8 @@ def identify(
     )
     if commands != motions:
         words = (
-            f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}: is"
-            " it of another robot?"
+            f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}:"
+            " is it of another robot?"
         )
         raise ParameterError("record", words)
     names, measured, _ = _measured(record, scenario)
@@ -769,8 +769,8 @@ class _Model:
         table = fly(s, pl.DataFrame({"t": at, **{f"u_{i}": u[:, i] for i in range(u.shape[1])}}))
         if len(table) < len(at):
             words = (
-                f"ends after {len(table) * period:.2f} of {at[-1]:.2f} s, though it is commanded as"
-                " in the record: does its start fit?"
+                f"ends after {len(table) * period:.2f} of {at[-1]:.2f} s,"
+                " though it is commanded as in the record: does its start fit?"
             )
             raise ParameterError("robot", words)
         speeds = [
@@ -816,9 +816,9 @@ def overrides(found: Identified) -> dict[str, float]:
 
 
 INTERVAL = (
-    "The intervals are as wide as what is left of the prediction errors makes them, by how long"
-    " these go on and by how far the parts of the record disagree. Of a robot that has what the"
-    " model lacks, they are intervals of the values with which the model fits best."
+    "The intervals are as wide as what is left of the prediction errors makes them,"
+    " by how long these go on and by how far the parts of the record disagree. Of a robot that has"
+    " what the model lacks, they are intervals of the values with which the model fits best."
 )
 
 
@@ -869,8 +869,8 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
             f"Noise of the {name}: {s:.3g} {'px' if name == 'markers' else 'rad or m'}."
         )
     sentences.append(
-        f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median), which are"
-        f" {1e3 * found.jitter_s:.2f} ms uneven."
+        f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median),"
+        f" which are {1e3 * found.jitter_s:.2f} ms uneven."
     )
     if found.residual >= MISFIT:
         head = "The simulator does not read what the robot read"
@@ -894,8 +894,8 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
         f"Identification from {source}",
         outcome=(head, "good" if good else "open", sentences),
         take=(
-            f"vstestbed run {found.scenario.name} --set robot.realism={folder / 'robot.yaml'}"
-            f" {sets}"
+            f"vstestbed run {found.scenario.name} --set"
+            f" robot.realism={folder / 'robot.yaml'} {sets}"
         ),
         plots=plots,
         tables=tables,
@@ -904,8 +904,8 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
 
 
 CAPTION = (
-    "Dots: what was read; lines: what the simulator predicts with the numbers found; both less the"
-    " first reading."
+    "Dots: what was read; lines: what the simulator predicts with the numbers found;"
+    " both less the first reading."
 )
 
 

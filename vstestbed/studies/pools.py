@@ -367,8 +367,8 @@ class DaskPool:
             self._client = Client(f"tcp://{address}", timeout="5s", set_as_default=False)
         except (OSError, ValueError) as error:
             words = (
-                "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT"
-                " --nthreads 1`) first"
+                "start a scheduler (`dask scheduler`)"
+                " and workers (`dask worker HOST:PORT --nthreads 1`) first"
             )
             raise EnvironmentLackError(
                 f"no dask scheduler answers at {address} ({error})", words
@@ -486,8 +486,8 @@ def must_not_be_worker(function: str) -> None:
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise ParameterError(
             function,
-            "must stand under `if __name__ == '__main__':` in a script, which worker processes"
-            " import",
+            "must stand under `if __name__ == '__main__':` in a script,"
+            " which worker processes import",
         )
 
 

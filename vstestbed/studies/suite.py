@@ -56,10 +56,11 @@ TO_GOAL = "time_to_goal_s"  # the metric of which each failed run has a number
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]+")  # of a law in tables, so that no two look alike
 LAW = "law"  # the axis of the laws in each comparison
 HOW = (
-    "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the"
-    " task's limit, with Student's interval, as flown; ranks by it, from 1 + the laws that beat a"
-    " law to as many as it does not beat, by paired t-tests of all pairs of the task's laws after"
-    " Holm's correction. The mean of the ranks stands beside its parts, with bootstrap intervals:"
+    "Successes with Wilson intervals; the mean of each task's number,"
+    " in which a failure counts the task's limit, with Student's interval, as flown;"
+    " ranks by it, from 1 + the laws that beat a law to as many as it does not beat,"
+    " by paired t-tests of all pairs of the task's laws after Holm's correction."
+    " The mean of the ranks stands beside its parts, with bootstrap intervals:"
     " on these tasks, from other starts, and on tasks like these."
 )
 # the random starts that a word draws; those of the plans are the first
@@ -317,8 +318,8 @@ class SuiteEntry:
             return f"{runs:,} runs"
         cores = workers(jobs, runs)
         return (
-            f"{runs:,} runs, about {hours:.1f} processor hours; here, {cores} at a time, about"
-            f" {hours / cores:.1f} h"
+            f"{runs:,} runs, about {hours:.1f} processor hours;"
+            f" here, {cores} at a time, about {hours / cores:.1f} h"
         )
 
     def _runs(self, task: str) -> int:
@@ -509,8 +510,8 @@ class SuiteEntry:
             else pl.concat([runs, kept.join(runs, on=["task", "start"], how="semi")])
         )
         about = (
-            f"{self.suite.description}. {self.about['starts'].capitalize()}; files"
-            f" {self.about['sha256'][:12]}. {HOW}"
+            f"{self.suite.description}. {self.about['starts'].capitalize()};"
+            f" files {self.about['sha256'][:12]}. {HOW}"
         )
         tasks = {
             name: TaskOfSuite(Metric.named(task.metric), task.asks)

@@ -154,8 +154,8 @@ def _laws(comparison: Comparison) -> list[TunedLaw]:
     """The cases of the axis that sets the law, or without one the scenarios."""
     if not tunable(comparison):
         words = (
-            "varies the law in several axes, in `axes`, or beside several scenarios; give its laws"
-            " as one axis of `cases`"
+            "varies the law in several axes, in `axes`, or beside several scenarios;"
+            " give its laws as one axis of `cases`"
         )
         raise ParameterError("SCENARIO", words)
     if axes := law_axes(comparison):
@@ -173,12 +173,12 @@ def _with_gains(comparison: Comparison, laws: Sequence[TunedLaw], folder: Path) 
     plan = max((law.result.plan for law in laws if law.result), key=lambda plan: len(plan.vary))
     between = ", ".join(f"{p.path}={p}" for p in plan.parameters)
     budget = (
-        f"Tuned before by {plan.shown.title.lower()}, each law with {plan.trials} trials from"
-        f" {plan.seeds or 1} starts"
+        f"Tuned before by {plan.shown.title.lower()},"
+        f" each law with {plan.trials} trials from {plan.seeds or 1} starts"
     )
     words = (
-        f"{comparison.description} {budget} that are not among these: {between}. Found:"
-        f" {'; '.join(law.words() for law in laws)}.".strip()
+        f"{comparison.description} {budget} that are not among these: {between}."
+        f" Found: {'; '.join(law.words() for law in laws)}.".strip()
     )
     if not (axes := law_axes(comparison)):
         base = tuple(_written(law, folder) for law in laws)

@@ -296,8 +296,8 @@ class Search:
             ]
             if reached and all(map(math.isnan, reached)):  # no run that reached the goal has it
                 words = (
-                    "is no number of the runs that reached the goal; take another, such as"
-                    " final_error_px or path_length_m"
+                    "is no number of the runs that reached the goal;"
+                    " take another, such as final_error_px or path_length_m"
                 )
                 raise ParameterError("--metric", words, self.plan.metric)
 
@@ -509,8 +509,8 @@ class TuningResult:
             return found
         if best.failed:
             found.append(
-                f"{best.failed} of its {len(best.reached)} runs failed ({_ended(best)}), and no"
-                " trial had fewer."
+                f"{best.failed} of its {len(best.reached)} runs failed ({_ended(best)}),"
+                " and no trial had fewer."
             )
         if self.check is not None and self.check[0].failed:
             failed = (
@@ -524,13 +524,13 @@ class TuningResult:
             # the first and the last fiftieth of a range count as its ends
             if isinstance(p, Range) and not 0.02 < p.place(best.values[p.path]) < 0.98:
                 found.append(
-                    f"{p.path}={flow_text(best.values[p.path])} is at an end of {p}; a wider range"
-                    " may hold a better value."
+                    f"{p.path}={flow_text(best.values[p.path])} is at an end of {p};"
+                    " a wider range may hold a better value."
                 )
         if (self.plan.seeds or 1) == 1:
             found.append(
-                "one start decides; from other starts these values may fail. Give the scenario"
-                " random starts, and --seeds 5 or more."
+                "one start decides; from other starts these values may fail."
+                " Give the scenario random starts, and --seeds 5 or more."
             )
         return found
 

@@ -226,8 +226,8 @@ class Tag(Marker):
         if gap <= 2 * self.radius:
             most = gap / 2 / self.radius * self.size
             why = (
-                "with its quiet zone a tag takes the room of a circle round it, and markers are"
-                f" {gap:.4g} m apart"
+                "with its quiet zone a tag takes the room of a circle round it,"
+                f" and markers are {gap:.4g} m apart"
             )
             raise ParameterError.bound("marker.size", "under", f"{most:.4g} m", self.size, why=why)
         if self.first_id + count > self.count:

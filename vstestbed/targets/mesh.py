@@ -196,8 +196,8 @@ class MeshTarget(Target):
             if off > max(1e-3, 5e-3 * size):
                 near = [round(float(x), 6) for x in on / self.scale]
                 words = (
-                    f"must lie on the solid's surface: it is {off * 1e3:.3g} mm off, nearest is"
-                    f" {near}"
+                    "must lie on the solid's surface:"
+                    f" it is {off * 1e3:.3g} mm off, nearest is {near}"
                 )
                 raise ParameterError(f"at.{i}", words, list(point))
         self._check_markers()

@@ -249,8 +249,8 @@ class PolygonFigure(Figure):
         given = np.array(self.at)
         if sides := crossing(given):
             words = (
-                f"must not cross or touch itself: the sides from corners {sides[0]} and {sides[1]}"
-                " meet"
+                "must not cross or touch itself:"
+                f" the sides from corners {sides[0]} and {sides[1]} meet"
             )
             raise ParameterError("at", words, [list(corner) for corner in self.at])
 

@@ -95,8 +95,8 @@ def check_visible(
             dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts)
         )
         remedy = (
-            "move the goal, or the scenery by world.scenery.pose, or let goal.markers name the"
-            " markers that are to be seen"
+            "move the goal, or the scenery by world.scenery.pose,"
+            " or let goal.markers name the markers that are to be seen"
         )
         raise _not_visible(field, target, hidden, f"hidden by the scenery ({what})", remedy)
 
@@ -190,8 +190,8 @@ class GoalPicture:
         height, width = image.shape[:2]
         if (width, height) != (camera.width, camera.height):
             words = (
-                f"has {width} x {height} px, and the camera's pictures have {camera.width} x"
-                f" {camera.height}"
+                f"has {width} x {height} px,"
+                f" and the camera's pictures have {camera.width} x {camera.height}"
             )
             raise ParameterError(
                 "file",
@@ -275,8 +275,8 @@ class Task:
             raise ParameterError("goal", f"of kind {self.kind} {words}")
         if self.needs_still and setup.target.moves:
             words = (
-                "needs a target that stands still; for one that moves use goal: {gap_m: ...} or"
-                " {T_camera_target: ...}"
+                "needs a target that stands still;"
+                " for one that moves use goal: {gap_m: ...} or {T_camera_target: ...}"
             )
             raise ParameterError("goal", f"of kind {self.kind} {words}")
 

@@ -71,8 +71,8 @@ class SpeedMonitor:
             mean = (now - then) / (t - began)
             if not mean >= least_mps:  # `not >=`: a mean of NaN is a violation, too
                 commanded = (
-                    f"{commanded_mps:g} m/s were commanded, {least_mps:.2g} are the least that"
-                    " counts"
+                    f"{commanded_mps:g} m/s were commanded,"
+                    f" {least_mps:.2g} are the least that counts"
                 )
                 self.slow = (
                     t,

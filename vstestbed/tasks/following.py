@@ -87,15 +87,15 @@ class GoalGap(Continuing):
                 " that its origin, to which the gap"
             )
             remedy = (
-                "is measured, stays unknown; use x = y = 0 there and put the place into"
-                " target.pose, or add a point beside it"
+                "is measured, stays unknown;"
+                " use x = y = 0 there and put the place into target.pose, or add a point beside it"
             )
             raise ParameterError("target", f"{words} {remedy}")
         height = p[:, 2] + target.pose.xyz[2] - camera.mount.xyz[2]
         if np.abs(height).max() <= LEVEL * (self.gap_m + abs(camera.mount.xyz[0])):
             words = (
-                "has its points at the camera's own height, where their images do not determine"
-                " their distance"
+                "has its points at the camera's own height,"
+                " where their images do not determine their distance"
             )
             raise ParameterError(
                 "target", f"{words}; mount the camera higher or lower, or add a point beside it"
@@ -183,8 +183,8 @@ class GoalLine(Continuing):
         tightest = float(np.abs(k / np.maximum(1 - k * self.offset_m, 1e-9)).max())
         if tightest * robot.turning_radius_m > 1:
             words = (
-                f"has a bend of {1 / tightest:.3g} m where the vehicle shall drive, which turns no"
-                " tighter than"
+                f"has a bend of {1 / tightest:.3g} m where the vehicle shall drive,"
+                " which turns no tighter than"
             )
             raise ParameterError(
                 "target.route",
@@ -217,8 +217,8 @@ class GoalLine(Continuing):
         ahead = _lines(setup.target).straight_ahead(mount, self.offset_m)
         if not np.isfinite(ahead).all():
             words = (
-                "must have the camera look ahead, or down with the top of its picture ahead: lines"
-                " are met ahead of it"
+                "must have the camera look ahead, or down with the top of its picture ahead:"
+                " lines are met ahead of it"
             )
             raise ParameterError("camera.mount", words, setup.camera.mount.rpy_deg)
         return (Goal.of_points(setup.believed_camera, ahead, np.full((4, 4), np.nan)),)

@@ -286,8 +286,8 @@ class InsertionMonitor(TaskMonitor):
             return (
                 Outcome.collided,
                 (
-                    f"contact of {frame.truth.feet or 'the plug'} with {force:.0f} N, over"
-                    f" {goal.limit_n:g} N, {where}"
+                    f"contact of {frame.truth.feet or 'the plug'} with {force:.0f} N,"
+                    f" over {goal.limit_n:g} N, {where}"
                 ),
             )
         if not frame.truth.feet or self.depth_m > self._deepest + CRAWL_M:

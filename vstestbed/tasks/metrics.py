@@ -404,8 +404,8 @@ def check_metrics(metrics: Sequence[MetricContract]) -> None:
         for name in metric.titles:
             if name in owner:
                 words = (
-                    f"has a figure {name!r}, which {owner[name]} has already; give it another name"
-                    " in `titles`"
+                    f"has a figure {name!r}, which {owner[name]} has already;"
+                    " give it another name in `titles`"
                 )
                 raise ParameterError(f"metrics.{i}", f"of kind {metric.kind} {words}")
             owner[name] = f"metrics.{i}"

@@ -197,8 +197,8 @@ class _Settles:
             else ""
         )
         return (
-            f"{within} {limit}{other}, at {near:.3g} of the limit, {when}, after {self._pictures}"
-            " pictures"
+            f"{within} {limit}{other}, at {near:.3g} of the limit, {when},"
+            f" after {self._pictures} pictures"
         )
 
 

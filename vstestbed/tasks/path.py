@@ -248,8 +248,8 @@ class GoalViews(Task):
         """Refuse a single view."""
         if len(self.views) < 2:
             words = (
-                "must be a list of 2 or more views; one alone is the goal itself: goal: {view_from:"
-                " ...} or {T_camera_target: ...}"
+                "must be a list of 2 or more views;"
+                " one alone is the goal itself: goal: {view_from: ...} or {T_camera_target: ...}"
             )
             raise ParameterError("views", words)
 

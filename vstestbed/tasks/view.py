@@ -80,8 +80,8 @@ class GoalView(Task):
         if not 0 <= min(numbers) <= max(numbers) < n:
             names = setup.target.names
             words = (
-                "must be numbers of markers, 0 to"
-                f" {n - 1}{', or names: ' * bool(names)}{', '.join(names)}"
+                "must be numbers of markers,"
+                f" 0 to {n - 1}{', or names: ' * bool(names)}{', '.join(names)}"
             )
             raise ParameterError(field, words, list(self.markers))
         if len(set(numbers)) < needed:
@@ -152,8 +152,8 @@ class GoalPlace(Task):
         near, law = setup.stop.converged.position_m, setup.law
         if not setup.stop.converged.by_estimate:
             words = (
-                "must have position_m or rotation_deg for a goal of kind pose, where some of the"
-                " target may be out of the picture"
+                "must have position_m or rotation_deg for a goal of kind pose,"
+                " where some of the target may be out of the picture"
             )
             raise ParameterError("stop.converged", words)
         if near is not None and law.rest_m >= near:

@@ -250,8 +250,8 @@ def read_lab(path: Path) -> Lab:
             scenario = load(_place(task.scenario, path.parent), others)
             if scenario.stop.converged.error_grey is not None:
                 words = (
-                    "is told by the law itself, and gives no marks; works: null, with another"
-                    " condition"
+                    "is told by the law itself, and gives no marks;"
+                    " works: null, with another condition"
                 )
                 raise ScenarioError([Mistake("", "stop.converged.error_grey", words)])
         except ScenarioError as error:
@@ -362,8 +362,8 @@ def _missed(task: LabTask, own: list[dict[str, Any]]) -> Iterator[str]:
         ends = Counter(str(row["outcome"]) for row in own if not row["success"])
         listed = ", ".join(f"{n} {end}" for end, n in ends.most_common())
         yield (
-            f"{len(good)} of {counted(len(own), 'run')} reached the goal, {needed} are needed"
-            f" ({listed})."
+            f"{len(good)} of {counted(len(own), 'run')} reached the goal,"
+            f" {needed} are needed ({listed})."
         )
         failed = next((str(row["reason"]) for row in own if row["outcome"] == "law_failed"), "")
         if failed:

@@ -49,8 +49,8 @@ def check_feature(feature: Feature, seed: int = 0) -> None:
     one = np.stack([feature.interaction(*inputs) for inputs in many])
     together = feature.interaction(*(np.stack(values) for values in zip(*many, strict=True)))
     assert np.allclose(one, together), (
-        f"{feature.kind}: interaction must take leading axes: {VIEWS} views at once differ from one"
-        " by one"
+        f"{feature.kind}: interaction must take leading axes:"
+        f" {VIEWS} views at once differ from one by one"
     )
 
 
@@ -152,8 +152,8 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
     frames = _Frames()
     recording = uninterrupted(run(loop, watch=[frames]))
     words = (
-        f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name},"
-        f" {recording.reason}"
+        f"{law.kind} must reach its goal in {loop.name}:"
+        f" {recording.outcome.name}, {recording.reason}"
     )
     assert recording.outcome.success, words + (
         unnamed_in_source(law) if recording.outcome is Outcome.law_failed else ""
@@ -207,8 +207,8 @@ def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
         given, (state, command) = state, law.step(state, frame.observation, frame.goal, basis)
         same = np.array_equal(command.twist, frame.command.twist)
         assert same, (
-            f"{where}: another command for the same state and observation; state is passed, not"
-            " stored"
+            f"{where}: another command for the same state and observation;"
+            " state is passed, not stored"
         )
         for name, value in _arrays(frame.observation).items():
             assert np.array_equal(value, before[name], equal_nan=True), (
@@ -238,8 +238,8 @@ def _check_inputs(law: Law[Any], state: Any, frame: Frame, basis: Array, command
         return
     read = [name for name in unnamed if _differs(law, state, frame, basis, command, [name])]
     words = (
-        f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)}, which its"
-        " `inputs` do not name"
+        f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)},"
+        " which its `inputs` do not name"
     )
     raise AssertionError(f"{words}; write inputs = {(*law.inputs, *(read or unnamed))}")
 
@@ -283,8 +283,8 @@ def unnamed_in_source(law: Law[Any]) -> str:
         if field in read and field not in (*FREE, *_named(law))
     ]
     return (
-        f"; its `inputs` do not name {', '.join(unnamed)}, which it reads, and which may be None"
-        " then"
+        f"; its `inputs` do not name {', '.join(unnamed)}, which it reads,"
+        " and which may be None then"
         if unnamed
         else ""
     )

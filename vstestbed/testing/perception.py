@@ -72,8 +72,8 @@ def check_detector(
         )
         error = np.linalg.norm(detection.uv - true, axis=1)[shown]
         assert (error < within_px).all(), (
-            f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by"
-            f" {error.round(3)}"
+            f"{detector.kind} {turn}:"
+            f" every marker must be within {within_px:g} px, off by {error.round(3)}"
         )
     drew = rng.bit_generator.state != undrawn
     assert drew is detector.draws, (
@@ -103,8 +103,8 @@ def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: fl
     )
     median = np.nanmedian(error)
     assert median < within_px, (
-        f"{detector.kind}: points must be within {within_px:g} px, their median is off by"
-        f" {median:.3f}"
+        f"{detector.kind}: points must be within {within_px:g} px,"
+        f" their median is off by {median:.3f}"
     )
 
 
@@ -213,8 +213,8 @@ def _check_pixels(camera: Camera, kind: str) -> Array:
         back = camera.project(distance * rays)
         error = np.linalg.norm(back - uv, axis=1)
         assert (error < WITHIN_PX).all(), (
-            f"{kind}: project(ray(uv)) must be uv at {distance:g} m, it is {np.max(error):.3g}"
-            " px off"
+            f"{kind}: project(ray(uv)) must be uv at {distance:g} m,"
+            f" it is {np.max(error):.3g} px off"
         )
     both = camera.project(np.stack([rays, 2 * rays]))
     assert both.shape == (2, len(uv), 2), (
@@ -252,8 +252,8 @@ def check_keypoints(features: Any, within_px: float = 2.0, least: int = 20) -> N
     )
     median = np.median(near)
     assert median < within_px, (
-        f"{features.kind}: matches must be within {within_px:g} px, their median is off by"
-        f" {median:.2f}"
+        f"{features.kind}: matches must be within {within_px:g} px,"
+        f" their median is off by {median:.2f}"
     )
     nothing, _ = _matches(features, first, np.full_like(first, 128))
     assert len(nothing) < least, (
@@ -379,8 +379,8 @@ def check_effect(effect: Effect, scenario: Scenario | None = None) -> None:
     own = replace(plain, robot=replace(plain.robot, effects=(effect,)))
     without, one, again = (uninterrupted(run(s)).frame() for s in (plain, own, own))
     assert one.equals(again), (
-        f"{name}: two runs of one seed have different logs; keep no state in the object, and draw"
-        " from `rng` alone"
+        f"{name}: two runs of one seed have different logs;"
+        " keep no state in the object, and draw from `rng` alone"
     )
     values = one.select(effect.columns).to_numpy()
     assert np.isfinite(values).all(), (
@@ -426,15 +426,15 @@ def check_monitor(monitor: MonitorContract, ends: Scenario | None = None) -> Non
         uninterrupted(run(replace(loop, monitors=those))) for those in ((), (monitor,), (monitor,))
     )
     assert (one.outcome, one.reason) == (again.outcome, again.reason), (
-        f"{kind}: {one.outcome.name} and then {again.outcome.name}; what a run remembers belongs"
-        " into the object that `monitor` makes"
+        f"{kind}: {one.outcome.name} and then {again.outcome.name};"
+        " what a run remembers belongs into the object that `monitor` makes"
     )
     n = len(one.rows)
     # the last command is not sent any more
     same = np.array_equal(one.table[: n - 1], without.table[: n - 1], equal_nan=True)
     assert same, (
-        f"{kind}: the run before its verdict differs from one without it; a monitor must not write"
-        " into a frame"
+        f"{kind}: the run before its verdict differs from one without it;"
+        " a monitor must not write into a frame"
     )
     ended = (one.outcome, one.reason) != (without.outcome, without.reason)
     assert ended or ends is None, (

@@ -75,15 +75,15 @@ def _check_motions(robot: Robot, mount: Mount) -> None:
     )
     rank = np.linalg.matrix_rank(basis)
     assert rank == basis.shape[1], (
-        f"{robot.kind}: motion_basis must have independent columns, {basis.shape[1]} have rank"
-        f" {rank}; six of a redundant arm are np.eye(6)"
+        f"{robot.kind}: motion_basis must have independent columns,"
+        f" {basis.shape[1]} have rank {rank}; six of a redundant arm are np.eye(6)"
     )
     possible = mount.to_camera @ _twists(robot, robot.configuration())
     outside = basis - possible @ np.linalg.lstsq(possible, basis, rcond=1e-9)[0]
     worst = float(np.abs(outside).max())
     assert worst < 1e-4, (
-        f"{robot.kind}: motion_basis has a motion that its flange_pose does not make (by"
-        f" {worst:.2g})"
+        f"{robot.kind}: motion_basis has a motion"
+        f" that its flange_pose does not make (by {worst:.2g})"
     )
     if robot.base == "fixed" and robot.joints:  # a camera without mass may leave some out
         reach = np.linalg.matrix_rank(possible, tol=1e-4)
@@ -120,8 +120,8 @@ def _check_joints(robot: Robot, mount: Mount, rng: np.random.Generator) -> None:
         measured = robot.measured_twist(before, now, dt, np.zeros(6), mount)
         error = float(np.abs(measured - J @ dq).max())
         assert error < 1e-4, (
-            f"{robot.kind}: measured_twist differs by {error:.2g} from what its joints do by"
-            " flange_pose"
+            f"{robot.kind}: measured_twist differs by {error:.2g} from what its"
+            " joints do by flange_pose"
         )
         basis = robot.motion_basis(mount, q)
         outside = float(np.abs(J - basis @ np.linalg.lstsq(basis, J, rcond=1e-9)[0]).max())
@@ -133,8 +133,8 @@ def _check_joints(robot: Robot, mount: Mount, rng: np.random.Generator) -> None:
         if made.setpoint.shape == q.shape:
             error = float(np.abs(made.twist - J @ made.setpoint).max())
             assert error < 1e-4, (
-                f"{robot.kind}: allocate says a twist that its setpoint does not make (by"
-                f" {error:.2g})"
+                f"{robot.kind}: allocate says a twist"
+                f" that its setpoint does not make (by {error:.2g})"
             )
 
 
@@ -159,8 +159,8 @@ def _check_allocation(robot: Robot, mount: Mount, rng: np.random.Generator) -> N
         )
         named = made.limit or not differs(made.twist, twist)
         assert named, (
-            f"{robot.kind}: a command that is shortened or turned must name its limit, {twist}"
-            f" became {made.twist}"
+            f"{robot.kind}: a command that is shortened or turned must name its limit,"
+            f" {twist} became {made.twist}"
         )
         _check_limits(robot, mount, twist)
     rest = robot.allocate(np.zeros(6), reading, mount, 0.04)

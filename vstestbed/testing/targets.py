@@ -118,13 +118,13 @@ def check_motion(motion: MotionBase) -> None:
     _check_start(motion, rest, D[0])
     drawn = not np.array_equal(_along(motion, times, seed=8), D)
     assert drawn is motion.draws, (
-        f"{motion.kind}: `draws` is {motion.draws}, and another seed gives"
-        f" {'another' if drawn else 'the same'} path"
+        f"{motion.kind}: `draws` is {motion.draws},"
+        f" and another seed gives {'another' if drawn else 'the same'} path"
     )
     still = bool(np.all(D[0] == D))
     assert still is not motion.moves, (
-        f"{motion.kind}: `moves` is {motion.moves}, and the path"
-        f" {'stands still' if still else 'moves'}"
+        f"{motion.kind}: `moves` is {motion.moves},"
+        f" and the path {'stands still' if still else 'moves'}"
     )
 
 

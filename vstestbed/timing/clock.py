@@ -65,8 +65,8 @@ class Clock:
         if n < 1 or abs(n * self.step_s - camera.period) > 1e-9 * camera.period:
             better = camera.period / max(1, math.ceil(camera.period / max(self.step_s, 1e-5)))
             words = (
-                f"must divide the camera's period {camera.period:.9g} s ({camera.rate_hz:g} Hz);"
-                f" {better:.12g} does"
+                f"must divide the camera's period {camera.period:.9g} s"
+                f" ({camera.rate_hz:g} Hz); {better:.12g} does"
             )
             raise ParameterError("physics.step_s", words, self.step_s)
         return self.step_s, n

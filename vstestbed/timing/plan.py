@@ -161,8 +161,8 @@ class Timing:
             raise ParameterError.fixed("timing.exposure_s", "0", self.exposure_s, why=why)
         if self.exposure_s and round(self.exposure_s / step_s) < 2 and not camera.readout_s:
             words = (
-                f"must be 0 or at least two physics steps, {2 * step_s:g} s, whose pictures are"
-                " averaged; or give physics.step_s"
+                f"must be 0 or at least two physics steps, {2 * step_s:g} s,"
+                " whose pictures are averaged; or give physics.step_s"
             )
             raise ParameterError("timing.exposure_s", words, self.exposure_s)
         if self.exposure_s > camera.period:
@@ -180,8 +180,8 @@ class Timing:
             )
         if self.out_of_order and self.latency_jitter_s == 0:
             why = (
-                "with one and the same latency no picture overtakes another; or set out_of_order to"
-                " false"
+                "with one and the same latency no picture overtakes another;"
+                " or set out_of_order to false"
             )
             raise ParameterError.needs(
                 "timing.out_of_order", "latency_jitter_s", self.out_of_order, why=why
@@ -193,8 +193,8 @@ class Timing:
             whole = max(1, round(steps))
             near = ", ".join(f"{1 / (n * step_s):.10g}" for n in (whole + 1, whole))
             words = (
-                f"must be a whole number of physics steps of {step_s:.6g} s apart: {near}, or give"
-                " physics.step_s"
+                f"must be a whole number of physics steps of {step_s:.6g} s apart:"
+                f" {near}, or give physics.step_s"
             )
             raise ParameterError("timing.command_hz", words, self.command_hz)
         held = self.interpolation == "hold"
@@ -226,8 +226,8 @@ class Timing:
         if camera.blurring is not None and longest > most - camera.readout_s:
             less = f" less camera.readout_s = {camera.readout_s:g} s" if camera.readout_s else ""
             words = (
-                f"{max(0.0, most - camera.readout_s):g} s, the camera's period in pairs of physics"
-                f" steps{less}"
+                f"{max(0.0, most - camera.readout_s):g} s,"
+                f" the camera's period in pairs of physics steps{less}"
             )
             raise ParameterError.bound(
                 f"camera.{camera.blurring.most_field}", "at most", words, longest

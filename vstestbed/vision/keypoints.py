@@ -456,8 +456,8 @@ class Keypoints(DetectorBase):
             )
         if self.ratio is not None and self._extractor is None:
             words = (
-                f"compares descriptors, and features {self.features.kind} match pictures by"
-                " themselves; leave it out"
+                "compares descriptors,"
+                f" and features {self.features.kind} match pictures by themselves; leave it out"
             )
             raise ParameterError("ratio", words, self.ratio)
 
@@ -522,12 +522,12 @@ class Keypoints(DetectorBase):
             )
         if self.within == "board":
             return (
-                f"{words}, of which {usable} lie on the target's board; use a goal that shows it"
-                " larger, or within: picture"
+                f"{words}, of which {usable} lie on the target's board;"
+                " use a goal that shows it larger, or within: picture"
             )
         return (
-            f"{words}, of which {usable} have a depth there; use a goal that shows more of the"
-            " target's plane, or a depth camera"
+            f"{words}, of which {usable} have a depth there;"
+            " use a goal that shows more of the target's plane, or a depth camera"
         )
 
     def _usable(self, goal: Goal, target: Target, uv: Array) -> NDArray[np.bool_]:
@@ -589,23 +589,23 @@ class Keypoints(DetectorBase):
         """
         plane = "motion" if self.ransac == "essential" else "plane"
         words = (
-            f"detector keypoints: {matching} points match the goal's picture, of which {agreeing}"
-            f" agree with one {plane}"
+            f"detector keypoints: {matching} points match the goal's picture,"
+            f" of which {agreeing} agree with one {plane}"
         )
         if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
             return ""
         if agreeing < self.least:
             return (
-                f"{words}: the target may have too little texture, or parts that look alike, or"
-                " show too little of itself"
+                f"{words}: the target may have too little texture, or parts that look alike,"
+                " or show too little of itself"
             )
         words = (
-            f"{words}; of those tried the patches of {measured} are found, fewer than least ="
-            f" {self.least}"
+            f"{words}; of those tried the patches of {measured} are found,"
+            f" fewer than least = {self.least}"
         )
         return (
-            f"{words}: the others are cut by the border or not alike; subpixel: false does without"
-            " patches"
+            f"{words}: the others are cut by the border or not alike;"
+            " subpixel: false does without patches"
         )
 
     def _due(self, slots: Slots, since: int) -> bool:

@@ -150,8 +150,8 @@ class Akaze(Extractor):
     def __post_init__(self) -> None:
         if self._create is None:
             why = (
-                "this OpenCV lacks it; use sift or orb, or install opencv-contrib-python-headless"
-                " in place of opencv-python-headless"
+                "this OpenCV lacks it; use sift or orb,"
+                " or install opencv-contrib-python-headless in place of opencv-python-headless"
             )
             raise ParameterError.excluded("", "akaze", why=why)
 

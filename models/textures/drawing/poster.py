@@ -13,12 +13,12 @@ HEIGHT, WIDTH = 1200, 1600
 PAPER, INK, RED = "efe7d6", "1d2a3a", "c4452f"
 SMALL = (
     (
-        "A journey of nine days by boat, by train and on foot, from the quay below the old town to"
-        " the huts under the glacier."
+        "A journey of nine days by boat, by train and on foot,"
+        " from the quay below the old town to the huts under the glacier."
     ),
     (
-        "Boats leave at 7.30, 9.15, 11.40 and 16.05 from pier 4; the last one back calls at the"
-        " lighthouse when the sea is calm."
+        "Boats leave at 7.30, 9.15, 11.40 and 16.05 from pier 4;"
+        " the last one back calls at the lighthouse when the sea is calm."
     ),
     (
         "Bring boots, a coat against the wind, and bread for two days. Dogs travel free. Bicycles:"

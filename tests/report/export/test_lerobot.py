@@ -283,8 +283,8 @@ def test_lerobot_itself_reads_it(dataset: Path, folders: list[Path], tmp_path: P
     python = os.environ.get("LEROBOT_PYTHON") or shutil.which("lerobot-python")
     if not python:
         pytest.skip(
-            "LEROBOT_PYTHON names no Python with LeRobot (its torch and av are others than"
-            " vstestbed's)"
+            "LEROBOT_PYTHON names no Python with LeRobot"
+            " (its torch and av are others than vstestbed's)"
         )
     environment = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path), "PATH": os.environ["PATH"]}
     done = subprocess.run(

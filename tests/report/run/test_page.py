@@ -215,8 +215,8 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
         "arm_ibvs",
         "Converged",
         (
-            "RMS error under 0.2 px for 0.5 s. Task error by measured pixels: 0.123 px, limit"
-            " 0.200 px."
+            "RMS error under 0.2 px for 0.5 s."
+            " Task error by measured pixels: 0.123 px, limit 0.200 px."
         ),
         "A camera nears a ring of markers.",
         "Changed in this run: law.gain=2",
@@ -281,8 +281,8 @@ def test_limits_and_joints_that_friction_held_are_told() -> None:
     assert page.events(LogArrays.of(made, Setting())) == [
         "Limits of law or robot shortened or turned 13 of its 100 commands, the last at 0.48 s.",
         (
-            "Friction held joint_1 for up to 0.92 s although it was told to move, first at 1.04 s"
-            " (stick-slip)."
+            "Friction held joint_1 for up to 0.92 s although it was told to move,"
+            " first at 1.04 s (stick-slip)."
         ),
     ]
     assert (
@@ -338,8 +338,8 @@ def test_what_still_moves_in_the_last_second_is_told() -> None:
     assert page.still_moving(LogArrays.of(log.head(0), Setting())) == []
     (words,) = page.events(LogArrays.of(log.head(60), Setting(slides=("slide",))))
     assert words.startswith(
-        "In its last second it still moved, by more than the 0.02 rad or m of a robot that stands:"
-        " steering by"
+        "In its last second it still moved,"
+        " by more than the 0.02 rad or m of a robot that stands: steering by"
     )
     (words,) = page.events(LogArrays.of(log, Setting(band_m=0.25)))
     assert words.startswith(
@@ -396,8 +396,8 @@ def test_the_page_of_a_run_needs_no_matplotlib() -> None:
     longer than the page.
     """
     code = (
-        "import sys; sys.modules['matplotlib'] = None; import polars as pl; from vstestbed.report"
-        " import render_page"
+        "import sys; sys.modules['matplotlib'] = None; import polars as pl;"
+        " from vstestbed.report import render_page"
     )
     code += "; print(render_page(pl.DataFrame({'t': [0.0, 0.04]}), {}, {}, {}).count('<figure>'))"
     assert (

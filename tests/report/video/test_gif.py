@@ -53,8 +53,8 @@ def test_it_becomes_smaller_and_slower_until_it_fits(film: Path, monkeypatch: py
     with pytest.raises(
         ParameterError,
         match=(
-            r"--gif makes files of up to 0.0001 MB, for which this run is too long; leave it out"
-            r" for a film"
+            r"--gif makes files of up to 0.0001 MB, for which this run is too long;"
+            r" leave it out for a film"
         ),
     ):
         write_gif(film, film.with_name("b.gif"))

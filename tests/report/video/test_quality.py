@@ -81,8 +81,8 @@ def test_rays_make_small_films_and_say_so(
     rays = vs.load("arm_ibvs", {"camera.renderer": "rays"})
     assert [quality_of(rays), quality_of(rays), quality_of(rays, fine=True)] == [RAYS, RAYS, FINE]
     assert [r.getMessage() for r in caplog.records] == [
-        "films by rays are small, 320 x 180 from outside with 5 pictures a second; --fine makes"
-        " large ones, which takes long"
+        "films by rays are small, 320 x 180 from outside with 5 pictures a second;"
+        " --fine makes large ones, which takes long"
     ]
     monkeypatch.setenv("MUJOCO_GL", "disable")
     assert quality_of(vs.load("arm_ibvs")) is RAYS

@@ -47,8 +47,8 @@ def is_installed(file: str) -> bool:
 NEEDS_PANDA = pytest.mark.skipif(
     not is_installed("package:dm_robotics.panda/assets/panda/panda.xml"),
     reason=(
-        "the Panda's meshes are not installed: pip install --no-deps dm_robotics_panda (Python 3.12"
-        " and older)"
+        "the Panda's meshes are not installed:"
+        " pip install --no-deps dm_robotics_panda (Python 3.12 and older)"
     ),
 )
 

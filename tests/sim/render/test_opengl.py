@@ -99,8 +99,8 @@ def test_a_scene_of_more_than_mujoco_draws_is_told_as_such(
     drawn = vs.run(vs.load("arm_ibvs", {"world.scenery": str(full), "stop.duration_s": 0.05}))
     assert "rays" not in drawn.versions["renderer"] and "OpenGL does not work" not in caplog.text
     words = (
-        f"^world.scenery makes a scene of {most + 1} {what}, and MuJoCo draws at most {most} by"
-        " OpenGL; .* camera.renderer=rays$"
+        f"^world.scenery makes a scene of {most + 1} {what},"
+        f" and MuJoCo draws at most {most} by OpenGL; .* camera.renderer=rays$"
     )
     with pytest.raises(ParameterError, match=words):
         vs.run(vs.load("arm_ibvs", {"world.scenery": str(over), "stop.duration_s": 0.05}))

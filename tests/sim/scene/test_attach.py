@@ -143,13 +143,13 @@ def test_what_a_file_says_of_views_and_solver_is_the_scenes_without_a_line_of_th
     is refused.
     """
     pictures = (
-        '<visual><map znear="0.3"/><global offwidth="300"/></visual><statistic extent="9"/><size'
-        ' memory="1M" nuserdata="3"/>'
+        '<visual><map znear="0.3"/><global offwidth="300"/></visual><statistic extent="9"/>'
+        '<size memory="1M" nuserdata="3"/>'
     )
     solver = '<option o_margin="1" integrator="RK4" iterations="3" magnetic="1 0 0"/>'
     arm = (
-        '<body name="a" pos="0 0 0.7"><joint name="j1"/><geom size="0.1"/><body><joint name="j2"'
-        ' axis="0 1 0"/>'
+        '<body name="a" pos="0 0 0.7"><joint name="j1"/><geom size="0.1"/><body>'
+        '<joint name="j2" axis="0 1 0"/>'
     )
     arm += '<geom size="0.1"/><site name="flange" pos="0.2 0 0" euler="0 90 0"/></body></body>'
     (tmp_path / "arm.xml").write_text(

@@ -48,12 +48,12 @@ HUGE = {
     "a height field": '<asset><hfield name="h" nrow="50000" ncol="50000" size="1 1 1 1"/></asset>',
     "copies": '<worldbody><replicate count="300000"><geom size=".1"/></replicate></worldbody>',
     "copies of copies": (
-        "<worldbody><replicate count='300'><replicate count='300'><geom"
-        " size='.1'/></replicate></replicate></worldbody>"
+        "<worldbody><replicate count='300'><replicate count='300'><geom size='.1'/></replicate>"
+        "</replicate></worldbody>"
     ),
     "a grid": (
-        '<worldbody><flexcomp name="f" type="grid" count="200 200 200" spacing="1 1'
-        ' 1"/></worldbody>'
+        '<worldbody><flexcomp name="f" type="grid" count="200 200 200" spacing="1 1 1"/>'
+        "</worldbody>"
     ),
     "memory": '<size memory="100G"/>',
     "numbers for users": '<size nuserdata="100000000000"/>',
@@ -83,8 +83,8 @@ def test_as_much_as_robots_have_is_read_and_a_number_in_other_letters_is_refused
     )
     assert read_model(file).compile().ngeom == 297
     file.write_text(
-        '<mujoco><asset><texture name="t" builtin="flat" width="&#54;0000"'
-        f' height="1"/></asset>{BODY}</mujoco>'
+        '<mujoco><asset><texture name="t" builtin="flat" width="&#54;0000" height="1"/>'
+        f"</asset>{BODY}</mujoco>"
     )
     with pytest.raises(ParameterError, match="numbers that say how much there is"):
         read_model(file)
@@ -105,7 +105,7 @@ def test_an_option_that_a_scene_would_lose_is_refused_by_name(tmp_path, option):
     with pytest.raises(ParameterError, match=rf"sets the option {name}, which is not taken over"):
         check_options(read_model(file), file)
     file.write_text(
-        '<mujoco><option integrator="RK4" o_margin="1"><flag'
-        f' warmstart="disable"/></option>{BODY}</mujoco>'
+        '<mujoco><option integrator="RK4" o_margin="1"><flag warmstart="disable"/>'
+        f"</option>{BODY}</mujoco>"
     )
     check_options(read_model(file), file)

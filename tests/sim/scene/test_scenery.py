@@ -22,8 +22,8 @@ WORKSHOP = Path(__file__).parents[3] / "scenarios" / "scenery" / "workshop.xml"
 BOXES = WORKSHOP.with_name("boxes.xml")
 WALL = '<geom name="wall" type="box" size=".02 2 2" pos="1.3 0 1"/>'
 BOARD = (
-    '<geom name="board" type="box" size=".005 .06 .06" pos=".7 -.14 .66" contype="0"'
-    ' conaffinity="0"/>'
+    '<geom name="board" type="box" size=".005 .06 .06" pos=".7 -.14 .66"'
+    ' contype="0" conaffinity="0"/>'
 )
 """Near the camera's start: from there it is before all markers, from the goal view beside them."""
 
@@ -81,8 +81,8 @@ def test_its_floor_its_lights_and_its_sky_take_the_place_of_the_scenes():
 
 def test_the_options_of_the_file_do_not_count(tmp_path: Path, recwarn: pytest.WarningsRecorder):
     rest = (
-        '<option timestep=".01" gravity="0 0 -1" integrator="RK4"/><statistic'
-        ' extent="9"/><keyframe><key name="k"/></keyframe>'
+        '<option timestep=".01" gravity="0 0 -1" integrator="RK4"/><statistic extent="9"/>'
+        '<keyframe><key name="k"/></keyframe>'
     )
     stage = stage_of(mjcf(tmp_path, '<geom size=".1" pos="0 3 1"/><camera name="mine"/>', rest))
     model = stage.model
@@ -124,8 +124,8 @@ def test_a_goal_view_and_random_starts_that_it_hides_are_refused(
 ):
     wall, oracle = {"world.scenery": str(mjcf(tmp_path, WALL))}, {"detector": "oracle"}
     words = (
-        r"goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are hidden by the scenery"
-        r" \(geom wall\); move the goal, or"
+        r"goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are hidden"
+        r" by the scenery \(geom wall\); move the goal, or"
     )
     for changes in (wall, wall | oracle):
         with pytest.raises(ScenarioError, match=words):
@@ -137,8 +137,8 @@ def test_a_goal_view_and_random_starts_that_it_hides_are_refused(
     with pytest.raises(
         ScenarioError,
         match=(
-            r"marker 0 is hidden by the scenery \(geom number 1 of the body shelf \(without a"
-            r" name\)\)"
+            r"marker 0 is hidden by the scenery"
+            r" \(geom number 1 of the body shelf \(without a name\)\)"
         ),
     ):
         vs.load("arm_ibvs", one)
@@ -166,8 +166,8 @@ def test_a_goal_view_and_random_starts_that_it_hides_are_refused(
 def test_to_touch_it_ends_the_run_with_its_name(tmp_path: Path):
     box = mjcf(
         tmp_path,
-        '<body name="shelf" pos=".55 0 1.05"><geom name="low_shelf" type="box" size=".25 .5'
-        ' .02"/></body>',
+        '<body name="shelf" pos=".55 0 1.05">'
+        '<geom name="low_shelf" type="box" size=".25 .5 .02"/></body>',
     )
     run = vs.run(
         vs.load(
@@ -196,8 +196,8 @@ def test_a_scenario_names_it_relative_to_its_own_file_and_the_run_carries_its_te
     folder.mkdir()
     Image.fromarray(np.full((8, 8, 3), 120, np.uint8)).save(folder / "cloth.png")
     asset = (
-        '<asset><texture name="c" type="2d" file="cloth.png"/><material name="c"'
-        ' texture="c"/></asset>'
+        '<asset><texture name="c" type="2d" file="cloth.png"/>'
+        '<material name="c" texture="c"/></asset>'
     )
     file = mjcf(
         tmp_path,
@@ -246,16 +246,16 @@ def test_colours_that_a_detector_takes_for_markers_are_told(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
     cloth = (
-        '<texture name="c" type="2d" builtin="checker" rgb1=".5 .5 .5" rgb2=".5 .5 .8" width="8"'
-        ' height="8"/>'
+        '<texture name="c" type="2d" builtin="checker" rgb1=".5 .5 .5" rgb2=".5 .5 .8"'
+        ' width="8" height="8"/>'
     )
     sky = (
         '<texture name="s" type="skybox" builtin="gradient" rgb1=".6 .6 .8" rgb2=".5 .5 .5"'
         ' width="8" height="48"/>'
     )
     paints = (
-        f'<asset>{cloth}{sky}<material name="c" texture="c"/><material name="grey" rgba=".5 .5 .6'
-        ' 1"/></asset>'
+        f'<asset>{cloth}{sky}<material name="c" texture="c"/>'
+        '<material name="grey" rgba=".5 .5 .6 1"/></asset>'
     )
     parts = (
         # its own colour counts
@@ -316,16 +316,16 @@ def test_mistakes_are_told(tmp_path: Path):
             '<geom size=".1">',
             "",
             (
-                "my_scene.xml:3: it is not well-formed XML (mismatched element, near the element"
-                " geom))"
+                "my_scene.xml:3: it is not well-formed XML"
+                " (mismatched element, near the element geom))"
             ),
         ),
         (
             '<include file="gone.xml"/>',
             "",
             (
-                "line 3 there or in a file that it includes: it names the file gone.xml, which is"
-                " not there"
+                "line 3 there or in a file that it includes:"
+                " it names the file gone.xml, which is not there"
             ),
         ),
         (

@@ -76,8 +76,8 @@ def test_maps_that_would_be_the_same_are_refused():
     with pytest.raises(
         ParameterError,
         match=(
-            "`actuation=industrial` would make the same map as `actuation=ideal`: its cameras are"
-            " ideal"
+            "`actuation=industrial` would make the same map as `actuation=ideal`:"
+            " its cameras are ideal"
         ),
     ):
         laws(chosen(["arm_ibvs"], {}, varied))
@@ -122,8 +122,8 @@ def test_points_of_a_detectors_own_are_told_and_refused_where_the_corners_do_not
         with pytest.raises(
             ParameterError,
             match=(
-                r"^detector\.kind keypoints finds points of its own in pictures.*sweep and compare"
-                r" --vary"
+                r"^detector\.kind keypoints finds points of its own in"
+                r" pictures.*sweep and compare --vary"
             ),
         ):
             laws(chosen([name], {}, {}))

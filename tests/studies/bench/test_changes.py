@@ -66,15 +66,15 @@ def test_a_file_that_is_no_measurement(tmp_path: Path):
         ('{"machine": {}}', "timings: is missing"),
         (
             (
-                '{"machine": {},\n "timings": {"a": {"floor": "f", "seconds": [1], "floor_seconds":'
-                " [0]}}}"
+                '{"machine": {},\n'
+                ' "timings": {"a": {"floor": "f", "seconds": [1], "floor_seconds": [0]}}}'
             ),
             "2:68: timings.a.floor_seconds.0: must be > 0",
         ),
         (
             (
-                '{"machine": {},\n "timings": {"a": {"floor": "f", "seconds": [1, 2],'
-                ' "floor_seconds": [1]}}}'
+                '{"machine": {},\n'
+                ' "timings": {"a": {"floor": "f", "seconds": [1, 2], "floor_seconds": [1]}}}'
             ),
             "must be 2 numbers, one for each of seconds",
         ),

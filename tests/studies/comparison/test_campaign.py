@@ -345,8 +345,8 @@ def test_a_script_without_a_main_guard_is_told_so(
 ):
     script = tmp_path / "script.py"
     script.write_text(
-        "import vstestbed as vs\nvs.compare(['arm_ibvs'], set={'stop.duration_s': 0.2}, jobs=1,"
-        " film=False)\n",
+        "import vstestbed as vs\n"
+        "vs.compare(['arm_ibvs'], set={'stop.duration_s': 0.2}, jobs=1, film=False)\n",
         encoding="utf-8",
     )
     words, environment = vstestbed_process
@@ -507,8 +507,8 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(
     done = pl.read_parquet(out / "comparison.parquet")
     assert 3 <= len(done) < 200
     assert (
-        f"interrupted: {len(done)} of 200 runs are done; go on with: vstestbed compare --resume"
-        f" --out {out}" in err
+        f"interrupted: {len(done)} of 200 runs are done;"
+        f" go on with: vstestbed compare --resume --out {out}" in err
     )
     assert "Traceback" not in err
 

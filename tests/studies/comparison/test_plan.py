@@ -88,8 +88,8 @@ def test_seeds_that_draw_nothing_are_refused_with_the_reason():
     with pytest.raises(
         ParameterError,
         match=(
-            r"polar_book.*robot.start.random is missing, and nothing else is random: every seed"
-            r" would"
+            r"polar_book.*robot.start.random is missing,"
+            r" and nothing else is random: every seed would"
         ),
     ):
         controllers(Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None}))
@@ -152,8 +152,11 @@ class TestFile:
     ):
         path = tmp_path / "mine.yaml"
         path.write_text(
-            "base: [quick.yaml]\nset: {law.gain: 2}\naxes: {camera.latency_s: [0, 0.1]}\nseeds:"
-            " 4\nmetrics: [path_ratio]\n"
+            "base: [quick.yaml]\n"
+            "set: {law.gain: 2}\n"
+            "axes: {camera.latency_s: [0, 0.1]}\n"
+            "seeds: 4\n"
+            "metrics: [path_ratio]\n"
         )
         read = read_comparison(path)
         assert (read.base, read.seeds, read.axes["camera.latency_s"]) == (

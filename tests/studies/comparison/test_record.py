@@ -161,8 +161,8 @@ def test_what_a_model_names_outside_its_folder_and_in_comments_is_not_copied(
     robot = tmp_path / "robot"
     (robot / "more").mkdir(parents=True)
     (robot / "more" / "part.xml").write_text(
-        '<mujocoinclude><!-- <include file="no.xml"/> --><asset><mesh'
-        ' file="b.stl"/></asset></mujocoinclude>'
+        '<mujocoinclude><!-- <include file="no.xml"/> --><asset><mesh file="b.stl"/>'
+        "</asset></mujocoinclude>"
     )
     for name in ("a.stl", "b.stl", "no.xml", "no.stl", "no.png", "noise.png"):
         (robot / name).write_bytes(b"bytes")

@@ -115,8 +115,10 @@ def test_a_mistake_in_the_file_has_its_place(quick: Path, tmp_path: Path):
 def test_a_contradiction_is_told_at_the_value_that_brings_it(quick: Path, tmp_path: Path):
     path = tmp_path / "mine.yaml"
     path.write_text(
-        "base: [quick.yaml]\nset: {law.depth: oracle}\ncases:\n  d: {a: {detector: oracle}, b:"
-        " {detector: blobs}}\n"
+        "base: [quick.yaml]\n"
+        "set: {law.depth: oracle}\n"
+        "cases:\n"
+        "  d: {a: {detector: oracle}, b: {detector: blobs}}\n"
     )
     with pytest.raises(
         ScenarioError, match=r"mine.yaml:2:7: law.depth: may be oracle only with detector"

@@ -158,8 +158,10 @@ class TestFile:
         found = controllers(
             self.written(
                 tmp_path,
-                f'{{"each": {goals}, "camera_from_goal": [{{"xyz": [0, 0, -1]}}, {{"rpy_deg": [0,'
-                " 0, 9]}]}",
+                (
+                    f'{{"each": {goals}, "camera_from_goal":'
+                    ' [{"xyz": [0, 0, -1]}, {"rpy_deg": [0, 0, 9]}]}'
+                ),
             )
         )
         starts = found[0].starts

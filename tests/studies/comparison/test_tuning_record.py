@@ -63,10 +63,9 @@ def said(comparison: Comparison) -> str:
 
 def test_laws_whose_gains_nobody_tuned_are_settings() -> None:
     assert (
-        settings_of(chosen(["arm_laws"], {}, {}))
-        == "These are settings, not laws: arm_ibvs, arm_pbvs and arm_hybrid fly with gain 0.5, for"
-        " which none was tuned. `vstestbed tune arm_laws --vary law.gain=0.3:8:log` makes them"
-        " laws."
+        settings_of(chosen(["arm_laws"], {}, {})) == "These are settings, not laws:"
+        " arm_ibvs, arm_pbvs and arm_hybrid fly with gain 0.5, for which none was tuned."
+        " `vstestbed tune arm_laws --vary law.gain=0.3:8:log` makes them laws."
     )
 
 
@@ -104,8 +103,8 @@ def test_a_gain_that_was_edited_afterwards_is_named(two: Comparison) -> None:
         "pose": {"law": {"kind": "hybrid", "gain": 5}},
     }
     words = (
-        "points flies with law.interaction mean in place of current, as in the search; pose flies"
-        " with law.kind hybrid in place of pbvs"
+        "points flies with law.interaction mean in place of current, as in the search;"
+        " pose flies with law.kind hybrid in place of pbvs"
     )
     assert said(replace(two, cases={"law": another})) == f"{words}, as in the search."
 
@@ -135,12 +134,12 @@ def test_a_gain_over_which_no_search_ranged_is_named(two: Comparison) -> None:
     )
     words = settings_of(one)
     assert words.startswith(
-        f"{START}partitioned flies with gain_z 0.5 and gain_turn 0.7, for which none was tuned."
-        " `vstestbed tune "
+        f"{START}partitioned flies with gain_z 0.5 and gain_turn 0.7,"
+        " for which none was tuned. `vstestbed tune "
     )
     assert words.endswith(
-        " --vary law.gain=0.3:8:log --vary law.gain_z=0.3:8:log --vary law.gain_turn=0.3:8:log`"
-        " makes them laws."
+        " --vary law.gain=0.3:8:log --vary law.gain_z=0.3:8:log"
+        " --vary law.gain_turn=0.3:8:log` makes them laws."
     )
     every = tuned(PARTITIONED, ("law.gain", "law.gain_z", "law.gain_turn"))
     assert settings_of(replace(one, tuned={"points": tuned(POINTS), "partitioned": every})) == ""

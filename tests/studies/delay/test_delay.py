@@ -294,8 +294,8 @@ def test_the_command_names_the_answer_in_seconds_first_and_says_why_the_theory_i
     panda = Limit(0, 0.0, 29.6, 1.184, 2.0, 1.57, lags, 11, g_linear=1.19)
     told = _summary_line(panda)
     assert (
-        "0.592 of theory for the delay alone, since its servos lag; 0.754 of theory with their lag"
-        " (a by 28.0 ms), 0.995 of a linear" in told
+        "0.592 of theory for the delay alone, since its servos lag;"
+        " 0.754 of theory with their lag (a by 28.0 ms), 0.995 of a linear" in told
     )
     assert "not explained" not in told and "not explained" in _summary_line(
         replace(panda, g_linear=1.9)

@@ -132,8 +132,8 @@ class BaselineChanges:
                     else f"fewer than {FEWEST} runs, so that any loss counts"
                 )
                 found.append(
-                    f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal, before"
-                    f" {c.reached_before} ({why})"
+                    f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal,"
+                    f" before {c.reached_before} ({why})"
                 )
             for m in c.metrics:
                 if m.worse(tolerance):
@@ -262,8 +262,8 @@ def _lines(c: ControllerChange) -> list[str]:
         else []
     )
     reached = (
-        f"  {c.label}: {c.reached_now} of {c.runs} reached the goal, before"
-        f" {c.reached_before}{runs}{settings}"
+        f"  {c.label}: {c.reached_now} of {c.runs} reached the goal,"
+        f" before {c.reached_before}{runs}{settings}"
     )
     return [reached, *(f"    {m.title.lower()} {difference_text(m)}" for m in differ[:MOST]), *more]
 
@@ -280,10 +280,10 @@ def section(folder: Path) -> dict[str, Any] | None:
     if changes is None:
         return None
     note = (
-        f"{changes.matched} runs are in both. The numbers: the mean now minus the mean then over"
-        " the runs that reached the goal both times (what a run has on its way: over all runs),"
-        " its 95 % interval below. Bold with a dot: the interval excludes zero. An unchanged"
-        " program gives 0 everywhere on the same machine."
+        f"{changes.matched} runs are in both. The numbers:"
+        " the mean now minus the mean then over the runs that reached the goal both times"
+        " (what a run has on its way: over all runs), its 95 % interval below. Bold with a dot:"
+        " the interval excludes zero. An unchanged program gives 0 everywhere on the same machine."
     )
     notes = (
         [note]

@@ -156,8 +156,8 @@ def write_comparison_report(
         title=f"{heading}: comparison",
         description=comparison.description,
         plan=(
-            f"{', '.join(counted(*each) for each in counts)}; the same seed gives each the same"
-            " start and noise."
+            f"{', '.join(counted(*each) for each in counts)};"
+            " the same seed gives each the same start and noise."
         ),
         found=words,
         **sections,
@@ -235,8 +235,8 @@ def _figures(
     if n > PANELS and effects.Grid.of(comparison) is not None:
         data, numbers = Data(comparison, all_pairs), [GRID]
         notes = [
-            "The grid stands for the figures with a line or a row for each controller, since there"
-            f" are {n} of them."
+            "The grid stands for the figures with a line or a row for each controller,"
+            f" since there are {n} of them."
         ]
     else:
         shown = comparison if n <= PANELS else comparison.first(PANELS)
@@ -248,8 +248,8 @@ def _figures(
         notes = [f"The figures show the first {PANELS} of {n} controllers."] if n > PANELS else []
         if data.sampled:
             notes.append(
-                f"Errors over time are of the first {data.sampled:,} runs of each controller, all"
-                " else of all runs."
+                f"Errors over time are of the first {data.sampled:,} runs of each controller,"
+                " all else of all runs."
             )
     if n < MANY:
         call = at_once

@@ -193,8 +193,8 @@ def plan_lines(
     plans; None: the nominal one alone.
     """
     yield (
-        f"controllers {laws}, pairs {pairs}, limit {limit:g} s, margin {margin:g}, starts"
-        f" {starts or 1}"
+        f"controllers {laws}, pairs {pairs}, limit {limit:g} s, margin {margin:g},"
+        f" starts {starts or 1}"
     )
     if starts is None:
         yield "it flies the nominal start: never a verdict; --seeds N draws random starts"
@@ -214,8 +214,8 @@ def plan_lines(
         )
 
     yield (
-        f"starts by gain in time, where no run fails, the usual time is {USUAL * limit:g} s, and"
-        " the gain varies by itself (sd)"
+        f"starts by gain in time, where no run fails, the usual time is {USUAL * limit:g} s,"
+        " and the gain varies by itself (sd)"
     )
     for share in GAINS:
         yield f"  {expected(share * limit).starts() or 'over 100,000':>8}  {share * limit:.3g} s"

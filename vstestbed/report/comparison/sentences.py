@@ -79,12 +79,12 @@ def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> Findin
 def _alone(comparison: ComparisonResults) -> str:
     (one,) = comparison.controllers
     interval = (
-        f"{100 * one.rate.mean:.0f} %, 95 % interval {100 * one.rate.low:.0f} to"
-        f" {100 * one.rate.high:.0f} %"
+        f"{100 * one.rate.mean:.0f} %,"
+        f" 95 % interval {100 * one.rate.low:.0f} to {100 * one.rate.high:.0f} %"
     )
     return (
-        f"{one.label} reached the goal in {int(one.success.sum())} of {counted(one.rate.n, 'run')}"
-        f" ({interval})."
+        f"{one.label} reached the goal in {int(one.success.sum())} of"
+        f" {counted(one.rate.n, 'run')} ({interval})."
     )
 
 
@@ -124,8 +124,8 @@ class _Standing:
             return "No verdict on the best: they beat each other in a circle."
         if len(unbeaten) == 1:
             return (
-                f"The best is {self._named(unbeaten)}: each other one is beaten, though not each"
-                " by it."
+                f"The best is {self._named(unbeaten)}:"
+                " each other one is beaten, though not each by it."
             )
         return f"The best is among {self._named(unbeaten)}: each other one is beaten."
 
@@ -154,8 +154,8 @@ class _Standing:
         better, worse = [p.b for p in self.pairs if p.better == p.b], self.beaten[a]
         words = (
             [
-                f"{self._named(better)} {'is' if len(better) == 1 else 'are'} better than"
-                f" {self.labels[a]}"
+                f"{self._named(better)} {'is' if len(better) == 1 else 'are'} better"
+                f" than {self.labels[a]}"
             ]
             if better
             else []
@@ -237,8 +237,8 @@ def _lead(pair: Pair, a: str, b: str) -> str:
     if verdict.decision == "trade":
         often, other = (b, a) if pair.test.only_b > pair.test.only_a else (a, b)
         return (
-            f"{b} and {a} are a trade, no verdict, since {often} reaches the goal more often and"
-            f" {other} is better in {cost}"
+            f"{b} and {a} are a trade, no verdict,"
+            f" since {often} reaches the goal more often and {other} is better in {cost}"
         )
     better, other = (b, a) if verdict.better == "b" else (a, b)
     by = listed(
@@ -329,14 +329,14 @@ def _reason(pair: Pair, side: Side, labels: Sequence[str]) -> str:
     if less > test.margin:
         name = labels[pair.a if side == "a" else pair.b]
         return (
-            f"{name} may fail up to {math.ceil(100 * less)} points more often (margin"
-            f" {100 * test.margin:g})."
+            f"{name} may fail up to {math.ceil(100 * less)} points more often"
+            f" (margin {100 * test.margin:g})."
         )
     if test.p_either > ALPHA:
         return "A failure not yet seen could cost more than is gained."
     return (
-        f"Alone the test of {cost} would decide ({p_text(test.p_either)}); among all tests of the"
-        " comparison it does not."
+        f"Alone the test of {cost} would decide ({p_text(test.p_either)});"
+        " among all tests of the comparison it does not."
     )
 
 

@@ -497,8 +497,8 @@ class DatasetWriter:
             else f"{wrong} (shape, rate or names)"
         )
         words = (
-            f"holds runs that differ in {what}: {names[0]} and {names[1]}; a dataset's frames are"
-            " all alike"
+            f"holds runs that differ in {what}: {names[0]} and {names[1]};"
+            " a dataset's frames are all alike"
         )
         raise ParameterError("DIR", words)
 

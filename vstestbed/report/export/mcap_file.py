@@ -101,8 +101,8 @@ def described(run: RecordedRun) -> dict[str, str]:
             "K, D as calibrated; /truth has the true lens" if as_ros(s.camera) else other
         ),
         "times": (
-            "simulated; pictures and measurements at the middle of the exposure, commands when they"
-            " are in force"
+            "simulated; pictures and measurements at the middle of the exposure,"
+            " commands when they are in force"
         ),
         "vstestbed": vstestbed_version(),
     }

@@ -135,8 +135,8 @@ def write_report(
                 if not (abs(log[name]) < FARTHEST_M).all():
                     raise RunFolderError(
                         run_dir,
-                        f"its log is damaged (a position over {FARTHEST_M:g} m in the column"
-                        f" {name})",
+                        f"its log is damaged (a position over {FARTHEST_M:g} m"
+                        f" in the column {name})",
                     )
     goals = [
         path.read_bytes()
@@ -272,8 +272,8 @@ def events(tracks: LogArrays) -> list[str]:
             else "Its task has no end, and in its last second it moved on"
         )
         found.append(
-            f"{words}, by more than the {STANDS_RADPS:g} rad or m of a robot that stands:"
-            f" {listed(moving)}."
+            f"{words}, by more than the {STANDS_RADPS:g} rad or m of a robot"
+            f" that stands: {listed(moving)}."
         )
     return found
 
@@ -308,8 +308,8 @@ def _friction(tracks: LogArrays) -> Iterator[str]:
             "although it was told to move" if len(held) == 1 else "although they were told to move"
         )
         yield (
-            f"Friction held {listed(list(held))} for up to {longest:.2g} s {words}, first at"
-            f" {first:.3g} s (stick-slip)."
+            f"Friction held {listed(list(held))} for up to {longest:.2g} s {words},"
+            f" first at {first:.3g} s (stick-slip)."
         )
 
 

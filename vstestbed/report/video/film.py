@@ -89,8 +89,8 @@ def quality_of(scenario: Scenario, fine: bool = False) -> Quality:
 @functools.cache
 def _warn_once() -> None:
     words = (
-        "films by rays are small, %d x %d from outside with %g pictures a second; --fine makes"
-        " large ones, which takes long"
+        "films by rays are small, %d x %d from outside with %g pictures a second;"
+        " --fine makes large ones, which takes long"
     )
     logging.getLogger("vstestbed").warning(words, *RAYS.size, RAYS.most_hz)
 

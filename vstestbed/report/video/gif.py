@@ -57,8 +57,8 @@ def write_gif(film: Path, path: Path) -> str:
                 f" {len(content) / 1e6:.2f} MB)"
             )
     words = (
-        f"makes files of up to {LARGEST_BYTES / 1e6:g} MB, for which this run is too long; leave it"
-        " out for a film"
+        f"makes files of up to {LARGEST_BYTES / 1e6:g} MB, for which this run is too long;"
+        " leave it out for a film"
     )
     raise ParameterError("--gif", words)
 

@@ -120,8 +120,8 @@ def add_robot(
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
     if (found := flange_in(_compiled(body.file), body.flange)) is None:
         words = (
-            f"has a model without a site `{body.flange}`, which carries the camera; add one to"
-            f" {body.file}"
+            f"has a model without a site `{body.flange}`, which carries the camera;"
+            f" add one to {body.file}"
         )
         raise ParameterError("robot.kind", words)
     model = _spec(body.file, body.changes)

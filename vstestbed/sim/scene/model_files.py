@@ -152,8 +152,8 @@ def _is_of_a_size(path: Path) -> None:
                     total *= max(float(number.rstrip("KMGTPE")), 1.0) * UNITS.get(number[-1], 1)
         if not total <= MOST[element]:
             words = (
-                f"asks for {total:.3g} by <{element}{short(attributes)[1:-1]}>, at most"
-                f" {MOST[element]:.3g} are made; make it smaller"
+                f"asks for {total:.3g} by <{element}{short(attributes)[1:-1]}>,"
+                f" at most {MOST[element]:.3g} are made; make it smaller"
             )
             raise ParameterError("file", words, str(path))
         if element == "replicate" and not empty:
@@ -269,8 +269,8 @@ def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix
 
 
 PARSING = re.compile(
-    r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line number=(\d+)(?:.*?XMLElement"
-    r" name=(\w+))?",
+    r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line"
+    r" number=(\d+)(?:.*?XMLElement name=(\w+))?",
     re.DOTALL,
 )
 LINE = re.compile(r",?\s*line (\d+)\s*$")
@@ -451,8 +451,8 @@ def _found(path: Path, scheme: str, name: str) -> str:
                 return str(place)
     package = name.partition("/")[0]
     words = (
-        f"names the mesh package://{name}, and no folder {package} with it is beside the file or"
-        " above it"
+        f"names the mesh package://{name},"
+        f" and no folder {package} with it is beside the file or above it"
     )
     raise ParameterError(
         "file",

@@ -76,8 +76,8 @@ def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
     pose = f"{{xyz: {_listed(target.xyz, 4)}, rpy_deg: {_listed(target.rpy_deg, 3)}}}"
     lines = [
         (
-            "# limits of speed and torque that the file lacks are guessed: the maker's data sheet"
-            " has them"
+            "# limits of speed and torque that the file lacks are guessed:"
+            " the maker's data sheet has them"
         ),
         "robot:",
     ]
@@ -90,8 +90,8 @@ def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
         f"camera: {{kind: perspective, fovy_deg: 60, mount: {{xyz: [0, 0, {start.mount:g}]}}}}"
     ]
     lines += [
-        f"target: {{kind: square, side: {side:.3g}, pose: {pose}, marker: {{kind: disc, radius:"
-        f" {radius:.2g}}}}}"
+        f"target: {{kind: square, side: {side:.3g}, pose: {pose},"
+        f" marker: {{kind: disc, radius: {radius:.2g}}}}}"
     ]
     lines += [
         "law: {kind: ibvs, gain: 0.8}",
@@ -454,8 +454,8 @@ def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) ->
             "servo",
             True,
             (
-                f"{name}: {_gains(*servo_gains(m, friction, slides), friction, slides)}, added by"
-                " actuation: velocity"
+                f"{name}: {_gains(*servo_gains(m, friction, slides), friction, slides)},"
+                " added by actuation: velocity"
             ),
             "",
         )

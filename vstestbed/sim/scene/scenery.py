@@ -111,16 +111,16 @@ def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
     for g, z in tops.items():
         if model.geom_type[g] == PLANE and abs(z - floor_z) > SAME_HEIGHT_M:
             words = (
-                f"has the horizontal plane {_name(model, g)} at z = {z:g} m, and the floor is at"
-                f" world.floor_z = {floor_z:g} m"
+                f"has the horizontal plane {_name(model, g)} at z = {z:g} m,"
+                f" and the floor is at world.floor_z = {floor_z:g} m"
             )
             raise ParameterError("file", f"{words}; set world.floor_z: {z:g}, or make a box of it")
     level = [g for g, z in tops.items() if abs(z - floor_z) <= SAME_HEIGHT_M]
     floors = [g for g in level if model.geom_type[g] == PLANE or model.geom(g).name == "floor"]
     if level and not floors:
         words = (
-            f"has the geom {_name(model, level[0])}, whose upper face is at the height of the"
-            " floor, where both would flicker"
+            f"has the geom {_name(model, level[0])},"
+            " whose upper face is at the height of the floor, where both would flicker"
         )
         raise ParameterError(
             "file",
@@ -242,8 +242,8 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
     one = "has a saturated colour" if len(found) == 1 else "have saturated colours"
     words = f"{names} in {path.name} {one} (max - min of r, g, b up to {max(found.values()):.2g})"
     return (
-        f"{words}, which {who} may take for markers; keep max - min under {limit:.2f}, or use"
-        " detector tags"
+        f"{words}, which {who} may take for markers;"
+        f" keep max - min under {limit:.2f}, or use detector tags"
     )
 
 

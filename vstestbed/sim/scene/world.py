@@ -232,8 +232,8 @@ class Light:
             path = self.path()
             if all(np.allclose(path(t)[:3, :3], np.eye(3), atol=1e-9) for t in SAMPLES_S):
                 words = (
-                    "must turn a lamp that is as far as the sun; works: {kind: sinusoid, amplitude:"
-                    " {rpy_deg: [20, 0, 0]},"
+                    "must turn a lamp that is as far as the sun;"
+                    " works: {kind: sinusoid, amplitude: {rpy_deg: [20, 0, 0]},"
                 )
                 raise ParameterError(
                     "motion",

@@ -189,8 +189,8 @@ def carry_out(
             write_table(runner.folder / "comparison", table, GROUP)
         if lost := len(runner.jobs) - len(table):
             words = (
-                f"{lost} of {len(runner.jobs)} runs are not there any more, though each was stored"
-                " when it was done"
+                f"{lost} of {len(runner.jobs)} runs are not there any more,"
+                " though each was stored when it was done"
             )
             advice = "see what else writes there, then do them again with --resume"
             raise OutputError(runner.folder, words, advice, EnvironmentLackError.exit_code)
@@ -332,8 +332,8 @@ def _resumed(
         requested, controllers(requested, force), comparison, found
     ):
         problem = (
-            "goes on with what the folder compares, which is something else (its `scenarios` are"
-            " copies); leave the rest out"
+            "goes on with what the folder compares,"
+            " which is something else (its `scenarios` are copies); leave the rest out"
         )
         raise ParameterError("--resume", problem, str(folder))
     return comparison, found

@@ -366,8 +366,8 @@ class Baseline:
             seeds = sorted(set(self.table["seed"].to_list()))
             of = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else ", ".join(map(str, seeds))
             words = (
-                f"has no run of this comparison; it has {'; '.join(names[:MOST_NAMED])}{more},"
-                f" seeds {of}"
+                "has no run of this comparison;"
+                f" it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {of}"
             )
             raise RunFolderError(
                 self.place, words, "compare the same scenarios with the same --vary and --seeds"

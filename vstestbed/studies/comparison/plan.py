@@ -92,8 +92,8 @@ class StartTable:
         ]
         if sum(given) != 1 or (self.camera_from_goal and self.target_from_goal):
             words = (
-                "or camera_from_goal, target_from_goal, seeds or file must say what the runs of a"
-                " task are"
+                "or camera_from_goal, target_from_goal,"
+                " seeds or file must say what the runs of a task are"
             )
             raise ParameterError(
                 "each",
@@ -173,8 +173,8 @@ def _read_lists(file: str) -> StartLists:
         if unknown:
             raise ParameterError(
                 "file",
-                f"may have {', '.join(StartLists._fields)} and about; it also has"
-                f" {', '.join(unknown)}",
+                f"may have {', '.join(StartLists._fields)} and about;"
+                f" it also has {', '.join(unknown)}",
                 file,
             )
         poses = {
@@ -361,8 +361,8 @@ class Comparison:
                 raise ParameterError.conflict(f"axes.{path}", "the same field in `set`")
             for inner in (own for own in self.set if own.startswith(f"{path}.")):
                 words = (
-                    f"replaces the whole block, so that {inner} of `set` has no effect; vary"
-                    f" {inner} as well (one value will do)"
+                    f"replaces the whole block, so that {inner} of `set` has no effect;"
+                    f" vary {inner} as well (one value will do)"
                 )
                 raise ParameterError(f"axes.{path}", words)
 
@@ -483,8 +483,8 @@ def _must_have_effect(read: Comparison, path: str) -> None:
                     Mistake(
                         "--set",
                         path,
-                        f"{words}; --vary {path}=VALUE is applied last, or change a copy of the"
-                        " file",
+                        f"{words}; --vary {path}=VALUE is applied last,"
+                        " or change a copy of the file",
                     )
                 ]
             )
@@ -718,8 +718,8 @@ def controllers(comparison: Comparison, force: bool = False) -> Variants:
         name, file = variant.scenario.name, variant.folder.split("/")[1]
         if file_of.setdefault(name, file) != file:  # the table would have both as one controller
             words = (
-                f"has two scenarios of the name {name}, {file_of[name]} and {file}; give each its"
-                " own `name`"
+                f"has two scenarios of the name {name}, {file_of[name]} and {file};"
+                " give each its own `name`"
             )
             raise ParameterError("base", words, list(comparison.base))
     return found
@@ -832,8 +832,8 @@ def _seeds_draw(scenario: Scenario, runs: int) -> bool:
     """Whether a seed draws anything, but an error where several runs would all be the same."""
     if runs > 1 and not scenario.draws:
         problem = (
-            "is missing, and nothing else is random: every seed would give the same run; add it, or"
-            " noise, or leave --seeds out"
+            "is missing, and nothing else is random: every seed would give the same run;"
+            " add it, or noise, or leave --seeds out"
         )
         raise ParameterError(f"{scenario.name}: robot.start.random", problem)
     return scenario.draws

@@ -161,8 +161,8 @@ class Agreement(NamedTuple):
         """In words."""
         total = self.same + self.near + len(self.differ)
         first = (
-            f"{self.same + self.near} of {total} runs agree ({self.same} to the last digit,"
-            f" {self.near} within"
+            f"{self.same + self.near} of {total} runs agree"
+            f" ({self.same} to the last digit, {self.near} within"
         )
         first += f" {100 * TOLERANCE:g} % and {LEAST:g} of the unit)"
         more = [f"and {len(self.differ) - 20} more"] if len(self.differ) > 20 else []
@@ -184,8 +184,8 @@ def agreement(before: pl.DataFrame, now: pl.DataFrame) -> Agreement:
         other = rows.get(row["folder"])
         if other is None or other["outcome"] != row["outcome"]:
             differ.append(
-                f"{row['folder']}: {row['outcome']}, now"
-                f" {'not there' if other is None else other['outcome']}"
+                f"{row['folder']}: {row['outcome']},"
+                f" now {'not there' if other is None else other['outcome']}"
             )
             continue
         pairs = [(m, row[m.name], other[m.name]) for m in metrics if row[m.name] != other[m.name]]

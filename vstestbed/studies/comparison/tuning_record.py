@@ -138,8 +138,8 @@ def settings_of(comparison: Comparison) -> str:
     differ = _different([_values(variant.scenario.law) for variant in laws.values()])
     if all(map(is_gain, differ)):
         words = (
-            f"one law flies with different {listed(differ)}. A larger gain converges sooner by"
-            " itself, until delay or limits stop it."
+            f"one law flies with different {listed(differ)}."
+            " A larger gain converges sooner by itself, until delay or limits stop it."
         )
         return f"These are settings, not laws: {words}".replace("law.", "") if differ else ""
     reasons = _reasons(comparison, laws)
@@ -191,8 +191,8 @@ def _against(comparison: Comparison, name: str, variant: Variant) -> Iterator[st
         )
     for path in _different([now, then]):
         yield (
-            f"{path} {flow_text(now.get(path))} in place of {flow_text(then.get(path))}, as in the"
-            " search"
+            f"{path} {flow_text(now.get(path))} in place of"
+            f" {flow_text(then.get(path))}, as in the search"
         )
     yield from _unequal(record, comparison.tuned.values())
 
