@@ -257,8 +257,10 @@ class TestRun:
         )
         assert error.startswith("  error     0.00")
         assert re.fullmatch(
-            r"  path      at the goal from \d+\.\d s on; \d+\.\d\d times the straight line;"
-            r" largest retreat \d+\.\d\d m",
+            (
+                r"  path      at the goal from \d+\.\d s on; \d+\.\d\d times the straight line;"
+                r" largest retreat \d+\.\d\d m"
+            ),
             path,
         )
         assert "simulated in" in time

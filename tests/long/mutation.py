@@ -316,8 +316,10 @@ def main() -> None:
             print(f"  survived  {mutant.file}:{mutant.line}  {mutant.words}", flush=True)
         share = 100 * (1 - count / len(some))
         print(
-            f"{room}: {len(some) - count} of {len(some)} noticed ({share:.0f} %),"
-            f" of {len(every)} mutants in all",
+            (
+                f"{room}: {len(some) - count} of {len(some)} noticed ({share:.0f} %),"
+                f" of {len(every)} mutants in all"
+            ),
             flush=True,
         )
 

@@ -152,8 +152,10 @@ def main():
             took = time.perf_counter() - began
             counts = {end: ends.count(end) for end in dict.fromkeys(ends)}
             print(
-                f"round {number}: {counts}, {len(data[0])} frames,"
-                f" relative error {error:.3f}, {took:.0f} s",
+                (
+                    f"round {number}: {counts}, {len(data[0])} frames,"
+                    f" relative error {error:.3f}, {took:.0f} s"
+                ),
                 flush=True,
             )
     np.savez(options.out, **{k: w.astype(np.float32) for k, w in weights.items()})

@@ -302,8 +302,10 @@ def fragile_leads() -> Iterator[World]:
             laws = Law(1, 5, sd), Law(1, 5 - lead, sd, lapse=lapse, lapse_s=more)
             yield of(
                 kind,
-                f"{lead:.2f} s quicker,"
-                f" from {lapse:g} of the starts {more:g} s slower, sd {sd:g} s",
+                (
+                    f"{lead:.2f} s quicker,"
+                    f" from {lapse:g} of the starts {more:g} s slower, sd {sd:g} s"
+                ),
                 *laws,
                 limit=30.0,
             )
@@ -848,8 +850,10 @@ def study() -> dict[str, list[Cell]]:
         for one in counted(worlds, starts):
             found[name].append(one)
             print(
-                f"{one.kind} | {one.name} | {one.n} | {one.wrong} | {one.any_verdict} |"
-                f" {one.any_sooner} of {one.draws}",
+                (
+                    f"{one.kind} | {one.name} | {one.n} | {one.wrong} | {one.any_verdict} |"
+                    f" {one.any_sooner} of {one.draws}"
+                ),
                 flush=True,
             )
     found["outside"] = [unlimited_cell(n, DRAWS, np.random.default_rng([2026, n])) for n in STARTS]

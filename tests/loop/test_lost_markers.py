@@ -43,8 +43,10 @@ def reason(name: str, **changes: object) -> str:
 def test_the_border(xyz: list[float], border: str):
     said = reason("ibvs_book", **SIDEWAYS | {"robot.start.nominal.xyz": xyz})
     assert re.search(
-        rf"; markers \d, \d were beyond the {border} border of the picture from the"
-        r" start on; a wider camera",
+        (
+            rf"; markers \d, \d were beyond the {border} border of the picture"
+            r" from the start on; a wider camera"
+        ),
         said,
     )
 

@@ -100,8 +100,10 @@ class TestCar:
         turned = run("car_pbvs", robot__compass={"bias_deg": 10, "sigma_deg": 0}, detector="oracle")
         assert turned.outcome is Outcome.local_minimum
         told = re.fullmatch(
-            r"the commanded twist is zero (\S+) m and (\S+)"
-            r" deg from the goal by the robot's own estimate",
+            (
+                r"the commanded twist is zero (\S+) m and (\S+)"
+                r" deg from the goal by the robot's own estimate"
+            ),
             turned.reason,
         )
         assert told, turned.reason

@@ -172,9 +172,12 @@ def test_markers_of_one_look_that_could_be_one_another():
     refused(
         "arm_ibvs",
         {"target.marker.hues": ["red"] * 4},
-        "target.marker.hues: leave it open which marker is which: turned, the target shows 0 for 1,"
-        " 1 for 2, 2 for 3, 3 for 0; works: other hues of these, none (all are then different),"
-        " marker tag, an arrangement without symmetry",
+        (
+            "target.marker.hues: leave it open which marker is which:"
+            " turned, the target shows 0 for 1, 1 for 2, 2 for 3, 3 for 0;"
+            " works: other hues of these, none (all are then different), marker tag,"
+            " an arrangement without symmetry"
+        ),
     )
     # alike in a mirror alone: a board has no markers behind
     for hues in (["red", "red", "red", "blue"], ["red", "red", "blue", "blue"]):

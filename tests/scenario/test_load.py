@@ -379,8 +379,10 @@ def test_a_rate_and_a_step_that_do_not_divide_are_told_with_both_numbers() -> No
     """
     (told,) = mistakes(GOOD + "physics: {step_s: 0.003}\n")
     assert re.fullmatch(
-        r"s\.yaml:11:11: physics\.step_s: must divide the camera's period 0\.04 s \(25 Hz\);"
-        r" 0\.002857142\d+ does, got 0\.003",
+        (
+            r"s\.yaml:11:11: physics\.step_s: must divide the camera's period 0\.04 s \(25 Hz\);"
+            r" 0\.002857142\d+ does, got 0\.003"
+        ),
         told,
     )
     suggested = parse(GOOD + f"physics: {{step_s: {1 / 25 / 14!r}}}\n", "s.yaml")

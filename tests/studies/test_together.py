@@ -306,8 +306,10 @@ def test_a_hundred_starts_end_as_by_opengl() -> None:
         frames = frames[np.isfinite(frames)]
         apart[what] = frames
         print(
-            f"{what}: {same} of 100 the same outcome; {len(frames)} times,"
-            f" {100 * np.mean(frames < 1.5):.0f} % within one frame, ",
+            (
+                f"{what}: {same} of 100 the same outcome; {len(frames)} times,"
+                f" {100 * np.mean(frames < 1.5):.0f} % within one frame, "
+            ),
             end="",
         )
         print(f"median {np.median(frames):.1f} frames, 95 % {np.quantile(frames, 0.95):.0f}")

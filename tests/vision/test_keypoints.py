@@ -145,8 +145,10 @@ def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_re
         1
     ]
     assert re.search(
-        r"\d+ points match the goal's picture, of which 0 agree with one plane:"
-        r" the target may have too little",
+        (
+            r"\d+ points match the goal's picture, of which 0 agree with one plane:"
+            r" the target may have too little"
+        ),
         detection.why,
     )
 

@@ -67,8 +67,10 @@ def test_from_ten_random_starts(name: str, capsys: pytest.CaptureFixture[str]):
                 f" {np.degrees(r['rotation_error_rad'][-1]):.3f} deg"
             )
             print(
-                f"\n{name} {seed}: {r.outcome.name}, {final}, corners {np.nanmedian(off):.3f} px,"
-                f" at most {np.nanmax(off):.2f}",
+                (
+                    f"\n{name} {seed}: {r.outcome.name}, {final},"
+                    f" corners {np.nanmedian(off):.3f} px, at most {np.nanmax(off):.2f}"
+                ),
                 end="",
             )
         assert r.outcome is vs.Outcome.converged and not r["lost"].any()

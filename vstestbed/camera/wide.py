@@ -383,8 +383,10 @@ class SphericalCamera(Radial):
         """
         raise ParameterError(
             "calibration",
-            "may have no lens errors with camera spherical,"
-            " which has no one lens; mount_error it may",
+            (
+                "may have no lens errors with camera spherical,"
+                " which has no one lens; mount_error it may"
+            ),
         )
 
     @property

@@ -442,8 +442,10 @@ def suite(
             raise typer.Exit(INTERRUPTED) from None
     if share is not None:
         typer.echo(
-            f"shard {share} is in {folder};"
-            " `vstestbed suite ... --merge DIR --merge DIR` puts all together",
+            (
+                f"shard {share} is in {folder};"
+                " `vstestbed suite ... --merge DIR --merge DIR` puts all together"
+            ),
             err=True,
         )
         return

@@ -168,8 +168,10 @@ def _kinds(entry: Entry, registry: Registry, console: Console) -> None:
     field = entry.field.removesuffix("[]")
     place = "" if field == registry.what else f" In a scenario the field is called {field}."
     _wrapped(
-        f"vstestbed describe {registry.what}.{next(iter(registry.members))} shows"
-        f" one of them.{place}",
+        (
+            f"vstestbed describe {registry.what}.{next(iter(registry.members))} shows"
+            f" one of them.{place}"
+        ),
         console,
     )
 

@@ -156,8 +156,10 @@ def _pictures() -> Iterator[Finding]:
         yield Finding(
             "pixels",
             False,
-            f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were"
-            " found in the picture",
+            (
+                f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were"
+                " found in the picture"
+            ),
             remedy,
         )
         return

@@ -246,8 +246,10 @@ def identify(
         typer.echo(f"{line[0]:40s} {line[1]:>12s}   {line[2]}")
     if not quiet:
         typer.echo(
-            f"{room.tested(found)}\n"
-            f"{room.INTERVAL}\n"
-            f"  results   {folder} (robot.yaml, report.html)",
+            (
+                f"{room.tested(found)}\n"
+                f"{room.INTERVAL}\n"
+                f"  results   {folder} (robot.yaml, report.html)"
+            ),
             err=True,
         )

@@ -135,8 +135,10 @@ def ros(
                 servo.spin(ended)
                 if not quiet:
                     typer.echo(
-                        f"{len(servo.took_s)}"
-                        f" twists{_after(servo.took_s, 'after its picture each')}",
+                        (
+                            f"{len(servo.took_s)}"
+                            f" twists{_after(servo.took_s, 'after its picture each')}"
+                        ),
                         err=True,
                     )
                     for line in servo.servo.senses.passed.lines():

@@ -299,8 +299,10 @@ def new(
     if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise ParameterError(
             "--out",
-            "must be a Python file,"
-            f" such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py",
+            (
+                "must be a Python file,"
+                f" such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py"
+            ),
             str(path),
         )
     if path.exists() or path.is_symlink():

@@ -133,8 +133,10 @@ class Registry:
             name = getattr(member, "__name__", repr(member))
             raise ParameterError(
                 name,
-                f"is not a spec; a {self.what} is a class"
-                " with @spec directly above it, below any `add`",
+                (
+                    f"is not a spec; a {self.what} is a class"
+                    " with @spec directly above it, below any `add`"
+                ),
             )
         kind = kind_of(member)
         known = self.members.get(kind, member)

@@ -46,14 +46,18 @@ def pose_matrix(value: Any, name: str = "") -> Array:
     if kind == "SE2":
         raise ParameterError(
             name,
-            "is a place in the plane (SE2), and here a pose in space belongs;"
-            " its SE3() lifts it to height 0",
+            (
+                "is a place in the plane (SE2), and here a pose in space belongs;"
+                " its SE3() lifts it to height 0"
+            ),
         )
     if kind not in ("", "SE3"):
         raise ParameterError(
             name,
-            f"must be a pose (SE3), got {_a(kind)};"
-            " SE3.Rt(R, [x, y, z]) has a rotation and a place",
+            (
+                f"must be a pose (SE3), got {_a(kind)};"
+                " SE3.Rt(R, [x, y, z]) has a rotation and a place"
+            ),
         )
     return _rigid(
         _one(value, kind, 4, "a pose: an SE3, or a homogeneous matrix (4, 4)", name), name
@@ -95,8 +99,10 @@ def upright(value: Any, name: str = "") -> tuple[list[float], float]:
         axis = T[:3, 2].round(3).tolist()
         raise ParameterError(
             name,
-            "must be upright, turned about the world's z axis alone;"
-            f" the z axis of this pose is {axis}",
+            (
+                "must be upright, turned about the world's z axis alone;"
+                f" the z axis of this pose is {axis}"
+            ),
         )
     return tidy_position(T), heading_of(T)
 

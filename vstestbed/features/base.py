@@ -95,8 +95,10 @@ def require_plane(xy: Array, depth: Array, kind: str) -> None:
     if spread[-1] > 0.01 * spread[0]:  # the scatter off the plane against the largest in it
         raise ParameterError(
             "target",
-            f"must have its markers in one plane for the feature {kind};"
-            " use point, or another target",
+            (
+                f"must have its markers in one plane for the feature {kind};"
+                " use point, or another target"
+            ),
         )
 
 

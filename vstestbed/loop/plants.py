@@ -129,8 +129,10 @@ def sight_of(picture: Picture) -> Sight:
     if whole.image is None:
         raise ParameterError(
             "camera",
-            "must have a single image, of which a law or a detector takes all;"
-            " use a perspective camera",
+            (
+                "must have a single image, of which a law or a detector takes all;"
+                " use a perspective camera"
+            ),
         )
     # The renderer overwrites its picture, and a law may keep one to compare the next with.
     return Sight(whole.image.copy(), whole.depth)

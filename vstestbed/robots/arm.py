@@ -346,8 +346,10 @@ class Arm(Realistic):
             if self.actuation == "ideal" and getattr(self, field) is not None:
                 raise ParameterError.only_for(
                     field,
-                    "actuators with limits, and `actuation: ideal` has none;"
-                    " works: another actuation",
+                    (
+                        "actuators with limits, and `actuation: ideal` has none;"
+                        " works: another actuation"
+                    ),
                 )
 
     @property

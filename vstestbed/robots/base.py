@@ -322,8 +322,10 @@ class Robot:
         """
         raise ParameterError(
             "robot.kind",
-            "must be an arm or the free camera:"
-            " only they start where a view of the target asks for",
+            (
+                "must be an arm or the free camera:"
+                " only they start where a view of the target asks for"
+            ),
         )
 
     @abstractmethod

@@ -74,8 +74,10 @@ class Realistic(Robot):
         if level != "none" and level not in cls.presets:
             raise ParameterError(
                 "realism",
-                f"fills nothing: {cls.__name__} has no preset of that name;"
-                " works: none, and single effects",
+                (
+                    f"fills nothing: {cls.__name__} has no preset of that name;"
+                    " works: none, and single effects"
+                ),
                 level,
             )
         if isinstance(given, ArgsKwargs):

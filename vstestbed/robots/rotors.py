@@ -106,8 +106,10 @@ class QuadrotorParameters:
             )
             raise ParameterError(
                 "mass_kg",
-                f"{words} {ways}, or rotor_speed_radps from"
-                f" {self.rotor_speed_radps * math.sqrt(need):.4g}",
+                (
+                    f"{words} {ways}, or rotor_speed_radps from"
+                    f" {self.rotor_speed_radps * math.sqrt(need):.4g}"
+                ),
             )
         turn = (
             2

@@ -177,8 +177,10 @@ class Vehicle(Realistic):
             if getattr(self, name) is not None:
                 raise ParameterError.only_for(
                     name,
-                    "robots whose class says `imperfect_wheels`,"
-                    f" and {type(self).__name__} does not",
+                    (
+                        "robots whose class says `imperfect_wheels`,"
+                        f" and {type(self).__name__} does not"
+                    ),
                 )
         return self
 

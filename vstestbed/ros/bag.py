@@ -230,8 +230,10 @@ def _topics(
             )
             raise ParameterError(
                 "--remap",
-                f"{role}=TOPIC must say which topic it is:"
-                f" of {' or '.join(those)} there are {listed}",
+                (
+                    f"{role}=TOPIC must say which topic it is:"
+                    f" of {' or '.join(those)} there are {listed}"
+                ),
             )
     return found
 

@@ -630,8 +630,10 @@ def _row(effect: Effect, actor: Actor) -> Sequence[float]:
         names = ", ".join(effect.columns)
         raise ParameterError(
             "robot.effects",
-            f"{type(effect).__name__} has the columns {names};"
-            " `row` of its actor must return as many",
+            (
+                f"{type(effect).__name__} has the columns {names};"
+                " `row` of its actor must return as many"
+            ),
             list(row),
         )
     return row

@@ -375,8 +375,10 @@ def intrinsics_of(
     except cv2.error as error:
         raise ParameterError(
             "pictures",
-            f"do not determine the lens ({' '.join(str(error.err).split())});"
-            " take more, from aslant",
+            (
+                f"do not determine the lens ({' '.join(str(error.err).split())});"
+                " take more, from aslant"
+            ),
         ) from None
     try:
         found = Intrinsics.of(K, np.ravel(k), (width, height), model)

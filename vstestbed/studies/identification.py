@@ -200,8 +200,10 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     if len(used) < LEAST_MOMENTS:
         raise ParameterError(
             "record",
-            f"has {len(used)} moments that can be used of {len(table)};"
-            f" at least {LEAST_MOMENTS} are needed",
+            (
+                f"has {len(used)} moments that can be used of {len(table)};"
+                f" at least {LEAST_MOMENTS} are needed"
+            ),
         )
     if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
         raise ParameterError.bound(

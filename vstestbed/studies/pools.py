@@ -486,8 +486,10 @@ def must_not_be_worker(function: str) -> None:
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise ParameterError(
             function,
-            "must stand under `if __name__ == '__main__':` in a script,"
-            " which worker processes import",
+            (
+                "must stand under `if __name__ == '__main__':` in a script,"
+                " which worker processes import"
+            ),
         )
 
 

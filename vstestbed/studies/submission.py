@@ -261,8 +261,10 @@ def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEn
         raise RunFolderError(
             file,
             why,
-            "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`,"
-            " then `vstestbed submit DIR`",
+            (
+                "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`,"
+                " then `vstestbed submit DIR`"
+            ),
         )
     for name in found:
         if name.startswith(f"{LAW_FOLDER}/"):
@@ -311,8 +313,10 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
         for _, _, start, reached, said in odd.iter_rows():
             raise _refused(
                 file,
-                f"its {RUNS} says success {short(reached)}"
-                f" and value {short(said)} of {short(start)}",
+                (
+                    f"its {RUNS} says success {short(reached)}"
+                    f" and value {short(said)} of {short(start)}"
+                ),
                 works,
             )
         success = pl.col("success").replace_strict(
@@ -327,8 +331,10 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
     if other := there - planned:
         raise _refused(
             file,
-            f"its {RUNS} holds {short(next(iter(other)))},"
-            " which is not of the plan, or there twice",
+            (
+                f"its {RUNS} holds {short(next(iter(other)))},"
+                " which is not of the plan, or there twice"
+            ),
             works,
         )
     for task, _, start, reached, value in runs.iter_rows():

@@ -53,8 +53,10 @@ class Oracle(DetectorBase):
         if view is None:
             raise ParameterError.missing(
                 "view",
-                "the oracle needs the true view of the target;"
-                " use detector blobs where there is none",
+                (
+                    "the oracle needs the true view of the target;"
+                    " use detector blobs where there is none"
+                ),
             )
         p = view.p_camera
         uv = camera.project(p)

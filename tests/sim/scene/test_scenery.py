@@ -166,8 +166,10 @@ def test_a_goal_view_and_random_starts_that_it_hides_are_refused(
 def test_to_touch_it_ends_the_run_with_its_name(tmp_path: Path):
     box = mjcf(
         tmp_path,
-        '<body name="shelf" pos=".55 0 1.05">'
-        '<geom name="low_shelf" type="box" size=".25 .5 .02"/></body>',
+        (
+            '<body name="shelf" pos=".55 0 1.05">'
+            '<geom name="low_shelf" type="box" size=".25 .5 .02"/></body>'
+        ),
     )
     run = vs.run(
         vs.load(

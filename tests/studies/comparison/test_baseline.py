@@ -86,8 +86,10 @@ def test_a_slower_law_is_worse_beyond_the_tolerance_only(tmp_path: Path) -> None
     assert changes.regressions(0.06) == []
     (words,) = changes.regressions()
     assert re.fullmatch(
-        r"gain=2: time to converge 4\.305 s, before 4\.1 s:"
-        r" \+0\.205 \[.*\], 5 % worse \(tolerance 2 %\)",
+        (
+            r"gain=2: time to converge 4\.305 s, before 4\.1 s:"
+            r" \+0\.205 \[.*\], 5 % worse \(tolerance 2 %\)"
+        ),
         words,
     )
     assert changed(tmp_path, table(time_s=4.2), table()).regressions() == []  # sooner is not worse

@@ -345,8 +345,10 @@ def test_a_script_without_a_main_guard_is_told_so(
 ):
     script = tmp_path / "script.py"
     script.write_text(
-        "import vstestbed as vs\n"
-        "vs.compare(['arm_ibvs'], set={'stop.duration_s': 0.2}, jobs=1, film=False)\n",
+        (
+            "import vstestbed as vs\n"
+            "vs.compare(['arm_ibvs'], set={'stop.duration_s': 0.2}, jobs=1, film=False)\n"
+        ),
         encoding="utf-8",
     )
     words, environment = vstestbed_process

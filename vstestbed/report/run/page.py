@@ -135,8 +135,10 @@ def write_report(
                 if not (abs(log[name]) < FARTHEST_M).all():
                     raise RunFolderError(
                         run_dir,
-                        f"its log is damaged (a position over {FARTHEST_M:g} m"
-                        f" in the column {name})",
+                        (
+                            f"its log is damaged (a position over {FARTHEST_M:g} m"
+                            f" in the column {name})"
+                        ),
                     )
     goals = [
         path.read_bytes()

@@ -256,8 +256,10 @@ def _check(
     if not all(found):
         raise ParameterError(
             "file",
-            f"must name each joint before {flange};"
-            f" joint {found.index('') + 1} of them has no name",
+            (
+                f"must name each joint before {flange};"
+                f" joint {found.index('') + 1} of them has no name"
+            ),
         )
     for i, name in zip(joints, found, strict=True):
         _check_numbers(model, i, name)
@@ -314,8 +316,10 @@ def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
     if low > high:
         raise ParameterError(
             "file",
-            f"must give {name} a range from its lower to its upper end,"
-            f" got {low:.4g} to {high:.4g}",
+            (
+                f"must give {name} a range from its lower to its upper end,"
+                f" got {low:.4g} to {high:.4g}"
+            ),
         )
     # Damping may be: of the Panda's joint 6 it was identified as -0.013 Nm s/rad.
     for word, values in {

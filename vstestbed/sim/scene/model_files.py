@@ -269,8 +269,10 @@ def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix
 
 
 PARSING = re.compile(
-    r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line"
-    r" number=(\d+)(?:.*?XMLElement name=(\w+))?",
+    (
+        r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line"
+        r" number=(\d+)(?:.*?XMLElement name=(\w+))?"
+    ),
     re.DOTALL,
 )
 LINE = re.compile(r",?\s*line (\d+)\s*$")

@@ -173,8 +173,10 @@ def _read_lists(file: str) -> StartLists:
         if unknown:
             raise ParameterError(
                 "file",
-                f"may have {', '.join(StartLists._fields)} and about;"
-                f" it also has {', '.join(unknown)}",
+                (
+                    f"may have {', '.join(StartLists._fields)} and about;"
+                    f" it also has {', '.join(unknown)}"
+                ),
                 file,
             )
         poses = {
@@ -483,8 +485,10 @@ def _must_have_effect(read: Comparison, path: str) -> None:
                     Mistake(
                         "--set",
                         path,
-                        f"{words}; --vary {path}=VALUE is applied last,"
-                        " or change a copy of the file",
+                        (
+                            f"{words}; --vary {path}=VALUE is applied last,"
+                            " or change a copy of the file"
+                        ),
                     )
                 ]
             )
