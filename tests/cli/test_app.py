@@ -504,6 +504,9 @@ class TestListAndSchema:
         assert [line.split()[0] for line in ended.out.splitlines()] == (list(members) or ["none;"])
         # the word, and what it is
         assert all(len(line.split()) > 2 for line in ended.out.splitlines())
+        # a whole sentence, though a line of the docstring may end within it
+        if room not in files and members:
+            assert all(line.endswith(".") for line in ended.out.splitlines())
 
     def test_without_a_room_it_lists_all(self, command) -> None:
         out = command("list").out

@@ -94,6 +94,20 @@ def test_items_of_lists_and_rows_of_definitions_stay_apart() -> None:
     assert "  nearest." in shown("detector.keypoints", 100).splitlines()
 
 
+def test_lines_that_a_docstring_filled_are_joined_and_others_are_not() -> None:
+    """On a wide terminal; a line with room for the next word ends where its writer wanted it to."""
+    lines = shown("law.pbvs", 1000).splitlines()
+    three = next(i for i, line in enumerate(lines) if line.startswith("`cdMc`"))
+    # prose of two lines before, and of two lines in the last item
+    assert lines[three - 2].endswith("L are one of three:")
+    assert lines[three + 5].endswith("its place at the goal, so that it stays in view.")
+    # a line of an equation, and what stands in backquotes is one word
+    assert "c = cos phi, s = sin phi" in shown("feature.spherical", 1000).splitlines()
+    assert not any(
+        line.endswith("With") for line in shown("law.pose_controller", 1000).splitlines()
+    )
+
+
 def test_a_table_of_kinds_has_whole_sentences() -> None:
     rooms = [entry.registry for entry in entries().values() if entry.cls is None]
     assert [

@@ -1,11 +1,12 @@
 """Do two checkouts leave the same numbers?
 `python tests/long/same_numbers.py OLD NEW [SCENARIO ...]`.
 
-For before and after a change of structure. Every bundled scenario (or those named) runs once in
-each checkout, and `compare canonical` after them. Printed for each run is whether its `log.parquet`
-is the same bytes, or the same numbers under other column names (`RENAMED`), and whether its summary
-is the same. The exit code is 1 where anything else differs. Results are kept in the folder
-`--keep`, so that an old checkout need not run again.
+For before and after a change of structure.
+Every bundled scenario (or those named) runs once in each checkout, and `compare canonical` after
+them. Printed for each run is whether its `log.parquet` is the same bytes, or the same numbers under
+other column names (`RENAMED`), and whether its summary is the same. The exit code is 1 where
+anything else differs. Results are kept in the folder `--keep`, so that an old checkout need not run
+again.
 """
 
 from __future__ import annotations

@@ -513,8 +513,8 @@ class Calibration:
     ) -> Calibration:
         """What a calibration found: the camera matrix K (3, 3) with OpenCV's distortion
         coefficients, and the pose of the camera in the flange's frame, T_flange_camera (4, 4) or an
-        SE3; each may be left out. model: of the distortion, as ROS names it. Raises ParameterError:
-        a matrix that is none, a skew, coefficients of another model.
+        SE3; each may be left out. model: of the distortion, as ROS names it.
+        Raises ParameterError: a matrix that is none, a skew, coefficients of another model.
         """
         lens = (
             None

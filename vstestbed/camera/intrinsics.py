@@ -129,8 +129,9 @@ class Intrinsics:
         name: str = "K",
     ) -> Intrinsics:
         """Those of a camera matrix (3, 3) and distortion coefficients of OpenCV; numbers that are 0
-        at the end do not count. Raises ParameterError: a matrix that is none, a skew, coefficients
-        of a model that is not known here.
+        at the end do not count.
+        Raises ParameterError: a matrix that is none, a skew, coefficients of a model that is not
+        known here.
         """
         K = _numbers(camera_matrix, name)
         form = "must be a camera matrix (3, 3), [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
@@ -158,7 +159,8 @@ class Intrinsics:
 
 def _modelled(k: list[float], model: str) -> tuple[list[float], str]:
     """OpenCV's coefficients without zeros at their end, and the model that they are of; "" where
-    its name is not given. Raises ParameterError: of a model that is not known here.
+    its name is not given.
+    Raises ParameterError: of a model that is not known here.
     """
     model = {"fisheye": "equidistant", "radtan": "plumb_bob", "kannala_brandt": "equidistant"}.get(
         model, model

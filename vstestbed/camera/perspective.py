@@ -37,8 +37,8 @@ class Perspective(Camera):
     """Pinhole with square pixels: u = f x_d + cx, v = f y_d + cy; those of `intrinsics` may be
     rectangles, with fx and fy.
 
-    (x_d, y_d) is (X/Z, Y/Z) after the distortion k = (k1, k2, p1, p2, k3), r^2 = x^2 + y^2: x_d = x
-    (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y_d alike with p1 and p2
+    (x_d, y_d) is (X/Z, Y/Z) after the distortion k = (k1, k2, p1, p2, k3), r^2 = x^2 + y^2:
+    x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y_d alike with p1 and p2
     exchanged. The rational model of `intrinsics` divides the bracket by 1 + k4 r^2 + k5 r^4 + k6
     r^6.
 

@@ -288,12 +288,12 @@ class Catadioptric(Radial):
     """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then
     to (Xs, Ys) / (Zs + xi).
 
-    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by theta =
-    atan(m) + asin(xi m / sqrt(1 + m^2)). f is the generalised focal length (mirror and lens
-    together). xi = 0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one under an
-    orthographic lens, m = tan(theta/2); xi > 1 fits fisheyes. The model is valid for Zs > -xi (for
-    xi > 1: Zs > -1/xi). The z axis points from the mirror to the lens; the mirror's reversal of the
-    image is taken as undone (u rises with X).
+    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by theta = atan(m)
+    + asin(xi m / sqrt(1 + m^2)). f is the generalised focal length (mirror and lens together). xi =
+    0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one under an orthographic
+    lens, m = tan(theta/2); xi > 1 fits fisheyes. The model is valid for Zs > -xi (for xi > 1: Zs >
+    -1/xi). The z axis points from the mirror to the lens; the mirror's reversal of the image is
+    taken as undone (u rises with X).
 
     Args:
         xi: the mirror's parameter [1].

@@ -29,6 +29,12 @@ off: `xn, yn, an     xg/sqrt(a)`.
 """
 
 
+_WORD = re.compile(r"`[^`]*`\S*|\S*")
+"""The first word of a line, or what stands in backquotes there, which stays in one piece."""
+FILLED = 96
+"""Columns that a class's docstring fills: the 100 of a line less its indentation."""
+
+
 def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) -> None:
     """Print all that is known of an entry; `entries`: the whole catalogue, for the names of the
     blocks in it.
@@ -181,13 +187,15 @@ def _lines(paragraph: str) -> Iterator[str]:
     are joined.
     """
     whole = ""
-    for line in paragraph.splitlines():
+    lines = paragraph.splitlines()
+    for line, following in zip(lines, [*lines[1:], ""], strict=True):
         if whole and _ITEM.match(line):
             yield whole
             whole = ""
         whole = f"{whole} {line.strip()}" if whole else line
-        # a shorter line ends where its writer wanted it to end, as a line of an equation does
-        if len(line) < 100:
+        # A line with room for the next word ends where its writer wanted it to end, as a line of an
+        # equation does.
+        if len(line) + 1 + len(_WORD.match(following.lstrip())[0]) <= FILLED:
             yield whole
             whole = ""
     if whole:

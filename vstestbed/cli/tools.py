@@ -108,6 +108,7 @@ def list_(
     plugin: Plugins = None,
 ) -> None:
     """What there is, one line each."""
+    from vstestbed.core.fields import class_text
     from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
     from vstestbed.scenario import plugins
     from vstestbed.scenario.yaml_marks import bundled_mapping
@@ -124,7 +125,7 @@ def list_(
             ]
         else:
             entries = [
-                (word, (cls.__doc__ or "").strip().split("\n")[0])
+                (word, class_text(cls).summary)
                 for word, cls in plugins.registry(name).members.items()
             ]
         width = max((len(entry) for entry, _ in entries), default=0)

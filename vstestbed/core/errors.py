@@ -320,7 +320,8 @@ def take_early() -> None:
     """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take
     its memory, while there is some. What OpenBLAS cannot have it asks for again without end, in C
     code that holds Python's lock: the process hangs, and serves no signal. One thread each: every
-    further one would take 32 MiB. Raises OSError: there is too little; `lack_of` tells it.
+    further one would take 32 MiB.
+    Raises OSError: there is too little; `lack_of` tells it.
     """
     if sys.platform == "win32":
         return

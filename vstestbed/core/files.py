@@ -206,8 +206,9 @@ _held: dict[tuple[int, int], int] = {}
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
     """Hold an existing folder as the only process that writes into it, by flock(2) where there is
-    one; holds of one process may be nested. Raises OutputError: another process holds the folder,
-    which the message names; or there is no such folder.
+    one; holds of one process may be nested.
+    Raises OutputError: another process holds the folder, which the message names; or there is no
+    such folder.
     """
     with writing(folder):
         found = folder.stat()
@@ -342,8 +343,8 @@ def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -
 @contextmanager
 def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
     """Make a folder that appears under its name when it is complete, or not at all; what it is
-    given to be filled has a temporary name. Raises OutputError, EnvironmentLackError: see
-    `must_be_new` and `writing`.
+    given to be filled has a temporary name.
+    Raises OutputError, EnvironmentLackError: see `must_be_new` and `writing`.
     """
     must_be_new(out, remedy)
     part = temporary(out)

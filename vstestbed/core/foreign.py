@@ -94,8 +94,8 @@ def only_known(
     read could change the meaning.
 
     harmless: keys that mean nothing for what is read, such as a frame's sequence number. field:
-    where they stand, for messages. Raises ParameterError: it names the first such key, and the
-    nearest ones that are read.
+    where they stand, for messages.
+    Raises ParameterError: it names the first such key, and the nearest ones that are read.
     """
     known = [*used]
     passed = {*known, *harmless}

@@ -2,8 +2,9 @@
 
 Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names cancel:
 `T_world_camera @ T_camera_target`). Spatialmath's SE3 is what scripts give and get
-(`core.spatial`); it takes .8 s to import, so the loop goes without. A twist is (vx, vy, vz, wx, wy,
-wz) of a frame, expressed in that frame unless the name says otherwise.
+(`core.spatial`); it takes .8 s to import, so the loop goes without.
+A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says
+otherwise.
 """
 
 from __future__ import annotations

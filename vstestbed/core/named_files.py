@@ -215,8 +215,8 @@ def module_of(path: Path) -> ModuleType | None:
 
 def load_file(path: Path) -> ModuleType:
     """The module of a file, loaded if it is not yet. Its folder joins Python's path, at the end,
-    for what the file imports. Raises ImportError: it is no Python file. Whatever the file raises
-    while it is loaded.
+    for what the file imports.
+    Raises ImportError: it is no Python file. Whatever the file raises while it is loaded.
     """
     if (known := module_of(path)) is not None:
         return known

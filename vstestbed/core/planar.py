@@ -122,7 +122,8 @@ def arc(motion: Array, duration: float) -> Array:
     an exact arc.
 
     With theta = wz t: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t, a = sin(theta)/theta, b = (1 -
-    cos(theta))/theta. Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
+    cos(theta))/theta.
+    Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
     """
     step = np.asarray(motion, dtype=float) * duration
     dx, dy, theta = step[..., 0], step[..., 1], step[..., 2]

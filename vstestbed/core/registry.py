@@ -119,8 +119,9 @@ class Registry:
         )
 
     def add(self, member: type[T]) -> type[T]:
-        """Register one more kind (usable as a decorator by a plugin). Raises ParameterError: the
-        class is no spec, its word is taken, or it breaks the contract of the registry.
+        """Register one more kind (usable as a decorator by a plugin).
+        Raises ParameterError: the class is no spec, its word is taken, or it breaks the contract of
+        the registry.
         """
         self._check(member)
         self.members[kind_of(member)] = member

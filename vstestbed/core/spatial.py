@@ -39,8 +39,9 @@ def is_matrix(value: object) -> bool:
 
 def pose_matrix(value: Any, name: str = "") -> Array:
     """The homogeneous matrix (4, 4) of an SE3 of one pose, or of an array that is one. name: the
-    parameter's, for messages. Raises ParameterError: several poses, a place in the plane (SE2), a
-    rotation alone, a matrix that is no rigid motion.
+    parameter's, for messages.
+    Raises ParameterError: several poses, a place in the plane (SE2), a rotation alone, a matrix
+    that is no rigid motion.
     """
     kind = class_of(value)
     if kind == "SE2":
@@ -66,8 +67,8 @@ def pose_matrix(value: Any, name: str = "") -> Array:
 
 def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
     """Place and heading (x [m], y [m], heading [deg]) of an SE2 (or its (3, 3)), or of an SE3 (or
-    its (4, 4)) that stands on the floor. Raises ParameterError: several places, a pose off the
-    floor, a matrix that is no rigid motion.
+    its (4, 4)) that stands on the floor.
+    Raises ParameterError: several places, a pose off the floor, a matrix that is no rigid motion.
     """
     if class_of(value) == "SE2" or (np.shape(value) == (3, 3) and not class_of(value)):
         T = _rigid(

@@ -39,8 +39,8 @@ class GroundEffect:
     """More thrust near the ground: T / T_inf = 1 / (1 - k (R/4z)^2 / (1 + (v/v_i)^2)), v_i^2 = T /
     (2 rho pi R^2).
 
-    v is the rotor's speed along its disc. z is taken straight below four points of each disc, at
-    R / sqrt(2), which halves its area, and the gain is their mean: over the edge of a deck a disc
+    v is the rotor's speed along its disc. z is taken straight below four points of each disc, at R
+    / sqrt(2), which halves its area, and the gain is their mean: over the edge of a deck a disc
     loses it by parts, and the rotors that are still over the deck tilt the craft. Below z = R/2,
     where the equation ceases to hold, z counts as R/2. What lies below is a plane to the equation:
     left out are the mirror images of the other rotors and the fountain between them, for which

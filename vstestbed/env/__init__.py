@@ -48,8 +48,9 @@ def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict
 def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: Any) -> DmServo:
     """A dm_env environment of any scenario (a YAML file, a bundled name, or a loaded one).
     settings: as of `rollout.Rollout`. seed: of the seeds that episodes get, one after the other;
-    None: other ones each time. Raises ScenarioError: the scenario has mistakes. ParameterError: a
-    setting is none of the possible ones.
+    None: other ones each time.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the
+    possible ones.
     """
     from vstestbed.env.deepmind import DmServo
     from vstestbed.env.rollout import Rollout

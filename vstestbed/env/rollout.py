@@ -259,8 +259,9 @@ class Rollout:
 
     def step(self, action: Array) -> Step:
         """Send the robot the velocities of an action (n,), and simulate until the next picture has
-        arrived. Raises ParameterError: an action of another shape, or one that is not finite.
-        SessionError: before `reset`, or after the end.
+        arrived.
+        Raises ParameterError: an action of another shape, or one that is not finite. SessionError:
+        before `reset`, or after the end.
         """
         u = self.action_unit * np.clip(self._checked(action), -1.0, 1.0)
         session, frame = self._running()

@@ -197,8 +197,9 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         self, runs: _Episodes, twist: Array, now: NDArray[np.bool_]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Observation and info of all environments, whose counters and outcomes it brings up to
-        date. twist: commanded since the frame before (n, 6), inf where none was. now: which are in
-        a new frame (n,).
+        date.
+        twist: commanded since the frame before (n, 6), inf where none was. now: which are in a new
+        frame (n,).
         """
         s = self.scenario
         uv, seen, error, all_seen = seen_by(s, s.target.points_at(runs.T))

@@ -171,8 +171,8 @@ def line_on_floor(
     [m, rad], and J = ds/d(rho, theta).
 
     The line x cos theta + y sin theta - rho = 0 and the camera's centre t span a plane with the
-    normal N = R (cos theta, sin theta, -rho) in the base frame, which meets the floor in N_x X +
-    N_y Y = N . t:
+    normal N = R (cos theta, sin theta, -rho) in the base frame, which meets the floor in
+    N_x X + N_y Y = N . t:
 
         y    = (N . t - N_x X) / N_y         lateral position (left positive) at X = `ahead` (...)
                                              [m]

@@ -43,11 +43,12 @@ def image_moments(xy: Array, of: Of, order: int) -> Array:
     """Moments m_pq = sum of x^p y^q, or the integral over the region, for p + q <= order: [p, q] of
     (..., order+1, order+1), else 0.
 
-    Of points, or of the vertices of the outline in order, either way round, xy (..., N, 2). Green's
-    theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the edges of
-    x_i y_i+1 - x_i+1 y_i times the mean of x^p y^q on the edge. Gauss-Legendre nodes on each edge
-    give that mean without error: the result is exact for polygons. Reference: Steger 1996, "On the
-    calculation of arbitrary moments of polygons", Technische Universität München, FGBV-96-05.
+    Of points, or of the vertices of the outline in order, either way round, xy (..., N, 2).
+    Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the
+    edges of x_i y_i+1 - x_i+1 y_i times the mean of x^p y^q on the edge. Gauss-Legendre nodes on
+    each edge give that mean without error: the result is exact for polygons.
+    Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische
+    Universität München, FGBV-96-05.
     """
     xy = np.asarray(xy, dtype=float)
     if of == "region":
@@ -102,10 +103,14 @@ class MomentSet:
     For central moments mu_pq, with d = 1 and k = 4 for a region, d = 0 and k = 1 for points, n_ij =
     mu_ij/m_00:
 
-    mu_vx = -(p+d) A mu_pq - p B mu_p-1,q+1 mu_vy = -q A mu_p+1,q-1 - (q+d) B mu_pq mu_vz = -A
-    mu_wy + B mu_wx + (p+q+2d) C mu_pq mu_wx = (p+q+3d) mu_p,q+1 + p xg mu_p-1,q+1 + (p+2q+3d) yg
-    mu_pq - k p n11 mu_p-1,q - k q n02 mu_p,q-1 mu_wy = -(p+q+3d) mu_p+1,q - (2p+q+3d) xg mu_pq - q
-    yg mu_p+1,q-1 + k p n20 mu_p-1,q + k q n11 mu_p,q-1 mu_wz = p mu_p-1,q+1 - q mu_p+1,q-1
+    mu_vx = -(p+d) A mu_pq - p B mu_p-1,q+1
+    mu_vy = -q A mu_p+1,q-1 - (q+d) B mu_pq
+    mu_vz = -A mu_wy + B mu_wx + (p+q+2d) C mu_pq
+    mu_wx = (p+q+3d) mu_p,q+1 + p xg mu_p-1,q+1 + (p+2q+3d) yg mu_pq
+            - k p n11 mu_p-1,q - k q n02 mu_p,q-1
+    mu_wy = -(p+q+3d) mu_p+1,q - (2p+q+3d) xg mu_pq - q yg mu_p+1,q-1
+            + k p n20 mu_p-1,q + k q n11 mu_p,q-1
+    mu_wz = p mu_p-1,q+1 - q mu_p+1,q-1
 
     Attributes:
         mu: central moments (..., n+1, n+1) of all orders p + q <= n, element [p, q]; a rate needs

@@ -27,17 +27,18 @@ class Polygon(Feature):
     """Size sigma = sqrt(area) and the angle of the longest segment between two markers; e and L
     have these two rows.
 
-    area = |sum_i x_i y_i+1 - x_i+1 y_i| / 2 over the markers in their order. For two markers
-    sigma = 0, with a zero row. A segment (i, j), i < j, is d = p_j - p_i and rotates at (dx
-    dy_dot - dy dx_dot)/|d|^2: at -1 for wz, not at +1.
+    area = |sum_i x_i y_i+1 - x_i+1 y_i| / 2 over the markers in their order. For two markers sigma
+    = 0, with a zero row. A segment (i, j), i < j, is d = p_j - p_i and rotates at
+    (dx dy_dot - dy dx_dot)/|d|^2: at -1 for wz, not at +1.
 
     The longest segment may change as the camera moves, and often two are equally long (a square's
-    diagonals). So e uses, for every segment, the angle e_ij from its own direction at the goal, and
-    is the weighted mean over those that are nearly the longest: e = arg(sum w_ij exp(i e_ij)),
-    w_ij = max(0, |d_ij|/longest - 0.8)^2, which is continuous. L has the same weights and is the
-    exact derivative where all e_ij agree: at the goal, and for rotations about the optical axis. To
-    this end s has sigma and then every d (..., 1 + N (N-1)), pairs in the order (0, 1), (0, 2),
-    ..., (1, 2), ...
+    diagonals).
+    So e uses, for every segment, the angle e_ij from its own direction at the goal, and is the
+    weighted mean over those that are nearly the longest: e = arg(sum w_ij exp(i e_ij)), w_ij =
+    max(0, |d_ij|/longest - 0.8)^2, which is continuous. L has the same weights and is the exact
+    derivative where all e_ij agree: at the goal, and for rotations about the optical axis. To this
+    end s has sigma and then every d (..., 1 + N (N-1)), pairs in the order (0, 1), (0, 2), ..., (1,
+    2), ...
 
     Reference: Corke 2017, Robotics, Vision & Control, section 16.1, doi:10.1007/978-3-319-54413-7,
     with the sign of the angle's rate corrected; the rows follow by the chain rule from those of

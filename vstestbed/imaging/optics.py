@@ -224,7 +224,8 @@ def defocused(light: Floats, circle_px: Floats) -> Floats:
     focus.
 
     Layers of similar discs, from far to near, are blurred with their masks, and laid one over the
-    other: (C, A) <- (C (1 - a) + c, A (1 - a) + a); the picture is C / A.
+    other:
+    (C, A) <- (C (1 - a) + c, A (1 - a) + a); the picture is C / A.
     """
     step = COARSE / FINE_PX
     layer = np.rint(np.sign(circle_px) * np.log1p(step * np.abs(circle_px)) / COARSE).astype(

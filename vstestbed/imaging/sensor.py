@@ -62,8 +62,8 @@ class SensorNoise:
     one pixel in four sees most, scatters by 0.04 px with its place between the pixels. White
     balance is perfect. Fringes change the shapes of small blobs: of arm_ibvs's discs, 8 px in
     radius, the detector `blobs` rejects two of four, which are found from 16 px on; `tags` finds
-    all four corners within 0.03 px. Row noise, defect pixels, dark current and its dependence on
-    temperature are left out.
+    all four corners within 0.03 px.
+    Row noise, defect pixels, dark current and its dependence on temperature are left out.
 
     The defaults of `full_well_e` and `dark_noise_e` are those of a Sony IMX250, a global shutter
     CMOS sensor with pixels of 3.45 um: they have a largest signal-to-noise ratio, 10

@@ -29,9 +29,10 @@ class Hybrid(ErrorLaw):
       markers' plane, from m* (goal) to Z/Z* m = H m*, and H = R + t n^T/d* is decomposed into the
       rotation, the ratio Z/Z* and the image of the mean without the target's dimensions; the depth
       Z* at the goal is known;
-    - or the `model`: the pose by perspective-n-point. The image of the mean moves on a straight
-    line, so that the target stays in view for small rotations, and the law has no local minimum and
-    no singularity in front of the target.
+    - or the `model`: the pose by perspective-n-point.
+
+    The image of the mean moves on a straight line, so that the target stays in view for small
+    rotations, and the law has no local minimum and no singularity in front of the target.
 
     For `feedforward` the target's displacement between two frames is that of these six features,
     less the camera's own.
@@ -108,8 +109,9 @@ class Hybrid(ErrorLaw):
 
     @staticmethod
     def of_middle(m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
-        """The error (..., 6) and L (..., 6, 6). m: the markers' mean over Z*, (..., 3).
-        R_goal_camera: (..., 3, 3). goal_middle: the mean at the goal (3,) [m].
+        """The error (..., 6) and L (..., 6, 6).
+        m: the markers' mean over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the mean at
+        the goal (3,) [m].
         """
         xy, goal_xy, ratio = m[..., :2] / m[..., 2:], goal_middle[:2] / goal_middle[2], m[..., 2:]
         at, depth = xy[..., None, :], ratio * goal_middle[2]

@@ -52,11 +52,12 @@ class LineFollowing(Law[LineState]):
     by -(m + y* tan(phi)) w. For the observed line, far beside the vehicle, that lever, m + y
     tan(phi), would pass through zero.
 
-    A painted arc of curvature k, tangent to the vehicle's path at its origin, crosses x at k x^2 /
-    2. Its chord is zero at x_e for every k: so e vanishes, to second order, in every bend that is
-    followed exactly. And while an arc is followed, phi is constant, so that e changes as y(m) does:
-    hence J_y is taken at m, and not at x_e, where that of a straight line would be. Both together
-    leave no error at constant curvature. With a small offset y0 and heading error psi (kinematics):
+    A painted arc of curvature k, tangent to the vehicle's path at its origin, crosses x at
+    k x^2 / 2. Its chord is zero at x_e for every k: so e vanishes, to second order, in every bend
+    that is followed exactly. And while an arc is followed, phi is constant, so that e changes as
+    y(m) does: hence J_y is taken at m, and not at x_e, where that of a straight line would be. Both
+    together leave no error at constant curvature. With a small offset y0 and heading error psi
+    (kinematics):
 
         car:   y0_dot = v psi,  psi_dot = -(lambda x_e + v) psi / m - lambda y0 / m
                (near and far close together and lambda = 2 v / m: pure pursuit of the point at m,

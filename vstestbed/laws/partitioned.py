@@ -129,8 +129,8 @@ class Partitioned(ErrorLaw):
 
     def markers_needed(self, basis: Array) -> int:
         """Three span an area: enough while others are hidden for some frames, not enough for a
-        target (`check`). Raises ParameterError: the robot cannot move its camera in all six
-        directions.
+        target (`check`).
+        Raises ParameterError: the robot cannot move its camera in all six directions.
         """
         if basis.shape[1] != 6:
             words = (

@@ -121,8 +121,9 @@ def reckoned_markers(
     that is off by the thousandth part of its distance against the others may cost a law a twentieth
     of it. So, with a basis, all that are not seen are moved further by exp(-B c), where c minimises
     sum of w_i^2 |r_i - r_i(c)|^2: r_i are the unit rays, as measured where the marker is seen (w =
-    1), as dead-reckoned where it is not, with w = exp(-unseen_s / TRUST_S). Without a basis, all
-    markers are dead-reckoned, also those that are seen, as the rest would not fit to them.
+    1), as dead-reckoned where it is not, with w = exp(-unseen_s / TRUST_S).
+    Without a basis, all markers are dead-reckoned, also those that are seen, as the rest would not
+    fit to them.
 
     unseen_s: for how long each marker has not been seen (N,) [s]. longest_s: those that were unseen
     for longer are left out. basis: the robot's motions (6, n), or None where too few markers are

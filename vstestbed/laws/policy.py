@@ -231,7 +231,8 @@ class Policy(Law[Act]):
         self, observation: Observation, goal: Goal
     ) -> tuple[dict[str, NDArray[Any]] | None, float]:
         """What it sees of a frame, None without a picture, and the RMS difference of the pictures'
-        luminance [grey levels]. Raises ParameterError: the goal has no picture.
+        luminance [grey levels].
+        Raises ParameterError: the goal has no picture.
         """
         own = observed(observation, goal)
         if self.picture_px is None:

@@ -238,8 +238,9 @@ class QP(Law[ErrorState]):
     With W the law's interaction matrix L, the rows of the features count, as in least squares of
     the task itself: without a binding constraint the command is that of the law. Laws without an
     image feature (`pbvs`, `hybrid`, `partitioned`) have W = I in m and rad. Near singularities of
-    an arm the velocities are damped as those of all other laws are (`resolved_rate`). A law alone
-    is scaled as a whole when a joint reaches its stop, and ends there; here the other joints go on.
+    an arm the velocities are damped as those of all other laws are (`resolved_rate`).
+    A law alone is scaled as a whole when a joint reaches its stop, and ends there; here the other
+    joints go on.
 
     Where constraints contradict each other, they give way one after the other: singularity, border,
     plane, twist, shared, acceleration; positions and speeds of the joints never do. The log's

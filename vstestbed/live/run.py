@@ -70,8 +70,9 @@ class Settings:
 
     def change(self, path: str, value: object) -> Scenario:
         """Set a field, and load the scenario again; what is refused changes nothing. value: as YAML
-        would read it. Raises ScenarioError: all mistakes that the new value makes, as `--set` tells
-        them; a text in it that may name a file.
+        would read it.
+        Raises ScenarioError: all mistakes that the new value makes, as `--set` tells them; a text
+        in it that may name a file.
         """
         self._refuse_new_texts(path, value)
         overrides, seed = self._overrides, self.seed

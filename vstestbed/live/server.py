@@ -121,8 +121,9 @@ class Gate:
 
 class LocalServer(viser.ViserServer):
     """A server on 127.0.0.1, never shared with other machines; `address` holds the secret without
-    which nothing is served. Raises ParameterError: the port is taken, or may not be used.
-    EnvironmentLackError: this version of viser cannot be guarded.
+    which nothing is served.
+    Raises ParameterError: the port is taken, or may not be used. EnvironmentLackError: this version
+    of viser cannot be guarded.
     """
 
     def __init__(self, port: int | None, label: str):

@@ -305,8 +305,9 @@ class Controller:
 
     def reset(self) -> None:
         """Begin the task anew, as a new controller would: all states, the clock, and a stop that
-        was latched. The robot moves again with the next picture: call it when the cause is found,
-        and nobody stands in its way.
+        was latched.
+        The robot moves again with the next picture: call it when the cause is found, and nobody
+        stands in its way.
         """
         with self._alone():
             self._begin()
@@ -494,8 +495,9 @@ class Controller:
 
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law from the next picture on; the states of all parts
-        stay. Raises ParameterError: a law of another kind, feature, modes or source of depth, or
-        one that this scenario refuses.
+        stay.
+        Raises ParameterError: a law of another kind, feature, modes or source of depth, or one that
+        this scenario refuses.
         """
         with self._alone():
             for name in ("kind", "feature", "depth", "inputs", "modes"):
@@ -519,10 +521,10 @@ class Controller:
     def look(
         self, name: str, picture: Image | Sequence[Image], t: float, readings: Reading
     ) -> None:
-        """A picture of a further camera, which the law has at its own camera's next one. t: time of
-        the exposure's middle [s]. readings: of the robot's sensors at the exposure. Errors: as of
-        `step`, and ParameterError: the scenario has no camera of this name, or its stamp is of the
-        future.
+        """A picture of a further camera, which the law has at its own camera's next one.
+        t: time of the exposure's middle [s]. readings: of the robot's sensors at the exposure.
+        Errors: as of `step`, and ParameterError: the scenario has no camera of this name, or its
+        stamp is of the future.
         """
         with self._alone():
             self._by_hand = True
@@ -562,10 +564,10 @@ class Controller:
         return refused
 
     def arrive(self, shot: Exposure, t: float, t_cmd: float, reading: Reading) -> Cycle:
-        """One control step: detect, observe, reference, law, allocation. shot: the picture, with
-        the reading at its exposure. t, reading: the time of its arrival [s], and the robot's sensor
-        reading then: the command acts on the robot as it is now. t_cmd: when the command will reach
-        the robot [s].
+        """One control step: detect, observe, reference, law, allocation.
+        shot: the picture, with the reading at its exposure. t, reading: the time of its arrival
+        [s], and the robot's sensor reading then: the command acts on the robot as it is now. t_cmd:
+        when the command will reach the robot [s].
         """
         s = self.scenario
         began = time.perf_counter()

@@ -43,10 +43,10 @@ PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a 
 
 
 class Episode:
-    """One run under way: the plant, the controller, the termination, the log. ended_s: simulated
-    time of the verdict [s]. frame: the last frame; its command is not sent before the next
-    `advance`. by_hand: what a person changed during the run, in words, each with the time of the
-    first [s] and how often.
+    """One run under way: the plant, the controller, the termination, the log.
+    ended_s: simulated time of the verdict [s]. frame: the last frame; its command is not sent
+    before the next `advance`. by_hand: what a person changed during the run, in words, each with
+    the time of the first [s] and how often.
     """
 
     def __init__(

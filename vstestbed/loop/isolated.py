@@ -164,8 +164,9 @@ class Child:
 
     def ask(self, of: Callable[[Any], Answer], seconds: float, method: str, *given: Any) -> Answer:
         """What the process answers within some seconds. of: makes it of plain values, and may raise
-        whatever it wants to. Raises ParameterError: the law refuses what it is given.
-        LawFailedError: it failed, or its process gave no answer.
+        whatever it wants to.
+        Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or its
+        process gave no answer.
         """
         began = time.monotonic()
         until = began + seconds
@@ -369,8 +370,9 @@ class Isolated(Law[int]):
 
 def command_of(plain: dict[str, Any], motions: int) -> Command:
     """A command from plain values. Its error in grey levels is not taken over: it would judge the
-    run. Raises whatever values of other types bring about; ValueError: it is not of the robot's
-    motions, or the loop could not compute with it.
+    run.
+    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions,
+    or the loop could not compute with it.
     """
     arrays: dict[str, Any] = {
         name: np.array(plain[name], float)

@@ -76,8 +76,8 @@ class LogWriter:
 
     Frames become rows many at once, which costs a tenth of the time of one after the other. No
     frame waits for more than PERIOD_S [s] of wall time, which a killed process may lose: rows are
-    made when the next frame, if it took as long as the last one, would come too late. Raises
-    EnvironmentLackError, OutputError: see `core.files.writing`.
+    made when the next frame, if it took as long as the last one, would come too late.
+    Raises EnvironmentLackError, OutputError: see `core.files.writing`.
     """
 
     PERIOD_S: ClassVar[float] = 0.1

@@ -73,9 +73,10 @@ class Session:
     def reset(self, seed: int | None = None) -> Frame:
         """Begin an episode and simulate until its first picture has arrived. An episode that is
         under way ends unfinished. seed: of the start and of all noise, as `run --seed`; None for
-        the scenario's own start and seed. Raises ParameterError: a seed for a scenario in which
-        nothing is random. EnvironmentLackError: a picture is needed that only OpenGL can draw, and
-        it does not work here. SessionError: no picture arrived before the end.
+        the scenario's own start and seed.
+        Raises ParameterError: a seed for a scenario in which nothing is random.
+        EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work
+        here. SessionError: no picture arrived before the end.
         """
         self.close()
         scenario = self._given if seed is None else seeded(self._given, seed)
@@ -135,8 +136,9 @@ class Session:
 
     def push(self, force: Array, duration_s: float = 0.2) -> None:
         """Push the robot at its flange with a force (3,) along world axes [N], from now on, for a
-        while. Raises ParameterError: an ideal camera, which has no mass; a force or a duration that
-        is none.
+        while.
+        Raises ParameterError: an ideal camera, which has no mass; a force or a duration that is
+        none.
         """
         episode = self._running()
         episode.plant.push(force, duration_s)
@@ -159,8 +161,8 @@ class Session:
 
     def hold_plate(self, T_world_plate: Array | SE3 | None) -> None:
         """Hold an opaque plate at a pose of its middle, SE3 or (4, 4), across its z axis, or take
-        it away (None). It touches nothing. Raises ParameterError: no pose, or the session has no
-        plate (`plate_m`).
+        it away (None). It touches nothing.
+        Raises ParameterError: no pose, or the session has no plate (`plate_m`).
         """
         episode = self._running()
         episode.plant.hold_plate(
@@ -170,7 +172,8 @@ class Session:
 
     def recording(self) -> Recording:
         """The episode so far: outcome, log, metrics; `interrupted` where it has not ended. The same
-        bytes as `run` where the law drove. Raises SessionError: before `reset`.
+        bytes as `run` where the law drove.
+        Raises SessionError: before `reset`.
         """
         if self.episode is None:
             raise SessionError("nothing has run", "call reset() first")

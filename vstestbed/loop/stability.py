@@ -64,7 +64,8 @@ def closed_form(delay_frames: float) -> float:
     """The largest stable g = gain * period of a robot without lag: 2 sin(pi / (2 (2 d + 1))).
 
     There a pair of poles crosses the unit circle at pi / (2 d + 1): the loop oscillates with a
-    period of 2 (2 d + 1) frames. Reference: Levin & May 1976, A note on difference-delay equations,
+    period of 2 (2 d + 1) frames.
+    Reference: Levin & May 1976, A note on difference-delay equations,
     doi:10.1016/0040-5809(76)90043-5.
     """
     return 2 * math.sin(math.pi / (2 * (2 * delay_frames + 1)))
@@ -75,10 +76,10 @@ def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
     smoothly, and whose pictures are old. A led command is executed half in its own frame and half
     in the next one: the poles cross the unit circle at the angle pi / (2 (d + 1)), at g = 2
     tan(pi / (4 (d + 1))). To lead costs half a period: for small angles the limit is (pi / 2) /
-    delay with a delay of d + 1/2 frames for commands that are held, and of d + 1 here. late_frames:
-    age of a picture when it is complete, beside the delay [frames]: half its exposure and half its
-    readout, as its time stamp is their middle. A command for a picture e frames older acts as one
-    in 1 - e of the frame, and e of the next.
+    delay with a delay of d + 1/2 frames for commands that are held, and of d + 1 here.
+    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure
+    and half its readout, as its time stamp is their middle. A command for a picture e frames older
+    acts as one in 1 - e of the frame, and e of the next.
     """
     whole, part = divmod(late_frames, 1.0)
     late = [0.0] * int(whole) + ([1 - part, part] if part else [1.0])
@@ -115,8 +116,9 @@ def roots(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Po
 @lru_cache(maxsize=256)
 def gain_limit(delay_frames: float, shares: tuple[float, ...] = NO_LAG) -> float:
     """The g at which a pole first leaves the unit circle, to 1e-9; equals `closed_form` for a robot
-    without lag. Raises ParameterError: the loop is stable at no gain, since the shares do not add
-    up to more than 0.
+    without lag.
+    Raises ParameterError: the loop is stable at no gain, since the shares do not add up to more
+    than 0.
     """
     if sum(shares) <= 0:
         raise ParameterError.bound(
@@ -196,8 +198,9 @@ def period(x: Array) -> float:
 class LastPart(NamedTuple):
     """The last half of a run, n frames. error: in the image (n,) [px], or of a law of grey levels;
     NaN where nothing was measured. limited: commands that limits of law or robot shortened (n,).
-    reference: of the goal in the world (n, m). away: true distance [m] and angle [rad] of the
-    camera from its goal, in the first frame and in the last (2, 2).
+    reference: of the goal in the world (n, m).
+    away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in
+    the last (2, 2).
     """
 
     t: Array
@@ -251,8 +254,9 @@ def turns(x: Array) -> int:
 def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -> int:
     """How often the command turns round, of a loop with too high a gain that has no clean period; 0
     for another. Only frames with a measurement count: in the others the law rests. Over the limit
-    of theory the commands need not be limited. part: as for `swings`. least: error that counts.
-    share: gain over the limit of theory [1]. first_error: at the start of the run.
+    of theory the commands need not be limited.
+    part: as for `swings`. least: error that counts. share: gain over the limit of theory [1].
+    first_error: at the start of the run.
     """
     known = part.at(np.isfinite(part.error))
     third = len(known.t) // 3

@@ -74,8 +74,9 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
 
     Exact away from singularities, continuous across the threshold, and |dq| <= |ts| / threshold
     everywhere (the largest damping equals the threshold, so the gain along the weakest direction is
-    s_min / threshold^2). With fewer than six joints the twist is met in the least-squares sense,
-    with more dq is the smallest.
+    s_min / threshold^2).
+    With fewer than six joints the twist is met in the least-squares sense, with more dq is the
+    smallest.
 
     J: Jacobian, shape (6, n), rows (v, w). twist: (vx, vy, vz, wx, wy, wz) of the flange in the
     Jacobian's frame, [m/s, rad/s].

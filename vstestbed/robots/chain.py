@@ -92,8 +92,9 @@ class JointChain:
         T_world_flange(q) = A_1(q_1) ... A_n(q_n) G_n^-1 T_0,  A_i = G_(i-1)^-1 G_i E(q_i),
 
     where E turns about z, or slides along it. That is the product of exponentials of the joints'
-    twists, in frames of their own. Reference: Brockett 1984, doi:10.1007/BFb0031048; Lynch & Park
-    2017, Modern Robotics, chapter 4 and 5.
+    twists, in frames of their own.
+    Reference: Brockett 1984, doi:10.1007/BFb0031048; Lynch & Park 2017, Modern Robotics, chapter 4
+    and 5.
 
     Attributes:
         names: of the joints. slides: which of them slide, (n,).

@@ -80,7 +80,8 @@ SAME_RUN = 0.001
 
 class Bag(Link):
     """A bag that is written: what is published stands in it, with the time of its clock. folder: a
-    new one. named: what errors call it. Raises EnvironmentLackError, OutputError: see `writing`.
+    new one. named: what errors call it.
+    Raises EnvironmentLackError, OutputError: see `writing`.
     """
 
     def __init__(self, folder: Path, node: str = "vstestbed_robot", named: Path | None = None):
@@ -178,9 +179,9 @@ def events(
 ) -> Iterator[Event]:
     """The messages of a bag that a controller needs, in their order. path: a folder of rosbag2, an
     MCAP or .db3 file of it, or a file of `export --to mcap`. remap: topics by `image_raw`, `depth`,
-    `twist`, and those of the readings. passed: counts what cannot be used. Raises RunFolderError:
-    no bag, or one that cannot be read. ParameterError: no topic, or more than one, for what is
-    needed.
+    `twist`, and those of the readings. passed: counts what cannot be used.
+    Raises RunFolderError: no bag, or one that cannot be read. ParameterError: no topic, or more
+    than one, for what is needed.
     """
     if checked(path).is_file() and path.suffix != ".db3" and _of_foxglove(path):
         if remap:

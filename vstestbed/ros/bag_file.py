@@ -192,7 +192,8 @@ class Event(NamedTuple):
 
 class BagFile:
     """An open bag of ROS 2. kinds: the message types of its topics. passed: where what cannot be
-    used is counted. Raises RunFolderError: it cannot be read.
+    used is counted.
+    Raises RunFolderError: it cannot be read.
     """
 
     def __init__(self, path: Path, passed: PassedOver):

@@ -400,9 +400,9 @@ def connected(
     connect: Sequence[str] = (),
     listen: Sequence[str] = (),
 ) -> Link:
-    """The link of a node; `auto`: by rclpy where it is, unless an address of zenoh is given. Raises
-    EnvironmentLackError: neither rclpy nor zenoh, or not the one that is wanted. ParameterError: an
-    address for rclpy.
+    """The link of a node; `auto`: by rclpy where it is, unless an address of zenoh is given.
+    Raises EnvironmentLackError: neither rclpy nor zenoh, or not the one that is wanted.
+    ParameterError: an address for rclpy.
     """
     there = {name: importlib.util.find_spec(name) is not None for name in ("rclpy", "zenoh")}
     if (connect or listen) and backend == "rclpy":

@@ -123,8 +123,9 @@ MOST_NAMED = 6  # most paths that a message lists of a word that is a field of m
 
 @dataclass(frozen=True)
 class FieldPlace:
-    """A field in all the blocks that have it at one place of a scenario. path: as it was asked for.
-    owners: the classes that have it, by their entries. settable: whether `--set` takes the path.
+    """A field in all the blocks that have it at one place of a scenario.
+    path: as it was asked for. owners: the classes that have it, by their entries. settable: whether
+    `--set` takes the path.
     """
 
     path: str

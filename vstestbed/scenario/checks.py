@@ -255,8 +255,8 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
     """How many of a camera's motions the picture of the target's points tells at most, at a pose
     (4, 4): the rank of d directions / d u. A feature is a function of that picture, whatever its
     own interaction matrix says: that of points takes each for fixed to the target. All motions
-    where the points have places of their own, as far as their features tell them. basis: the
-    robot's motions as twists of the camera in its own frame, (6, n).
+    where the points have places of their own, as far as their features tell them.
+    basis: the robot's motions as twists of the camera in its own frame, (6, n).
     """
     if not runs_along(target):
         return basis.shape[1]

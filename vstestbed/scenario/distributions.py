@@ -219,8 +219,9 @@ TARGET_STREAM = 16  # changes of the target's own picture
 
 def drawn(scenario: Scenario) -> Scenario:
     """The scenario with the values of `randomise`, which is then empty, and the objects of
-    `world.clutter` that its seed draws. Itself where it has them already. Raises ParameterError: a
-    drawn value is refused; it names the distribution, `randomise.2`, the value and why.
+    `world.clutter` that its seed draws. Itself where it has them already.
+    Raises ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the
+    value and why.
     """
     if scenario.randomise:
         plain, found = to_mapping(scenario) | {"randomise": []}, values_of(scenario)

@@ -39,9 +39,9 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
     gets that of the file.
 
     path: a file to write, in place of one that is there; files in its folder, or below, are named
-    relative to it. defaults: write them, too. Raises ParameterError: `scenario` is not a Scenario,
-    or has a kind of your own that is in no file of `plugins`. OutputError,
-    EnvironmentLackError: the file cannot be written.
+    relative to it. defaults: write them, too.
+    Raises ParameterError: `scenario` is not a Scenario, or has a kind of your own that is in no
+    file of `plugins`. OutputError, EnvironmentLackError: the file cannot be written.
     """
     check_scenario(scenario)
     if defaults:

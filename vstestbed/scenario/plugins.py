@@ -69,10 +69,11 @@ def registries() -> dict[str, Registry]:
 
 
 def load_plugins(names: Sequence[str]) -> tuple[str, ...]:
-    """Load plugins, which register their kinds, and the entry points of installed packages. names:
-    files, relative to the current folder, and modules, searched on Python's path and in the current
-    folder. Returns the names under which they are found again from any folder: absolute files, and
-    modules. Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its
+    """Load plugins, which register their kinds, and the entry points of installed packages.
+    names: files, relative to the current folder, and modules, searched on Python's path and in the
+    current folder. Returns the names under which they are found again from any folder: absolute
+    files, and modules.
+    Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its
     registry's contract.
     """
     _load_installed()

@@ -397,8 +397,9 @@ class Scenario:
 
         The start stands in `robot.start.nominal`, drawn again until the target is in view; the body
         in the robot's blocks, whose lists take the place of the standard deviations; what
-        `randomise` draws in its fields, clutter in `world.clutter.placed`. Raises ParameterError: a
-        drawn value is refused, the robot has no random block, or no start in it sees the target.
+        `randomise` draws in its fields, clutter in `world.clutter.placed`.
+        Raises ParameterError: a drawn value is refused, the robot has no random block, or no start
+        in it sees the target.
         """
         made = drawn(self)
         robot = (

@@ -73,7 +73,8 @@ def text_of(path: Path) -> str:
 
 def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
     """The mapping in YAML 1.2 text, and the position of its keys. needs: the required content, for
-    messages. Raises ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
+    messages.
+    Raises ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
     """
     with foreign(file, needs):
         found = _mapping(text, file)
@@ -379,8 +380,8 @@ def override(
 ) -> None:
     """Set the value at a dotted path of a mapping; missing blocks on the path are created, a bare
     kind becomes a block. marks: positions of the keys, which are changed, too. own: of the value,
-    and of the keys in it relative to it. Raises ScenarioError: the path goes through a value, or to
-    an item that a list does not have.
+    and of the keys in it relative to it.
+    Raises ScenarioError: the path goes through a value, or to an item that a list does not have.
     """
     parts, where = dotted.split("."), own[()]
     if not all(parts):
@@ -451,8 +452,8 @@ def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:
 
 def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
     """An object of the spec class `cls` from the YAML as plain values, with the positions of its
-    keys and the file's name for messages. Raises ScenarioError: all mistakes at once, each with its
-    position in the file.
+    keys and the file's name for messages.
+    Raises ScenarioError: all mistakes at once, each with its position in the file.
     """
     try:
         made = validator_of(cls).validate_python(plain)

@@ -56,8 +56,9 @@ def build_plant(
     """The plant, and the name of its renderer ("none" without pictures).
 
     Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or
-    for occlusion by plates and scenery. Raises EnvironmentLackError: a picture is needed that only
-    OpenGL can draw, and it does not work here.
+    for occlusion by plates and scenery.
+    Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work
+    here.
 
     Args:
         pictures, others: of the servo camera, and of the further ones by name (`Plant.others`);

@@ -143,7 +143,8 @@ def shown_at(stage: Scene, T_world_flange: Array, q: Array) -> Array:
     the arm's own model are q (n,).
 
     q <- f^-1(T E^-1) with the error E = f(q)^-1 T_true(q) of the arm's own kinematics f. The stage
-    is left at the joints before the last. Raises UnreachableError: the arm does not get there.
+    is left at the joints before the last.
+    Raises UnreachableError: the arm does not get there.
     """
     robot = stage.parts.robot
     if not robot.joints or stage.parts.target.on_gripper:

@@ -262,8 +262,9 @@ def laws(
     comparison: Comparison, field_of_view: str | None = None, force: bool = False
 ) -> list[tuple[str, Scenario]]:
     """The laws to be mapped: label and ideal scenario of every scenario with every case and varied
-    value. Raises ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ
-    only in what an ideal camera does not have.
+    value.
+    Raises ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in
+    what an ideal camera does not have.
     """
     found: list[tuple[str, Scenario]] = []
     for c in (chosen := controllers(changed(comparison, tasks={}, seeds=None), force)):

@@ -278,8 +278,9 @@ def _shot_of_line(folder: Path, line: dict[str, Any], robot: Robot | None) -> Sh
 @dataclass(frozen=True)
 class Calibrated:
     """A camera's calibration. camera: with the intrinsics found, or given. rms_px: of the corners
-    by the intrinsics, NaN where they were given. views: that were used. found: the hand-eye
-    calibration. held: as of `held_out`. unseen: names of pictures without the board.
+    by the intrinsics, NaN where they were given.
+    views: that were used. found: the hand-eye calibration. held: as of `held_out`. unseen: names of
+    pictures without the board.
     """
 
     camera: Camera

@@ -65,8 +65,9 @@ Ended = Sequence[tuple[Job, RunEnding]]  # the runs that are done, in the order 
 
 def run_one(scenario: Scenario) -> RunEnding:
     """Run a scenario in memory; an exception in a plugin gives the outcome `crashed`, as in a
-    comparison. Raises EnvironmentLackError: this machine has no OpenGL, so that every other run
-    would fail as well.
+    comparison.
+    Raises EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as
+    well.
     """
     try:
         recording = uninterrupted(run(scenario))

@@ -49,7 +49,8 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
 @contextmanager
 def resumed_folder(kind: str, out: Path | None, plan: str) -> Iterator[Path]:
     """Hold the folder of a study that goes on; kind: the command, such as `compare`; plan: name of
-    the plan in it. Raises RunFolderError: there is no plan.
+    the plan in it.
+    Raises RunFolderError: there is no plan.
     """
     if out is None:
         raise ParameterError.needs(

@@ -399,9 +399,9 @@ def identify(
     parameters: Sequence[Parameter] = (),
     say: Callable[[str], None] = lambda _: None,
 ) -> Identified:
-    """Fit parameters to a record. say: told of each run of the simulator. Raises ParameterError: a
-    parameter that the scenario has not, or a record of another robot. ScenarioError: a value is
-    refused.
+    """Fit parameters to a record. say: told of each run of the simulator.
+    Raises ParameterError: a parameter that the scenario has not, or a record of another robot.
+    ScenarioError: a value is refused.
     """
     record = _within_range(cleaned(record), scenario)
     fit = tuple(parameters) or usual(scenario, record)

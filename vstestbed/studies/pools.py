@@ -516,8 +516,9 @@ def pool_of(
     executor: str, workers: int, folder: Path, flown: Callable[[], Iterable[Scenario]] = tuple
 ) -> Pool:
     """The pool of `--executor`: `local`, `warp`, or `dask://HOST:PORT`; `folder` is the study's.
-    flown: what it shall fly. Raises ParameterError: warp does not draw what one of them asks for.
-    EnvironmentLackError: no scheduler, no MuJoCo Warp.
+    flown: what it shall fly.
+    Raises ParameterError: warp does not draw what one of them asks for. EnvironmentLackError: no
+    scheduler, no MuJoCo Warp.
     """
     must_be_known(executor)
     if executor == "warp":

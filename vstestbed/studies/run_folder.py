@@ -135,7 +135,8 @@ Files = dict[str, bytes]
 
 def files_before(scenario: Scenario) -> Files:
     """What is there before the run: the scenario as given and as it runs, the files that
-    `model.xml` refers to, and it. Raises ParameterError: what the seed draws is refused.
+    `model.xml` refers to, and it.
+    Raises ParameterError: what the seed draws is refused.
     """
     runs = scenario.resolved
     xml, assets = scene_files(runs.scene)

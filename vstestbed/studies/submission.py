@@ -91,8 +91,9 @@ class Checked(NamedTuple):
 
 def pack(folder: Path, out: Path) -> Path:
     """Pack a suite's folder into one file: what was flown, the law's files, its runs, the scores,
-    versions and machine. Raises RunFolderError: the folder has no finished suite, the law's file is
-    not a law of one's own, or it is too large to be checked.
+    versions and machine.
+    Raises RunFolderError: the folder has no finished suite, the law's file is not a law of one's
+    own, or it is too large to be checked.
     """
     for name in (ABOUT, RUNS, SCORES):
         if not (folder / name).is_file():
@@ -239,8 +240,9 @@ def _readable(one: zipfile.ZipInfo) -> bool:
 
 def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEntry, pl.DataFrame]:
     """The suite of a submission with its law alone, and its runs as they were handed in: those of
-    the plan. Its code is not run here. Raises RunFolderError: it is no submission, of another suite
-    or of other starts than what is asked, or its runs are not the plan's.
+    the plan. Its code is not run here.
+    Raises RunFolderError: it is no submission, of another suite or of other starts than what is
+    asked, or its runs are not the plan's.
     """
     found = contents(file)
     with foreign(file, WORKS, _refused):

@@ -161,8 +161,8 @@ def kept_runs(suite: TaskSuite, path: Path) -> pl.DataFrame | None:
 def law_of_file(file: str, apart: bool = False) -> tuple[str, SuiteLaw, tuple[str, ...]]:
     """Name, law and plugins of a law of one's own: a YAML file with `law` (and `tasks`, `plugins`),
     or a plugin with one law, as it is by default. apart: a plugin is not loaded here, and which law
-    it has is left open. Raises ParameterError: it has none, or several. PluginError, ScenarioError:
-    it cannot be read.
+    it has is left open.
+    Raises ParameterError: it has none, or several. PluginError, ScenarioError: it cannot be read.
     """
     path = Path(file)
     if path.suffix in (".yaml", ".yml"):
@@ -374,8 +374,9 @@ class SuiteEntry:
 
     def mark(self, out: Path) -> None:
         """Write `suite.json` into the folder, and the law's files with those that they need into
-        `law/`, or see that it is of the same suite. Raises ParameterError: it is of another; or a
-        file of the law is not beside the law's file, or below it.
+        `law/`, or see that it is of the same suite.
+        Raises ParameterError: it is of another; or a file of the law is not beside the law's file,
+        or below it.
         """
         named = [] if self.file is None else self.must_stay()
         place, about = out / "suite.json", self.about

@@ -57,9 +57,10 @@ def ellipse_points(C: Array, count: int) -> Array:
     NaN where C is no ellipse.
 
     They are m + S (cos phi_i, sin phi_i), with the centre m and the symmetric root S of the
-    ellipse's matrix, (x - m)^T S^-2 (x - m) = 1: of all maps of the unit circle onto the ellipse
-    the one without a rotation, which depends on nothing that the picture of a circle does not show.
-    Their polygon is an affine image of the regular one, so that its moments are those of the
+    ellipse's matrix,
+    (x - m)^T S^-2 (x - m) = 1: of all maps of the unit circle onto the ellipse the one without a
+    rotation, which depends on nothing that the picture of a circle does not show. Their polygon is
+    an affine image of the regular one, so that its moments are those of the
     ellipse times constants.
     """
     A, b = C[..., :2, :2], C[..., :2, 2]
@@ -239,7 +240,8 @@ class PolygonFigure(Figure):
 
     Args:
         at: its corners (x, y) in order, in the target's plane, x to the right and y down as seen
-            [m]; e.g. `[[0, 0], [0.3, 0], [0, 0.2]]`.
+            [m];
+            e.g. `[[0, 0], [0.3, 0], [0, 0.2]]`.
     """
 
     kind: Literal["polygon"] = "polygon"

@@ -47,8 +47,8 @@ def check_visible(
 ) -> None:
     """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an
     image plane. setup: the experiment's parts. field: of the view. T_camera_target: its pose (4,
-    4). counted: the markers that count (N,); None: all. Raises ParameterError: it names the field,
-    the markers, what hides them, and what would work.
+    4). counted: the markers that count (N,); None: all.
+    Raises ParameterError: it names the field, the markers, what hides them, and what would work.
     """
     camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
     T_target_camera = inverse(T_camera_target)
@@ -391,8 +391,9 @@ TaskBase = Task  # the name by which tasks of one's own derive from it
 
 
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
-    """The goal for the law: the view from a goal pose. setup: the experiment's parts. pose_with:
-    maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a
+    """The goal for the law: the view from a goal pose.
+    setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target
+    (4, 4) at the goal. Where the goal is a
     place of the base, a wrong calibration of the mount displaces the believed goal view. number: of
     the view, among several in turn.
     """

@@ -192,9 +192,9 @@ class Reward:
             raise ParameterError.infinite("success_bonus", self.success_bonus)
 
     def of_step(self, before: Any, after: Any, terminated: Any, success: Any, left: Any = 0) -> Any:
-        """The reward of a step between two potentials; of many steps by arrays. terminated: the
-        episode has ended, and not by the clock. left: how many steps the episode would still have
-        had.
+        """The reward of a step between two potentials; of many steps by arrays.
+        terminated: the episode has ended, and not by the clock. left: how many steps the episode
+        would still have had.
         """
         bonus = self.success_bonus * np.asarray(success)
         if self.kind == "sparse":

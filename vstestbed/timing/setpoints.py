@@ -100,9 +100,9 @@ class Interpolator:
 
     def toward(self, step: int, setpoint: Array, now: Array | None, lapsed: bool) -> None:
         """A new command at this step; it begins to act with the next setpoint that the actuators
-        get. now: the setpoint in force; None before the first command, whose profile begins at
-        rest. lapsed: the setpoint in force is the robot's own way to stop, no longer that of a
-        command.
+        get.
+        now: the setpoint in force; None before the first command, whose profile begins at rest.
+        lapsed: the setpoint in force is the robot's own way to stop, no longer that of a command.
         """
         profile, begins = self.profile, self.next_tick(step)
         held = np.zeros_like(setpoint) if now is None else now

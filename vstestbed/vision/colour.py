@@ -180,9 +180,10 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
 
     Moments are computed within the blob's own box (two pixels larger on each side where edge pixels
     are weighted by coverage), so that they are the same to the last bit whatever window the blob
-    was found in. An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a
-    blob that is smaller is partly occluded. (Coverage is an ellipse convolved with a pixel, which
-    adds its variance 1/12 to mu_xx and mu_yy.)
+    was found in.
+    An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is
+    smaller is partly occluded. (Coverage is an ellipse convolved with a pixel, which adds its
+    variance 1/12 to mu_xx and mu_yy.)
     """
     image, _, rim, noise = region
     height, width = image.shape[:2]

@@ -56,7 +56,8 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
     The normalised direct linear transformation: the right singular vector of the smallest singular
     value of b_i x H a_i = 0. (OpenCV takes the points in single precision, which costs half of the
     digits.) H is open if two of the nine singular values are below the share `least` of the
-    largest. Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
+    largest.
+    Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
     """
     (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)
     s, Vt = np.linalg.svd(_equations((a - a_mean) / a_size, (b - b_mean) / b_size))[1:]

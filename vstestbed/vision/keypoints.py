@@ -137,7 +137,8 @@ def refined(
     patch's pixels x, both less their mean and over their standard deviation, so that brightness and
     contrast may differ: Gauss-Newton with the goal's gradient (inverse compositional Lucas-Kanade).
     Pictures (H, W) as of `smooth`; A: d uv / d uv_goal (K, 2, 2) of the map between them at each
-    point. Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
+    point.
+    Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     """
     x = np.stack(
         np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0)), axis=-1
@@ -248,8 +249,9 @@ def planar_map(
 
     By random samples and a local optimisation of the best (LO-RANSAC with truncated squares), in
     the picture of a camera without distortion. Pairs agree if they are within `within_px` of the
-    map there, at the scale of the picture's middle [px]. Reference: Chum, Matas & Kittler 2003,
-    doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000, doi:10.1006/cviu.1999.0832.
+    map there, at the scale of the picture's middle [px].
+    Reference: Chum, Matas & Kittler 2003, doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000,
+    doi:10.1006/cviu.1999.0832.
     """
     f = _px_per_unit(camera)
     a, b = camera.normalise(uv_goal), camera.normalise(uv)

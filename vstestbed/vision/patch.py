@@ -336,12 +336,14 @@ def align(
     and alike.
 
     From the template's small copies to a large one, each against the picture in a similar size, the
-    residuals r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are
-    minimised over z in sl(3) and the light's gain and offset, which change linearly over the plane.
-    ESM takes the mean of the derivatives in the picture and in the template, which makes the
+    residuals
+    r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are minimised
+    over z in sl(3) and the light's gain and offset, which change linearly over the plane. ESM takes
+    the mean of the derivatives in the picture and in the template, which makes the
     convergence quadratic. Weights of Tukey, and zero for blocks that do not correlate, leave out
-    what hides the plane. References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis &
-    Marchand 2006, doi:10.1109/IROS.2006.281831 (weights).
+    what hides the plane.
+    References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006,
+    doi:10.1109/IROS.2006.281831 (weights).
     """
     visible = 0.0
     sizes = _sizes(template, picture, G)

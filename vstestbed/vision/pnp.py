@@ -38,8 +38,8 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
 
     The two signs are the mirror poses, which become one where the plane is orthogonal to the ray.
     (OpenCV's IPPE takes the root of 1 minus a squared column, which rounding makes negative in such
-    a view: NaN at one roll in seven. It also loses poses near a half turn.) Reference: Collins &
-    Bartoli 2014, section 4, doi:10.1007/s11263-014-0725-5.
+    a view: NaN at one roll in seven. It also loses poses near a half turn.)
+    Reference: Collins & Bartoli 2014, section 4, doi:10.1007/s11263-014-0725-5.
     """
     flat, R_target_plane = _plane(np.ascontiguousarray(points, dtype=float).tobytes())
     H = homography(flat, xy, PLANE_ROUNDING)
@@ -240,8 +240,9 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     - P3P for points of which all but one are collinear: they determine no homography, which IPPE
       starts from, and SQPnP finds a local minimum in one view of fourteen. Of the poses of three of
       the points, the one that all fit best;
-    - P3P for three points: the pose nearest to `previous`, None without one. A pose with a point
-    behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
+    - P3P for three points: the pose nearest to `previous`, None without one.
+    A pose with a point behind the camera is no solution, nor is one that leaves half of the image's
+    spread unexplained.
     Collinear points have none. The refinement is kept where it fits better.
 
     Args:

@@ -44,8 +44,9 @@ def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
 
     A pixel at the border has the colour c = f F + (1 - f) B of what meets there, so that f = (c -
     B) . (F - B) / |F - B|^2. F and B are the mean colours of the pixels near it that are wholly
-    inside (`alone` 255) and wholly outside, which follow shading and background. Reference: Smith &
-    Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a border).
+    inside (`alone` 255) and wholly outside, which follow shading and background.
+    Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a
+    border).
     """
     near, inner = cv2.dilate(alone, NEIGHBOURS), cv2.erode(alone, NEIGHBOURS)
     out = (inner > 0).astype(np.float32)

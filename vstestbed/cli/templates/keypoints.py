@@ -1,7 +1,7 @@
 """The local features my_keypoints, which describe the key points of a picture.
 
-    pytest my_keypoints.py vstestbed run camera_keypoints --plugin my_keypoints.py --set
-    "detector={kind: keypoints, features: my_keypoints}"
+    pytest my_keypoints.py
+    vstestbed run camera_keypoints --plugin my_keypoints.py --set detector.features=my_keypoints
 
 They are corners of brightness, described by the patch round each, turned to its own direction. A
 learned network loads its weights once, in a function with `functools.lru_cache`. One that matches

@@ -566,9 +566,9 @@ def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array
 
         share(tau) = #{runs with x <= tau} / n     (x >= tau for a metric of which more is better)
 
-    Failed runs never are (`ControllerResults.ranked`). Of many values STEPS are kept. Reference:
-    Dolan & Moré 2002, doi:10.1007/s101070100263 (of ratios to the best there); Agarwal et al. 2021,
-    arXiv:2108.13264.
+    Failed runs never are (`ControllerResults.ranked`). Of many values STEPS are kept.
+    Reference: Dolan & Moré 2002, doi:10.1007/s101070100263 (of ratios to the best there); Agarwal
+    et al. 2021, arXiv:2108.13264.
     """
     ranked = controller.ranked(metric)
     ranked = ranked[~np.isnan(ranked)]

@@ -212,7 +212,8 @@ def paired_difference(a: ArrayLike, b: ArrayLike) -> IntervalEstimate:
     There is no interval and no test of one pair.
 
     `a`, `b`: one value a seed, shape (N,), in the same order of seeds; NaN or None where a run has
-    none. Reference: Student 1908, doi:10.1093/biomet/6.1.1.
+    none.
+    Reference: Student 1908, doi:10.1093/biomet/6.1.1.
     """
     d, least = _differences(a, b)
     n = len(d)

@@ -254,8 +254,8 @@ class WindowPane:
     Lambert's law.
 
     A surface of colour c whose normal makes an angle a with the direction to the pane's middle, at
-    a distance d and at an angle b from the pane's z axis, gets the light c brightness cos a cos b
-    A / (A + pi d^2) of a pane of area A. It is the light of a small Lambertian surface far away,
+    a distance d and at an angle b from the pane's z axis, gets the light c brightness cos a cos b A
+    / (A + pi d^2) of a pane of area A. It is the light of a small Lambertian surface far away,
     and on its axis the exact one of a disc of this area. It casts no shadows; the pane itself is
     drawn with its brightness, at most white. A glossy surface shows it as a highlight, gloss
     brightness cos b A/(A + pi d^2) (n + 1)/2 (h . n)^s of `world.floor.sharpness` s: about the

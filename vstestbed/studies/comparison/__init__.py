@@ -218,8 +218,9 @@ def again(
     on_done: OnDone = lambda job, summary: None,
 ) -> tuple[Path, Agreement]:
     """Fly a comparison's folder again, in a new one (`out`), with the copies of its files; the new
-    folder, and whether both agree. Raises RunFolderError: a file is not what flew. ParameterError:
-    `place` is no comparison; others as of `compare`.
+    folder, and whether both agree.
+    Raises RunFolderError: a file is not what flew. ParameterError: `place` is no comparison; others
+    as of `compare`.
     """
     must_be_comparison(place)
     with study_folder("compare", out) as folder:

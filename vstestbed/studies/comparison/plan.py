@@ -395,8 +395,9 @@ def _same(a: object, b: object) -> bool:
 
 def read_comparison(path: Path, plugins: Sequence[str] = ()) -> Comparison:
     """Read a comparison's YAML file; scenario files in `base` are searched beside it first.
-    `plugins`: besides its own. Raises ScenarioError: all mistakes in it, at once. PluginError: a
-    plugin is not there or cannot be imported.
+    `plugins`: besides its own.
+    Raises ScenarioError: all mistakes in it, at once. PluginError: a plugin is not there or cannot
+    be imported.
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
     load_named(plain, marks, str(path), plugins)
@@ -596,8 +597,9 @@ class Job:
         return f"{self.controller.folder}/{run}"
 
     def scenario(self) -> Scenario:
-        """The scenario with its start and its noise drawn from the seed. Raises UnreachableError:
-        the robot cannot stand there. ParameterError: no start can be drawn.
+        """The scenario with its start and its noise drawn from the seed.
+        Raises UnreachableError: the robot cannot stand there. ParameterError: no start can be
+        drawn.
         """
         found = self.controller
         if found.start is not None and self.seed is not None:

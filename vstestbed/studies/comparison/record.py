@@ -88,7 +88,8 @@ def keep(place: Path) -> None:
 def must_be_unchanged(place: Path, plugins: Sequence[str] = ()) -> None:
     """Refuse to go on in a folder whose files are not those of its stored runs; where one is gone,
     the plan names the copy from now on. plugins: given beside those of the plan, one of which may
-    be a file of the plan in its new place. Raises RunFolderError: which files have changed.
+    be a file of the plan in its new place.
+    Raises RunFolderError: which files have changed.
     """
     new = {Path(name).name: Path(name) for name in plugins}
     now = {
@@ -130,7 +131,8 @@ def moved_plugins(place: Path, given: Sequence[str]) -> tuple[str, ...]:
 
 def copied_plan(place: Path, out: Path) -> None:
     """Write the plan of a comparison's folder into another one, to be flown there from the copies
-    of its files. Raises RunFolderError: a copy is not there, or is not what flew.
+    of its files.
+    Raises RunFolderError: a copy is not there, or is not what flew.
     """
     for copy, said in _files(place).items():
         if not is_there(place / copy):

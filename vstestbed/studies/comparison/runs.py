@@ -46,9 +46,9 @@ def perform(text: str, filmed: bool, place: str | None = None) -> Files:
     says).
 
     An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback, a
-    start at which an arm falls `unreachable`. Raises EnvironmentLackError: this machine has no
-    OpenGL or no space, so that every other run would fail as well. PluginError: a plugin of the
-    scenario is not there on this machine.
+    start at which an arm falls `unreachable`.
+    Raises EnvironmentLackError: this machine has no OpenGL or no space, so that every other run
+    would fail as well. PluginError: a plugin of the scenario is not there on this machine.
     """
     scenario = parse(text, GIVEN)
     # the run's folder is local: the worker may be on a machine without access to the comparison's
