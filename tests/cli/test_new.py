@@ -23,7 +23,7 @@ from vstestbed.scenario.plugins import registries
 KINDS = list(get_args(NewKind))
 SUCCESS = {"motion": "completed"}
 """The outcome of a file's own run, where it is not `converged`."""
-LINES = 60
+LINES = 80
 
 
 def own_run(text: str) -> list[str]:

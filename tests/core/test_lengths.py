@@ -157,7 +157,7 @@ def said_after(body: list[ast.stmt], i: int) -> str:
 
 def lengths_in(source: str) -> set[str]:
     """Names of the constants and defaults that are lengths: by name, by type, or, of a module's, by
-    the unit in its comment.
+    the unit in its comment, which stands above it or at its end.
     """
     tree, lines, found = ast.parse(source), source.splitlines(), set[str]()
     for scope in (tree, *(node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))):
@@ -173,7 +173,10 @@ def lengths_in(source: str) -> set[str]:
             names = [
                 n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)
             ]
-            comment = " ".join(lines[node.lineno - 1 : node.end_lineno]).partition("#")[2]
+            first = node.lineno - 1
+            while first and lines[first - 1].lstrip().startswith("#"):
+                first -= 1
+            comment = " ".join(lines[first : node.end_lineno]).partition("#")[2]
             told = not prefix and METRES.search(f"{comment} {said_after(scope.body, i)}")
             typed = isinstance(node, ast.AnnAssign) and LENGTHS & {
                 n.id for n in ast.walk(node.annotation) if isinstance(n, ast.Name)
@@ -221,6 +224,9 @@ def test_a_new_constant_length_is_found():
         "NEAREST_M = 0.01\n"
         "LEAST = 1e-3  # under which nothing is seen [m, rad]\n"
         "QUICK = 2.0  # [m/s]\n"
+        "# what a comment above a constant tells [m],\n"
+        "# in two lines\n"
+        "FAR = 5\n"
     )
     source = constants + "class A:\n    gap: PositiveLength = 0.1\n"
-    assert lengths_in(source) == {"NEAREST_M", "LEAST", "A.gap"}
+    assert lengths_in(source) == {"NEAREST_M", "LEAST", "FAR", "A.gap"}
