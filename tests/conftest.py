@@ -1,4 +1,6 @@
-"""What all tests share: which OpenGL, and the command line as a function that runs in an empty folder."""
+"""What all tests share: which OpenGL, and the command line as a function that runs in an empty
+folder.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ from vstestbed.sim.gl_probe import require
 if "PYTEST_XDIST_WORKER" in os.environ:  # tests side by side: Mesa draws with a core each
     os.environ.setdefault("LP_NUM_THREADS", "0")
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
+if (
+    signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    and threading.current_thread() is threading.main_thread()
+):
     # as in a shell's background: processes that tests start and interrupt would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -31,7 +36,9 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """What is collected stays until the end: Python's collector of cycles looks for garbage in it neither meanwhile nor later."""
+    """What is collected stays until the end: Python's collector of cycles looks for garbage in it
+    neither meanwhile nor later.
+    """
     gc.disable()
     try:
         return (yield)
@@ -56,17 +63,22 @@ def pytest_runtest_call() -> Generator[None]:
 
 @contextmanager
 def _skip_without_opengl() -> Iterator[None]:
-    """On a machine without OpenGL, tests of what only OpenGL can draw are skipped, with the sentence that a user gets; not in CI."""
+    """On a machine without OpenGL, tests of what only OpenGL can draw are skipped, with the
+    sentence that a user gets; not in CI.
+    """
     try:
         yield
-    except (EnvironmentLackError, RuntimeError) as error:  # RuntimeError: dm_control's, where a test draws by itself
+    except (EnvironmentLackError, RuntimeError) as error:
+        # RuntimeError: dm_control's, where a test draws by itself
         if not str(error).lower().startswith("no opengl") or not (lack := _no_opengl()):
             raise
         pytest.skip(lack)
 
 
 def _no_opengl() -> str:
-    """Why OpenGL does not work here, in the sentence that a user gets; "" where it does, and in CI, where it must."""
+    """Why OpenGL does not work here, in the sentence that a user gets; "" where it does, and in CI,
+    where it must.
+    """
     try:
         require()
     except EnvironmentLackError as lack:
@@ -92,7 +104,9 @@ class Ended:
 
 
 @pytest.fixture
-def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+def command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Ended]:
     """`vstestbed WORDS` in this process, in an empty current folder."""
     from vstestbed.cli.app import main
 
@@ -117,8 +131,12 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
 def vstestbed_process() -> tuple[list[str], dict[str, str]]:
     """The words and the environment that start vstestbed as a process of its own."""
     paths = [str(REPOSITORY), os.environ.get("PYTHONPATH", "")]
-    environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
-    return [sys.executable, "-m", "vstestbed"], environment | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    environment = {
+        k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")
+    }
+    return [sys.executable, "-m", "vstestbed"], environment | {
+        "PYTHONPATH": os.pathsep.join(filter(None, paths))
+    }
 
 
 @pytest.fixture
@@ -143,12 +161,19 @@ def own_kinds() -> Iterator[None]:
     from vstestbed.core.registry import SPECS
     from vstestbed.scenario.plugins import registries
 
-    before, modules = {room: dict(kinds.members) for room, kinds in registries().items()}, set(sys.modules)
+    before, modules = (
+        {room: dict(kinds.members) for room, kinds in registries().items()},
+        set(sys.modules),
+    )
     path = list(sys.path)
     yield
     sys.path[:] = path
     places = ("pytest-of-", "examples")
-    gone = {n for n in set(sys.modules) - modules if any(p in str(getattr(sys.modules[n], "__file__", "")) for p in places)}
+    gone = {
+        n
+        for n in set(sys.modules) - modules
+        if any(p in str(getattr(sys.modules[n], "__file__", "")) for p in places)
+    }
     for name in gone:  # plugins, else a later test that names one finds it loaded and its kind gone
         del sys.modules[name]
     SPECS[:] = [cls for cls in SPECS if cls.__module__ not in gone]
@@ -159,7 +184,11 @@ def own_kinds() -> Iterator[None]:
 
 QUICK = """\
 description: The ideal camera with the oracle, there and at rest within a second of simulated time.
-robot: {kind: free, start: {nominal: {xyz: [0.1, -0.05, 0]}, random: {xyz: [0.1, 0.1, 0.1], rpy_deg: [2, 2, 10]}}}
+robot:
+  kind: free
+  start:
+    nominal: {xyz: [0.1, -0.05, 0]}
+    random: {xyz: [0.1, 0.1, 0.1], rpy_deg: [2, 2, 10]}
 camera: {width: 320, height: 240}
 target: {kind: square, side: 0.4, pose: {xyz: [0, 0, 1.2]}}
 detector: oracle

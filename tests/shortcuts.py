@@ -1,4 +1,6 @@
-"""One case of many; worker processes and figures, which take seconds and are not what a test is about; the kinematics of the Puma."""
+"""One case of many; worker processes and figures, which take seconds and are not what a test is
+about; the kinematics of the Puma.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +17,28 @@ from vstestbed.robots.puma560 import CHAIN
 
 
 def one_quick(*cases: Any, every: int = 0) -> list[Any]:
-    """Cases of `parametrize`, of which the first is quick and the others are studies; a tuple is a case of several arguments.
+    """Cases of `parametrize`, of which the first is quick and the others are studies; a tuple is a
+    case of several arguments.
 
     every: with 3, the first of each three is quick.
     """
-    made = [case if hasattr(case, "marks") else pytest.param(*(case if isinstance(case, tuple) else (case,))) for case in cases]
+    made = [
+        case
+        if hasattr(case, "marks")
+        else pytest.param(*(case if isinstance(case, tuple) else (case,)))
+        for case in cases
+    ]
     study = [[pytest.mark.study] if i % (every or len(made)) else [] for i in range(len(made))]
-    return [pytest.param(*case.values, marks=[*case.marks, *more], id=case.id) for case, more in zip(made, study, strict=True)]
+    return [
+        pytest.param(*case.values, marks=[*case.marks, *more], id=case.id)
+        for case, more in zip(made, study, strict=True)
+    ]
 
 
 class Here:
-    """A pool of comparisons and searches in this process: no worker has to start and import the package."""
+    """A pool of comparisons and searches in this process: no worker has to start and import the
+    package.
+    """
 
     room = 1
     films = True

@@ -46,14 +46,17 @@ def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         code = campaign.main()
         (file,) = (tmp_path / "kept").glob("*.json")
         columns = json.loads(file.read_text())["result"]["columns"]
-        return code, [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        return code, [
+            dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
+        ]
 
     return of
 
 
 def test_an_interrupted_part_is_kept_and_gone_on_with(rows):
     code, found = rows(Stopped(), "--starts", "3", "--only", "law.gain=1.0")
-    assert code == 130 and [row["law.gain"] for row in found] == [1.0]  # the second run was done, and not written yet
+    # the second run was done, and not written yet
+    assert code == 130 and [row["law.gain"] for row in found] == [1.0]
     code, more = rows(Here(), "--starts", "3", "--only", "law.gain=1.0")
     assert code == 0 and found[0] in more and sorted(row["seed"] for row in more) == [0, 1, 2]
 
@@ -72,4 +75,6 @@ def test_rows_kept_before_have_the_labels_of_the_plan(rows, tmp_path: Path):
 def test_a_part_that_no_run_is_of_is_refused(rows, word: str, capsys: pytest.CaptureFixture[str]):
     rows(Here(), "--starts", "1")
     code, _ = rows(Here(), "--starts", "1", "--only", word)
-    assert code == 2 and "--only must be AXIS=NAME of runs that there are" in capsys.readouterr().err
+    assert (
+        code == 2 and "--only must be AXIS=NAME of runs that there are" in capsys.readouterr().err
+    )

@@ -1,4 +1,6 @@
-"""Conditions of the pages' numbers: read from scenarios, and said beside every table and in every section of exercises and results."""
+"""Conditions of the pages' numbers: read from scenarios, and said beside every table and in every
+section of exercises and results.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,12 @@ from docs.build.kept import Kept
 from docs.build.render import REPOSITORY, SOURCES, template
 
 FOLDERS = [REPOSITORY / "docs" / "exercises", REPOSITORY / "docs" / "results"]
-MEASURED = sorted(page.relative_to(REPOSITORY) for folder in FOLDERS for page in folder.glob("*.md"))
-NO_RUNS = {"docs/results/verdicts.md": "its comparisons are simulated: no robot and no camera is in them"}
+MEASURED = sorted(
+    page.relative_to(REPOSITORY) for folder in FOLDERS for page in folder.glob("*.md")
+)
+NO_RUNS = {
+    "docs/results/verdicts.md": "its comparisons are simulated: no robot and no camera is in them"
+}
 HEADING = re.compile(r"^#+ .*$", re.MULTILINE)
 CODE = re.compile(r"^ {4}.*$|^```.*?^```|`[^`]*`|\]\([^)]*\)|<[^>]*>", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])(\d+\.\d+|\d+ of \d+|\d+ (%|mm|cm|px|ms|N|deg|degrees)(?!\w))")
@@ -30,27 +36,51 @@ OF_THE_RUN = {"scenario", "seed", "task", "amount"}
     [
         ("run ibvs_book", "pictures; ideal camera"),
         ("run ibvs_book --set detector=oracle", "oracle with border; ideal camera"),
-        ("run arm_book --set detector='{kind: oracle, field_of_view: unlimited}'", "oracle without border; ideal servos"),
+        (
+            "run arm_book --set detector='{kind: oracle, field_of_view: unlimited}'",
+            "oracle without border; ideal servos",
+        ),
         ("run arm_ibvs --set robot.realism=lab", "pictures; dynamics (`lab`)"),
         ("compare canonical", "oracle without border; ideal camera"),
         ("compare latency", "oracle with border (0.05 px of noise); dynamics"),
         ("compare latency --set detector=blobs --set noise.pixel_sigma_px=0", "pictures; dynamics"),
-        ("compare realism", "oracle with border (in part 0.1 px of noise); ideal camera, ideal servos or dynamics"),
+        (
+            "compare realism",
+            "oracle with border (in part 0.1 px of noise); ideal camera, ideal servos or dynamics",
+        ),
         ("compare realism_omni", "oracle with border; dynamics (in part `lab` or `field`)"),
-        ("compare arm_ibvs --vary detector=oracle,blobs", "oracle with border or pictures; dynamics"),
-        ("gain-limit arm_ibvs --set robot.realism=field", "oracle without border; dynamics (`field`)"),  # whatever the scenario's detector
+        (
+            "compare arm_ibvs --vary detector=oracle,blobs",
+            "oracle with border or pictures; dynamics",
+        ),
+        # whatever the scenario's detector
+        (
+            "gain-limit arm_ibvs --set robot.realism=field",
+            "oracle without border; dynamics (`field`)",
+        ),
         ("sweep depth_error", "oracle without border; ideal camera"),
-        ("basin canonical --x x=-2:2 --y yaw=-180:180 --field-of-view limited", "oracle with border; ideal camera"),
+        (
+            "basin canonical --x x=-2:2 --y yaw=-180:180 --field-of-view limited",
+            "oracle with border; ideal camera",
+        ),
     ],
 )
-def test_conditions_are_those_of_the_scenarios_that_a_command_flies(command: str, words: str) -> None:
+def test_conditions_are_those_of_the_scenarios_that_a_command_flies(
+    command: str, words: str
+) -> None:
     assert conditions(command) == words
 
 
 def test_a_line_has_an_entry_for_each_that_differs() -> None:
-    assert conditions_line("run ibvs_book", "run pbvs_book") == "*Conditions: pictures; ideal camera.*"
+    assert (
+        conditions_line("run ibvs_book", "run pbvs_book") == "*Conditions: pictures; ideal camera.*"
+    )
     line = conditions_line("run ibvs_book", "run arm_ibvs", "run pbvs_book")
-    assert line == "*Conditions: `run ibvs_book`, `run pbvs_book`: pictures; ideal camera. `run arm_ibvs`: pictures; dynamics.*"
+    assert (
+        line
+        == "*Conditions: `run ibvs_book`, `run pbvs_book`: pictures; ideal camera. `run arm_ibvs`:"
+        " pictures; dynamics.*"
+    )
     many = conditions_line("run arm_ibvs", "run ibvs_book", "run pbvs_book", "run polar_book")
     assert many == "*Conditions: pictures; ideal camera. `run arm_ibvs`: pictures; dynamics.*"
 
@@ -70,7 +100,11 @@ class Row(dict[str, Any]):
     def __init__(self, values: dict[str, Any], command: str, read: list[str]):
         super().__init__(values)
         names = list(values)
-        self._names = OF_THE_RUN | set(names[: names.index("seed")] if "seed" in names and command.startswith(("compare", "sweep")) else ())
+        self._names = OF_THE_RUN | set(
+            names[: names.index("seed")]
+            if "seed" in names and command.startswith(("compare", "sweep"))
+            else ()
+        )
         self._command, self._read = command, read
 
     def _note(self, name: str) -> None:
@@ -107,7 +141,9 @@ class Noted(Kept):
 
 @dataclass(frozen=True)
 class Shown:
-    """A page's text, the commands whose values are read with the place in the text where they are, and its source."""
+    """A page's text, the commands whose values are read with the place in the text where they are,
+    and its source.
+    """
 
     text: str
     read: list[tuple[int, str]]
@@ -141,7 +177,11 @@ def inputs(source: str) -> Iterator[str]:
     """How the tables of a source begin that hold inputs alone, up to what is rendered."""
     for paragraph in source.split("\n\n"):
         rows = [line for line in paragraph.splitlines() if line.startswith("|")]
-        if rows and "{# given:" in paragraph and len(begin := rows[0].partition("{")[0]) > len("| |"):
+        if (
+            rows
+            and "{# given:" in paragraph
+            and len(begin := rows[0].partition("{")[0]) > len("| |")
+        ):
             yield begin
 
 
@@ -154,8 +194,15 @@ def without_conditions(shown: Shown) -> Iterator[str]:
             if conditions(command) not in words:
                 yield f"{heading}: numbers of `{command}`"
         stated = LINE in words or "{# no run:" in sources.get(heading, "")
-        if not stated and not shown.between(start, end) and NUMBER.search(CODE.sub("", words.partition("\n")[2])):
-            yield f"{heading}: numbers of no command; say under('run ...') of what was flown, or no run: and why"
+        if (
+            not stated
+            and not shown.between(start, end)
+            and NUMBER.search(CODE.sub("", words.partition("\n")[2]))
+        ):
+            yield (
+                f"{heading}: numbers of no command;"
+                " say under('run ...') of what was flown, or no run: and why"
+            )
     for table in re.finditer(r"^\|.*\n(?:\|.*\n)+", shown.text, re.MULTILINE):
         first = table[0].partition("\n")[0]
         given = any(first.startswith(begin) for begin in inputs(shown.source))
@@ -163,7 +210,10 @@ def without_conditions(shown: Shown) -> Iterator[str]:
         if not read and (given or not NUMBER.search(table[0])):
             continue
         heading = [one for one, start, _ in parts(shown.text) if start < table.start()][-1]
-        beside = [shown.text[: table.start()].rstrip().rpartition("\n")[2], shown.text[table.end() :].lstrip().partition("\n")[0]]
+        beside = [
+            shown.text[: table.start()].rstrip().rpartition("\n")[2],
+            shown.text[table.end() :].lstrip().partition("\n")[0],
+        ]
         if "no run:" in "".join(sources.get(heading, "")):
             continue
         if not any(one.startswith(LINE) for one in beside) and "conditions" not in first:
@@ -187,14 +237,32 @@ ARM = "run arm_ibvs"  # from pictures, with dynamics
         ("# A\n\nAs in section 3, `gain: 0.12`.\n", [], 0),  # code is no result
     ],
 )
-def test_the_check_finds_numbers_without_their_conditions(text: str, read: list[str], missing: int) -> None:
-    assert len(list(without_conditions(Shown(text, [(text.index("|"), command) for command in read], "")))) == missing
+def test_the_check_finds_numbers_without_their_conditions(
+    text: str, read: list[str], missing: int
+) -> None:
+    assert (
+        len(
+            list(
+                without_conditions(
+                    Shown(text, [(text.index("|"), command) for command in read], "")
+                )
+            )
+        )
+        == missing
+    )
 
 
 @pytest.mark.parametrize("page", MEASURED, ids=lambda page: page.stem)
 def test_every_number_and_every_table_has_its_conditions(page: Path) -> None:
     if page.as_posix() in NO_RUNS:
-        assert not (SOURCES / page).is_file() or not Shown.of(page).read, f"{page} reads runs: it is none of NO_RUNS any more"
+        assert not (SOURCES / page).is_file() or not Shown.of(page).read, (
+            f"{page} reads runs: it is none of NO_RUNS any more"
+        )
         return
     missing = list(without_conditions(Shown.of(page)))
-    assert not missing, "\n".join([f"{page}: these have no conditions (docs/build/conditions.py, {{{{ under(...) }}}}):", *missing])
+    assert not missing, "\n".join(
+        [
+            f"{page}: these have no conditions (docs/build/conditions.py, {{{{ under(...) }}}}):",
+            *missing,
+        ]
+    )

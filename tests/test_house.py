@@ -1,7 +1,7 @@
 """The house: its rooms, how few places ask what kind a thing is, and how small its pieces are.
 
-A count of one kind of test is no style rule for its own sake: each `isinstance` on a kind outside its room is a place where a plugin's
-kind behaves in another way than the bundled ones.
+A count of one kind of test is no style rule for its own sake: each `isinstance` on a kind outside
+its room is a place where a plugin's kind behaves in another way than the bundled ones.
 """
 
 from __future__ import annotations
@@ -28,14 +28,21 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 ROOMS = {
     "tasks": set(GOALS.members.values()),
     "robots": set(ROBOTS.members.values()),
-    "targets": {*TARGETS.members.values(), *MARKERS.members.values(), *MOTIONS.members.values(), Stripe},
+    "targets": {
+        *TARGETS.members.values(),
+        *MARKERS.members.values(),
+        *MOTIONS.members.values(),
+        Stripe,
+    },
 }
 
 
 @cache
 def nodes(file: Path) -> tuple[ast.AST, ...]:
     """Nodes of a file's syntax tree that these tests look at, the root first."""
-    return tuple(node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, LOOKED_AT))
+    return tuple(
+        node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, LOOKED_AT)
+    )
 
 
 LOOKED_AT = (ast.Module, ast.Call, ast.MatchClass, ast.Compare, ast.FunctionDef, ast.Assign)
@@ -43,15 +50,31 @@ LOOKED_AT = (ast.Module, ast.Call, ast.MatchClass, ast.Compare, ast.FunctionDef,
 
 
 def asked(within: Iterable[ast.AST], names: set[str], kinds: set[str]) -> Iterator[ast.AST]:
-    """Nodes that ask of what kind something is: isinstance, a class pattern, a comparison of `.kind` with one of the words."""
+    """Nodes that ask of what kind something is: isinstance, a class pattern, a comparison of
+    `.kind` with one of the words.
+    """
     for node in within:
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("isinstance", "issubclass"):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in ("isinstance", "issubclass")
+        ):
             if names & {getattr(n, "id", getattr(n, "attr", "")) for n in ast.walk(node.args[1])}:
                 yield node
-        elif isinstance(node, ast.MatchClass) and isinstance(node.cls, ast.Name) and node.cls.id in names:
+        elif (
+            isinstance(node, ast.MatchClass)
+            and isinstance(node.cls, ast.Name)
+            and node.cls.id in names
+        ):
             yield node
-        elif isinstance(node, ast.Compare) and any(isinstance(n, ast.Attribute) and n.attr == "kind" for n in ast.walk(node)):
-            yield from [node] if kinds & {n.value for n in ast.walk(node) if isinstance(n, ast.Constant)} else []
+        elif isinstance(node, ast.Compare) and any(
+            isinstance(n, ast.Attribute) and n.attr == "kind" for n in ast.walk(node)
+        ):
+            yield from (
+                [node]
+                if kinds & {n.value for n in ast.walk(node) if isinstance(n, ast.Constant)}
+                else []
+            )
 
 
 def places(room: str) -> list[str]:
@@ -60,7 +83,10 @@ def places(room: str) -> list[str]:
     found = []
     for file in FILES:
         if file.relative_to(PACKAGE).parts[0] != room:
-            found += [f"{file.relative_to(PACKAGE)}:{node.lineno}" for node in asked(nodes(file), names, kinds)]
+            found += [
+                f"{file.relative_to(PACKAGE)}:{node.lineno}"
+                for node in asked(nodes(file), names, kinds)
+            ]
     return found
 
 
@@ -71,12 +97,19 @@ def test_few_ask_of_what_kind_a_thing_is(room):
     for place in found:  # each says why, on its line or on the one above
         file, line = place.split(":")
         lines = (PACKAGE / file).read_text().splitlines()
-        assert "#" in lines[int(line) - 1] or lines[int(line) - 2].lstrip().startswith("#"), f"{place} gives no reason"
+        assert "#" in lines[int(line) - 1] or lines[int(line) - 2].lstrip().startswith("#"), (
+            f"{place} gives no reason"
+        )
 
 
 def test_the_counter_counts():
     tree = ast.parse(
-        "isinstance(x, Car | Omni)\nmatch y:\n    case Car(start=s):\n        pass\nz.kind == 'car'\nq.kind in ('a', 'omni')\n"
+        "isinstance(x, Car | Omni)\n"
+        "match y:\n"
+        "    case Car(start=s):\n"
+        "        pass\n"
+        "z.kind == 'car'\n"
+        "q.kind in ('a', 'omni')\n"
     )
     assert len(list(asked(ast.walk(tree), {"Car"}, {"car", "omni"}))) == 4
 
@@ -87,33 +120,62 @@ def test_the_top_of_the_package_is_a_table_of_contents():
     assert len(rooms) <= 21, rooms
     assert loose == {"__init__.py", "__main__.py"}
     for room in rooms:
-        assert inspect.getdoc(importlib.import_module(f"vstestbed.{room}")), f"{room}/ does not say what is in it"
+        assert inspect.getdoc(importlib.import_module(f"vstestbed.{room}")), (
+            f"{room}/ does not say what is in it"
+        )
 
 
 def test_functions_are_small():
+    """By their statements, whatever lines a formatter makes of them; and none is longer than a
+    page.
+    """
     for file in FILES:
         for node in nodes(file):
             if isinstance(node, ast.FunctionDef):
                 body = node.body[1:] if ast.get_docstring(node, clean=False) else node.body
-                assert not body or node.end_lineno - body[0].lineno < 45, f"{file.relative_to(PACKAGE)}: {node.name} is too long"
+                statements = sum(isinstance(n, ast.stmt) for one in body for n in ast.walk(one))
+                assert statements <= 41, (
+                    f"{file.relative_to(PACKAGE)}: {node.name} has too many statements"
+                )
+                assert not body or node.end_lineno - body[0].lineno < 80, (
+                    f"{file.relative_to(PACKAGE)}: {node.name} is too long"
+                )
 
 
 def test_every_public_method_says_what_it_does_here_or_in_the_class_it_comes_from():
-    classes = {node.name: node for file in FILES for node in nodes(file)[0].body if isinstance(node, ast.ClassDef)}
+    classes = {
+        node.name: node
+        for file in FILES
+        for node in nodes(file)[0].body
+        if isinstance(node, ast.ClassDef)
+    }
 
     def said(cls: ast.ClassDef, name: str) -> bool:
         own = [node for node in cls.body if isinstance(node, ast.FunctionDef) and node.name == name]
-        bases = [classes[base] for node in cls.bases if (base := ast.unparse(node).split("[")[0].split(".")[-1]) in classes]
-        return any(map(ast.get_docstring, own)) or any(said(base, name) for base in bases if base is not cls)
+        bases = [
+            classes[base]
+            for node in cls.bases
+            if (base := ast.unparse(node).split("[")[0].split(".")[-1]) in classes
+        ]
+        return any(map(ast.get_docstring, own)) or any(
+            said(base, name) for base in bases if base is not cls
+        )
 
     for cls in classes.values():
         for node in cls.body if not cls.name.startswith("_") else ():
             if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
-                assert said(cls, node.name), f"{cls.name}.{node.name} has no docstring, and no base class has one"
+                assert said(cls, node.name), (
+                    f"{cls.name}.{node.name} has no docstring, and no base class has one"
+                )
 
 
 def test_no_two_classes_of_one_name():
-    names = [node.name for file in FILES for node in nodes(file)[0].body if isinstance(node, ast.ClassDef)]
+    names = [
+        node.name
+        for file in FILES
+        for node in nodes(file)[0].body
+        if isinstance(node, ast.ClassDef)
+    ]
     assert sorted({name for name in names if names.count(name) > 1}) == []
 
 
@@ -126,10 +188,12 @@ def test_what_the_loop_passes_on_is_small():
     from vstestbed.tasks.frame import Cycle, Frame
 
     def size(cls: type) -> int:
-        return len(getattr(cls, "_fields", None) or dataclasses.fields(cls))  # some are named tuples
+        # some are named tuples
+        return len(getattr(cls, "_fields", None) or dataclasses.fields(cls))
 
     for cls in (Frame, Goal, Observation, Command, Allocation, Order, Reading, Truth):
-        assert size(cls) <= {Observation: 18, Goal: 15}.get(cls, 14), cls  # an observation's are what laws may name
+        # an observation's are what laws may name
+        assert size(cls) <= {Observation: 18, Goal: 15}.get(cls, 14), cls
     assert size(Cycle) <= 8 and size(Frame) <= 14
 
 
@@ -141,9 +205,43 @@ def test_a_robot_has_at_most_25_members():
 
 
 WRITES = {  # names of calls that write a file, of all libraries that the package uses
-    *("write_text", "write_bytes", "touch", "symlink_to", "hardlink_to", "mkstemp", "NamedTemporaryFile", "tofile", "savetxt", "savez"),
-    *("write_csv", "write_parquet", "write_json", "write_ndjson", "write_ipc", "to_csv", "to_parquet", "to_file", "to_zip", "dump", "save"),
-    *("savefig", "imwrite", "imwritemulti", "mj_saveLastXML", "mj_saveModel", "copy2", "copyfile", "copytree", "move", "extractall"),
+    *(
+        "write_text",
+        "write_bytes",
+        "touch",
+        "symlink_to",
+        "hardlink_to",
+        "mkstemp",
+        "NamedTemporaryFile",
+        "tofile",
+        "savetxt",
+        "savez",
+    ),
+    *(
+        "write_csv",
+        "write_parquet",
+        "write_json",
+        "write_ndjson",
+        "write_ipc",
+        "to_csv",
+        "to_parquet",
+        "to_file",
+        "to_zip",
+        "dump",
+        "save",
+    ),
+    *(
+        "savefig",
+        "imwrite",
+        "imwritemulti",
+        "mj_saveLastXML",
+        "mj_saveModel",
+        "copy2",
+        "copyfile",
+        "copytree",
+        "move",
+        "extractall",
+    ),
 }
 LOOKED_UP = {*WRITES, "open", "VideoWriter"}
 WRITERS = {  # beside core/files.py: where, which call, and why it may
@@ -155,18 +253,29 @@ WRITERS = {  # beside core/files.py: where, which call, and why it may
 
 
 def writes(within: Collection[ast.AST]) -> Iterator[tuple[str, int]]:
-    """Name and line of each call that writes a file; those into a buffer of io, or that return text, are none."""
+    """Name and line of each call that writes a file; those into a buffer of io, or that return
+    text, are none.
+    """
     in_memory: set[str] | None = None  # few files have a call whose arguments matter
     for node in within:
-        if not isinstance(node, ast.Call) or getattr(node.func, "id", getattr(node.func, "attr", "")) not in LOOKED_UP:
+        if (
+            not isinstance(node, ast.Call)
+            or getattr(node.func, "id", getattr(node.func, "attr", "")) not in LOOKED_UP
+        ):
             continue
         called, given = ast.unparse(node.func), [*node.args, *(k.value for k in node.keywords)]
         name = called.rpartition(".")[2]
         if called in ("os.open", "cv2.VideoWriter"):
             yield called, node.lineno
         elif name == "open":
-            modes = [a.value for a in given if isinstance(a, ast.Constant) and isinstance(a.value, str) and len(a.value) <= 3]
-            named = any(not isinstance(k.value, ast.Constant) for k in node.keywords if k.arg == "mode")
+            modes = [
+                a.value
+                for a in given
+                if isinstance(a, ast.Constant) and isinstance(a.value, str) and len(a.value) <= 3
+            ]
+            named = any(
+                not isinstance(k.value, ast.Constant) for k in node.keywords if k.arg == "mode"
+            )
             if named or any(set(mode) & set("wax+") for mode in modes):
                 yield name, node.lineno
         elif name in WRITES and "." in called and given:
@@ -177,13 +286,17 @@ def writes(within: Collection[ast.AST]) -> Iterator[tuple[str, int]]:
 
 def buffers(within: Iterable[ast.AST]) -> set[str]:
     """Names that hold a buffer of io."""
-    found = {n.targets[0] for n in within if isinstance(n, ast.Assign) and "io." in ast.unparse(n.value)}
+    found = {
+        n.targets[0] for n in within if isinstance(n, ast.Assign) and "io." in ast.unparse(n.value)
+    }
     found |= {t for n in found if isinstance(n, ast.Tuple) for t in n.elts}
     return {ast.unparse(n) for n in found}
 
 
 def test_files_are_written_in_one_place():
-    """`core.files` writes under a temporary name and renames; every other writer could leave half a file."""
+    """`core.files` writes under a temporary name and renames; every other writer could leave half a
+    file.
+    """
     found = {}
     for file in FILES:
         place = file.relative_to(PACKAGE).as_posix()
@@ -195,10 +308,24 @@ def test_files_are_written_in_one_place():
 
 def test_the_finder_of_writers_finds():
     text = """
-p.open("w"); open(p, "ab"); open(p, mode=m); p.open(); open(p, "rb"); p.write_text(t); df.write_csv(p); df.write_csv(); fig.savefig(p)
-b = io.BytesIO(); df.write_parquet(b); json.dump(x, f); json.dumps(x); np.save(p, x); cv2.imwrite(p, i); cv2.VideoWriter(p); os.open(p, 0)
+p.open("w"); open(p, "ab"); open(p, mode=m); p.open(); open(p, "rb")
+p.write_text(t); df.write_csv(p); df.write_csv(); fig.savefig(p)
+b = io.BytesIO(); df.write_parquet(b); json.dump(x, f); json.dumps(x)
+np.save(p, x); cv2.imwrite(p, i); cv2.VideoWriter(p); os.open(p, 0)
 """
     names = [name for name, _ in writes([*ast.walk(ast.parse(text))])]
     assert sorted(names) == sorted(
-        ["open", "open", "open", "write_text", "write_csv", "savefig", "dump", "save", "imwrite", "cv2.VideoWriter", "os.open"]
+        [
+            "open",
+            "open",
+            "open",
+            "write_text",
+            "write_csv",
+            "savefig",
+            "dump",
+            "save",
+            "imwrite",
+            "cv2.VideoWriter",
+            "os.open",
+        ]
     )

@@ -1,4 +1,6 @@
-"""The notebooks: whole, without kept outputs, with links that lead somewhere; as a study, executed."""
+"""The notebooks: whole, without kept outputs, with links that lead somewhere;
+as a study, executed.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,11 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "docs" / "notebooks").glob("*.ip
 
 
 def cells(path: Path, kind: str) -> list[str]:
-    return ["".join(cell["source"]) for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == kind]
+    return [
+        "".join(cell["source"])
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]
+        if cell["cell_type"] == kind
+    ]
 
 
 def test_each_is_code_that_parses_and_says_where_it_belongs() -> None:
@@ -41,4 +47,11 @@ def test_each_runs_from_its_first_cell_to_its_last(path: Path, tmp_path: Path) -
 
     execute(path, tmp_path / path.name)
     done = json.loads((tmp_path / path.name).read_text(encoding="utf-8"))
-    assert sum("image/png" in output.get("data", {}) for cell in done["cells"] for output in cell.get("outputs", ())) > 0
+    assert (
+        sum(
+            "image/png" in output.get("data", {})
+            for cell in done["cells"]
+            for output in cell.get("outputs", ())
+        )
+        > 0
+    )

@@ -1,5 +1,5 @@
-"""Every reader of files that others write: a field that it does not know is refused by its name, at every level, and a field that it
-knows is used.
+"""Every reader of files that others write: a field that it does not know is refused by its name, at
+every level, and a field that it knows is used.
 """
 
 import copy
@@ -35,7 +35,9 @@ def omni(file):
 
 
 def starts(file):
-    Path(file).with_name("plan.yaml").write_text(yaml.safe_dump({"base": ["arm_ibvs"], "tasks": {"mine": {"file": file}}}))
+    Path(file).with_name("plan.yaml").write_text(
+        yaml.safe_dump({"base": ["arm_ibvs"], "tasks": {"mine": {"file": file}}})
+    )
     return read_comparison(Path(file).with_name("plan.yaml")).tasks["mine"].lists
 
 
@@ -45,14 +47,22 @@ def yaml_of(path):
 
 # reader, a valid content, and the levels where names are the user's own
 READERS = {
-    "camera_info": (read_intrinsics, {**CAMERA_INFO, "header": {"frame_id": "c"}, "roi": ECHO["roi"]}, ()),
+    "camera_info": (
+        read_intrinsics,
+        {**CAMERA_INFO, "header": {"frame_id": "c"}, "roi": ECHO["roi"]},
+        (),
+    ),
     "message": (read_intrinsics, ECHO, ("header.stamp",)),
     "easy_handeye": (read_mount, EASY, ()),
     "stamped": (read_mount, STAMPED, ()),
     "calibration": (read_calibration, ALL, ()),
     "preset": (omni, IMPERFECT, ()),
     "starts": (starts, STARTS, ()),
-    "lab": (lambda file: read_lab(Path(file)), yaml_of(bundled_labs()["lab_1"]), ("tasks.*.set", "tasks.*.median")),
+    "lab": (
+        lambda file: read_lab(Path(file)),
+        yaml_of(bundled_labs()["lab_1"]),
+        ("tasks.*.set", "tasks.*.median"),
+    ),
     "comparison": (
         lambda file: read_comparison(Path(file)),
         yaml_of(bundled_comparisons()["latency"]),
@@ -63,7 +73,8 @@ READERS = {
         yaml_of(folder("scenarios") / "suite" / "VS-1.yaml"),
         ("laws", "tasks", "laws.*.tasks.**", "laws.*.law.**"),
     ),
-    "law": (law_of_file, LAW, ("law", "tasks.**")),  # blocks of a law's kind, checked when they are flown
+    # blocks of a law's kind, checked when they are flown
+    "law": (law_of_file, LAW, ("law", "tasks.**")),
     "scenario": (vs.load, yaml_of(folder("scenarios") / "arm_ibvs.yaml"), ()),
 }
 
@@ -72,13 +83,21 @@ def levels(plain, at=()):
     """The path of each mapping."""
     if isinstance(plain, dict):
         yield at
-    inner = plain.items() if isinstance(plain, dict) else enumerate(plain) if isinstance(plain, list) else ()
+    inner = (
+        plain.items()
+        if isinstance(plain, dict)
+        else enumerate(plain)
+        if isinstance(plain, list)
+        else ()
+    )
     for key, value in inner:
         yield from levels(value, (*at, key))
 
 
 def own_names(path, free):
-    """Whether a level is one of names of the user's own; with `**` at its end a pattern has all levels below it, too."""
+    """Whether a level is one of names of the user's own; with `**` at its end a pattern has all
+    levels below it, too.
+    """
     for pattern in free:
         parts = pattern.removesuffix(".**").split(".")
         fits = len(parts) <= len(path) if pattern.endswith("**") else len(parts) == len(path)
@@ -102,11 +121,17 @@ def test_a_field_that_is_not_known_is_refused_by_its_name_at_every_level(reader,
     file = tmp_path / ("given.json" if reader == "starts" else "given.yaml")
 
     def written(plain):
-        file.write_text(json.dumps(plain) if file.suffix == ".json" else yaml.safe_dump(plain, sort_keys=False))
+        file.write_text(
+            json.dumps(plain) if file.suffix == ".json" else yaml.safe_dump(plain, sort_keys=False)
+        )
         return str(file)
 
     if reader == "comparison":  # files that it names are beside it
-        valid = {**valid, "base": ["arm_ibvs"], "cases": {"law": {"points": {"law": {"kind": "ibvs"}}}}}
+        valid = {
+            **valid,
+            "base": ["arm_ibvs"],
+            "cases": {"law": {"points": {"law": {"kind": "ibvs"}}}},
+        }
     if reader == "suite":  # a few of its many laws
         valid = {**valid, "laws": dict(list(valid["laws"].items())[:2])}
     read(written(valid))
@@ -140,11 +165,16 @@ def test_a_column_that_is_not_known_is_refused_by_its_name(tmp_path):
             list(shots_of_folder(tmp_path, None))
 
 
-# For each field of READ a file, the field in its own spelling, and another value: the result changes, or is refused by the field's name.
+# For each field of READ a file, the field in its own spelling, and another value: the result
+# changes, or is refused by the field's name.
 USED = {
     "camera_matrix": (CAMERA_INFO, "camera_matrix", MATRIX["K"][:2] + [321] + MATRIX["K"][3:]),
     "distortion_coefficients": (CAMERA_INFO, "distortion_coefficients", [0.1, 0, 0, 0]),
-    "distortion_model": ({**CAMERA_INFO, "distortion_coefficients": [0.1, 0, 0, 0]}, "distortion_model", "equidistant"),
+    "distortion_model": (
+        {**CAMERA_INFO, "distortion_coefficients": [0.1, 0, 0, 0]},
+        "distortion_model",
+        "equidistant",
+    ),
     "fisheye_model": (MATRIX, "fisheye_model", 1),
     "image_width": (CAMERA_INFO, "image_width", 641),
     "image_height": (CAMERA_INFO, "image_height", 481),
@@ -155,7 +185,11 @@ USED = {
     "rectification_matrix": (ECHO, "r", [0, -1, 0, 1, 0, 0, 0, 0, 1]),
     "projection_matrix": (ECHO, "p", [450, 0, 330, -54, 0, 450, 238, 0, 0, 0, 1, 0]),
     "header": (STAMPED, "header", {"frame_id": "base_link"}),
-    "R_cam2gripper": ({"R_cam2gripper": R, "t_cam2gripper": [0, 0, 1]}, "R_cam2gripper", [0, -1, 0, 1, 0, 0, 0, 0, 1]),
+    "R_cam2gripper": (
+        {"R_cam2gripper": R, "t_cam2gripper": [0, 0, 1]},
+        "R_cam2gripper",
+        [0, -1, 0, 1, 0, 0, 0, 0, 1],
+    ),
     "translation_vector": ({"R": R, "t": [0, 0, 1]}, "t", [0, 0, 2]),
     "T_cam2gripper": ({"T_cam2gripper": T}, "T_cam2gripper", put(T, (2,), 3, 1.0)),
     "transformation": (EASY, "transformation", {**POSE, "x": 1}),
@@ -185,7 +219,11 @@ def test_each_field_of_a_calibration_that_is_known_is_used(tmp_path):
         try:
             after = read({**plain, spelled: value})
         except VstestbedError as error:
-            parts = {field, *(value if isinstance(value, dict) else ()), "rotation" if field[0] == "q" else field}
+            parts = {
+                field,
+                *(value if isinstance(value, dict) else ()),
+                "rotation" if field[0] == "q" else field,
+            }
             assert any(part in str(error) for part in parts), field
         else:
             assert after != before, field

@@ -4,9 +4,11 @@
     recording = vs.run(vs.load("arm_ibvs", {"law.gain": 1.0}))
     recording.outcome, recording.summary(), recording.frame()
 
-`vs.Session` is the same run, stepped by hand; `vs.Controller` is its controller alone, for a real camera and robot.
+`vs.Session` is the same run, stepped by hand; `vs.Controller` is its controller alone, for a real
+camera and robot.
 
-A scenario in Python, of parts from the rooms `robots`, `camera`, `targets`, `vision`, `laws`, `tasks`; poses are also spatialmath's SE3:
+A scenario in Python, of parts from the rooms `robots`, `camera`, `targets`, `vision`, `laws`,
+`tasks`; poses are also spatialmath's SE3:
 
     scenario = vs.Scenario(
         robot=vs.robots.Free(start={"nominal": SE3(1, 1, -3) * SE3.Rz(0.6)}),
@@ -108,7 +110,17 @@ _HOMES = {
     "vstestbed.vision": ("DETECTORS", "KEYPOINTS", "Detection", "Detector", "DetectorBase"),
     "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }
-_ROOMS = ("camera", "effects", "features", "laws", "robots", "targets", "tasks", "testing", "vision")
+_ROOMS = (
+    "camera",
+    "effects",
+    "features",
+    "laws",
+    "robots",
+    "targets",
+    "tasks",
+    "testing",
+    "vision",
+)
 _MODULES = {"errors": "vstestbed.core.errors"} | {room: f"vstestbed.{room}" for room in _ROOMS}
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -195,11 +207,15 @@ def __getattr__(name: str) -> object:
         if _HOME_OF[name].startswith("vstestbed.loop"):
             _show_in_notebooks()
         return getattr(home, name)
-    raise AttributeError(f"module 'vstestbed' has no attribute {name!r}; public names: {', '.join(__all__)}")
+    raise AttributeError(
+        f"module 'vstestbed' has no attribute {name!r}; public names: {', '.join(__all__)}"
+    )
 
 
 def _show_in_notebooks() -> None:
-    """Let a recording show its report and figures: the room of recordings is below that of reports, and imports nothing of it."""
+    """Let a recording show its report and figures: the room of recordings is below that of reports,
+    and imports nothing of it.
+    """
     from vstestbed.loop.recording import Recording
 
     Recording.shown_by, Recording.drawn_by = staticmethod(_cell_of), staticmethod(_figure_of)

@@ -1,1 +1,3 @@
-"""The pages of the documentation, made from their sources and from real runs: `python -m docs.build`."""
+"""The pages of the documentation, made from their sources and from real runs:
+`python -m docs.build`.
+"""

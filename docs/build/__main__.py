@@ -1,7 +1,7 @@
 """Make the pages again: `python -m docs.build [PAGE ...] [--again [PATTERN ...]]`.
 
-Without options only commands without a kept result are run. `--again` runs all again (hours), or those that match a pattern
-(`--again 'compare *'`). What changed on a page is said, line by line.
+Without options only commands without a kept result are run. `--again` runs all again (hours), or
+those that match a pattern (`--again 'compare *'`). What changed on a page is said, line by line.
 """
 
 from __future__ import annotations
@@ -20,16 +20,22 @@ from vstestbed.core.files import write_whole
 def main() -> None:
     """Render the pages that are asked for, or all."""
     parser = argparse.ArgumentParser(prog="python -m docs.build", description=__doc__)
-    parser.add_argument("page", nargs="*", type=Path, help="such as scenarios/README.md; by default all")
+    parser.add_argument(
+        "page", nargs="*", type=Path, help="such as scenarios/README.md; by default all"
+    )
     parser.add_argument("--again", nargs="*", metavar="PATTERN", help="commands that are run again")
     asked = parser.parse_args()
     patterns = ["*"] if asked.again == [] else asked.again or []
-    kept = Kept(again=lambda command: any(fnmatch.fnmatch(command, pattern) for pattern in patterns))
+    kept = Kept(
+        again=lambda command: any(fnmatch.fnmatch(command, pattern) for pattern in patterns)
+    )
     for page in asked.page or pages():
         place = REPOSITORY / page
         before = place.read_text(encoding="utf-8") if place.is_file() else ""
         now = rendered(page, kept)
-        for line in difflib.unified_diff(before.splitlines(), now.splitlines(), str(page), str(page), lineterm="", n=0):
+        for line in difflib.unified_diff(
+            before.splitlines(), now.splitlines(), str(page), str(page), lineterm="", n=0
+        ):
             sys.stdout.write(line + "\n")
         place.parent.mkdir(parents=True, exist_ok=True)
         write_whole(place, now)

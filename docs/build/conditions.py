@@ -1,7 +1,9 @@
-"""Under what a command's numbers hold: what measures the picture, and what moves, read from the scenarios that the command flies.
+"""Under what a command's numbers hold: what measures the picture, and what moves, read from the
+scenarios that the command flies.
 
-The law sees either the truth (*oracle*, within the picture's border or without one) or rendered *pictures*. What moves is *ideal*
-(a camera, or servos that follow at once) or has *dynamics*, in part with the imperfections of `robot.realism`.
+The law sees either the truth (*oracle*, within the picture's border or without one) or rendered
+*pictures*. What moves is *ideal* (a camera, or servos that follow at once) or has *dynamics*, in
+part with the imperfections of `robot.realism`.
 """
 
 from __future__ import annotations
@@ -31,16 +33,20 @@ LINE = "*Conditions: "
 DECIDES = re.compile(
     r"detector|detector\.kind|detector\.field_of_view|noise|noise\.pixel_sigma_px|robot|robot\.(kind|actuation|realism|arm.*)"
 )
-"""Fields that decide what the conditions are; whatever else is set or varied leaves them as they are."""
+"""Fields that decide what the conditions are; whatever else is set or varied leaves them as they
+are.
+"""
 KNOWN = "basin, compare, gain-limit, run, sweep, tune"
 """Commands of which it is known what they fly."""
 Settings = Mapping[str, Any]
 
 
 def conditions_line(*commands: str) -> str:
-    """The line of a table or a section: one for all commands where all hold under the same, else an entry for each that differs.
+    """The line of a table or a section: one for all commands where all hold under the same, else an
+    entry for each that differs.
 
-    What three commands or more have in common comes first and names none of them: the entries after it are the exceptions.
+    What three commands or more have in common comes first and names none of them: the entries after
+    it are the exceptions.
 
     Raises:
         ValueError: there is no command, or of one it is not known what it flies.
@@ -54,7 +60,9 @@ def conditions_line(*commands: str) -> str:
         return f"{LINE}{conditions(commands[0])}.*"
     most = max(by_words, key=lambda words: len(by_words[words]))
     common = [most] if len(by_words[most]) > 2 else []
-    entries = common + [f"{', '.join(those)}: {words}" for words, those in by_words.items() if words not in common]
+    entries = common + [
+        f"{', '.join(those)}: {words}" for words, those in by_words.items() if words not in common
+    ]
     return f"{LINE}{'. '.join(entries)}.*"
 
 
@@ -70,7 +78,8 @@ def conditions(command: str) -> str:
 
 
 def flown_by(command: str) -> Iterator[vs.Scenario]:
-    """Scenarios of all the conditions under which a command flies: one of each combination of what decides them.
+    """Scenarios of all the conditions under which a command flies: one of each combination of what
+    decides them.
 
     Raises:
         ValueError: the command's first word is not known here.
@@ -78,7 +87,8 @@ def flown_by(command: str) -> Iterator[vs.Scenario]:
     word, *rest = shlex.split(command)
     given = _parameters(word, rest)
     settings = settings_of(given.get("set_"))
-    if given.get("plugin"):  # a law of a plugin decides no conditions, and a build must not know it afterwards
+    # a law of a plugin decides no conditions, and a build must not know it afterwards
+    if given.get("plugin"):
         settings = {path: value for path, value in settings.items() if path.split(".")[0] != "law"}
     if word in ("run", "tune"):
         yield _loaded(given["scenario"], settings)
@@ -90,7 +100,10 @@ def flown_by(command: str) -> Iterator[vs.Scenario]:
         comparison = changed(_comparison(given, settings), cases={}, axes={}, tasks={}, seeds=None)
         yield from (scenario for _, scenario in laws(comparison, given["field_of_view"]))
     else:
-        raise ValueError(f"what `vstestbed {word}` flies is not known in docs/build/conditions.py; known: {KNOWN}")
+        raise ValueError(
+            f"what `vstestbed {word}` flies is not known in"
+            f" docs/build/conditions.py; known: {KNOWN}"
+        )
 
 
 def comparison_of(command: str) -> Comparison:
@@ -104,7 +117,11 @@ def comparison_of(command: str) -> Comparison:
         raise ValueError(f"`vstestbed {word}` is no comparison")
     given = _parameters(word, rest)
     plan = _comparison(given, settings_of(given.get("set_")))
-    numbers = {name: given[name] for name in ("seeds", "primary", "reference") if given.get(name) is not None}
+    numbers = {
+        name: given[name]
+        for name in ("seeds", "primary", "reference")
+        if given.get(name) is not None
+    }
     return changed(plan, **numbers)
 
 
@@ -133,7 +150,9 @@ def _comparison(given: dict[str, Any], settings: dict[str, object]) -> Compariso
 
 
 def _compared(comparison: Comparison) -> Iterator[vs.Scenario]:
-    """A comparison's scenarios, of each combination of settings that decide conditions; laws and starts are left out."""
+    """A comparison's scenarios, of each combination of settings that decide conditions; laws and
+    starts are left out.
+    """
     tasks = [task.set for task in comparison.tasks.values()] or [{}]
     cases = [list(those.values()) for those in comparison.cases.values()]
     axes = [[{path: value} for value in values] for path, values in comparison.axes.items()]
@@ -153,7 +172,9 @@ def _deciding(blocks: Iterable[Settings]) -> list[Settings]:
 
 
 def _loaded(name: str, settings: Settings) -> vs.Scenario:
-    """A scenario with what decides its conditions; with all its settings only where one of them does."""
+    """A scenario with what decides its conditions; with all its settings only where one of them
+    does.
+    """
     decides = any(DECIDES.fullmatch(path) for path in settings)
     return _load(name, _key(settings if decides else {}))
 
@@ -175,7 +196,11 @@ def _seen(flown: Iterable[vs.Scenario]) -> str:
             kinds.append("pictures")
             continue
         sigma_px = scenario.noise.pixel_sigma_px
-        kinds.append("oracle without border" if scenario.detector.field_of_view == "unlimited" else "oracle with border")
+        kinds.append(
+            "oracle without border"
+            if scenario.detector.field_of_view == "unlimited"
+            else "oracle with border"
+        )
         noises.append(f"{sigma_px:g} px of noise" if sigma_px else "")
     return _either(kinds) + _in_part(noises)
 
@@ -188,7 +213,9 @@ def _moved(flown: Iterable[vs.Scenario]) -> str:
             kinds.append("ideal camera")
             continue
         level = getattr(scenario.robot, "realism", "none")
-        kinds.append("ideal servos" if getattr(scenario.robot, "actuation", "") == "ideal" else "dynamics")
+        kinds.append(
+            "ideal servos" if getattr(scenario.robot, "actuation", "") == "ideal" else "dynamics"
+        )
         levels.append("" if level == "none" else f"`{level}`")
     return _either(kinds) + _in_part(levels)
 

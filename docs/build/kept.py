@@ -1,4 +1,6 @@
-"""Results of the commands that the pages show, kept in `docs/kept/`: a page is rendered from them without a run."""
+"""Results of the commands that the pages show, kept in `docs/kept/`: a page is rendered from them
+without a run.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,12 @@ from vstestbed.core.files import write_whole
 REPOSITORY = Path(__file__).resolve().parents[2]
 FOLDER = REPOSITORY / "docs" / "kept"
 DIGITS = 5
-"""Significant digits that are kept of a number: more than any page shows, fewer than another machine's OpenGL may change."""
-UNSTEADY = re.compile(r"^(folder|wall_time_s|processor_s|real_time_factor|attempts|reason|machine)$|^(time_ms|versions)\b")
+"""Significant digits that are kept of a number: more than any page shows, fewer than another
+machine's OpenGL may change.
+"""
+UNSTEADY = re.compile(
+    r"^(folder|wall_time_s|processor_s|real_time_factor|attempts|reason|machine)$|^(time_ms|versions)\b"
+)
 """Columns that differ from run to run, or say nothing that a page shows."""
 WORDS = {"run": ["--quiet", "--video", "none"], "compare": ["--quiet", "--no-film"], "bench": []}
 """What is added to a command, by its first word; `--quiet` to all others."""
@@ -30,14 +36,19 @@ class KeptError(RuntimeError):
 
 
 def measured(command: str) -> Any:
-    """What a command prints as JSON now, run in an empty folder as a user runs it: `run arm_ibvs`, `compare arm_laws`, `bench --all`.
+    """What a command prints as JSON now, run in an empty folder as a user runs it: `run arm_ibvs`,
+    `compare arm_laws`, `bench --all`.
 
-    Files of the repository are named from its folder: `run arm_insert --plugin tests/examples/pressing.py`.
+    Files of the repository are named from its folder:
+    `run arm_insert --plugin tests/examples/pressing.py`.
 
     Raises:
         KeptError: the command failed; with its words.
     """
-    given = [str(REPOSITORY / word) if (REPOSITORY / word).is_file() else word for word in shlex.split(command)]
+    given = [
+        str(REPOSITORY / word) if (REPOSITORY / word).is_file() else word
+        for word in shlex.split(command)
+    ]
     words = [sys.executable, "-m", "vstestbed", *given, "--json", *WORDS.get(given[0], ["--quiet"])]
     with tempfile.TemporaryDirectory() as empty:
         done = subprocess.run(words, cwd=empty, capture_output=True, text=True, check=False)
@@ -60,7 +71,8 @@ class Kept:
     """Results by command; those that are missing, or asked for again, are measured and kept.
 
     Args:
-        again: says of a command whether to measure it again. may_run: whether commands may be run at all.
+        again: says of a command whether to measure it again. may_run: whether commands may be run
+            at all.
     """
 
     def __init__(self, again: Callable[[str], bool] = lambda _: False, may_run: bool = True):
@@ -79,7 +91,9 @@ class Kept:
         if known and not (first and self._again(command)):
             return _rows(json.loads(place.read_text(encoding="utf-8"))["result"])
         if not self._may_run:
-            raise KeptError(f"`vstestbed {command}` has no result in {place.parent.name}/: python -m docs.build")
+            raise KeptError(
+                f"`vstestbed {command}` has no result in {place.parent.name}/: python -m docs.build"
+            )
         sys.stderr.write(f"vstestbed {command}\n")
         FOLDER.mkdir(exist_ok=True)
         write_whole(place, _text(command, _columns(measured(command))))
@@ -95,17 +109,27 @@ def _text(command: str, result: Any) -> str:
     """JSON with a line for each column, so that a change of one is a line of a diff."""
     if not (isinstance(result, dict) and "columns" in result):
         return json.dumps({"command": command, "result": result}, indent=1) + "\n"
-    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(column)}" for name, column in result["columns"].items())
+    lines = ",\n".join(
+        f"{json.dumps(name)}: {json.dumps(column)}" for name, column in result["columns"].items()
+    )
     return f'{{"command": {json.dumps(command)}, "result": {{"columns": {{\n{lines}\n}}}}}}\n'
 
 
 def _columns(result: Any) -> Any:
-    """Rows of one shape as columns, which takes a fifth of the room; columns that are empty in all rows are left out."""
+    """Rows of one shape as columns, which takes a fifth of the room; columns that are empty in all
+    rows are left out.
+    """
     if not (isinstance(result, list) and result and all(isinstance(row, dict) for row in result)):
         return result
     names = dict.fromkeys(name for row in result for name in row)
     columns = {name: [row.get(name) for row in result] for name in names}
-    return {"columns": {name: column for name, column in columns.items() if any(value is not None for value in column)}}
+    return {
+        "columns": {
+            name: column
+            for name, column in columns.items()
+            if any(value is not None for value in column)
+        }
+    }
 
 
 def _rows(result: Any) -> Any:

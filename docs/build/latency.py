@@ -1,4 +1,6 @@
-"""The figure of time to converge over latency, and of gain limits over delay, from the results that the pages keep."""
+"""The figure of time to converge over latency, and of gain limits over delay, from the results that
+the pages keep.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,11 @@ from docs.build.render import where
 
 LAWS = {
     "points": ("points", "gain-limit arm_ibvs", "tab:red"),
-    "smith": ("points, Smith's predictor", "gain-limit arm_ibvs --set law.feedforward=smith", "tab:blue"),
+    "smith": (
+        "points, Smith's predictor",
+        "gain-limit arm_ibvs --set law.feedforward=smith",
+        "tab:blue",
+    ),
     "predictive": ("predictive", "gain-limit arm_ibvs --set law=predictive", "tab:green"),
 }
 FRAME_S = 0.04
@@ -35,14 +41,24 @@ def draw(place: Path) -> None:
             left.plot(x, middle, "o", color=colour, label=label if s == 0 else None)
             if len(times) < len(of):
                 left.annotate(
-                    f"{len(times)}/{len(of)}", (x, times[-1]), textcoords="offset points", xytext=(0, 3), ha="center", color=colour
+                    f"{len(times)}/{len(of)}",
+                    (x, times[-1]),
+                    textcoords="offset points",
+                    xytext=(0, 3),
+                    ha="center",
+                    color=colour,
                 )
         limits = kept(command)
         d = [1e3 * FRAME_S * row["delay_frames"] for row in limits]
         right.plot(d, [row["gain_limit"] for row in limits], "o-", color=colour, label=label)
         for at, row in zip(d, limits, strict=True):
             if row.get("unlimited"):
-                right.annotate("", (at, 1.5 * row["gain_limit"]), (at, row["gain_limit"]), arrowprops={"arrowstyle": "->", "color": colour})
+                right.annotate(
+                    "",
+                    (at, 1.5 * row["gain_limit"]),
+                    (at, row["gain_limit"]),
+                    arrowprops={"arrowstyle": "->", "color": colour},
+                )
     left.set(xlabel="latency [ms]", ylabel="time to converge [s], gain 4 1/s", ylim=(0, 26))
     right.set(xlabel="delay [ms]", ylabel="gain limit [1/s]", yscale="log", ylim=(4, 300))
     for axes in (left, right):

@@ -1,4 +1,6 @@
-"""What one step of each law costs on this machine: `python -m docs.build.law_speed`. Compare the ratios, not the times."""
+"""What one step of each law costs on this machine: `python -m docs.build.law_speed`. Compare the
+ratios, not the times.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ LAWS: dict[str, Any] = {
     "pbvs": PBVS(),
     "hybrid": Hybrid(),
     "partitioned": Partitioned(),
-    "switched": Switched(laws=(Stage(law=IBVS(), until=SwitchCondition(retreat_over_m=0.1)), Stage(law=PBVS()))),
+    "switched": Switched(
+        laws=(Stage(law=IBVS(), until=SwitchCondition(retreat_over_m=0.1)), Stage(law=PBVS()))
+    ),
     "uncalibrated": Uncalibrated(),
     "qp": QP(),
     "predictive": Predictive(),
@@ -40,7 +44,10 @@ class Frames:
 def step_ms(law: Any) -> float:
     """Median processor time of a step on the frames of a run of the arm [ms]."""
     frames = Frames()
-    vs.run(replace(vs.load("arm_ibvs", {"detector": "oracle", "stop.duration_s": 3.0}), law=law), watch=[frames])
+    vs.run(
+        replace(vs.load("arm_ibvs", {"detector": "oracle", "stop.duration_s": 3.0}), law=law),
+        watch=[frames],
+    )
     basis, took = np.eye(6), []
     for _ in range(ROUNDS):
         state = law.init(frames.kept[0].goal)

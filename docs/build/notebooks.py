@@ -1,4 +1,6 @@
-"""Executes the notebooks: `python -m docs.build.notebooks [NAME ...]`, into `runs/notebooks/`, where the site finds their outputs."""
+"""Executes the notebooks: `python -m docs.build.notebooks [NAME ...]`, into `runs/notebooks/`,
+where the site finds their outputs.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,14 @@ LONGEST_S = 600  # of one cell
 
 
 def execute(path: Path, out: Path) -> None:
-    """Run a notebook in an empty folder, and write it with its outputs. CellExecutionError: one of its cells fails."""
+    """Run a notebook in an empty folder, and write it with its outputs. CellExecutionError: one of
+    its cells fails.
+    """
     notebook = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory() as empty:
-        NotebookClient(notebook, timeout=LONGEST_S, resources={"metadata": {"path": empty}}).execute()
+        NotebookClient(
+            notebook, timeout=LONGEST_S, resources={"metadata": {"path": empty}}
+        ).execute()
     out.parent.mkdir(parents=True, exist_ok=True)
     nbformat.write(notebook, out)
 

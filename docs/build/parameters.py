@@ -1,4 +1,6 @@
-"""Physical parameters of the robots for the pages, read from the models and from the classes that the simulator itself uses."""
+"""Physical parameters of the robots for the pages, read from the models and from the classes that
+the simulator itself uses.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +36,26 @@ from vstestbed.scenario.dump import flow_text
 CLASSES: dict[str, type] = {
     cls.__name__: cls
     for cls in (
-        *(Car, CarLimits, CarParameters, Compass, Flow, Gains, Imu, OmniParameters, Quadrotor, QuadrotorParameters),
+        *(
+            Car,
+            CarLimits,
+            CarParameters,
+            Compass,
+            Flow,
+            Gains,
+            Imu,
+            OmniParameters,
+            Quadrotor,
+            QuadrotorParameters,
+        ),
         *(Tyres, UnevenFloor, WheelSpread, Vehicle),
     )
 }
 WORN: dict[str, type[Realistic]] = {"car": Car, "omni": Omni}
-CLASSES |= {cls.__name__: cls for cls in (Battery, Downwash, GroundEffect, MotorSpread, RotorDrag, RotorInertia, Vibration)}
+CLASSES |= {
+    cls.__name__: cls
+    for cls in (Battery, Downwash, GroundEffect, MotorSpread, RotorDrag, RotorInertia, Vibration)
+}
 SERVOS = ("industrial", "raw")
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 
@@ -53,14 +69,31 @@ def fields(name: str, only: Sequence[str] = ()) -> Iterable[tuple[str, str, str,
     cls = CLASSES[name]
     for field, text in class_text(cls).fields.items():
         value, unit = tree.fields(cls)[field].default, text.unit
-        if field == "kind" or (only and field not in only) or (not only and list(tree.fields(cls)[field].node.blocks())):
+        if (
+            field == "kind"
+            or (only and field not in only)
+            or (not only and list(tree.fields(cls)[field].node.blocks()))
+        ):
             continue
-        shown = plain(value) if isinstance(value, float) else "none" if value is None else flow_text(value)
-        yield field, shown, "" if unit == DIMENSIONLESS else unit, with_zero(without_unit(text.description)).replace("|", "\\|")
+        shown = (
+            plain(value)
+            if isinstance(value, float)
+            else "none"
+            if value is None
+            else flow_text(value)
+        )
+        yield (
+            field,
+            shown,
+            "" if unit == DIMENSIONLESS else unit,
+            with_zero(without_unit(text.description)).replace("|", "\\|"),
+        )
 
 
 def plain(value: float, digits: int = 6) -> str:
-    """A number to so many significant digits, without trailing zeros; an exponent has a decimal before it: `4.0e-05`."""
+    """A number to so many significant digits, without trailing zeros; an exponent has a decimal
+    before it: `4.0e-05`.
+    """
     mantissa, e, exponent = f"{value:.{digits}g}".partition("e")
     return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent
 
@@ -81,7 +114,9 @@ PUMA_DH = np.array(
         [0.0, 0.0, 0.0],
     ]
 )
-"""The Puma's standard Denavit-Hartenberg table; the flange is frame 6, which the table leaves at the wrist's centre (d_6 = 0)."""
+"""The Puma's standard Denavit-Hartenberg table; the flange is frame 6, which the table leaves at
+the wrist's centre (d_6 = 0).
+"""
 
 
 @functools.cache
@@ -91,7 +126,9 @@ def model(name: str) -> mujoco.MjModel:
 
 
 def puma_links() -> list[dict[str, Any]]:
-    """Each link of the Puma: its row of the Denavit-Hartenberg table, mass [kg], centre [m], moments of inertia [kg m^2]."""
+    """Each link of the Puma: its row of the Denavit-Hartenberg table, mass [kg], centre [m],
+    moments of inertia [kg m^2].
+    """
     made = model("puma560.xml")
     links = []
     for i, (d, a, alpha) in enumerate(PUMA_DH, 1):
@@ -115,8 +152,9 @@ def puma_links() -> list[dict[str, Any]]:
 
 
 def puma_joints() -> list[dict[str, Any]]:
-    """Each joint of the Puma: range [deg], largest speed [rad/s] and torque [Nm], and what its motor brings to the joint's side:
-    armature [kg m^2], damping [Nm s/rad], Coulomb friction [Nm], and the gains of the servos.
+    """Each joint of the Puma: range [deg], largest speed [rad/s] and torque [Nm], and what its
+    motor brings to the joint's side: armature [kg m^2], damping [Nm s/rad], Coulomb friction [Nm],
+    and the gains of the servos.
     """
     made = model("puma560.xml")
     joints = []
@@ -141,7 +179,13 @@ def puma_joints() -> list[dict[str, Any]]:
 def arm_preset(level: Level) -> dict[str, str]:
     """What `robot.realism` gives the Puma, in numbers as a table shows them."""
     arm = Puma560(realism=level)
-    gears, ripple, encoders, drives, geometry = arm.gears, arm.ripple, arm.encoders, arm.drives, arm.geometry_error
+    gears, ripple, encoders, drives, geometry = (
+        arm.gears,
+        arm.ripple,
+        arm.encoders,
+        arm.drives,
+        arm.geometry_error,
+    )
     assert gears and ripple and encoders and drives and geometry
     return {
         "stiffness": ", ".join(plain(k) for k in gears.stiffness_nmprad if k),
@@ -184,9 +228,15 @@ def mass(name: str, of: str) -> float:
 
 
 def preset(kind: str, level: Level, field: str) -> str:
-    """What a level of `realism` fills a robot's field with, as a scenario has it; "-" for nothing."""
+    """What a level of `realism` fills a robot's field with, as a scenario has it;
+    "-" for nothing.
+    """
     value = WORN[kind].presets.get(level, {}).get(field)
     if not dataclasses.is_dataclass(value):
         return "-" if value is None else f"`{value:g}`"
-    changed = [(f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if getattr(value, f.name) != f.default]
+    changed = [
+        (f.name, getattr(value, f.name))
+        for f in dataclasses.fields(value)
+        if getattr(value, f.name) != f.default
+    ]
     return "`{" + ", ".join(f"{name}: {x:g}" for name, x in changed) + "}`"

@@ -1,6 +1,8 @@
-"""What a picture of 640 x 480 costs each detector and law on this machine: `python -m docs.build.picture_speed [NAME ...]`.
+"""What a picture of 640 x 480 costs each detector and law on this machine:
+`python -m docs.build.picture_speed [NAME ...]`.
 
-Runs of all of them go on in turn, frame by frame, so that all have the same load. Compare the ratios, not the times.
+Runs of all of them go on in turn, frame by frame, so that all have the same load. Compare the
+ratios, not the times.
 """
 
 from __future__ import annotations
@@ -62,9 +64,14 @@ class Stopwatch:
 
 
 def measured(settings: dict[str, tuple[str, dict[str, Any]]]) -> dict[str, np.ndarray]:
-    """Processor time of each frame's control step and of the whole frame, shape (FRAMES, 2) [ms], by name."""
+    """Processor time of each frame's control step and of the whole frame, shape (FRAMES, 2) [ms],
+    by name.
+    """
     watch = Stopwatch()
-    sessions = {name: vs.Session(vs.load(scenario, {**changes, **GOES_ON})) for name, (scenario, changes) in settings.items()}
+    sessions = {
+        name: vs.Session(vs.load(scenario, {**changes, **GOES_ON}))
+        for name, (scenario, changes) in settings.items()
+    }
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in settings}
     with watch.on_controllers():
         for session in sessions.values():
@@ -80,11 +87,16 @@ def measured(settings: dict[str, tuple[str, dict[str, Any]]]) -> dict[str, np.nd
 
 
 def row(name: str, ms: np.ndarray, first: np.ndarray) -> str:
-    """A row of the table: control step, its slowest twentieth, pictures a second, and both as multiples of the first setting's."""
+    """A row of the table: control step, its slowest twentieth, pictures a second, and both as
+    multiples of the first setting's.
+    """
     step, frame = np.median(ms, axis=0)
     base_step, base_frame = np.median(first, axis=0)
     slow = float(np.quantile(ms[:, 0], 0.95))
-    return f"| {name} | {step:.1f} | {slow:.1f} | {1e3 / ms[:, 0].mean():.0f} | {step / base_step:.1f} | {frame / base_frame:.1f} |"
+    return (
+        f"| {name} | {step:.1f} | {slow:.1f} | {1e3 / ms[:, 0].mean():.0f} | {step / base_step:.1f}"
+        f" | {frame / base_frame:.1f} |"
+    )
 
 
 if __name__ == "__main__":
@@ -92,6 +104,12 @@ if __name__ == "__main__":
     parser.add_argument("name", nargs="*", help="parts of the names of settings; by default all")
     asked = parser.parse_args().name
     cv2.setNumThreads(1)
-    found = measured({n: s for i, (n, s) in enumerate(SETTINGS.items()) if i == 0 or not asked or any(a in n for a in asked)})
+    found = measured(
+        {
+            n: s
+            for i, (n, s) in enumerate(SETTINGS.items())
+            if i == 0 or not asked or any(a in n for a in asked)
+        }
+    )
     for name, ms in found.items():
         print(row(name, ms, next(iter(found.values()))))

@@ -1,7 +1,9 @@
-"""Makes the pages' pictures again: `python -m docs.build.pictures [NAME ...] [--studies] [--out DIR]`.
+"""Makes the pages' pictures again:
+`python -m docs.build.pictures [NAME ...] [--studies] [--out DIR]`.
 
-Without names: all that show films (a minute each), and the figures of kept results (seconds); `--studies`: the figures of studies, too,
-some of which take half an hour. Each picture goes into `docs/media/`, or into DIR.
+Without names: all that show films (a minute each), and the figures of kept results (seconds);
+`--studies`: the figures of studies, too, some of which take half an hour. Each picture goes into
+`docs/media/`, or into DIR.
 """
 
 from __future__ import annotations
@@ -50,7 +52,12 @@ FILMS: dict[str, tuple[str, tuple[tuple[str, float], ...]]] = {
     "quadrotor_land": ("quadrotor_land", (("overview", 0.0), ("overview", 0.5), ("overview", 1.0))),
 }
 """Scenario, and from left to right the camera and the share of the run at which it is shown."""
-MOVING: dict[str, str] = {"film_arm": "arm_ibvs", "film_omni": "omni_ibvs", "film_car": "car_pbvs", "film_quadrotor": "quadrotor_land"}
+MOVING: dict[str, str] = {
+    "film_arm": "arm_ibvs",
+    "film_omni": "omni_ibvs",
+    "film_car": "car_pbvs",
+    "film_quadrotor": "quadrotor_land",
+}
 """Films of the README: their scenarios."""
 MOVING_WIDTH, MOVING_HZ, MOVING_QUALITY = 480, 12, 70
 STUDIES: dict[str, tuple[str, str]] = {
@@ -69,8 +76,17 @@ STUDIES: dict[str, tuple[str, str]] = {
     "flow_spherical_sphere": ("optical-flow --feature spherical", "flow_spherical_sphere.png"),
 }
 """The command, and the file in its folder; of a film the picture at SHOWN_S."""
-GRIDS = ("realism_arm", "realism_camera", "realism_pictures", "realism_omni", "realism_car", "realism_craft")
-"""Comparisons of effects and laws, whose figures are drawn of the same kept results as the pages' tables, in seconds."""
+GRIDS = (
+    "realism_arm",
+    "realism_camera",
+    "realism_pictures",
+    "realism_omni",
+    "realism_car",
+    "realism_craft",
+)
+"""Comparisons of effects and laws, whose figures are drawn of the same kept results as the pages'
+tables, in seconds.
+"""
 LATENCY = "latency_laws"
 """The figure of three laws over latency, of kept results, too."""
 POLAR = "polar_planes"
@@ -91,17 +107,27 @@ CAMERA_EFFECTS: dict[str, dict[str, object]] = {
         "timing.exposure_s": 0.002,
         "world.light": {"flicker": {"frequency_hz": 100, "depth": 0.6}},
     },
-    "defocus, f/1.4 at 0.25 m": {"camera.optics": {"defocus": {"focus_m": 0.25, "f_number": 1.4, "focal_length_m": 0.008}}},
-    "vignetting, lateral colour": {"camera.optics": {"vignetting": 0.6, "red_px": 3, "blue_px": -3}},
-    "sensor at gain 8": {"camera.exposure": {"time_s": 0.00125, "nominal_s": 0.01, "gain": 8}, "camera.sensor": {}},
+    "defocus, f/1.4 at 0.25 m": {
+        "camera.optics": {"defocus": {"focus_m": 0.25, "f_number": 1.4, "focal_length_m": 0.008}}
+    },
+    "vignetting, lateral colour": {
+        "camera.optics": {"vignetting": 0.6, "red_px": 3, "blue_px": -3}
+    },
+    "sensor at gain 8": {
+        "camera.exposure": {"time_s": 0.00125, "nominal_s": 0.01, "gain": 8},
+        "camera.sensor": {},
+    },
     "JPEG, quality 10": {"camera.stream": {"kind": "jpeg", "quality": 10}},
 }
 """Effects of a camera that moves at 1 m/s to its right and turns at 2.5 rad/s about its axis."""
 DEPTH, CUT, DEPTHS_M = "depth_sensors", np.s_[40:460, 60:480], (0.4, 2.4)
-"""What depth cameras measure: the part of the picture that is shown, and the depths of the first and the last colour [m]."""
+"""What depth cameras measure: the part of the picture that is shown, and the depths of the first
+and the last colour [m].
+"""
 LIVE, LATE_S, QUIET, SWINGS, TURNED_S, SHOT_S = "live", 0.4, 0.4, 3.6, 4.0, 8.5
-"""The page of `vstestbed live`, which needs a Chromium: pictures that come so late [s], the gain before and after TURNED_S [1/s, s], and
-when it is shown [s]."""
+"""The page of `vstestbed live`, which needs a Chromium: pictures that come so late [s], the gain
+before and after TURNED_S [1/s, s], and when it is shown [s].
+"""
 
 
 def strip(name: str) -> Image:
@@ -115,9 +141,17 @@ def strip(name: str) -> Image:
         for camera in {camera for camera, _ in wanted}:
             eye = scenario.camera
             share = FINE.share(eye.width, eye.height)
-            size = (round(share * eye.width), round(share * eye.height)) if camera == "eye" else FINE.size
+            size = (
+                (round(share * eye.width), round(share * eye.height))
+                if camera == "eye"
+                else FINE.size
+            )
             pictures = Pictures(scenario, camera, replay, size)
-            shares = {round(share * (len(rows) - 1)): share for found_by, share in wanted if found_by == camera}
+            shares = {
+                round(share * (len(rows) - 1)): share
+                for found_by, share in wanted
+                if found_by == camera
+            }
             for i in sorted({*range(0, max(shares), EVERY), *shares}):
                 image = pictures.picture(FilmFrame.of_row(rows[i], scenario))
                 if i in shares:
@@ -126,7 +160,12 @@ def strip(name: str) -> Image:
         replay.close()
     images = [found[key] for key in wanted]
     height = round(WIDTH / sum(image.shape[1] / image.shape[0] for image in images))
-    sized = [cv2.resize(x, (round(x.shape[1] * height / x.shape[0]), height), interpolation=cv2.INTER_AREA) for x in images]
+    sized = [
+        cv2.resize(
+            x, (round(x.shape[1] * height / x.shape[0]), height), interpolation=cv2.INTER_AREA
+        )
+        for x in images
+    ]
     return np.asarray(np.concatenate(sized, axis=1), np.uint8)
 
 
@@ -140,7 +179,8 @@ def moving(name: str, folder: Path) -> bytes:
         every = max(1, round(float(shown.average_rate or MOVING_HZ) / MOVING_HZ))
         size = MOVING_WIDTH, MOVING_WIDTH * shown.height // shown.width
         images = [
-            frame.to_image(width=size[0], height=size[1], interpolation="AREA") for frame in islice(film.decode(shown), 0, None, every)
+            frame.to_image(width=size[0], height=size[1], interpolation="AREA")
+            for frame in islice(film.decode(shown), 0, None, every)
         ]
         duration_ms = round(1000 * every / float(shown.average_rate or MOVING_HZ))
     file = io.BytesIO()
@@ -150,7 +190,9 @@ def moving(name: str, folder: Path) -> bytes:
 
 
 def depth_sensors() -> Image:
-    """The first picture of `arm_depth` with balls as markers, and the depth that each kind of sensor measures of it; black in holes."""
+    """The first picture of `arm_depth` with balls as markers, and the depth that each kind of
+    sensor measures of it; black in holes.
+    """
     shown: list[Image] = []
     for kind in ("ideal", "stereo", "structured_light", "time_of_flight"):
         changes = {"camera.depth_sensor": kind, "target.marker": {"kind": "sphere", "radius": 0.04}}
@@ -158,19 +200,30 @@ def depth_sensors() -> Image:
             frame = session.reset()
         assert frame.image is not None and frame.depth_image is not None
         share = np.clip((frame.depth_image - DEPTHS_M[0]) / (DEPTHS_M[1] - DEPTHS_M[0]), 0, 1)
-        colours = cv2.applyColorMap((255 * np.nan_to_num(share)).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
+        colours = cv2.applyColorMap(
+            (255 * np.nan_to_num(share)).astype(np.uint8), cv2.COLORMAP_TURBO
+        )[..., ::-1]
         shown += [frame.image.copy()] if not shown else []
         shown.append(np.where(np.isnan(frame.depth_image)[..., None], 0, colours).astype(np.uint8))
     gap = np.full((CUT[0].stop - CUT[0].start, 6, 3), 255, np.uint8)
     wide = np.hstack([part for image in shown for part in (image[CUT], gap)][:-1])
-    return np.asarray(cv2.resize(wide, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(
+        cv2.resize(wide, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8
+    )
 
 
 def camera_effects() -> Image:
-    """One view of the poster, half a metre before a camera in motion, with one effect of the camera in each picture."""
+    """One view of the poster, half a metre before a camera in motion, with one effect of the camera
+    in each picture.
+    """
     shown: list[Image] = []
     camera = {"kind": "perspective", "width": 320, "height": 240, "fovy_deg": 45, "rate_hz": 25}
-    plain = {"camera": camera, "robot.start.nominal": {"xyz": [0.02, -0.01, -0.55]}, "target.lit": True, "stop.duration_s": 1}
+    plain = {
+        "camera": camera,
+        "robot.start.nominal": {"xyz": [0.02, -0.01, -0.55]},
+        "target.lit": True,
+        "stop.duration_s": 1,
+    }
     for words, effect in CAMERA_EFFECTS.items():
         with vs.Session(vs.load("camera_photometric", plain | effect), pictures=True) as session:
             session.reset()
@@ -218,19 +271,34 @@ def latency_laws(name: str, folder: Path) -> Image:
 
 
 def polar_planes(name: str, folder: Path) -> Image:
-    """The markers of three runs of `polar_book` in the plane of phi and r; circles where they start, crosses where they shall be."""
+    """The markers of three runs of `polar_book` in the plane of phi and r; circles where they
+    start, crosses where they shall be.
+    """
     import matplotlib.pyplot as plt
 
     with style():
-        drawn, panels = plt.subplots(1, len(POLAR_RUNS), figsize=(COLUMN_IN[2], 2.6), layout="constrained")
+        drawn, panels = plt.subplots(
+            1, len(POLAR_RUNS), figsize=(COLUMN_IN[2], 2.6), layout="constrained"
+        )
         for axes, (title, changes) in zip(panels, POLAR_RUNS.items(), strict=True):
-            scenario = vs.load("polar_book", {"law.interaction": "current", "detector": "oracle"} | changes)
+            scenario = vs.load(
+                "polar_book", {"law.interaction": "current", "detector": "oracle"} | changes
+            )
             tracks = LogArrays.of(vs.run(scenario).frame(), Setting.of(scenario))
-            measured, true, goal = (coordinates(tracks, scenario.law.feature, suffix) for suffix in SUFFIXES)
+            measured, true, goal = (
+                coordinates(tracks, scenario.law.feature, suffix) for suffix in SUFFIXES
+            )
             turns_joined(*(way[..., 0] for way in (measured, true, goal)))
             for i in range(measured.shape[1]):
                 (line,) = axes.plot(measured[:, i, 0] / np.pi, measured[:, i, 1], lw=1.2)
-                axes.plot(measured[0, i, 0] / np.pi, measured[0, i, 1], "o", ms=4, color=line.get_color(), mfc="none")
+                axes.plot(
+                    measured[0, i, 0] / np.pi,
+                    measured[0, i, 1],
+                    "o",
+                    ms=4,
+                    color=line.get_color(),
+                    mfc="none",
+                )
                 axes.plot(goal[-1, i, 0] / np.pi, goal[-1, i, 1], "x", ms=5, color=line.get_color())
             axes.set_title(title)
             axes.set_xlabel("φ [π rad]")
@@ -250,7 +318,11 @@ def figure(path: Path) -> Image:
     whole = cv2.imread(str(path))
     assert whole is not None, path
     share = min(1.0, FIGURE / whole.shape[1])
-    sized = cv2.resize(whole, (round(whole.shape[1] * share), round(whole.shape[0] * share)), interpolation=cv2.INTER_AREA)
+    sized = cv2.resize(
+        whole,
+        (round(whole.shape[1] * share), round(whole.shape[0] * share)),
+        interpolation=cv2.INTER_AREA,
+    )
     return np.asarray(cv2.cvtColor(sized, cv2.COLOR_BGR2RGB), np.uint8)
 
 
@@ -283,13 +355,30 @@ def live_page() -> Image:
         app.stop()
         serving.join()
     assert shot is not None
-    return np.asarray(cv2.resize(shot, (WIDE, shot.shape[0] * WIDE // shot.shape[1]), interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(
+        cv2.resize(
+            shot, (WIDE, shot.shape[0] * WIDE // shot.shape[1]), interpolation=cv2.INTER_AREA
+        ),
+        np.uint8,
+    )
 
 
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *exercises.EXERCISES, *exercises.REPORTS, *STUDIES]
+    known = [
+        *FILMS,
+        *MOVING,
+        LIVE,
+        DEPTH,
+        CAMERA,
+        *GRIDS,
+        LATENCY,
+        POLAR,
+        *exercises.EXERCISES,
+        *exercises.REPORTS,
+        *STUDIES,
+    ]
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "media")
@@ -313,11 +402,22 @@ def main() -> None:
                 write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
                 continue
             own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
-            of_runs = grid_of if name in GRIDS else {LATENCY: latency_laws, POLAR: polar_planes}.get(name, study)
-            of_runs = of_exercise if name in exercises.EXERCISES or name in exercises.REPORTS else of_runs
+            of_runs = (
+                grid_of
+                if name in GRIDS
+                else {LATENCY: latency_laws, POLAR: polar_planes}.get(name, study)
+            )
+            of_runs = (
+                of_exercise if name in exercises.EXERCISES or name in exercises.REPORTS else of_runs
+            )
             made = own() if own else strip(name) if name in FILMS else of_runs(name, Path(folder))
             path = given.out / f"{name}.png"
-            write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
+            write_whole(
+                path,
+                cv2.imencode(
+                    ".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9]
+                )[1].tobytes(),
+            )
             print(path)
 
 

@@ -1,4 +1,5 @@
-"""A page from its source: Jinja templates in `docs/sources/`, laid out as the pages are, with the results of commands in them.
+"""A page from its source: Jinja templates in `docs/sources/`, laid out as the pages are, with the
+results of commands in them.
 
 {{ run("arm_ibvs").time_to_converge_s | n(1) }} s
 {% set rows = command("compare arm_laws") %} {{ rows | where(scenario="arm_pbvs") | reached }}
@@ -33,7 +34,12 @@ from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.results import LIMIT, TIME, ComparisonResults
 from vstestbed.report.comparison.sentences import findings
-from vstestbed.report.comparison.statistics import IntervalEstimate, paired_difference, quartiles, success_rate
+from vstestbed.report.comparison.statistics import (
+    IntervalEstimate,
+    paired_difference,
+    quartiles,
+    success_rate,
+)
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown, over_all_tasks
 from vstestbed.studies.bench import BesideFloor
 from vstestbed.studies.comparison.folder import results_of
@@ -45,7 +51,9 @@ SOURCES = REPOSITORY / "docs" / "sources"
 
 def pages() -> list[Path]:
     """The pages that have a source, relative to the repository."""
-    return sorted(path.relative_to(SOURCES) for path in SOURCES.rglob("*.md") if not path.name.startswith("_"))
+    return sorted(
+        path.relative_to(SOURCES) for path in SOURCES.rglob("*.md") if not path.name.startswith("_")
+    )
 
 
 def rendered(page: Path, kept: Kept) -> str:
@@ -63,9 +71,17 @@ def template(page: Path, kept: Kept) -> jinja2.Template:
         keep_trailing_newline=True,
         autoescape=False,
     )
-    made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
     made.globals.update(
-        other_robots=lambda: sorted({s.robot.kind for s in _bundled()} - {"free", "puma560", "mjcf", "omni", "car", "quadrotor"})
+        command=kept,
+        run=lambda words: kept(f"run {words}"),
+        scenarios=scenarios,
+        comparisons=comparisons,
+    )
+    made.globals.update(
+        other_robots=lambda: sorted(
+            {s.robot.kind for s in _bundled()}
+            - {"free", "puma560", "mjcf", "omni", "car", "quadrotor"}
+        )
     )
     made.globals.update(
         fields=parameters.fields,
@@ -74,14 +90,40 @@ def template(page: Path, kept: Kept) -> jinja2.Template:
         arm_preset=parameters.arm_preset,
         strain_waves=parameters.strain_waves,
     )
-    made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
-    made.globals.update(preset=parameters.preset, gain_of=gain_of, sentences=lambda command: sentences(kept(command), command))
-    made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
-    made.globals.update(table_columns=RUN_COLUMNS.items, suite=functools.cache(Suite), verdicts=functools.cache(Verdicts))
+    made.globals.update(
+        geom=parameters.geom,
+        joint=parameters.joint,
+        actuator=parameters.actuator,
+        mass=parameters.mass,
+    )
+    made.globals.update(
+        preset=parameters.preset,
+        gain_of=gain_of,
+        sentences=lambda command: sentences(kept(command), command),
+    )
+    made.globals.update(
+        log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values())
+    )
+    made.globals.update(
+        table_columns=RUN_COLUMNS.items,
+        suite=functools.cache(Suite),
+        verdicts=functools.cache(Verdicts),
+    )
     made.globals.update(plan=plan, needed=functools.cache(vs.starts_needed))
-    made.globals.update(grey_kb=(REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3)
+    made.globals.update(
+        grey_kb=(REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3
+    )
     made.filters.update(judged=judged, g=parameters.plain)
-    made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
+    made.filters.update(
+        n=number,
+        where=where,
+        reached=reached,
+        typical=typical,
+        worst=worst,
+        least=least,
+        range=span,
+        median=median,
+    )
     made.filters.update(
         differs=differs,
         shifted=shifted,
@@ -118,10 +160,15 @@ def plan(words: str) -> str:
 
 def comparisons() -> list[tuple[str, str]]:
     """Name and description of the bundled comparisons."""
-    return [(name, yaml.safe_load(file.read_text(encoding="utf-8")).get("description", "")) for name, file in bundled_comparisons().items()]
+    return [
+        (name, yaml.safe_load(file.read_text(encoding="utf-8")).get("description", ""))
+        for name, file in bundled_comparisons().items()
+    ]
 
 
-def interval(found: IntervalEstimate, places: int = 2, sign: bool = False, scale: float = 1.0) -> str:
+def interval(
+    found: IntervalEstimate, places: int = 2, sign: bool = False, scale: float = 1.0
+) -> str:
     """An estimate with its 95 % interval: `1.20 (1.05 to 1.36)`."""
     words = [f"{scale * value:{'+' if sign else ''}.{places}f}" for value in found[:3]]
     return f"{words[0]} ({words[1]} to {words[2]})"
@@ -134,14 +181,19 @@ def gain_of(comparison: str, law: str) -> float:
 
 
 def sentences(rows: Sequence[Row], command: str) -> str:
-    """What a comparison has found, in the sentences that its report prints: on all laws, and on each pair.
+    """What a comparison has found, in the sentences that its report prints: on all laws, and on
+    each pair.
 
     Raises:
-        ValueError: the runs were kept without their limits, which are the price of a failure: fly them again.
+        ValueError: the runs were kept without their limits, which are the price of a failure: fly
+            them again.
     """
     table = pl.DataFrame([dict(row) for row in rows], infer_schema_length=None, strict=False)
     if LIMIT.name not in table.columns:
-        raise ValueError(f"`vstestbed {command}` was kept without {LIMIT.name}: python -m docs.build PAGE --again '{command}'")
+        raise ValueError(
+            f"`vstestbed {command}` was kept without {LIMIT.name}:"
+            f" python -m docs.build PAGE --again '{command}'"
+        )
     results = results_of(table, comparison_of(command))
     found = findings(results, pairs(results))
     return "\n".join([f"> {found.overall}", *(f">\n> - {words}" for words in found.sentences)])
@@ -167,7 +219,11 @@ def where(rows: Iterable[Row], **wanted: Any) -> list[Row]:
     Raises:
         ValueError: none has.
     """
-    found = [row for row in rows if all(row.get(name.replace("__", ".")) == value for name, value in wanted.items())]
+    found = [
+        row
+        for row in rows
+        if all(row.get(name.replace("__", ".")) == value for name, value in wanted.items())
+    ]
     if not found:
         raise ValueError(f"no run has {wanted}")
     return found
@@ -182,16 +238,23 @@ def reached(rows: Iterable[Row], interval: bool = True) -> str:
     """Runs that reached the goal, `19 of 20 [76, 99] %`, with the Wilson interval."""
     good = [bool(row["success"]) for row in rows]
     rate = success_rate(sum(good), len(good))
-    return f"{sum(good)} of {len(good)}" + (f" [{100 * rate.low:.0f}, {100 * rate.high:.0f}] %" if interval else "")
+    return f"{sum(good)} of {len(good)}" + (
+        f" [{100 * rate.low:.0f}, {100 * rate.high:.0f}] %" if interval else ""
+    )
 
 
 def failed(rows: Iterable[Row], by: str = "seed") -> str:
-    """The runs that did not reach the goal, by outcome: `joint_limit: 7, 15`; `random (2)` where two are called alike."""
+    """The runs that did not reach the goal, by outcome: `joint_limit: 7, 15`; `random (2)` where
+    two are called alike.
+    """
     outcomes: dict[str, list[str]] = {}
     for row in rows:
         if not row["success"]:
             outcomes.setdefault(f"`{row['outcome']}`", []).append(str(row[by]))
-    each_of = {outcome: [name if n == 1 else f"{name} ({n})" for name, n in Counter(those).items()] for outcome, those in outcomes.items()}
+    each_of = {
+        outcome: [name if n == 1 else f"{name} ({n})" for name, n in Counter(those).items()]
+        for outcome, those in outcomes.items()
+    }
     return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in each_of.items())
 
 
@@ -211,8 +274,12 @@ def in_reach(rows: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row["outcome"] != "unreachable"]
 
 
-def typical(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
-    """Median and quartiles over the runs that reached the goal, or over all: `12.7 [11.9, 13.1]`."""
+def typical(
+    rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False
+) -> str:
+    """Median and quartiles over the runs that reached the goal, or over all:
+    `12.7 [11.9, 13.1]`.
+    """
     q1, median, q3, _ = quartiles(_values(rows, name, factor, every))
     texts = [number(value, places) for value in (median, q1, q3)]
     return texts[0] if len(set(texts)) == 1 else f"{texts[0]} [{texts[1]}, {texts[2]}]"
@@ -233,28 +300,45 @@ def least(rows: Iterable[Row], name: str, factor: float = 1) -> float:
     return min(_values(rows, name, factor))
 
 
-def span(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
-    """From the smallest to the largest value of the runs that reached the goal, or of all: `11.6 to 19.7`."""
+def span(
+    rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False
+) -> str:
+    """From the smallest to the largest value of the runs that reached the goal, or of all:
+    `11.6 to 19.7`.
+    """
     values = list(_values(rows, name, factor, every))
     low, high = number(min(values), places), number(max(values), places)
     return low if low == high else f"{low} to {high}"
 
 
-def differs(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1, every: bool = False) -> str:
-    """Mean of the paired differences of both's successful seeds, or of all, with its 95 % interval: `-0.9 [-1.5, -0.4]`."""
+def differs(
+    rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1, every: bool = False
+) -> str:
+    """Mean of the paired differences of both's successful seeds, or of all, with its 95 % interval:
+    `-0.9 [-1.5, -0.4]`.
+    """
     found = paired_difference(*_pairs(rows, others, name, every))
-    return f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+    return (
+        f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+    )
 
 
 def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1) -> str:
-    """Median and quartiles of the paired differences of both's successful seeds: `-0.20 [-0.24, -0.16]`."""
+    """Median and quartiles of the paired differences of both's successful seeds:
+    `-0.20 [-0.24, -0.16]`.
+    """
     q1, median, q3, _ = quartiles([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
     return f"{number(median, places)} [{number(q1, places)}, {number(q3, places)}]"
 
 
-def _pairs(rows: Iterable[Row], others: Iterable[Row], name: str, every: bool = False) -> tuple[list[float], list[float]]:
+def _pairs(
+    rows: Iterable[Row], others: Iterable[Row], name: str, every: bool = False
+) -> tuple[list[float], list[float]]:
     """The values of the seeds that both have."""
-    a, b = ({row["seed"]: row[name] for row in those if every or row["success"]} for those in (rows, others))
+    a, b = (
+        {row["seed"]: row[name] for row in those if every or row["success"]}
+        for those in (rows, others)
+    )
     both = sorted(a.keys() & b.keys())
     return [a[seed] for seed in both], [b[seed] for seed in both]
 
@@ -263,17 +347,29 @@ def tasks(rows: Sequence[Row]) -> str:
     """Laws by tasks, as in a comparison's `tasks.md`."""
     names = list(rows[0])
     axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
-    return markdown(cells(over_all_tasks(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes))))).rstrip("\n")
+    return markdown(
+        cells(
+            over_all_tasks(
+                ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes))
+            )
+        )
+    ).rstrip("\n")
 
 
 def effects(rows: Sequence[Row]) -> str:
-    """Effects by laws: runs that reached the goal, change of the time to converge [s], median final error [mm]; as the grid of a report.
+    """Effects by laws: runs that reached the goal, change of the time to converge [s], median final
+    error [mm]; as the grid of a report.
 
-    The first row has the median time, and the last column the mean change over all laws; a change is in bold where it is beyond chance
-    after Holm's correction over all cells, or over all rows of the last column.
+    The first row has the median time, and the last column the mean change over all laws; a change
+    is in bold where it is beyond chance after Holm's correction over all cells, or over all rows of
+    the last column.
     """
     names = list(rows[0])
-    found = Grid.of(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])))
+    found = Grid.of(
+        ComparisonResults(
+            pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])
+        )
+    )
     assert found is not None
     changes, overall = found.changes(TIME), found.overall(TIME)
     marked = real(changes) | real(overall)
@@ -289,19 +385,34 @@ def effects(rows: Sequence[Row]) -> str:
         good, n = int(c.success.sum()), len(c.success)
         errors = [e for e in c.counted(ERROR) if math.isfinite(e)]
         time_s = [t for t in c.counted(TIME) if math.isfinite(t)]
-        words = change((i, j), changes[i, j]) if (i, j) in changes else f"{median_of(time_s):.1f} s" if time_s else "-"
+        words = (
+            change((i, j), changes[i, j])
+            if (i, j) in changes
+            else f"{median_of(time_s):.1f} s"
+            if time_s
+            else "-"
+        )
         tail = f", {median_of(errors):.2g} mm" if errors else ""
         return (f"{good} of {n}: " if good < n or n < most else "") + words + tail
 
     columns = range(len(found.columns))
-    lines = ["| |" + "".join(f" `{name}` |" for name in found.columns) + f" {ALL} |", "|---" * (len(found.columns) + 2) + "|"]
+    lines = [
+        "| |" + "".join(f" `{name}` |" for name in found.columns) + f" {ALL} |",
+        "|---" * (len(found.columns) + 2) + "|",
+    ]
     for i, name in enumerate(found.rows):
-        lines.append(f"| {name} |" + "".join(f" {cell(i, j)} |" for j in columns) + f" {change(i, overall.get(i)) if i else ''} |")
+        lines.append(
+            f"| {name} |"
+            + "".join(f" {cell(i, j)} |" for j in columns)
+            + f" {change(i, overall.get(i)) if i else ''} |"
+        )
     return "\n".join(lines)
 
 
 def least_gain(rows: Iterable[Row], plain: Iterable[Row], name: str) -> float:
-    """The smallest factor by which a seed's value is less than that of the first variant among `plain`."""
+    """The smallest factor by which a seed's value is less than that of the first variant among
+    `plain`.
+    """
     first: dict[int, float] = {}
     for row in plain:
         first.setdefault(row["seed"], row[name])

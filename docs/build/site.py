@@ -1,7 +1,8 @@
 """A hook of mkdocs (`docs/mkdocs.yml`): what the site has beside the pages of `docs/`.
 
-The pages of the repository outside that folder, the files to which pages link, a page of each bundled scenario (with film and report where
-`vstestbed run NAME` has left them in `runs/`), and the reference of names, kinds and fields.
+The pages of the repository outside that folder, the files to which pages link, a page of each
+bundled scenario (with film and report where `vstestbed run NAME` has left them in `runs/`), and the
+reference of names, kinds and fields.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ PAGES = {
     "vstestbed/README.md": "rooms.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changes.md",
-    **{f"scenarios/{path.name}": f"scenarios/{name}.md" for name, path in bundled_scenarios().items()},
+    **{
+        f"scenarios/{path.name}": f"scenarios/{name}.md"
+        for name, path in bundled_scenarios().items()
+    },
 }
 """Pages outside `docs/`, and scenarios, by their places in the repository and on the site."""
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
@@ -47,13 +51,21 @@ FILMS = {"overview.mp4": "From outside", "camera.mp4": "What the camera sees"}
 
 
 def on_config(config: Any) -> Any:
-    """Name the pages of scenarios and kinds in the navigation, which `mkdocs.yml` leaves open with `scenarios` and `kinds`."""
-    open_ends = {"scenarios": [PAGES[f"scenarios/{path.name}"] for path in bundled_scenarios().values()], "kinds": list(kind_pages())}
+    """Name the pages of scenarios and kinds in the navigation, which `mkdocs.yml` leaves open with
+    `scenarios` and `kinds`.
+    """
+    open_ends = {
+        "scenarios": [PAGES[f"scenarios/{path.name}"] for path in bundled_scenarios().values()],
+        "kinds": list(kind_pages()),
+    }
 
     def filled(nav: Any) -> Any:
         if isinstance(nav, dict):
             return {
-                title: open_ends[inner] if isinstance(inner, str) and inner in open_ends else filled(inner) for title, inner in nav.items()
+                title: open_ends[inner]
+                if isinstance(inner, str) and inner in open_ends
+                else filled(inner)
+                for title, inner in nav.items()
             }
         return [filled(each) for each in nav] if isinstance(nav, list) else nav
 
@@ -63,16 +75,34 @@ def on_config(config: Any) -> Any:
 
 def on_files(files: Any, config: Any) -> Any:
     """Add what is outside `docs/`, and what is made here."""
-    pages = {f"docs/{file.src_uri}" for file in files.documentation_pages()} | {path for path in PAGES if path.endswith(".md")}
-    made = {uri: (ROOT / path).read_text(encoding="utf-8") for path, uri in PAGES.items() if path in pages}
-    made |= {PAGES[f"scenarios/{path.name}"]: scenario_page(name, path) for name, path in bundled_scenarios().items()}
-    made |= {f"notebooks/{path.stem}.md": notebook_page(path, config.repo_url or "") for path in NOTEBOOKS}
+    pages = {f"docs/{file.src_uri}" for file in files.documentation_pages()} | {
+        path for path in PAGES if path.endswith(".md")
+    }
+    made = {
+        uri: (ROOT / path).read_text(encoding="utf-8")
+        for path, uri in PAGES.items()
+        if path in pages
+    }
+    made |= {
+        PAGES[f"scenarios/{path.name}"]: scenario_page(name, path)
+        for name, path in bundled_scenarios().items()
+    }
+    made |= {
+        f"notebooks/{path.stem}.md": notebook_page(path, config.repo_url or "")
+        for path in NOTEBOOKS
+    }
     made |= kind_pages() | {"reference/python.md": python_page()}
     for uri, text in made.items():
         files.append(File.generated(config, uri, content=text))
-    linked = {target for path in sorted(pages) for target in _targets(path, (ROOT / path).read_text(encoding="utf-8"))}
+    linked = {
+        target
+        for path in sorted(pages)
+        for target in _targets(path, (ROOT / path).read_text(encoding="utf-8"))
+    }
     copies = {f"{FILES}/{path}": ROOT / path for path in linked if _is_other(path, pages)}
-    copies |= {f"scenarios/{name}/{file.name}": file for name in bundled_scenarios() for file in _ran(name)}
+    copies |= {
+        f"scenarios/{name}/{file.name}": file for name in bundled_scenarios() for file in _ran(name)
+    }
     for uri, place in copies.items():
         files.append(File.generated(config, uri, abs_src_path=str(place)))
     return files
@@ -81,7 +111,9 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Links between the repository's files become links between the site's."""
     here = posixpath.dirname(page.file.src_uri)
-    inside = {uri: path for path, uri in PAGES.items()}.get(page.file.src_uri, f"docs/{page.file.src_uri}")
+    inside = {uri: path for path, uri in PAGES.items()}.get(
+        page.file.src_uri, f"docs/{page.file.src_uri}"
+    )
 
     def changed(found: re.Match[str]) -> str:
         target, anchor = _target(inside, found[1])
@@ -90,16 +122,30 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         within = target.removeprefix("docs/")
         if not here.startswith("notebooks"):  # a notebook's page links to the file itself
             within = within.replace(".ipynb", ".md")
-        uri = PAGES.get(target) or (within if files.get_file_from_path(within) else f"{FILES}/{target}")
-        known = files.get_file_from_path(uri) is not None  # else a folder, which is none of the site
-        return os.path.relpath(uri, here or ".").replace(os.sep, "/") + anchor if known else found[1]
+        uri = PAGES.get(target) or (
+            within if files.get_file_from_path(within) else f"{FILES}/{target}"
+        )
+        # else a folder, which is none of the site
+        known = files.get_file_from_path(uri) is not None
+        return (
+            os.path.relpath(uri, here or ".").replace(os.sep, "/") + anchor if known else found[1]
+        )
 
-    return markdown if page.file.src_uri.startswith(("reference/", "scenarios/")) and inside not in PAGES else LINK.sub(changed, markdown)
+    return (
+        markdown
+        if page.file.src_uri.startswith(("reference/", "scenarios/")) and inside not in PAGES
+        else LINK.sub(changed, markdown)
+    )
 
 
 def _is_other(path: str, pages: Iterable[str]) -> bool:
     """Whether a link leads to a file that is on the site neither as a page nor as a picture."""
-    return path not in pages and path not in PAGES and not path.startswith("docs/media/") and (ROOT / path).is_file()
+    return (
+        path not in pages
+        and path not in PAGES
+        and not path.startswith("docs/media/")
+        and (ROOT / path).is_file()
+    )
 
 
 def _targets(inside: str, text: str) -> Iterator[str]:
@@ -110,7 +156,9 @@ def _targets(inside: str, text: str) -> Iterator[str]:
 
 
 def _target(inside: str, link: str) -> tuple[str | None, str]:
-    """Place in the repository that a link of a page leads to, and its anchor; None for a link elsewhere, or within the page."""
+    """Place in the repository that a link of a page leads to, and its anchor; None for a link
+    elsewhere, or within the page.
+    """
     path, mark, anchor = link.partition("#")
     if not path or re.match(r"[a-z]+:|/", path):
         return None, ""
@@ -120,7 +168,14 @@ def _target(inside: str, link: str) -> tuple[str | None, str]:
 # A page of each scenario.
 def scenario_page(name: str, path: Path) -> str:
     """What it shows, how it ends, its film and report where it has been run, and its file."""
-    lines = [f"# {name}", "", str(bundled_mapping(path)["description"]), "", f"    vstestbed run {name}", ""]
+    lines = [
+        f"# {name}",
+        "",
+        str(bundled_mapping(path)["description"]),
+        "",
+        f"    vstestbed run {name}",
+        "",
+    ]
     if (kept := place_of(f"run {name}")).is_file():
         it = json.loads(kept.read_text(encoding="utf-8"))["result"]
         lines += [
@@ -132,62 +187,114 @@ def scenario_page(name: str, path: Path) -> str:
     there = {file.name for file in _ran(name)}
     for film, words in FILMS.items():
         if film in there:
-            lines += [f"## {words}", "", f'<video controls muted loop preload="metadata" width="100%" src="{name}/{film}"></video>', ""]
+            lines += [
+                f"## {words}",
+                "",
+                (
+                    '<video controls muted loop preload="metadata" width="100%"'
+                    f' src="{name}/{film}"></video>'
+                ),
+                "",
+            ]
     if "report.html" in there:
         lines += [f'<a class="md-button" href="{name}/report.html">The report of this run</a>', ""]
-    return "\n".join([*lines, "## Its file", "", "```yaml", path.read_text(encoding="utf-8").rstrip(), "```", ""])
+    return "\n".join(
+        [*lines, "## Its file", "", "```yaml", path.read_text(encoding="utf-8").rstrip(), "```", ""]
+    )
 
 
 def _ran(name: str) -> list[Path]:
-    """Films and report of the last run of a scenario in this checkout; nothing where it was not run."""
+    """Films and report of the last run of a scenario in this checkout; nothing where it was not
+    run.
+    """
     runs = sorted((ROOT / "runs" / name).glob("[0-9]*/report.html"))
-    return [runs[-1], *(file for film in FILMS if (file := runs[-1].with_name(film)).is_file())] if runs else []
+    return (
+        [runs[-1], *(file for film in FILMS if (file := runs[-1].with_name(film)).is_file())]
+        if runs
+        else []
+    )
 
 
 # A page of each notebook.
 def notebook_page(path: Path, repository: str) -> str:
-    """Its words and code, and its figures and tables where it has been executed (`docs.build.notebooks`)."""
+    """Its words and code, and its figures and tables where it has been executed
+    (`docs.build.notebooks`).
+    """
     done = ROOT / "runs" / "notebooks" / path.name
     cells = json.loads((done if done.is_file() else path).read_text(encoding="utf-8"))["cells"]
     links = [f"[Download the notebook]({path.name})"]
     if repository:
-        address = repository.replace("https://github.com/", "https://colab.research.google.com/github/")
+        address = repository.replace(
+            "https://github.com/", "https://colab.research.google.com/github/"
+        )
         badge = "https://colab.research.google.com/assets/colab-badge.svg"
         links.append(f"[![Open in Colab]({badge})]({address}/blob/main/docs/notebooks/{path.name})")
     first, *rest = cells
     lines = ["".join(first["source"]), "", " ".join(links), ""]
     for cell in rest:
         source = "".join(cell["source"])
-        lines += [source, ""] if cell["cell_type"] == "markdown" else ["```python", source, "```", ""]
+        lines += (
+            [source, ""] if cell["cell_type"] == "markdown" else ["```python", source, "```", ""]
+        )
         lines += [line for output in cell.get("outputs", ()) for line in _shown(output)]
-    return "\n".join(lines).replace(".ipynb)", ".md)").replace(f"({path.stem}.md)", f"({path.name})", 1)
+    return (
+        "\n".join(lines)
+        .replace(".ipynb)", ".md)")
+        .replace(f"({path.stem}.md)", f"({path.name})", 1)
+    )
 
 
 def _shown(output: dict[str, Any]) -> list[str]:
     """What a cell printed or drew; a report is too large for a page."""
     if "image/png" in output.get("data", {}):
-        return [f'<img alt="figure" src="data:image/png;base64,{"".join(output["data"]["image/png"]).strip()}">', ""]
-    return ["```text", "".join(output["text"]).rstrip(), "```", ""] if output["output_type"] == "stream" else []
+        return [
+            (
+                '<img alt="figure"'
+                f' src="data:image/png;base64,{"".join(output["data"]["image/png"]).strip()}">'
+            ),
+            "",
+        ]
+    return (
+        ["```text", "".join(output["text"]).rstrip(), "```", ""]
+        if output["output_type"] == "stream"
+        else []
+    )
 
 
 # The reference.
 def python_page() -> str:
-    """The public names of `import vstestbed as vs`, by the rooms that they come from; mkdocstrings writes what each is."""
+    """The public names of `import vstestbed as vs`, by the rooms that they come from; mkdocstrings
+    writes what each is.
+    """
     import vstestbed as vs
 
-    words = "`import vstestbed as vs` has these names. [A scenario in Python](../guides/python.md) shows how they go together."
+    words = (
+        "`import vstestbed as vs` has these names."
+        " [A scenario in Python](../guides/python.md) shows how they go together."
+    )
     homes: dict[str, tuple[str, ...]] = vs._HOMES
-    names = [f"{home}.{name}" for home, names in homes.items() for name in names if not name.isupper() and name != "Array"]
-    return "\n".join(["# Python", "", words, "", *(line for name in names for line in (f"::: {name}", ""))])
+    names = [
+        f"{home}.{name}"
+        for home, names in homes.items()
+        for name in names
+        if not name.isupper() and name != "Array"
+    ]
+    return "\n".join(
+        ["# Python", "", words, "", *(line for name in names for line in (f"::: {name}", ""))]
+    )
 
 
 def kind_pages() -> dict[str, str]:
-    """Every kind and block with its equation, source and fields, as `vstestbed describe` has them: a page for each list of kinds."""
+    """Every kind and block with its equation, source and fields, as `vstestbed describe` has them:
+    a page for each list of kinds.
+    """
     entries = catalogue(scenario=Scenario, comparison=Comparison).values()
     names = {entry.cls: entry.name for entry in reversed(list(entries)) if entry.cls is not None}
     found: dict[str, list[str]] = {}
     for entry in entries:
-        lines = found.setdefault(_page_of(entry.name), [f"# {_page_of(entry.name).capitalize()}", ""])
+        lines = found.setdefault(
+            _page_of(entry.name), [f"# {_page_of(entry.name).capitalize()}", ""]
+        )
         lines += _kind_list(entry) if entry.cls is None else _block(entry, names)
     return {f"reference/{page}.md": "\n".join(lines) for page, lines in found.items()}
 
@@ -199,8 +306,15 @@ def _page_of(name: str) -> str:
 
 def _kind_list(entry: Entry) -> list[str]:
     assert entry.registry is not None
-    rows = [f"| {_link(f'{entry.name}.{kind}', kind)} | {_cell(class_text(cls).summary)} |" for kind, cls in entry.registry.members.items()]
-    words = ["| kind | what it is |", "|---|---|", *rows] if rows else ["None is bundled: plugins add them."]
+    rows = [
+        f"| {_link(f'{entry.name}.{kind}', kind)} | {_cell(class_text(cls).summary)} |"
+        for kind, cls in entry.registry.members.items()
+    ]
+    words = (
+        ["| kind | what it is |", "|---|---|", *rows]
+        if rows
+        else ["None is bundled: plugins add them."]
+    )
     return [*words, ""]
 
 
@@ -209,19 +323,33 @@ def _block(entry: Entry, names: dict[type, str]) -> list[str]:
     text = class_text(entry.cls)
     lines = [f"## {entry.name} {{ #{_anchor(entry.name)} }}", "", _plain(text.summary), ""]
     for paragraph in filter(None, text.text.split("\n\n")):
-        lines += [f"```text\n{paragraph}\n```" if paragraph.startswith(" ") else _plain(paragraph), ""]
+        lines += [
+            f"```text\n{paragraph}\n```" if paragraph.startswith(" ") else _plain(paragraph),
+            "",
+        ]
     rows = []
     for name, field in fields(entry.cls).items():
         if name == "kind":
             continue
         words, held = (
             text.fields[name],
-            [names.get(inner) if registry is None else registry.what for registry, inner in field.node.blocks()],
+            [
+                names.get(inner) if registry is None else registry.what
+                for registry, inner in field.node.blocks()
+            ],
         )
         see = "".join(f" See {_link(word)}." for word in dict.fromkeys(held) if word)
-        unit, default = "" if words.unit == DIMENSIONLESS else words.unit, "" if field.needed else _default(field)
-        rows.append(f"| `{name}` | {_cell(default)} | {_cell(unit)} | {_cell(without_unit(words.description))}{see} |")
-    table = ["| field | default | unit | what it is |", "|---|---|---|---|", *rows, ""] if rows else []
+        unit, default = (
+            "" if words.unit == DIMENSIONLESS else words.unit,
+            "" if field.needed else _default(field),
+        )
+        rows.append(
+            f"| `{name}` | {_cell(default)} | {_cell(unit)} |"
+            f" {_cell(without_unit(words.description))}{see} |"
+        )
+    table = (
+        ["| field | default | unit | what it is |", "|---|---|---|---|", *rows, ""] if rows else []
+    )
     return [*lines, *table, *(f"Source: {_plain(source)}\n" for source in text.sources)]
 
 
@@ -241,4 +369,9 @@ def _cell(text: str) -> str:
 def _plain(text: str) -> str:
     """Words in which Markdown is to see nothing but `code`: s* is no emphasis, and < no element."""
     parts = re.split(r"(`[^`]*`)", text)
-    return "".join(part if part.startswith("`") else re.sub(r"([*_\[\]])", r"\\\1", html.escape(part, quote=False)) for part in parts)
+    return "".join(
+        part
+        if part.startswith("`")
+        else re.sub(r"([*_\[\]])", r"\\\1", html.escape(part, quote=False))
+        for part in parts
+    )

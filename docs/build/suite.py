@@ -1,8 +1,10 @@
 """The suite's kept runs, and what the pages make of them.
 
     vstestbed suite --out flown
-    python -m docs.build.suite flown/runs.csv      # keeps them as scenarios/suite/VS-1.csv, and makes docs/research/VS-1/ again
-    python -m docs.build.suite --cost              # processor time of a run of each task here, for `run_s` in VS-1.yaml
+    python -m docs.build.suite flown/runs.csv
+        # keeps them as scenarios/suite/VS-1.csv, and makes docs/research/VS-1/ again
+    python -m docs.build.suite --cost
+        # processor time of a run of each task here, for `run_s` in VS-1.yaml
 
 Several files are one after the other: of laws that were flown apart.
 """
@@ -25,7 +27,15 @@ from docs.build.suite_tuning import GROUPS, TRIALS, gains, record
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, paired_difference
-from vstestbed.report.scores import RESAMPLES, Score, TaskOfSuite, differences, overall, scores, write_scores
+from vstestbed.report.scores import (
+    RESAMPLES,
+    Score,
+    TaskOfSuite,
+    differences,
+    overall,
+    scores,
+    write_scores,
+)
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Jobs, controllers, read_comparison
 from vstestbed.studies.suite import HOW, LAW, fingerprint, opened, read_suite
@@ -34,17 +44,31 @@ from vstestbed.tasks.metrics import Metric
 PLACE = Path(__file__).resolve().parents[1] / "research" / "VS-1"
 FORMER = "32187406c2dc"
 FORMER_ORACLE = ("ideal", "border", "tracking", "latency", "calibration", "base", "craft")
-"""The files of the first flight, by their hash, and its tasks in which laws saw the oracle and not pictures."""
+"""The files of the first flight, by their hash, and its tasks in which laws saw the oracle and not
+pictures.
+"""
 
 
-SEARCH_S = {"arm": 70, "latency": 90, "ideal": 20, "tracking": 110, "base": 100, "craft": 110, "natural": 600}
-"""Processor time of the search of a law, of groups of which the record has none [s]: trials times starts times the time of a run."""
+SEARCH_S = {
+    "arm": 70,
+    "latency": 90,
+    "ideal": 20,
+    "tracking": 110,
+    "base": 100,
+    "craft": 110,
+    "natural": 600,
+}
+"""Processor time of the search of a law, of groups of which the record has none [s]: trials times
+starts times the time of a run.
+"""
 
 
 class Agreement(NamedTuple):
-    """Spearman's rank correlation of two tasks' means over the laws that flew both, with the interval of resampled laws.
+    """Spearman's rank correlation of two tasks' means over the laws that flew both, with the
+    interval of resampled laws.
 
-    least, most: the ends of what it is without one of the laws; least_without, most_without: which ones.
+    least, most: the ends of what it is without one of the laws; least_without, most_without: which
+    ones.
     """
 
     found: IntervalEstimate
@@ -63,9 +87,12 @@ class Suite:
         place = path.with_suffix(".csv")
         self.sha256 = place.read_text(encoding="utf-8").split("\n", 1)[0].removeprefix("# ")
         self.former = self.sha256 != fingerprint(suite, path)
-        self.runs = pl.read_csv(place, comment_prefix="#", schema_overrides={"start": pl.String, "value": pl.Float64})
+        self.runs = pl.read_csv(
+            place, comment_prefix="#", schema_overrides={"start": pl.String, "value": pl.Float64}
+        )
         self.scores = scores(self.runs)
-        beside = pl.read_csv(PLACE / "cns.csv", schema_overrides={"start": pl.String})  # CNS's network, by its own weights
+        # CNS's network, by its own weights
+        beside = pl.read_csv(PLACE / "cns.csv", schema_overrides={"start": pl.String})
         self.all = pl.concat([self.runs, beside.cast({"value": pl.Float64})])
         self.tasks = list(dict.fromkeys(s.task for s in self.scores))
         self.overall = overall(self.scores)
@@ -103,9 +130,15 @@ class Suite:
         return cns.join(self.runs, on=["task", "start"], how="anti").is_empty()
 
     def open_with_first(self) -> list[str]:
-        """Of the laws that flew as many tasks as the first: those whose mean rank on tasks like these may be as low as its highest."""
+        """Of the laws that flew as many tasks as the first: those whose mean rank on tasks like
+        these may be as low as its highest.
+        """
         first = self.overall[0]
-        return [f"`{s.law}`" for s in self.overall[1:] if s.tasks == first.tasks and s.alike.low <= first.alike.high]
+        return [
+            f"`{s.law}`"
+            for s in self.overall[1:]
+            if s.tasks == first.tasks and s.alike.low <= first.alike.high
+        ]
 
     def apart(self, task: str, one: str, other: str) -> bool:
         """Whether two laws of a task differ beyond chance, among all pairs of its laws."""
@@ -121,17 +154,29 @@ class Suite:
         return TRIALS
 
     def untuned(self) -> list[str]:
-        """The groups of tasks of which laws have gains that are not in the record, with these laws."""
+        """The groups of tasks of which laws have gains that are not in the record,
+        with these laws.
+        """
         there = record()
         begun = set() if there is None else set(there["group"])
-        some = {group: ", ".join(f"`{law}`" for law in laws) for group, laws in self._lacking.items()}
-        return [f"`{group}`: {laws if group in begun else 'all laws'}" for group, laws in some.items()]
+        some = {
+            group: ", ".join(f"`{law}`" for law in laws) for group, laws in self._lacking.items()
+        }
+        return [
+            f"`{group}`: {laws if group in begun else 'all laws'}" for group, laws in some.items()
+        ]
 
     def tuning_hours(self) -> str:
         """How long these searches take, by those of the record."""
         there = record()
-        known = {} if there is None else dict(there.group_by("group").agg(pl.col("processor_s").mean()).iter_rows())
-        seconds = sum(len(laws) * known.get(group, SEARCH_S[group]) for group, laws in self._lacking.items())
+        known = (
+            {}
+            if there is None
+            else dict(there.group_by("group").agg(pl.col("processor_s").mean()).iter_rows())
+        )
+        seconds = sum(
+            len(laws) * known.get(group, SEARCH_S[group]) for group, laws in self._lacking.items()
+        )
         return f"about {seconds / 3600:.1f} h"
 
     @cached_property
@@ -142,7 +187,11 @@ class Suite:
         lacking: dict[str, list[str]] = {}
         for name, group in GROUPS.items():
             laws = entry.plans[group.plan].cases[LAW]
-            left = [law for law, block in laws.items() if any(gains(block[LAW])) and (name, law) not in done]
+            left = [
+                law
+                for law, block in laws.items()
+                if any(gains(block[LAW])) and (name, law) not in done
+            ]
             if left:
                 lacking[name] = left
         return lacking
@@ -157,7 +206,9 @@ class Suite:
 
     def best(self, task: str, but: str = "") -> Score:
         """The score of the law with the best mean in a task, without one of them."""
-        return min((s for s in self.scores if s.task == task and s.law != but), key=lambda s: s.value.mean)
+        return min(
+            (s for s in self.scores if s.task == task and s.law != but), key=lambda s: s.value.mean
+        )
 
     def place(self, law: str, task: str) -> int:
         """The place of a law in a task by its mean, from 1."""
@@ -165,35 +216,54 @@ class Suite:
         return [s.law for s in of_task].index(law) + 1
 
     def difference(self, task: str, one: str, other: str, start: str = "") -> IntervalEstimate:
-        """Mean of one law's number less the other's on the starts whose words have `start` in them, with interval and p-value."""
-        part = self.all.filter((pl.col("task") == task) & pl.col("start").str.contains(start, literal=True))
+        """Mean of one law's number less the other's on the starts whose words have `start` in them,
+        with interval and p-value.
+        """
+        part = self.all.filter(
+            (pl.col("task") == task) & pl.col("start").str.contains(start, literal=True)
+        )
         wide = part.pivot("law", index="start", values="value")
         return paired_difference(wide[one].to_numpy(), wide[other].to_numpy())
 
     def success(self, task: str, law: str, start: str = "") -> tuple[int, int]:
         """Successes and runs of a law on those starts."""
-        part = self.all.filter((pl.col("task") == task) & (pl.col("law") == law) & pl.col("start").str.contains(start, literal=True))
+        part = self.all.filter(
+            (pl.col("task") == task)
+            & (pl.col("law") == law)
+            & pl.col("start").str.contains(start, literal=True)
+        )
         return int(part["success"].sum()), len(part)
 
     def mean(self, task: str, law: str) -> float:
         """Mean of a law's number in a task."""
-        return float(self.all.filter((pl.col("task") == task) & (pl.col("law") == law))["value"].mean())  # type: ignore[arg-type]  # numbers
+        return float(
+            self.all.filter((pl.col("task") == task) & (pl.col("law") == law))["value"].mean()
+        )  # type: ignore[arg-type]  # numbers
 
     def agreement(self, one: str, other: str, but: tuple[str, ...] = ()) -> Agreement:
         """How far the laws' means of two tasks have the same order, without some of the laws."""
-        laws = [law for law in self.laws if self.of(law, one) and self.of(law, other) and law not in but]
+        laws = [
+            law for law in self.laws if self.of(law, one) and self.of(law, other) and law not in but
+        ]
         a, b = (np.array([self.mean(task, law) for law in laws]) for task in (one, other))
         drawn = np.random.default_rng(0).integers(0, len(laws), (RESAMPLES, len(laws)))
         low, high = np.nanpercentile(_spearman(a[drawn], b[drawn]), [2.5, 97.5])
-        left_out = {law: float(_spearman(np.delete(a, i), np.delete(b, i))) for i, law in enumerate(laws)}
-        least, most = min(left_out, key=left_out.__getitem__), max(left_out, key=left_out.__getitem__)
+        left_out = {
+            law: float(_spearman(np.delete(a, i), np.delete(b, i))) for i, law in enumerate(laws)
+        }
+        least, most = (
+            min(left_out, key=left_out.__getitem__),
+            max(left_out, key=left_out.__getitem__),
+        )
         found = IntervalEstimate(float(_spearman(a, b)), float(low), float(high), len(laws))
         return Agreement(found, left_out[least], least, left_out[most], most)
 
 
 def _scenarios(task: str) -> list[Scenario]:
     suite, path = read_suite()
-    return [one.scenario for one in controllers(read_comparison(path.parent / suite.tasks[task].plan))]
+    return [
+        one.scenario for one in controllers(read_comparison(path.parent / suite.tasks[task].plan))
+    ]
 
 
 def sees(task: str) -> str:
@@ -204,7 +274,9 @@ def sees(task: str) -> str:
 def moves(task: str) -> str:
     """How the robot of a task moves: `ideal`, as it is ordered, or with its `dynamics`."""
     robots = [one.robot for one in _scenarios(task)]
-    ideal = all(robot.kind == "free" or getattr(robot, "actuation", "") == "ideal" for robot in robots)
+    ideal = all(
+        robot.kind == "free" or getattr(robot, "actuation", "") == "ideal" for robot in robots
+    )
     return "ideal" if ideal else "dynamics"
 
 
@@ -221,7 +293,12 @@ def _spearman(a: Array, b: Array) -> Array:
 def keep(files: list[Path]) -> None:
     """Keep runs beside the suite's file."""
     suite, path = read_suite()
-    runs = pl.concat([pl.read_csv(file, schema_overrides={"start": pl.String, "value": pl.Float64}) for file in files])
+    runs = pl.concat(
+        [
+            pl.read_csv(file, schema_overrides={"start": pl.String, "value": pl.Float64})
+            for file in files
+        ]
+    )
     order = {name: i for i, name in enumerate([*suite.tasks, *suite.laws])}
     by = [pl.col(name).replace_strict(order, return_dtype=pl.Int64) for name in ("task", "law")]
     runs = runs.sort(*by, maintain_order=True).with_columns(pl.col("value").round_sig_figs(6))
@@ -232,10 +309,16 @@ def cost() -> None:
     """Say how long the runs of `--quick` take on one core, of each task."""
     entry = opened(None, quick=True)
     for task, plan in entry.plans.items():
-        jobs, began = list(Jobs(controllers(plan), plan.seeds, plan.first_seed)), time.process_time()
+        jobs, began = (
+            list(Jobs(controllers(plan), plan.seeds, plan.first_seed)),
+            time.process_time(),
+        )
         for job in jobs:
             vs.run(job.scenario())
-        print(f"{task}: {(time.process_time() - began) / len(jobs):.2f} s a run, of {len(jobs)}", flush=True)
+        print(
+            f"{task}: {(time.process_time() - began) / len(jobs):.2f} s a run, of {len(jobs)}",
+            flush=True,
+        )
 
 
 def draw() -> None:
@@ -243,12 +326,22 @@ def draw() -> None:
     found, entry = Suite(), opened(None)
     entry.plans  # noqa: B018 - says which laws take no part
     blank = {key: why for key, why in entry.blank.items() if key[0] in found.laws}
-    tasks = {name: TaskOfSuite(Metric.named(task.metric), task.asks) for name, task in entry.suite.tasks.items()}
+    tasks = {
+        name: TaskOfSuite(Metric.named(task.metric), task.asks)
+        for name, task in entry.suite.tasks.items()
+    }
     which = "A former flight, of other tasks than those of now" if found.former else "All starts"
     about = f"{entry.suite.description}. {which}; files {found.sha256[:12]}. {HOW}"
     with tempfile.TemporaryDirectory() as made:
         write_scores(Path(made), found.runs, tasks, blank, "Suite VS-1", about, entry.command)
-        for name in ("report.html", "scores.csv", "ranks.csv", "scores.tex", "figures/ranks.png", "figures/profile.png"):
+        for name in (
+            "report.html",
+            "scores.csv",
+            "ranks.csv",
+            "scores.tex",
+            "figures/ranks.png",
+            "figures/profile.png",
+        ):
             shutil.copyfile(Path(made) / name, make_folder(PLACE) / Path(name).name)
 
 

@@ -1,15 +1,17 @@
 """The search for all gains of the suite's laws, one budget for each group of tasks, and its record.
 
-    python -m docs.build.suite_tuning                   # all that is missing in scenarios/suite/VS-1_tuned.csv
-    python -m docs.build.suite_tuning arm latency       # of these groups alone
-    python -m docs.build.suite_tuning --again arm       # anew
-    python -m docs.build.suite_tuning --write           # the record's gains into scenarios/suite/VS-1.yaml
+    python -m docs.build.suite_tuning               # all missing in scenarios/suite/VS-1_tuned.csv
+    python -m docs.build.suite_tuning arm latency   # of these groups alone
+    python -m docs.build.suite_tuning --again arm   # anew
+    python -m docs.build.suite_tuning --write       # the record's gains into VS-1.yaml there
 
-A trial is a setting of all gains of a law at once. It flies the group's task from starts that are none of the suite's, in each of the
-task's cases: random ones, and of lists of motions the middles between two neighbours (from random starts alone the search finds gains that
-lose large motions). Its number is the suite's own: the mean of the task's metric, a failure at the task's limit. A law with three gains has
-as many trials as one with one. Settings are chosen as `vstestbed tune` does (`studies/search_space.py`). Trials see the oracle, which is
-some ten times quicker than pictures; the best one then flies the same starts with pictures, and both means are in the record. For natural
+A trial is a setting of all gains of a law at once. It flies the group's task from starts that are
+none of the suite's, in each of the task's cases: random ones, and of lists of motions the middles
+between two neighbours (from random starts alone the search finds gains that lose large motions).
+Its number is the suite's own: the mean of the task's metric, a failure at the task's limit. A law
+with three gains has as many trials as one with one. Settings are chosen as `vstestbed tune` does
+(`studies/search_space.py`). Trials see the oracle, which is some ten times quicker than pictures;
+the best one then flies the same starts with pictures, and both means are in the record. For natural
 features there is no oracle: their trials see pictures; and `ideal` has the oracle itself.
 """
 
@@ -34,7 +36,16 @@ import vstestbed as vs
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Pose
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.comparison.plan import TUNED, Comparison, Job, Jobs, StartTable, changed, controllers, read_comparison
+from vstestbed.studies.comparison.plan import (
+    TUNED,
+    Comparison,
+    Job,
+    Jobs,
+    StartTable,
+    changed,
+    controllers,
+    read_comparison,
+)
 from vstestbed.studies.search_space import Range, SearchSpace, Trial, next_settings
 from vstestbed.studies.suite import LAW, TO_GOAL, SuiteEntry, opened
 from vstestbed.tasks.metrics import Metric
@@ -52,9 +63,11 @@ KEYS = ["group", "law"]
 class Group:
     """Tasks that are flown with the same gains.
 
-    plan: the task whose starts are searched. writes: where the gains stand in a law's block: its own, or that of a task. starts: of a
-    trial, in each case of the plan, or of each of its lists. low, high: the range of each gain [1/s], searched on a logarithmic scale.
-    set: as of a comparison, for the trials, empty where the task's own detector is theirs. by: what the trials see.
+    plan: the task whose starts are searched. writes: where the gains stand in a law's block: its
+    own, or that of a task. starts: of a trial, in each case of the plan, or of each of its lists.
+    low, high: the range of each gain [1/s], searched on a logarithmic scale.
+    set: as of a comparison, for the trials, empty where the task's own detector is theirs. by: what
+    the trials see.
     """
 
     plan: str
@@ -69,7 +82,8 @@ class Group:
 GROUPS = {
     "arm": Group("arm", (LAW,), 3),  # also `border`, `calibration`, `realism`
     "latency": Group("latency", ("latency",), 4),
-    "ideal": Group("ideal", ("ideal",), 3, high=24.0, set={}),  # at 25 pictures a second a gain of 25 ends in one
+    # at 25 pictures a second a gain of 25 ends in one
+    "ideal": Group("ideal", ("ideal",), 3, high=24.0, set={}),
     "tracking": Group("tracking", ("tracking",), 3),
     "base": Group("base", ("base",), 2),
     "craft": Group("craft", ("craft",), 2, low=0.1, high=4.0),
@@ -102,34 +116,49 @@ def with_gains(block: Mapping[str, Any], values: Mapping[str, object]) -> dict[s
     return new
 
 
-def trial_plan(entry: SuiteEntry, group: Group, blocks: Mapping[str, Mapping[str, Any]], oracle: bool) -> Comparison:
+def trial_plan(
+    entry: SuiteEntry, group: Group, blocks: Mapping[str, Mapping[str, Any]], oracle: bool
+) -> Comparison:
     """The comparison of a law's blocks, by their names, from the starts of the trials."""
     plan = read_comparison(entry.path.parent / entry.suite.tasks[group.plan].plan)
     settings = dict(plan.set) | (dict(group.set) if oracle else {})
     cases = {LAW: {name: {LAW: dict(block)} for name, block in blocks.items()}, **plan.cases}
-    tables = {name: other_starts(table, plan.limit, group.starts) for name, table in plan.tasks.items()}
+    tables = {
+        name: other_starts(table, plan.limit, group.starts) for name, table in plan.tasks.items()
+    }
     return changed(plan, set=settings, cases=cases, tasks=tables, seeds=None, limit=None)
 
 
 def other_starts(table: StartTable, limit: int | None, number: int) -> StartTable:
-    """So many starts like those of a table, none of which the suite flies: random ones, those of its list that are left, or the middles
-    between two neighbours of a list that is flown whole.
+    """So many starts like those of a table, none of which the suite flies: random ones, those of
+    its list that are left, or the middles between two neighbours of a list that is flown whole.
     """
     if table.seeds is not None:
         return replace(table, seeds=number)
     flown = set(table.numbers(limit))
     free = [i for i in range(table.runs) if i not in flown]
     lists = {("each", path): values for path, values in table.lists.each.items()}
-    lists |= {(name, ""): getattr(table.lists, name) for name in table.lists._fields[1:] if getattr(table.lists, name)}
+    lists |= {
+        (name, ""): getattr(table.lists, name)
+        for name in table.lists._fields[1:]
+        if getattr(table.lists, name)
+    }
     if free:
         picked = [free[(2 * i + 1) * len(free) // (2 * number)] for i in range(number)]
         chosen = {key: tuple(values[i] for i in picked) for key, values in lists.items()}
     else:
         picked = [(2 * i + 1) * (table.runs - 1) // (2 * number) for i in range(number)]
-        chosen = {key: tuple(middle(values[i], values[i + 1]) for i in picked) for key, values in lists.items()}
+        chosen = {
+            key: tuple(middle(values[i], values[i + 1]) for i in picked)
+            for key, values in lists.items()
+        }
     each = {path: values for (name, path), values in chosen.items() if name == "each"}
-    of_camera, of_target = (chosen.get((name, ""), ()) for name in ("camera_from_goal", "target_from_goal"))
-    return StartTable(set=table.set, each=each, camera_from_goal=of_camera, target_from_goal=of_target)
+    of_camera, of_target = (
+        chosen.get((name, ""), ()) for name in ("camera_from_goal", "target_from_goal")
+    )
+    return StartTable(
+        set=table.set, each=each, camera_from_goal=of_camera, target_from_goal=of_target
+    )
 
 
 def middle(one: Any, other: Any) -> Any:
@@ -155,8 +184,12 @@ def trial_scenario(job: Job) -> Scenario:
     return scenario.with_seed(seed)
 
 
-def flown(entry: SuiteEntry, group: Group, plan: Comparison, worst: float) -> dict[str, list[tuple[bool, float]]]:
-    """Of each block of a plan: whether each run reached the goal, and its number as the suite has it, in the metric's unit."""
+def flown(
+    entry: SuiteEntry, group: Group, plan: Comparison, worst: float
+) -> dict[str, list[tuple[bool, float]]]:
+    """Of each block of a plan: whether each run reached the goal, and its number as the suite has
+    it, in the metric's unit.
+    """
     task = entry.suite.tasks[group.plan]
     found: dict[str, list[tuple[bool, float]]] = {}
     seeds = None if plan.tasks else group.starts
@@ -167,24 +200,32 @@ def flown(entry: SuiteEntry, group: Group, plan: Comparison, worst: float) -> di
         if task.worst is not None and not (summary["success"] or summary["outcome"] == "timed_out"):
             value = worst
         scale = Metric.named(task.metric).scale
-        found.setdefault(str(job.controller.values[LAW]), []).append((bool(summary["success"]), min(value, worst) * scale))
+        found.setdefault(str(job.controller.values[LAW]), []).append(
+            (bool(summary["success"]), min(value, worst) * scale)
+        )
     return found
 
 
 def tuned(entry: SuiteEntry, name: str, group: Group, law: str) -> list[dict[str, Any]]:
-    """The record's rows of a law in a group, one a gain; none where it has none, or takes no part."""
+    """The record's rows of a law in a group, one a gain;
+    none where it has none, or takes no part.
+    """
     block = entry.block(law, group.plan)
     paths = [] if isinstance(block, str) else [path for path, _ in gains(block)]
     if isinstance(block, str) or not paths or (law, group.plan) in entry.blank:
         return []
     task = entry.suite.tasks[group.plan]
-    limit = controllers(trial_plan(entry, group, {"as it is": block}, True))[0].scenario.stop.duration_s
+    limit = controllers(trial_plan(entry, group, {"as it is": block}, True))[
+        0
+    ].scenario.stop.duration_s
     worst = limit if task.metric == TO_GOAL else float(task.worst or math.inf)
     space = SearchSpace(tuple(Range(path, group.low, group.high, True) for path in paths), None)
     began, trials = time.process_time(), list[Trial]()
     while len(trials) < TRIALS:
         settings = next_settings(space, trials, False, group.starts, BATCH, SEED)
-        blocks = {str(len(trials) + i): with_gains(block, values) for i, values in enumerate(settings)}
+        blocks = {
+            str(len(trials) + i): with_gains(block, values) for i, values in enumerate(settings)
+        }
         results = flown(entry, group, trial_plan(entry, group, blocks, True), worst)
         for number, values in zip(blocks, settings, strict=True):
             numbers = tuple(value for _, value in results[number])
@@ -193,7 +234,11 @@ def tuned(entry: SuiteEntry, name: str, group: Group, law: str) -> list[dict[str
     best = min(trials, key=lambda trial: trial.mean)
     best_block = {"best": with_gains(block, best.values)}
     by_search = flown(entry, group, trial_plan(entry, group, best_block, True), worst)["best"]
-    by_pictures = flown(entry, group, trial_plan(entry, group, best_block, False), worst)["best"] if group.set else by_search
+    by_pictures = (
+        flown(entry, group, trial_plan(entry, group, best_block, False), worst)["best"]
+        if group.set
+        else by_search
+    )
     same = {
         "low": group.low,
         "high": group.high,
@@ -210,7 +255,10 @@ def tuned(entry: SuiteEntry, name: str, group: Group, law: str) -> list[dict[str
         "pictures_mean": _mean(by_pictures) if group.set else None,
         "processor_s": time.process_time() - began,
     }
-    return [{"group": name, "law": law, "gain": path, "value": best.values[path], **same} for path in paths]
+    return [
+        {"group": name, "law": law, "gain": path, "value": best.values[path], **same}
+        for path in paths
+    ]
 
 
 def _reached(found: Sequence[tuple[bool, float]]) -> int:
@@ -227,7 +275,9 @@ def record() -> pl.DataFrame | None:
 
 
 def keep(rows: Sequence[Mapping[str, Any]], entry: SuiteEntry) -> None:
-    """Put rows into the record, in the order of groups and laws, in place of those of the same law and group."""
+    """Put rows into the record, in the order of groups and laws, in place of those of the same law
+    and group.
+    """
     new = pl.DataFrame(list(rows), infer_schema_length=None).with_columns(
         pl.col("mean", "pictures_mean", "processor_s").cast(pl.Float64).round_sig_figs(4)
     )
@@ -251,19 +301,35 @@ def search(names: Sequence[str], again: bool) -> None:
             if law not in there and (rows := tuned(entry, name, GROUPS[name], law)):
                 keep(rows, entry)
                 values = ", ".join(f"{row['gain']}={row['value']}" for row in rows)
-                told = ("reached", "starts", "mean", "pictures_reached", "pictures_mean", "processor_s")
-                print(f"{name} {law}: {values}; {', '.join(f'{key} {rows[0][key]}' for key in told)}", flush=True)
+                told = (
+                    "reached",
+                    "starts",
+                    "mean",
+                    "pictures_reached",
+                    "pictures_mean",
+                    "processor_s",
+                )
+                print(
+                    f"{name} {law}: {values}; {', '.join(f'{key} {rows[0][key]}' for key in told)}",
+                    flush=True,
+                )
 
 
 NUMBER = re.compile(r"\b((?:\w+_)?gain(?:_\w+)?): [-+.\de]+")
 
 
 def written(text: str, found: pl.DataFrame) -> str:
-    """The suite's file with the record's gains. ValueError: a law's block has other gains than were searched for."""
+    """The suite's file with the record's gains. ValueError: a law's block has other gains than were
+    searched for.
+    """
     for (name, law), rows in found.group_by(KEYS, maintain_order=True):
         for place in GROUPS[str(name)].writes:
             begin, end = _span(text, str(law), place)
-            text = text[:begin] + _with_numbers(text[begin:end], rows["value"].to_list(), f"{law}, {place}") + text[end:]
+            text = (
+                text[:begin]
+                + _with_numbers(text[begin:end], rows["value"].to_list(), f"{law}, {place}")
+                + text[end:]
+            )
     return text
 
 
@@ -271,7 +337,10 @@ def _with_numbers(block: str, values: Sequence[float], where: str) -> str:
     """A block's text with other gains, in their order."""
     places = list(NUMBER.finditer(block))
     if len(places) != len(values):
-        raise ValueError(f"{where}: must show its {len(values)} gains as numbers, and shows {len(places)}: {block!r}")
+        raise ValueError(
+            f"{where}: must show its {len(values)} gains as numbers,"
+            f" and shows {len(places)}: {block!r}"
+        )
     for place, value in reversed(list(zip(places, values, strict=True))):
         block = f"{block[: place.start()]}{place[1]}: {value:g}{block[place.end() :]}"
     return block
@@ -280,23 +349,35 @@ def _with_numbers(block: str, values: Sequence[float], where: str) -> str:
 def _span(text: str, law: str, place: str) -> tuple[int, int]:
     """Where a law's block, or that of a task, begins and ends in the suite's file."""
     header = re.search(rf"^  {law}:\n", text, re.MULTILINE)
-    after = re.compile(r"^(  \w+|tasks):", re.MULTILINE).search(text, header.end()) if header else None
+    after = (
+        re.compile(r"^(  \w+|tasks):", re.MULTILINE).search(text, header.end()) if header else None
+    )
     if header is None or after is None:
         raise ValueError(f"no law {law}")
     indent = 4 if place == LAW else 6
-    begin = re.compile(rf"^{' ' * indent}{place}:", re.MULTILINE).search(text, header.end(), after.start())
+    begin = re.compile(rf"^{' ' * indent}{place}:", re.MULTILINE).search(
+        text, header.end(), after.start()
+    )
     if begin is None:
         raise ValueError(f"{law}: no line {place}")
-    end = re.compile(rf"^ {{2,{indent}}}\w+:", re.MULTILINE).search(text, begin.end(), after.start())
+    end = re.compile(rf"^ {{2,{indent}}}\w+:", re.MULTILINE).search(
+        text, begin.end(), after.start()
+    )
     return begin.start(), end.start() if end else after.start()
 
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("groups", nargs="*", choices=[*GROUPS, []], help="; ".join(GROUPS))
-    parser.add_argument("--again", action="store_true", help="search for what is in the record, too")
-    parser.add_argument("--write", action="store_true", help="write the record's gains into the suite's file")
+    parser.add_argument(
+        "--again", action="store_true", help="search for what is in the record, too"
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="write the record's gains into the suite's file"
+    )
     given = parser.parse_args()
     if not given.write:
         search(given.groups, given.again)

@@ -23,8 +23,12 @@ class Verdicts:
     def __init__(self):
         self.cells = pl.read_csv(KEPT / "verdicts.csv")
         counts = (*WRONG, "any_verdict", "any_sooner", "a", "b", "trade", "sooner_b")
-        self._shares = self.cells.with_columns((100 * pl.col(name) / pl.col("draws")).alias(name) for name in counts)
-        self._judged = self._shares.filter(pl.col("what").is_in(["fixed", "random", "many"]), pl.col("n") > FEW)
+        self._shares = self.cells.with_columns(
+            (100 * pl.col(name) / pl.col("draws")).alias(name) for name in counts
+        )
+        self._judged = self._shares.filter(
+            pl.col("what").is_in(["fixed", "random", "many"]), pl.col("n") > FEW
+        )
 
     @property
     def draws(self) -> int:
@@ -55,7 +59,9 @@ class Verdicts:
         return max(self._of(kind)[WRONG[wrong - 1]].to_list())
 
     def over_all(self, kind: str = "") -> float:
-        """Share of wrong verdicts over all cells: kinds 2 and 3 added, since all of kind 1 are of kind 3."""
+        """Share of wrong verdicts over all cells: kinds 2 and 3 added, since all of kind 1 are of
+        kind 3.
+        """
         shares = self._of(kind).select(pl.col("wrong_2") + pl.col("wrong_3")).to_series().to_list()
         return sum(shares) / len(shares)
 
@@ -66,7 +72,11 @@ class Verdicts:
 
     def largest_cell(self) -> dict[str, object]:
         """The cell in which most are wrong."""
-        return self._judged.with_columns(most=pl.max_horizontal(WRONG)).sort("most").row(-1, named=True)
+        return (
+            self._judged.with_columns(most=pl.max_horizontal(WRONG))
+            .sort("most")
+            .row(-1, named=True)
+        )
 
     def with_few(self) -> tuple[int, int]:
         """Simulated comparisons of five starts, and those of them with a verdict or a trade."""
@@ -74,17 +84,29 @@ class Verdicts:
         return int(few["draws"].sum()), int((few["any_verdict"] + few["trade"]).sum())
 
     def equal(self, laws: int, column: str) -> float:
-        """Of equal laws: the largest share with any verdict (`any_verdict`), or with any word on who is sooner (`any_sooner`)."""
+        """Of equal laws: the largest share with any verdict (`any_verdict`), or with any word on
+        who is sooner (`any_sooner`).
+        """
         return max(self._judged.filter(pl.col("equal"), pl.col("laws") == laws)[column].to_list())
 
     def power(self, letter: str, n: int, column: str = "b") -> float:
         """Share in which the better one is called better; `sooner_b`: sooner."""
-        names = self._shares.filter(what="power", kind="power")["name"].unique(maintain_order=True).to_list()
-        return self._shares.filter(what="power", name=names[POWER.index(letter)], n=n)[column].item()
+        names = (
+            self._shares.filter(what="power", kind="power")["name"]
+            .unique(maintain_order=True)
+            .to_list()
+        )
+        return self._shares.filter(what="power", name=names[POWER.index(letter)], n=n)[
+            column
+        ].item()
 
     def power_name(self, letter: str) -> str:
         """What flies in a cell of the power."""
-        return self._shares.filter(what="power", kind="power")["name"].unique(maintain_order=True).to_list()[POWER.index(letter)]
+        return (
+            self._shares.filter(what="power", kind="power")["name"]
+            .unique(maintain_order=True)
+            .to_list()[POWER.index(letter)]
+        )
 
     def trade(self, n: int, column: str) -> float:
         """Of the true trade: share of `a`, `b`, `trade`."""
@@ -100,7 +122,9 @@ class Verdicts:
         found = []
         for name in table["differences"].unique(maintain_order=True):
             rows = table.filter(differences=name)
-            covered, power = ((100 * rows[column] / rows["draws"]).to_list() for column in ("covered", "found"))
+            covered, power = (
+                (100 * rows[column] / rows["draws"]).to_list() for column in ("covered", "found")
+            )
             found.append((name, rows["n"].to_list(), covered, power))
         return found
 
@@ -116,11 +140,24 @@ def draw(place: Path = FIGURE) -> None:
     import matplotlib.pyplot as plt
 
     found = Verdicts()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), constrained_layout=True, width_ratios=(1, 1.25))
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11, 4.6), constrained_layout=True, width_ratios=(1, 1.25)
+    )
     starts = [n for n in found.starts if n >= 10]
     for letter in POWER:
-        left.plot(starts, [found.power(letter, n) for n in starts], "o-", label=f"{letter}: {found.power_name(letter)}")
-    left.set(xscale="log", xlabel="starts", ylabel="called better [%]", ylim=(-2, 142), yticks=range(0, 101, 20))
+        left.plot(
+            starts,
+            [found.power(letter, n) for n in starts],
+            "o-",
+            label=f"{letter}: {found.power_name(letter)}",
+        )
+    left.set(
+        xscale="log",
+        xlabel="starts",
+        ylabel="called better [%]",
+        ylim=(-2, 142),
+        yticks=range(0, 101, 20),
+    )
     left.set_xticks(starts, [str(n) for n in starts])
     left.minorticks_off()
     left.legend(loc="upper left", fontsize=7.5)

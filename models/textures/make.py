@@ -1,6 +1,8 @@
-"""Draw the bundled textures again: `python models/textures/make.py [NAME ...] [--to FOLDER]`; the same pixels for the same OpenCV.
+"""Draw the bundled textures again: `python models/textures/make.py [NAME ...] [--to FOLDER]`; the
+same pixels for the same OpenCV.
 
-Small differences are OpenCV's: its letters and its JPEG change by a grey level or two between versions.
+Small differences are OpenCV's: its letters and its JPEG change by a grey level or two between
+versions.
 """
 
 from __future__ import annotations
@@ -46,8 +48,18 @@ def main() -> None:
     asked.add_argument("names", nargs="*", default=list(DRAWN), help="which; all by default")
     asked.add_argument("--to", type=Path, default=HERE, help="folder")
     given = asked.parse_args()
-    jpeg = [cv2.IMWRITE_JPEG_QUALITY, QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    png = [cv2.IMWRITE_PNG_COMPRESSION, 9, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_FILTERED]
+    jpeg = [
+        cv2.IMWRITE_JPEG_QUALITY,
+        QUALITY,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    ]
+    png = [
+        cv2.IMWRITE_PNG_COMPRESSION,
+        9,
+        cv2.IMWRITE_PNG_STRATEGY,
+        cv2.IMWRITE_PNG_STRATEGY_FILTERED,
+    ]
     for name in given.names:
         ending = ENDINGS.get(name, "jpg")
         path = given.to / f"{name}.{ending}"

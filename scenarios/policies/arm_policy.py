@@ -1,4 +1,5 @@
-"""A policy for the arm's goal views, learned from the position-based law; `tests/long/train_policy.py` made its weights.
+"""A policy for the arm's goal views, learned from the position-based law;
+`tests/long/train_policy.py` made its weights.
 
 It sees where the markers are and nothing else: no pose, no depth, no joints.
 """
@@ -20,11 +21,17 @@ def network(weights, uv):
 
 
 def act(observation):
-    """The action (6,): the network here less the network at the goal, so that the arm rests there; None where a marker is not seen."""
+    """The action (6,): the network here less the network at the goal, so that the arm rests there;
+    None where a marker is not seen.
+    """
     if not observation["seen"].all():
         return None
     here, there = network(WEIGHTS, np.stack([observation["markers"], observation["goal"]]))
     return here - there
 
 
-WEIGHTS = dict(np.load(Path(__file__).with_suffix(".npz"))) if Path(__file__).with_suffix(".npz").is_file() else {}
+WEIGHTS = (
+    dict(np.load(Path(__file__).with_suffix(".npz")))
+    if Path(__file__).with_suffix(".npz").is_file()
+    else {}
+)

@@ -1,21 +1,30 @@
-"""A recurrent policy for views of a square, which has learned to predict; `tests/long/train_recurrent.py` made its weights.
+"""A recurrent policy for views of a square, which has learned to predict;
+`tests/long/train_recurrent.py` made its weights.
 
-    u_k = M(h_k) [d_k, d_k - d_(k-1), u_(k-1), ..., u_(k-6)],   d = phi(markers) - phi(goal),   h_k = GRU(h_(k-1), x_k)
+    u_k = M(h_k) [d_k, d_k - d_(k-1), u_(k-1), ..., u_(k-6)],
+    d   = phi(markers) - phi(goal),   h_k = GRU(h_(k-1), x_k)
 
-phi is a perceptron of the markers in units of the goal's view, x are the markers, their change and the last command, and the matrix M (6,
-84) is read from the memory h: features are learned, and so is how strongly they act, which the policy tells from how the picture answers
-its own commands. With the markers at their goal and no command in the last six frames u is zero, whatever h is.
+phi is a perceptron of the markers in units of the goal's view, x are the markers, their change and
+the last command, and the matrix M (6, 84) is read from the memory h: features are learned, and so
+is how strongly they act, which the policy tells from how the picture answers its own commands. With
+the markers at their goal and no command in the last six frames u is zero, whatever h is.
 
-It sees pixels alone: no depth, no pose, no camera. The goal's view gives the scale, which is right where the square is seen from the front
-at twice its side. Reference for the unit: Cho et al. 2014, doi:10.3115/v1/D14-1179.
+It sees pixels alone: no depth, no pose, no camera. The goal's view gives the scale, which is right
+where the square is seen from the front at twice its side. Reference for the unit: Cho et al. 2014,
+doi:10.3115/v1/D14-1179.
 """
 
 from pathlib import Path
 
 import numpy as np
 
-PAST, MOST = 6, 10.0  # commands that it remembers one by one; m/s and rad/s of an action of 1 (`law.limits`)
-WEIGHTS = dict(np.load(Path(__file__).with_suffix(".npz"))) if Path(__file__).with_suffix(".npz").is_file() else {}
+# commands that it remembers one by one; m/s and rad/s of an action of 1 (`law.limits`)
+PAST, MOST = 6, 10.0
+WEIGHTS = (
+    dict(np.load(Path(__file__).with_suffix(".npz")))
+    if Path(__file__).with_suffix(".npz").is_file()
+    else {}
+)
 
 
 def soft(x):
@@ -38,7 +47,12 @@ class Recurrent:
 
     def reset(self):
         """Forget the last run."""
-        self.h, self.last, self.d, self.past = np.zeros(self.w["whh"].shape[1]), None, None, np.zeros((PAST, 6))
+        self.h, self.last, self.d, self.past = (
+            np.zeros(self.w["whh"].shape[1]),
+            None,
+            None,
+            np.zeros((PAST, 6)),
+        )
 
     def features(self, x):
         """Features phi (24,) of markers (8,)."""
@@ -47,7 +61,9 @@ class Recurrent:
         return self.w["W2"] @ x
 
     def act(self, observation):
-        """The action (6,); None before all markers have been seen once. One that is hidden stays where it was seen last."""
+        """The action (6,); None before all markers have been seen once. One that is hidden stays
+        where it was seen last.
+        """
         goal, seen = observation["goal"].astype(float), observation["seen"] > 0
         centre = goal.mean(axis=0)
         scale = np.sqrt(((goal - centre) ** 2).mean())

@@ -1,6 +1,8 @@
-"""Boxes with bundled textures on a board: `python scenarios/scenery/make_boxes.py [--seed N] [--boxes N] > boxes.xml`.
+"""Boxes with bundled textures on a board:
+`python scenarios/scenery/make_boxes.py [--seed N] [--boxes N] > boxes.xml`.
 
-Bundled is the scene of seed 0, scenarios/scenery/boxes.xml. The board itself is the target, a picture that lies in z = 0.
+Bundled is the scene of seed 0, scenarios/scenery/boxes.xml. The board itself is the target, a
+picture that lies in z = 0.
 """
 
 from __future__ import annotations
@@ -10,12 +12,16 @@ import argparse
 import numpy as np
 
 HALF = np.array([0.34, 0.25])
-"""Half of the place on the board in which the boxes stand [m]; a board of 0.8 x 0.6 m reaches beyond it."""
+"""Half of the place on the board in which the boxes stand [m]; a board of 0.8 x 0.6 m reaches
+beyond it.
+"""
 GAP, TEXTURES = 0.015, ("text.jpg", "brick.jpg", "repetitive.png", "poster.jpg")
 
 
 def boxes(seed: int, n: int = 6) -> str:
-    """An MJCF file of n boxes that do not overlap: half edges 3 to 7 cm, 4 to 12 cm high, turned at random."""
+    """An MJCF file of n boxes that do not overlap: half edges 3 to 7 cm, 4 to 12 cm high, turned at
+    random.
+    """
     rng = np.random.default_rng(seed)
     placed: list[tuple[float, float, float]] = []
     lines = []
@@ -28,13 +34,20 @@ def boxes(seed: int, n: int = 6) -> str:
         i = len(placed)
         size, pos = f"{half[0]:.4f} {half[1]:.4f} {high / 2:.4f}", f"{x:.4f} {y:.4f} {high / 2:.4f}"
         lines.append(
-            f'    <geom name="box_{i}" type="box" size="{size}" pos="{pos}" euler="0 0 {rng.uniform(0, 360):.1f}" material="box_{i}"/>'
+            f'    <geom name="box_{i}" type="box" size="{size}" pos="{pos}" euler="0 0'
+            f' {rng.uniform(0, 360):.1f}" material="box_{i}"/>'
         )
         placed.append((x, y, radius))
-    textures = [f'    <texture name="{name[:-4]}" type="2d" file="../../models/textures/{name}"/>' for name in TEXTURES]
+    textures = [
+        f'    <texture name="{name[:-4]}" type="2d" file="../../models/textures/{name}"/>'
+        for name in TEXTURES
+    ]
     materials = []
     for i, repeat in enumerate(rng.uniform(0.25, 0.6, n)):  # each shows a part of its texture
-        look = f'texture="{TEXTURES[i % len(TEXTURES)][:-4]}" texrepeat="{repeat:.3f} {repeat:.3f}" specular="0" shininess="0"'
+        look = (
+            f'texture="{TEXTURES[i % len(TEXTURES)][:-4]}" texrepeat="{repeat:.3f} {repeat:.3f}"'
+            ' specular="0" shininess="0"'
+        )
         materials.append(f'    <material name="box_{i}" {look}/>')
     head = [
         "<!-- Written by make_boxes.py. -->",

@@ -17,9 +17,23 @@ CAMERA_INFO = {
     "distortion_coefficients": {"rows": 1, "cols": 5, "data": [-0.1, 0.02, 0, 0, 0.01]},
 }
 POSE = {"x": 0.01, "y": -0.02, "z": 0.11, "qx": 0.0, "qy": 0.0, "qz": 0.6, "qw": 0.8}
-EASY = {"parameters": {"eye_on_hand": True, "tracking_base_frame": "camera_optical_frame", "move_group": "arm"}, "transformation": POSE}
-MESSAGE = {"translation": {name: POSE[name] for name in "xyz"}, "rotation": {name: POSE[f"q{name}"] for name in "xyzw"}}
-STAMPED = {"header": {"frame_id": "tool0", "stamp": 0}, "child_frame_id": "camera_optical_frame", "transform": MESSAGE}
+EASY = {
+    "parameters": {
+        "eye_on_hand": True,
+        "tracking_base_frame": "camera_optical_frame",
+        "move_group": "arm",
+    },
+    "transformation": POSE,
+}
+MESSAGE = {
+    "translation": {name: POSE[name] for name in "xyz"},
+    "rotation": {name: POSE[f"q{name}"] for name in "xyzw"},
+}
+STAMPED = {
+    "header": {"frame_id": "tool0", "stamp": 0},
+    "child_frame_id": "camera_optical_frame",
+    "transform": MESSAGE,
+}
 ECHO = {
     "header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "c"},
     "height": 480,
@@ -62,8 +76,12 @@ def opencv(ending: str) -> str:
     storage = cv2.FileStorage(f".{ending}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for name in ("image_width", "image_height"):
         storage.write(name, CAMERA_INFO[name])
-    storage.write("camera_matrix", np.array(CAMERA_INFO["camera_matrix"]["data"], float).reshape(3, 3))
-    storage.write("distortion_coefficients", np.array([CAMERA_INFO["distortion_coefficients"]["data"]]))
+    storage.write(
+        "camera_matrix", np.array(CAMERA_INFO["camera_matrix"]["data"], float).reshape(3, 3)
+    )
+    storage.write(
+        "distortion_coefficients", np.array([CAMERA_INFO["distortion_coefficients"]["data"]])
+    )
     return storage.releaseAndGetString()
 
 
@@ -111,7 +129,13 @@ ENCODINGS = ["utf-16", "utf-32", "latin-1", "utf-8-sig", "cp037"]
 
 def _places(plain: object, at: tuple = ()) -> list[tuple]:
     """The path of every value."""
-    inner = plain.items() if isinstance(plain, dict) else enumerate(plain) if isinstance(plain, list) else ()
+    inner = (
+        plain.items()
+        if isinstance(plain, dict)
+        else enumerate(plain)
+        if isinstance(plain, list)
+        else ()
+    )
     return [path for key, value in inner for path in ((*at, key), *_places(value, (*at, key)))]
 
 
@@ -127,7 +151,9 @@ def _mutate(plain: dict, rng: random.Random) -> None:
     elif way == "more":
         block[rng.choice(FIELDS)] = rng.choice(ODD) if isinstance(block, dict) else None
     elif way == "rename" and isinstance(block, dict):
-        block[rng.choice([str(last).upper(), str(last).title(), f"{last}_", rng.choice(FIELDS)])] = block.pop(last)
+        block[
+            rng.choice([str(last).upper(), str(last).title(), f"{last}_", rng.choice(FIELDS)])
+        ] = block.pop(last)
     elif way == "nest":
         block[last] = rng.choice([[block[last]], {"data": block[last]}, str(block[last])])
     elif way == "swap":
@@ -144,24 +170,48 @@ def mutated(number: int) -> tuple[str, bytes]:
     rng = random.Random(number)
     kind = rng.choice(["yaml", "yaml", "json", "xml", "yml", "cv.json"])
     if kind in ("yaml", "json"):
-        plain = json.loads(json.dumps(rng.choice([CAMERA_INFO, ECHO, EASY, STAMPED, {**CAMERA_INFO, **EASY}])))
+        plain = json.loads(
+            json.dumps(rng.choice([CAMERA_INFO, ECHO, EASY, STAMPED, {**CAMERA_INFO, **EASY}]))
+        )
         for _ in range(rng.choice([0, 1, 1, 2, 3])):
             try:
                 _mutate(plain, rng)
             except (KeyError, TypeError, IndexError, ValueError, RecursionError):
                 continue
         try:
-            text = json.dumps(plain) if kind == "json" or rng.random() < 0.2 else yaml.safe_dump(plain, sort_keys=False)
+            text = (
+                json.dumps(plain)
+                if kind == "json" or rng.random() < 0.2
+                else yaml.safe_dump(plain, sort_keys=False)
+            )
         except (RecursionError, ValueError):
             text = "K: " + "[" * 3000
     else:
         text = OPENCV if kind == "xml" else opencv("yml" if kind == "yml" else "json")
         for _ in range(rng.choice([0, 1, 1, 2, 3])):
             was = rng.choice(
-                ["camera_matrix", "image_width", "rows", "data", "500", "-0.1", "0.02", "opencv-matrix", "d", "640", "<", "[", "0."]
+                [
+                    "camera_matrix",
+                    "image_width",
+                    "rows",
+                    "data",
+                    "500",
+                    "-0.1",
+                    "0.02",
+                    "opencv-matrix",
+                    "d",
+                    "640",
+                    "<",
+                    "[",
+                    "0.",
+                ]
             )
             text = text.replace(
-                was, str(rng.choice([*ODD[:12], *FIELDS, was.upper(), was * 3, "[" * 3000, "<a>" * 500])), rng.choice([1, -1])
+                was,
+                str(
+                    rng.choice([*ODD[:12], *FIELDS, was.upper(), was * 3, "[" * 3000, "<a>" * 500])
+                ),
+                rng.choice([1, -1]),
             )
     content = text.encode(rng.choice(ENCODINGS), "replace") if rng.random() < 0.1 else text.encode()
     way = rng.random()
@@ -182,15 +232,35 @@ def read_plainly(file: Path, found) -> bool:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         values = {name: _array(storage.getNode(name)) for name in storage.root().keys()}  # noqa: SIM118 - a FileNode is no mapping
     else:
-        plain = json.loads(text) if file.suffix == ".json" else next(one for one in yaml.safe_load_all(text) if one is not None)
-        values = {name: value.get("data") if isinstance(value, dict) else value for name, value in plain.items()}
+        plain = (
+            json.loads(text)
+            if file.suffix == ".json"
+            else next(one for one in yaml.safe_load_all(text) if one is not None)
+        )
+        values = {
+            name: value.get("data") if isinstance(value, dict) else value
+            for name, value in plain.items()
+        }
     of = {str(name).replace("_", "").lower(): value for name, value in values.items()}
-    K = next(np.array(of[name], float) for name in ("cameramatrix", "k", "m", "intrinsicmatrix") if name in of).reshape(3, 3)
-    given = [of[name] for name in ("distortioncoefficients", "d", "distcoeffs", "dist", "distortion", "distcoeff") if name in of]
+    K = next(
+        np.array(of[name], float)
+        for name in ("cameramatrix", "k", "m", "intrinsicmatrix")
+        if name in of
+    ).reshape(3, 3)
+    given = [
+        of[name]
+        for name in ("distortioncoefficients", "d", "distcoeffs", "dist", "distortion", "distcoeff")
+        if name in of
+    ]
     k = np.array(given[0] if given else [], float).ravel()
     n = max(len(k), len(found.distortion))
-    same_k = np.array_equal(np.pad(k, (0, n - len(k))), np.pad(np.array(found.distortion, float), (0, n - len(found.distortion))))
-    return same_k and np.array_equal(K[[0, 1, 0, 1], [0, 1, 2, 2]], [*found.focal_px, *found.principal_px])
+    same_k = np.array_equal(
+        np.pad(k, (0, n - len(k))),
+        np.pad(np.array(found.distortion, float), (0, n - len(found.distortion))),
+    )
+    return same_k and np.array_equal(
+        K[[0, 1, 0, 1], [0, 1, 2, 2]], [*found.focal_px, *found.principal_px]
+    )
 
 
 def _array(node):

@@ -17,7 +17,9 @@ def test_focal_error_stretches_the_picture_about_the_believed_centre(camera):
     believed = Calibration(focal_error=0.1, principal_error_px=(12.0, -7.0)).believed(camera)
     np.testing.assert_allclose(believed.centre, camera.centre + [12, -7])
     # u = f m + c: rounding of a tangent there and back for a field of view in degrees.
-    np.testing.assert_allclose(believed.project(P) - believed.centre, 1.1 * (camera.project(P) - camera.centre), rtol=1e-12)
+    np.testing.assert_allclose(
+        believed.project(P) - believed.centre, 1.1 * (camera.project(P) - camera.centre), rtol=1e-12
+    )
 
 
 def test_without_error_it_is_the_camera_itself():
@@ -35,25 +37,36 @@ def test_mount_error_is_in_the_true_cameras_frame():
 
 def test_distortion_that_nobody_knows_of():
     lens = Perspective(distortion=(-0.2, 0.05, 0.001, -0.001, 0.0))
-    np.testing.assert_array_equal(Calibration(ignores_distortion=True).believed(lens).project(P), Perspective().project(P))
+    np.testing.assert_array_equal(
+        Calibration(ignores_distortion=True).believed(lens).project(P), Perspective().project(P)
+    )
     fisheye = Fisheye(coefficients=(0.01, 0, 0, 0), focal_length_px=150.0)
     believed = Calibration(ignores_distortion=True).believed(fisheye)
-    np.testing.assert_allclose(believed.project(P), Fisheye(focal_length_px=150.0).project(P), atol=1e-12)
+    np.testing.assert_allclose(
+        believed.project(P), Fisheye(focal_length_px=150.0).project(P), atol=1e-12
+    )
 
 
 def test_what_a_lens_does_not_have_is_refused():
     for error, camera, words in (
         ({"focal_error": 0.1}, SphericalCamera(), "no lens errors with camera spherical"),
         ({"ignores_distortion": True}, Catadioptric(), "lenses perspective and fisheye"),
-        ({"principal_error_px": (400.0, 0.0)}, Perspective(), "must be within the 640 x 480 picture"),
+        (
+            {"principal_error_px": (400.0, 0.0)},
+            Perspective(),
+            "must be within the 640 x 480 picture",
+        ),
     ):
         with pytest.raises(ParameterError, match=words):
             Calibration(**error).believed(camera)
 
 
 def test_depths_are_told_wrong_by_the_factor_and_the_spread():
-    scale = Calibration(depth_factor=2.0, depth_spread=0.3).depth_scale(20_000, np.random.default_rng(0))
-    # Of 20 000 numbers the mean is known to .3 / 141 = .002, the deviation to .3 / 200 = .0015; three times that.
+    scale = Calibration(depth_factor=2.0, depth_spread=0.3).depth_scale(
+        20_000, np.random.default_rng(0)
+    )
+    # Of 20 000 numbers the mean is known to .3 / 141 = .002, the deviation to .3 / 200 = .0015;
+    # three times that.
     assert np.log(scale).mean() == pytest.approx(np.log(2), abs=0.0065)
     assert np.log(scale).std() == pytest.approx(0.3, abs=0.005)
     assert Calibration().depth_scale(4, np.random.default_rng(0)) is None

@@ -1,4 +1,6 @@
-"""Calibrations that others wrote: what is in a file is used, known to change nothing, or refused by its name."""
+"""Calibrations that others wrote: what is in a file is used, known to change nothing, or refused by
+its name.
+"""
 
 import json
 import resource
@@ -10,7 +12,15 @@ import pytest
 import yaml
 
 import vstestbed as vs
-from tests.camera.calibration_files import CAMERA_INFO, EASY, MESSAGE, OPENCV, STAMPED, mutated, read_plainly
+from tests.camera.calibration_files import (
+    CAMERA_INFO,
+    EASY,
+    MESSAGE,
+    OPENCV,
+    STAMPED,
+    mutated,
+    read_plainly,
+)
 from vstestbed.camera import Fisheye, intrinsics
 from vstestbed.camera.intrinsics import read_calibration, read_intrinsics, read_mount
 from vstestbed.core.errors import ParameterError, ScenarioError, VstestbedError
@@ -40,7 +50,13 @@ def refused(read, file) -> str:
 @pytest.fixture
 def write(tmp_path):
     def wrote(plain, name="given.yaml"):
-        text = plain if isinstance(plain, str) else json.dumps(plain) if name.endswith(".json") else yaml.safe_dump(plain, sort_keys=False)
+        text = (
+            plain
+            if isinstance(plain, str)
+            else json.dumps(plain)
+            if name.endswith(".json")
+            else yaml.safe_dump(plain, sort_keys=False)
+        )
         (tmp_path / name).write_text(text)
         return tmp_path / name
 
@@ -49,7 +65,10 @@ def write(tmp_path):
 
 def test_what_changes_a_cameras_pictures_is_refused_by_name(write):
     """Each was passed over: the camera was another one than the file's, without a word."""
-    R, P = [0.9998, 0, 0.02, 0, 1, 0, -0.02, 0, 0.9998], [450, 0, 330, -54, 0, 450, 238, 0, 0, 0, 1, 0]
+    R, P = (
+        [0.9998, 0, 0.02, 0, 1, 0, -0.02, 0, 0.9998],
+        [450, 0, 330, -54, 0, 450, 238, 0, 0, 0, 1, 0],
+    )
     for path, value, words in (
         ("binning_x", 2, "binning_x is not used, and pictures are not those that were calibrated"),
         ("binning_y", 2, "binning_y is not used"),
@@ -59,23 +78,59 @@ def test_what_changes_a_cameras_pictures_is_refused_by_name(write):
             "roi is not used",
         ),
         ("roi", {"x_offset": 0, "y_offset": 0, "height": 400, "width": 640}, "roi is not used"),
-        ("rectification_matrix", {"rows": 3, "cols": 3, "data": R}, "rectification_matrix must be the identity: it turns the camera"),
-        ("projection_matrix", {"rows": 3, "cols": 4, "data": P}, "projection_matrix must have zeros as its fourth column"),
-        ("fisheye_model", 1, "fisheye_model must be 0 or 1, and 0 beside distortion_model plumb_bob"),
-        ("camera_matrix.data", [500, 0, 0, 0, 500, 0, 320, 240, 1], "camera_matrix must be a camera matrix (3, 3)"),
-        ("camera_matrix.cols", 4, "must have the numbers of its rows and columns, [3, 4], and has 9"),
-        ("camera_matrix.data", [True, 0, 320, 0, 500, 240, 0, 0, 1], "camera_matrix must be finite numbers"),
+        (
+            "rectification_matrix",
+            {"rows": 3, "cols": 3, "data": R},
+            "rectification_matrix must be the identity: it turns the camera",
+        ),
+        (
+            "projection_matrix",
+            {"rows": 3, "cols": 4, "data": P},
+            "projection_matrix must have zeros as its fourth column",
+        ),
+        (
+            "fisheye_model",
+            1,
+            "fisheye_model must be 0 or 1, and 0 beside distortion_model plumb_bob",
+        ),
+        (
+            "camera_matrix.data",
+            [500, 0, 0, 0, 500, 0, 320, 240, 1],
+            "camera_matrix must be a camera matrix (3, 3)",
+        ),
+        (
+            "camera_matrix.cols",
+            4,
+            "must have the numbers of its rows and columns, [3, 4], and has 9",
+        ),
+        (
+            "camera_matrix.data",
+            [True, 0, 320, 0, 500, 240, 0, 0, 1],
+            "camera_matrix must be finite numbers",
+        ),
         ("distortion_coefficients", {"k1": -0.1}, "distortion.k1 is not read here"),
-        ("distortion_coefficients", None, "distortion_coefficients is missing: a lens of distortion_model plumb_bob has some"),
+        (
+            "distortion_coefficients",
+            None,
+            "distortion_coefficients is missing: a lens of distortion_model plumb_bob has some",
+        ),
         ("image_height", None, "image_size must be two whole numbers"),
         ("image_height", 480.5, "image_size must be two whole numbers"),
         ("K", [1, 0, 0, 0, 1, 0, 0, 0, 1], "it has a field twice"),
         ("rotation", 180, "rotation must be a block of w, x, y, z"),
-        ("translation", {"x": 0.1, "y": 0, "z": 0}, "translation is of the mount, and not the whole of it"),
+        (
+            "translation",
+            {"x": 0.1, "y": 0, "z": 0},
+            "translation is of the mount, and not the whole of it",
+        ),
         ("z", 0.5, "z is of the mount, and not the whole of it"),
         ("t", [0.1, 0, 0], "translation_vector is of the mount, and not the whole of it"),
         ("skew", 1, "skew is not read here, and may change the meaning"),
-        ("distortion_model", "inverse_brown_conrady", "cannot be drawn here; plumb_bob, rational_polynomial, equidistant"),
+        (
+            "distortion_model",
+            "inverse_brown_conrady",
+            "cannot be drawn here; plumb_bob, rational_polynomial, equidistant",
+        ),
     ):
         assert words in refused(read_intrinsics, write(changed(CAMERA_INFO, path, value))), path
 
@@ -83,7 +138,12 @@ def test_what_changes_a_cameras_pictures_is_refused_by_name(write):
 def test_numbers_of_another_base_are_refused_by_the_text_that_they_have(write):
     """YAML 1.1 reads 0640 as 416 and 10:00 as 600; OpenCV and YAML 1.2 read 640, and no number."""
     text = yaml.safe_dump(CAMERA_INFO, sort_keys=False)
-    for field, said in (("image_width", "0640"), ("image_width", "10:40"), ("image_height", "8:00.0"), ("image_height", "-0_17")):
+    for field, said in (
+        ("image_width", "0640"),
+        ("image_width", "10:40"),
+        ("image_height", "8:00.0"),
+        ("image_height", "-0_17"),
+    ):
         number = CAMERA_INFO[field]
         assert f"{said} (by YAML 1.1 of base 8 or 60)" in refused(
             read_intrinsics, write(text.replace(f"{field}: {number}", f"{field}: {said}"))
@@ -93,7 +153,9 @@ def test_numbers_of_another_base_are_refused_by_the_text_that_they_have(write):
 
 
 def test_what_changes_nothing_is_read_as_without_it(write):
-    """P describes the rectified picture: of one camera alone it may have any focal length, and the raw picture has K and D."""
+    """P describes the rectified picture: of one camera alone it may have any focal length, and the
+    raw picture has K and D.
+    """
     plain = read_intrinsics(str(write(CAMERA_INFO)))
     P = [450, 0, 330, 0, 0, 450, 238, 0, 0, 0, 1, 0]
     for path, value in (
@@ -112,11 +174,21 @@ def test_what_changes_nothing_is_read_as_without_it(write):
 
 
 def test_opencvs_fisheye_model_is_equidistant(write):
-    """It was plumb_bob: the point (.5, .3, 1) was drawn at (671.3, 472.0). Right by OpenCV's fisheye.projectPoints."""
+    """It was plumb_bob: the point (.5, .3, 1) was drawn at (671.3, 472.0). Right by OpenCV's
+    fisheye.projectPoints.
+    """
     import cv2
 
-    K, k = np.array([[500, 0, 320], [0, 510, 240], [0, 0, 1.0]]), np.array([-0.02, 0.005, -0.001, 0.0002])
-    file = write(OPENCV.replace("<fisheye_model>0<", "<fisheye_model>1<").replace("-0.1 0.02 0. 0. 0.01", " ".join(map(str, k))), "cv.xml")
+    K, k = (
+        np.array([[500, 0, 320], [0, 510, 240], [0, 0, 1.0]]),
+        np.array([-0.02, 0.005, -0.001, 0.0002]),
+    )
+    file = write(
+        OPENCV.replace("<fisheye_model>0<", "<fisheye_model>1<").replace(
+            "-0.1 0.02 0. 0. 0.01", " ".join(map(str, k))
+        ),
+        "cv.xml",
+    )
     file.write_text(file.read_text().replace("<rows>5<", "<rows>4<"))
     found = read_intrinsics(str(file))
     assert found.model == "equidistant"
@@ -128,7 +200,9 @@ def test_opencvs_fisheye_model_is_equidistant(write):
 
 
 def test_coefficients_are_told_by_their_number(write, caplog):
-    """Five numbers under the rational model's name are plumb_bob, which is told; OpenCV's 14 are refused by what they are."""
+    """Five numbers under the rational model's name are plumb_bob, which is told; OpenCV's 14 are
+    refused by what they are.
+    """
     five = {"rows": 1, "cols": 5, "data": [0.1, -0.05, 0, 0, 0.01]}
     named = changed(CAMERA_INFO, "distortion_model", "rational_polynomial")
     intrinsics._tell.cache_clear()
@@ -138,32 +212,77 @@ def test_coefficients_are_told_by_their_number(write, caplog):
     prism = [0.1, -0.05, 0, 0, 0.01, 0.1, -0.04, 0.005, 0.0005, 0.0001, -0.0004, 0.0001, 0, 0]
     words = refused(read_intrinsics, write(changed(named, "distortion_coefficients", prism)))
     assert "12 coefficients are of a thin prism or a tilted sensor" in words
-    for k, kept in (([*prism[:8], *[0] * 6], prism[:8]), ([0.1, -0.05, 0, 0, 0.01, 0.2, 0, 0], [0.1, -0.05, 0, 0, 0.01, 0.2, 0, 0])):
+    for k, kept in (
+        ([*prism[:8], *[0] * 6], prism[:8]),
+        ([0.1, -0.05, 0, 0, 0.01, 0.2, 0, 0], [0.1, -0.05, 0, 0, 0.01, 0.2, 0, 0]),
+    ):
         found = read_intrinsics(str(write(changed(CAMERA_INFO, "distortion_coefficients", k))))
         assert (found.model, list(found.distortion)) == ("rational_polynomial", kept)
 
 
 def test_a_mount_of_another_frame_is_refused_by_name(write):
-    """A camera beside the robot, and the pose of its housing, became its mount on the flange, 1.5 m off."""
+    """A camera beside the robot, and the pose of its housing, became its mount on the flange, 1.5 m
+    off.
+    """
     for plain, path, value, words in (
-        (EASY, "parameters.eye_on_hand", False, "eye_on_hand is of a camera that stands beside the robot"),
+        (
+            EASY,
+            "parameters.eye_on_hand",
+            False,
+            "eye_on_hand is of a camera that stands beside the robot",
+        ),
         (EASY, "eye_on_hand", False, "eye_on_hand is of a camera that stands beside the robot"),
-        (EASY, "parameters.calibration_type", "eye_on_base", "calibration_type is of a camera that stands beside"),
-        (EASY, "parameters.tracking_base_frame", "camera_link", "tracking_base_frame is not known as the camera's optical frame"),
+        (
+            EASY,
+            "parameters.calibration_type",
+            "eye_on_base",
+            "calibration_type is of a camera that stands beside",
+        ),
+        (
+            EASY,
+            "parameters.tracking_base_frame",
+            "camera_link",
+            "tracking_base_frame is not known as the camera's optical frame",
+        ),
         (EASY, "parameters.scale", 1000, "parameters.scale is not read here"),
         (EASY, "transformation.scale", 1000, "transformation.scale is not read here"),
         (EASY, "unit", "mm", "unit is not read here"),
         (EASY, "transformation.x", "nan", "transformation.translation must be finite numbers"),
-        (EASY, "transformation.qw", None, "transformation needs x, y, z, qw, qx, qy, qz, or translation and rotation"),
+        (
+            EASY,
+            "transformation.qw",
+            None,
+            "transformation needs x, y, z, qw, qx, qy, qz, or translation and rotation",
+        ),
         (EASY, "T_cam2gripper", np.eye(4).tolist(), "transformation excludes T_cam2gripper"),
-        (STAMPED, "child_frame_id", "camera_link", "child_frame_id is not known as the camera's optical frame"),
+        (
+            STAMPED,
+            "child_frame_id",
+            "camera_link",
+            "child_frame_id is not known as the camera's optical frame",
+        ),
         (STAMPED, "header.frame_id", "base_link", "header.frame_id must be the flange's frame"),
         (STAMPED, "transform.rotation.v", 0, "rotation.v is not read here"),
         (STAMPED, "transform.translation", [0, 0, 0.1], "translation must be a block of x, y, z"),
-        ({}, "T_cam2gripper", np.diag([2.0, 2, 2, 1]).tolist(), "mount must be a rotation and a translation"),
-        ({}, "T_cam2gripper", np.diag([1.0, 1, -1, 1]).tolist(), "mount must be a rotation and a translation"),
+        (
+            {},
+            "T_cam2gripper",
+            np.diag([2.0, 2, 2, 1]).tolist(),
+            "mount must be a rotation and a translation",
+        ),
+        (
+            {},
+            "T_cam2gripper",
+            np.diag([1.0, 1, -1, 1]).tolist(),
+            "mount must be a rotation and a translation",
+        ),
         ({}, "T_cam_gripper", np.eye(4).tolist(), "no pose of the camera among 'T_cam_gripper'"),
-        ({"R_cam2gripper": np.eye(3).tolist()}, "t_cam2gripper", [0, 0], "t_cam2gripper must be 3 numbers"),
+        (
+            {"R_cam2gripper": np.eye(3).tolist()},
+            "t_cam2gripper",
+            [0, 0],
+            "t_cam2gripper must be 3 numbers",
+        ),
     ):
         assert words in refused(read_mount, write(changed(plain, path, value))), path
     for plain in (EASY, STAMPED, MESSAGE):
@@ -177,11 +296,14 @@ def test_a_matrix_of_three_digits_is_a_mount(write):
     T[:3, :3] = turn.round(3)
     T[:3, 3] = 0.01, -0.02, 0.11
     found = read_mount(str(write({"T_cam2gripper": T.tolist()})))
-    np.testing.assert_allclose(found["rpy_deg"], [3.0, -7.0, 40.0], atol=0.1)  # half of the last digit, twice: 1e-3 rad
+    # half of the last digit, twice: 1e-3 rad
+    np.testing.assert_allclose(found["rpy_deg"], [3.0, -7.0, 40.0], atol=0.1)
 
 
 def test_quaternions_are_of_norm_one(write):
-    """A zero one "must be finite", and one of another norm was made one without a word. A file of three digits is well within 1e-3."""
+    """A zero one "must be finite", and one of another norm was made one without a word. A file of
+    three digits is well within 1e-3.
+    """
     for q, words in (
         ([0, 0, 0, 0], "rotation is a quaternion that is zero, which is no rotation"),
         ([1e-9, 0, 0, 0], "rotation is a quaternion that has the norm 1e-09"),
@@ -196,28 +318,42 @@ def test_quaternions_are_of_norm_one(write):
         if words:
             assert words in refused(read_mount, file)
         else:
-            np.testing.assert_allclose(Pose(**read_mount(str(file))).T[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)  # rounding
+            # rounding
+            np.testing.assert_allclose(
+                Pose(**read_mount(str(file))).T[:3, :3],
+                [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+                atol=1e-12,
+            )
 
 
 def test_files_of_other_libraries_are_told_from_damaged_ones(write, tmp_path):
-    """One sentence each that says what was found: a traceback, a crash of OpenCV's reader, gigabytes were some of the answers."""
-    visp = '<?xml version="1.0"?>\n<root><camera><name>Camera</name><image_width>640</image_width></camera></root>'
-    deep, twice = "[" * 3000, OPENCV.replace("</opencv_storage>", "<camera_matrix>1</camera_matrix></opencv_storage>")
+    """One sentence each that says what was found: a traceback, a crash of OpenCV's reader,
+    gigabytes were some of the answers.
+    """
+    visp = (
+        '<?xml version="1.0"?>\n'
+        "<root><camera><name>Camera</name><image_width>640</image_width></camera></root>"
+    )
+    deep, twice = (
+        "[" * 3000,
+        OPENCV.replace("</opencv_storage>", "<camera_matrix>1</camera_matrix></opencv_storage>"),
+    )
     bomb = "a: &a [x, x, x, x]\nb: &b [*a, *a, *a]\ncamera_matrix: [*b, *b]\n"
+    wider = yaml.safe_dump(changed(CAMERA_INFO, "image_width", 800))
     for name, text, words in (
         ("visp.xml", visp, "its XML is not OpenCV's"),
         ("deep.yaml", f"K: {deep}", "cannot be read"),
         ("deep.json", f'{{"K": {deep}', "cannot be read"),
-        ("deep.yml", "%YAML:1.0\n---\nK: " + "[" * 100_000, "it has more parts than a calibration, or deeper ones"),
+        (
+            "deep.yml",
+            "%YAML:1.0\n---\nK: " + "[" * 100_000,
+            "it has more parts than a calibration, or deeper ones",
+        ),
         ("cut.xml", OPENCV[:300], "cannot be read"),
         ("twice.xml", twice, "it has a field twice"),
         ("twice.yaml", "K: [1]\nK: [2]", "it has a field twice"),
         ("twice.json", '{"K": [1], "K": [2]}', "it has a field twice"),
-        (
-            "two.yaml",
-            f"{yaml.safe_dump(CAMERA_INFO)}---\n{yaml.safe_dump(changed(CAMERA_INFO, 'image_width', 800))}",
-            "several calibrations",
-        ),
+        ("two.yaml", f"{yaml.safe_dump(CAMERA_INFO)}---\n{wider}", "several calibrations"),
         ("bomb.yaml", bomb, "it has aliases"),
         ("large.yaml", "#" * 2_000_000, "it has 2 MiB, at most 1 are read"),
         ("zeros.yaml", "K: [1]\0", "it has bytes of zeros"),
@@ -230,7 +366,15 @@ def test_files_of_other_libraries_are_told_from_damaged_ones(write, tmp_path):
         ("huge.yaml", f"K: [1{'0' * 400}, 0, 320, 0, 500, 240, 0, 0, 1]", "must be finite numbers"),
         (
             "mat.yml",
-            "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 99999\n   cols: 99999\n   dt: d\n   data: [ 1. ]\n",
+            (
+                "%YAML:1.0\n"
+                "---\n"
+                "camera_matrix: !!opencv-matrix\n"
+                "   rows: 99999\n"
+                "   cols: 99999\n"
+                "   dt: d\n"
+                "   data: [ 1. ]\n"
+            ),
             "and has 1",
         ),
     ):
@@ -242,7 +386,9 @@ def test_files_of_other_libraries_are_told_from_damaged_ones(write, tmp_path):
 
 
 def tried(folder: Path, count: int, first: int = 0) -> tuple[int, list[str]]:
-    """How many of `count` mutated calibrations are read, and what is wrong: no sentence, no name of the file, another K or D."""
+    """How many of `count` mutated calibrations are read, and what is wrong: no sentence, no name of
+    the file, another K or D.
+    """
     read, wrong = 0, []
     for number in range(first, first + count):
         name, content = mutated(number)

@@ -1,4 +1,6 @@
-"""The mirror camera: the unit-sphere formula, its special cases, where it ends, and the spot where it sees itself."""
+"""The mirror camera: the unit-sphere formula, its special cases, where it ends, and the spot where
+it sees itself.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from vstestbed.core.geometry import direction
 
 def some_rays(degrees: float, n: int = 1000) -> np.ndarray:
     rng = np.random.default_rng(1)
-    return direction(np.stack([np.radians(rng.uniform(0, degrees, n)), rng.uniform(-np.pi, np.pi, n)], axis=-1))
+    return direction(
+        np.stack([np.radians(rng.uniform(0, degrees, n)), rng.uniform(-np.pi, np.pi, n)], axis=-1)
+    )
 
 
 @pytest.mark.parametrize(("xi", "fov"), [(0.0, 170), (0.5, 230), (1.0, 280), (1.7, 220)])
@@ -23,7 +27,9 @@ def test_a_point_goes_to_the_sphere_and_from_there_to_the_picture(xi, fov):
 
 @pytest.mark.parametrize(("xi", "fov"), [(0.0, 170), (0.5, 230), (1.0, 280), (1.7, 220)])
 def test_rays_are_meis_lifting(xi, fov):
-    """Mei & Rives 2007: with r^2 = x^2 + y^2 and e = (xi + sqrt(1 + (1 - xi^2) r^2)) / (r^2 + 1), (e x, e y, e - xi)."""
+    """Mei & Rives 2007: with r^2 = x^2 + y^2 and e = (xi + sqrt(1 + (1 - xi^2) r^2)) / (r^2 + 1),
+    (e x, e y, e - xi).
+    """
     lens = Catadioptric(xi=xi, fov_deg=fov)
     xy = (lens.project(some_rays(fov / 2)) - lens.centre) / lens.f
     r2 = (xy * xy).sum(axis=1, keepdims=True)
@@ -43,7 +49,9 @@ def test_without_a_mirror_it_is_the_perspective_camera():
 
 
 def test_a_parabolic_mirror_is_stereographic():
-    """xi = 1: sin / (1 + cos) = tan of half the angle; the horizon is f from the middle, and a circle stays a circle."""
+    """xi = 1: sin / (1 + cos) = tan of half the angle; the horizon is f from the middle, and a
+    circle stays a circle.
+    """
     lens = Catadioptric(xi=1, fov_deg=300, focal_length_px=50.0)
     theta = np.radians([10, 60, 90, 149])
     uv = lens.project(direction(np.stack([theta, np.full(4, np.pi / 2)], axis=-1))) - lens.centre
@@ -73,7 +81,9 @@ def test_the_model_ends_where_its_formula_does(xi, cosine):
     assert (np.diff(lens.radius(theta)) > 0).all()
     np.testing.assert_allclose(lens.angle(lens.radius(theta)), theta, atol=1e-9)
     if end < 359:
-        with pytest.raises(ParameterError, match=f"fov_deg must be below {end:.4g} with xi = {xi:g}, got"):
+        with pytest.raises(
+            ParameterError, match=f"fov_deg must be below {end:.4g} with xi = {xi:g}, got"
+        ):
             Catadioptric(xi=xi, fov_deg=end + 0.1)
 
 
@@ -90,7 +100,10 @@ def test_bad_mirrors_are_refused_in_one_sentence():
     for values, words in (
         ({"xi": 0.5, "fov_deg": 250}, "fov_deg must be below 240 with xi = 0.5, got 250"),
         ({"xi": 0}, "fov_deg must be below 180 with xi = 0, got 200"),
-        ({"blind_deg": 100}, "blind_deg hides the whole field of view; it must be below fov_deg / 2 = 100, got 100"),
+        (
+            {"blind_deg": 100},
+            "blind_deg hides the whole field of view; it must be below fov_deg / 2 = 100, got 100",
+        ),
         ({"xi": -0.1}, "xi"),
         ({"fov_deg": 360}, "fov_deg"),
     ):

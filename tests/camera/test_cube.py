@@ -35,19 +35,33 @@ def test_a_marker_anywhere_is_whole_in_a_panel():
     rays = np.random.default_rng(0).normal(size=(3000, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     camera = SphericalCamera()
-    # 5 degrees are said to fit. At 1 m that is a radius of .087 m; cube corners are the narrowest places.
-    corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) / np.sqrt(3)
+    # 5 degrees are said to fit. At 1 m that is a radius of .087 m; cube corners are the narrowest
+    # places.
+    corners = np.array(
+        [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+    ) / np.sqrt(3)
     assert camera.whole(np.concatenate([rays, corners]), 0.08).all()
 
 
-@pytest.mark.parametrize("camera", [Fisheye(width=640, height=640), Catadioptric(width=640, height=640)], ids=lambda c: c.kind)
+@pytest.mark.parametrize(
+    "camera",
+    [Fisheye(width=640, height=640), Catadioptric(width=640, height=640)],
+    ids=lambda c: c.kind,
+)
 def test_whole_ends_where_the_lens_does(camera: Fisheye | Catadioptric):
     end = camera.reach[1]
     for off, whole in ((0.03, False), (0.09, True), (end, True)):
         theta = end - off
-        p = np.array([[np.sin(theta) * np.cos(a), np.sin(theta) * np.sin(a), np.cos(theta)] for a in np.arange(0, 6.2, 0.3)])
+        p = np.array(
+            [
+                [np.sin(theta) * np.cos(a), np.sin(theta) * np.sin(a), np.cos(theta)]
+                for a in np.arange(0, 6.2, 0.3)
+            ]
+        )
         assert (camera.whole(p, 0.05) == whole).all()
 
 
 def test_a_perspective_camera_has_nothing_whole_behind_it():
-    assert Perspective().whole(np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]]), 0.01).tolist() == [True, False, False]
+    assert Perspective().whole(
+        np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]]), 0.01
+    ).tolist() == [True, False, False]

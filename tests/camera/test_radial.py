@@ -1,4 +1,6 @@
-"""What holds for every wide lens: both ways, any batch, an image circle that touches the picture, NaN outside of it."""
+"""What holds for every wide lens: both ways, any batch, an image circle that touches the picture,
+NaN outside of it.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,11 @@ from vstestbed.core.geometry import direction
 LENSES = [
     Fisheye(),
     Fisheye(fov_deg=360, width=400, height=700),
-    Fisheye(coefficients=(-0.02, 0.003, -0.001, 0.0001), focal_length_px=150.0, principal_px=(330.5, 230.25)),
+    Fisheye(
+        coefficients=(-0.02, 0.003, -0.001, 0.0001),
+        focal_length_px=150.0,
+        principal_px=(330.5, 230.25),
+    ),
     Fisheye(coefficients=(-0.1, 0.0, 0.0, 0.0), fov_deg=209),  # turns back at 209.2 degrees
     Catadioptric(),
     Catadioptric(xi=0.0, fov_deg=150),
@@ -39,7 +45,9 @@ def test_directions_come_back_from_pixels(lens):
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_pixels_come_back_from_rays(lens):
-    uv = np.random.default_rng(3).uniform([-0.5, -0.5], [lens.width - 0.5, lens.height - 0.5], (10_000, 2))
+    uv = np.random.default_rng(3).uniform(
+        [-0.5, -0.5], [lens.width - 0.5, lens.height - 0.5], (10_000, 2)
+    )
     ray = lens.ray(uv)
     r = np.linalg.norm(uv - lens.centre, axis=1)
     seen = (r > lens.f * lens.ring[0]) & (r < lens.f * lens.ring[1])
@@ -117,7 +125,9 @@ def test_nothing_comes_of_nothing_without_a_warning(lens):
 @pytest.mark.parametrize("lens", LENSES)
 def test_right_and_down_are_where_they_are_in_the_picture(lens):
     theta = np.mean(lens.reach)
-    right, down = lens.project(direction(np.array([[theta, 0.0], [theta, np.pi / 2]]))) - lens.centre
+    right, down = (
+        lens.project(direction(np.array([[theta, 0.0], [theta, np.pi / 2]]))) - lens.centre
+    )
     assert right[0] > 10
     assert down[1] > 10
     assert abs(right[1]) < 1e-9 > abs(down[0])

@@ -12,7 +12,9 @@ def test_the_picture_is_the_equidistant_map():
     lens = SphericalCamera(width=720, height=360)  # 1 px a degree
     theta_phi = np.radians([[0, 0], [30, 0], [90, 90], [90, 180], [135, -90], [179, 0]])
     expected = [[0, 0], [30, 0], [0, 90], [-90, 0], [0, -135], [179, 0]]
-    np.testing.assert_allclose(lens.project(direction(theta_phi)) - lens.centre, expected, atol=1e-9)
+    np.testing.assert_allclose(
+        lens.project(direction(theta_phi)) - lens.centre, expected, atol=1e-9
+    )
     assert lens.f == pytest.approx(180 / np.pi)
 
 

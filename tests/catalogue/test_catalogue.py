@@ -1,4 +1,6 @@
-"""The catalogue: every registered kind passes the suites that a plugin is tested with (`vstestbed.testing`)."""
+"""The catalogue: every registered kind passes the suites that a plugin is tested with
+(`vstestbed.testing`).
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,28 @@ import pytest
 import vstestbed as vs
 import vstestbed.testing as suites
 from tests.examples import wrong
-from tests.examples.wrong import Bare, Crooked, Displaced, Ghost, Numb, Remembering, Rolling, Shifted, Silent, Stateful, Wild
-from tests.examples.wrong_rooms import Backwards, Forgetful, Idle, Impatient, Jumping, Mirrored, Untold
+from tests.examples.wrong import (
+    Bare,
+    Crooked,
+    Displaced,
+    Ghost,
+    Numb,
+    Remembering,
+    Rolling,
+    Shifted,
+    Silent,
+    Stateful,
+    Wild,
+)
+from tests.examples.wrong_rooms import (
+    Backwards,
+    Forgetful,
+    Idle,
+    Impatient,
+    Jumping,
+    Mirrored,
+    Untold,
+)
 from tests.robots.arms import block
 from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import ParameterError
@@ -22,7 +44,16 @@ from vstestbed.laws import IBVS, LAWS, PBVS
 from vstestbed.laws.switched import Stage, SwitchCondition
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.targets import TARGETS, Ball, GroundLines, MeshTarget, PictureTarget, Points, Shape, Square
+from vstestbed.targets import (
+    TARGETS,
+    Ball,
+    GroundLines,
+    MeshTarget,
+    PictureTarget,
+    Points,
+    Shape,
+    Square,
+)
 from vstestbed.targets.motion import MOTIONS
 from vstestbed.targets.regions import Whale
 from vstestbed.targets.route import Straight
@@ -35,12 +66,18 @@ from vstestbed.vision import DETECTORS, Tags
 from vstestbed.vision.perturb import PERTURBATIONS
 
 POLICY = {"file": str(Path(wrong.__file__).with_name("policy.py")) + ":Smooth"}
-TURNS = (Stage(law=IBVS(gain=1.0), until=SwitchCondition(error_under_px=20.0)), Stage(law=PBVS(gain=1.0)))
+TURNS = (
+    Stage(law=IBVS(gain=1.0), until=SwitchCondition(error_under_px=20.0)),
+    Stage(law=PBVS(gain=1.0)),
+)
 LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybrid", "ibvs")} | {
     "policy": POLICY,
     "switched": {"laws": TURNS},
 }
-LEG = [{"T_camera_target": {"xyz": [1.5, -1.5, 2.37]}}, {"T_camera_target": {"xyz": [-1.5, -1.5, 3.37]}}]
+LEG = [
+    {"T_camera_target": {"xyz": [1.5, -1.5, 2.37]}},
+    {"T_camera_target": {"xyz": [-1.5, -1.5, 3.37]}},
+]
 TASKS = {
     "view": lambda: quick("view"),
     "view_from": lambda: scenario("omni_ibvs", {"robot.wheels": "planar"}),
@@ -49,15 +86,20 @@ TASKS = {
     "gap": lambda: quick("gap"),
     "line": lambda: quick("line"),
     "track": lambda: scenario("arm_track_circle", {"stop.duration_s": 8.0}),
-    "path": lambda: scenario("quadrotor_path", {"goal.way": LEG, "stop.duration_s": 25.0}),  # the whole path is flown in tests/loop
+    # the whole path is flown in tests/loop
+    "path": lambda: scenario("quadrotor_path", {"goal.way": LEG, "stop.duration_s": 25.0}),
     "landing": lambda: quick("landing"),
-    "insertion": lambda: scenario("arm_insert", {"robot.controller": "velocity", "robot.start.nominal.q_deg": BEFORE_MOUTH}),
+    "insertion": lambda: scenario(
+        "arm_insert", {"robot.controller": "velocity", "robot.start.nominal.q_deg": BEFORE_MOUTH}
+    ),
 }
 BEFORE_MOUTH = [13.0, 34.0, -168.0, 18.4, 46.0, -13.0]  # of a plug 2 cm before the approach
 TARGET_EXAMPLES = {
     "square": lambda: Square(side=0.4, pose=Pose(xyz=(0, 0, 1))),
     "points": lambda: Points(at=((0, 0, 0), (0.2, 0, 0.1), (0, 0.3, 0)), pose=Pose(xyz=(0, 0, 1))),
-    "picture": lambda: PictureTarget(file=str(folder("scenarios") / "targets" / "page.png"), width=0.6, pose=Pose(xyz=(0, 0, 1))),
+    "picture": lambda: PictureTarget(
+        file=str(folder("scenarios") / "targets" / "page.png"), width=0.6, pose=Pose(xyz=(0, 0, 1))
+    ),
     "mesh": lambda: MeshTarget(
         file=str(folder("scenarios") / "targets" / "flange.stl"),
         scale=0.001,
@@ -84,10 +126,16 @@ def scenario(name, changes):
 
 def robot(kind):
     if kind == "mjcf":
-        return ROBOTS.members[kind](**{name: value for name, value in block("scara").items() if name != "kind"})
+        return ROBOTS.members[kind](
+            **{name: value for name, value in block("scara").items() if name != "kind"}
+        )
     if kind == "compound":
         return vs.load("mobile_ibvs").robot
-    return Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -1)))) if kind == "free" else ROBOTS.members[kind]()
+    return (
+        Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -1))))
+        if kind == "free"
+        else ROBOTS.members[kind]()
+    )
 
 
 def test_the_catalogue_is_whole():
@@ -95,9 +143,13 @@ def test_the_catalogue_is_whole():
     assert set(TARGET_EXAMPLES) == set(TARGETS.members)
 
 
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.study] if k == "pursuit" else []) for k in LAWS.members])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=[pytest.mark.study] if k == "pursuit" else []) for k in LAWS.members],
+)
 def test_every_law(kind):
-    loop = vs.load("camera_photometric", SMALL_PICTURES) if kind == "photometric" else None  # which needs a picture with structure
+    # which needs a picture with structure
+    loop = vs.load("camera_photometric", SMALL_PICTURES) if kind == "photometric" else None
     suites.check_law(loop.law if loop else LAWS.members[kind](**LAW_PARAMETERS.get(kind, {})), loop)
 
 
@@ -111,7 +163,8 @@ def test_every_target(kind):
     suites.check_target(TARGET_EXAMPLES[kind]())
 
 
-@pytest.mark.parametrize("kind", [kind for kind in DETECTORS.members if kind != "none"])  # which detects nothing
+# which detects nothing
+@pytest.mark.parametrize("kind", [kind for kind in DETECTORS.members if kind != "none"])
 def test_every_detector(kind):
     suites.check_detector(DETECTORS.members[kind]())
 
@@ -120,7 +173,9 @@ LONG = ("views", "gap", "path", "landing")
 """Tasks whose closed loop takes seconds; tests/loop has quick ones of them."""
 
 
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.study] if k in LONG else []) for k in GOALS.members])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=[pytest.mark.study] if k in LONG else []) for k in GOALS.members]
+)
 def test_every_task(kind):
     suites.check_task(TASKS[kind]())
 
@@ -164,7 +219,11 @@ def test_every_perturbation(kind):
 
 
 def test_every_monitor():
-    rules = {"keep_out": KeepOut(**KEEP_OUT), "settles": Settles(early=1.0), "after_pictures": AfterPictures(pictures=3)}
+    rules = {
+        "keep_out": KeepOut(**KEEP_OUT),
+        "settles": Settles(early=1.0),
+        "after_pictures": AfterPictures(pictures=3),
+    }
     assert set(MONITORS.members) == set(rules)
     for rule in rules.values():
         suites.check_monitor(rule, ends=quick("view"))
@@ -188,23 +247,35 @@ class TestTheSuitesFindWhatIsWrong:
             suites.check_target(Displaced(side=0.4, pose=Pose()))
 
     def test_a_lens_that_sees_behind_what_is_before_it(self, own_kinds):
-        with pytest.raises(AssertionError, match="backwards: ray\\(project\\(p\\)\\) must point to p; project must be NaN"):
+        with pytest.raises(
+            AssertionError,
+            match="backwards: ray\\(project\\(p\\)\\) must point to p; project must be NaN",
+        ):
             suites.check_camera(CAMERAS.add(Backwards)())
 
     def test_a_feature_with_a_wrong_sign(self, own_kinds):
-        with pytest.raises(AssertionError, match=r"mirrored: column vx of L is .* from the error's difference quotient"):
+        with pytest.raises(
+            AssertionError,
+            match=r"mirrored: column vx of L is .* from the error's difference quotient",
+        ):
             suites.check_feature(FEATURES.add(Mirrored)())
 
     def test_a_motion_that_jumps(self, own_kinds):
-        with pytest.raises(AssertionError, match=r"jumping: the path jumps by 0.1 m within 0.001 s at 1.999 s"):
+        with pytest.raises(
+            AssertionError, match=r"jumping: the path jumps by 0.1 m within 0.001 s at 1.999 s"
+        ):
             suites.check_motion(MOTIONS.add(Jumping)())
 
     def test_a_motion_that_draws_without_saying_so(self, own_kinds):
-        with pytest.raises(AssertionError, match="untold: `draws` is False, and another seed gives another path"):
+        with pytest.raises(
+            AssertionError, match="untold: `draws` is False, and another seed gives another path"
+        ):
             suites.check_motion(MOTIONS.add(Untold)(rms_m=(0.1, 0.1, 0.1)))
 
     def test_a_detector_that_draws_without_saying_so(self, own_kinds):
-        with pytest.raises(AssertionError, match="rolling: `draws` is False, and detect\\(\\) draws from rng"):
+        with pytest.raises(
+            AssertionError, match="rolling: `draws` is False, and detect\\(\\) draws from rng"
+        ):
             suites.check_detector(DETECTORS.add(Rolling)())
 
     def test_a_metric_with_another_figure_than_its_title(self, own_kinds):
@@ -216,12 +287,17 @@ class TestTheSuitesFindWhatIsWrong:
             suites.check_noise(PERTURBATIONS.add(Idle)())
 
     def test_a_monitor_that_keeps_state(self, own_kinds):
-        with pytest.raises(AssertionError, match=r"impatient: timed_out and then|belongs into the object that `monitor` makes"):
+        with pytest.raises(
+            AssertionError,
+            match=r"impatient: timed_out and then|belongs into the object that `monitor` makes",
+        ):
             suites.check_monitor(MONITORS.add(Impatient)(), ends=quick("view"))
 
     def test_a_monitor_that_does_not_end_what_it_must(self):
         far = KeepOut(corner=(90, 90, 90), opposite=(91, 91, 91))
-        with pytest.raises(AssertionError, match="keep_out: it must end this run, which ended converged"):
+        with pytest.raises(
+            AssertionError, match="keep_out: it must end this run, which ended converged"
+        ):
             suites.check_monitor(far, ends=quick("view"))
 
     def test_a_task_that_ends_too_soon(self):
@@ -244,7 +320,9 @@ class TestWhatASuiteAsksForIsSaid:
         for law, got in ((Silent, "NoneType"), (Bare, "(NoneType, ndarray)")):
             r = vs.run(replace(quick("view"), law=LAWS.add(law)()))
             assert r.outcome is vs.Outcome.law_failed
-            assert r.reason.startswith(f"law {r.scenario.law.kind} returned {got}; its step must return (state, Command)")
+            assert r.reason.startswith(
+                f"law {r.scenario.law.kind} returned {got}; its step must return (state, Command)"
+            )
 
     def test_a_law_that_writes_to_itself_is_told_its_own_line(self, own_kinds):
         r = vs.run(replace(quick("view"), law=LAWS.add(Remembering)()))
@@ -252,8 +330,12 @@ class TestWhatASuiteAsksForIsSaid:
 
     def test_a_law_whose_twist_is_not_finite(self, own_kinds):
         r = vs.run(replace(quick("view"), law=LAWS.add(Wild)()))
-        assert r.outcome is vs.Outcome.law_failed and r.reason.startswith("law wild gave a twist that is not finite, [nan")
+        assert r.outcome is vs.Outcome.law_failed and r.reason.startswith(
+            "law wild gave a twist that is not finite, [nan"
+        )
 
     def test_an_arm_without_a_body(self, own_kinds):
-        with pytest.raises(ParameterError, match="ghost has joints and no body; let its `body` name an MJCF file"):
+        with pytest.raises(
+            ParameterError, match="ghost has joints and no body; let its `body` name an MJCF file"
+        ):
             replace(quick("view"), robot=ROBOTS.add(Ghost)())

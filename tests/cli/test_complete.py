@@ -15,8 +15,14 @@ from vstestbed.scenario.plugins import registries
 
 def offered(process: tuple[list[str], dict[str, str]], *words: str) -> list[str]:
     command, environment = process
-    asked = {"COMP_WORDS": " ".join(("vstestbed", *words)), "COMP_CWORD": str(len(words)), complete.VARIABLE: "complete_bash"}
-    ended = subprocess.run(command, env=environment | asked, capture_output=True, text=True, timeout=60, check=True)
+    asked = {
+        "COMP_WORDS": " ".join(("vstestbed", *words)),
+        "COMP_CWORD": str(len(words)),
+        complete.VARIABLE: "complete_bash",
+    }
+    ended = subprocess.run(
+        command, env=environment | asked, capture_output=True, text=True, timeout=60, check=True
+    )
     assert ended.stderr == ""
     return ended.stdout.split()
 
@@ -30,7 +36,14 @@ def test_a_shell_is_offered_names(vstestbed_process) -> None:
 @pytest.mark.process
 def test_a_shell_gets_its_script(vstestbed_process) -> None:
     command, environment = vstestbed_process
-    ended = subprocess.run([*command, "--show-completion", "bash"], env=environment, capture_output=True, text=True, timeout=60, check=True)
+    ended = subprocess.run(
+        [*command, "--show-completion", "bash"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
     assert complete.VARIABLE in ended.stdout
 
 
@@ -43,11 +56,28 @@ def test_scenarios_and_comparisons() -> None:
 
 def test_kinds_are_those_that_describe_knows() -> None:
     assert complete.kinds("pbv") == ["pbvs"]
-    bundled = {kind for room in registries().values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
+    bundled = {
+        kind
+        for room in registries().values()
+        for kind, cls in room.members.items()
+        if cls.__module__.startswith("vstestbed.")
+    }
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
-    assert complete.kinds("camera.s") == ["camera.sensor", "camera.shadows", "camera.spherical", "camera.stream"]
-    of_stop = "converged", "duration_s", "frozen_after_s", "lost_after_m", "lost_after_s", "rest_after_s"
+    assert complete.kinds("camera.s") == [
+        "camera.sensor",
+        "camera.shadows",
+        "camera.spherical",
+        "camera.stream",
+    ]
+    of_stop = (
+        "converged",
+        "duration_s",
+        "frozen_after_s",
+        "lost_after_m",
+        "lost_after_s",
+        "rest_after_s",
+    )
     assert complete.kinds("stop.") == [f"stop.{name}" for name in of_stop]
     assert complete.kinds("robot.gears.s") == ["robot.gears.stiffness_nmprad"]
     entries = catalogue(scenario=vs.Scenario)
@@ -56,7 +86,11 @@ def test_kinds_are_those_that_describe_knows() -> None:
             assert looked_up(word, entries)
         except ParameterError as several:
             assert str(several).endswith("give one of these names")
-    assert all(looked_up(word, entries) for owner in complete.kinds("") for word in complete.kinds(f"{owner}."))
+    assert all(
+        looked_up(word, entries)
+        for owner in complete.kinds("")
+        for word in complete.kinds(f"{owner}.")
+    )
     assert complete.kinds("nope.") == []
     assert complete.kinds("metr") == ["metrics"]
 
@@ -82,7 +116,9 @@ def test_dotted_paths() -> None:
 
 
 def test_a_field_of_several_kinds_is_offered_with_what_is_in_each() -> None:
-    assert {f"robot.parameters.{name}" for name in ("track_m", "wheel_speed_radps", "arm_m")} <= set(complete.paths("robot.par"))
+    assert {
+        f"robot.parameters.{name}" for name in ("track_m", "wheel_speed_radps", "arm_m")
+    } <= set(complete.paths("robot.par"))
 
 
 def test_a_block_alone_is_offered_with_what_is_in_it() -> None:

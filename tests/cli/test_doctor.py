@@ -25,14 +25,25 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
 def test_everything_works_here_and_is_told_in_a_line_each(command) -> None:
     ended = command("doctor")
     *lines, last = ended.out.splitlines()
-    assert [line.split()[1] for line in lines] == ["python", "packages", "cores", "scenarios", "guides", "OpenGL", "pixels", "video"]
+    assert [line.split()[1] for line in lines] == [
+        "python",
+        "packages",
+        "cores",
+        "scenarios",
+        "guides",
+        "OpenGL",
+        "pixels",
+        "video",
+    ]
     assert ended.code == 0, ended.out
     assert all(line.startswith("ok ") for line in lines)
     assert last == "all 8 are well"
 
 
 def test_rendered_balls_are_where_the_camera_model_says() -> None:
-    """The pixel convention, proven on this machine's OpenGL: half a pixel off would be 5 times the tolerance."""
+    """The pixel convention, proven on this machine's OpenGL: half a pixel off would be 5 times the
+    tolerance.
+    """
     pixels = next(f for f in examine() if f.what == "pixels")
     assert pixels.works, pixels.found
     assert "12 rendered balls" in pixels.found
@@ -53,7 +64,9 @@ def test_a_ball_that_is_not_drawn_is_counted(pixel_errors) -> None:
 
 
 @pytest.mark.opengl
-def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_opengl_is_told_with_its_remedy_and_exit_4(
+    command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MUJOCO_GL", "disable")
     monkeypatch.setattr(gl, "_lack", [])
     ended = command("doctor")
@@ -72,7 +85,13 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pyte
 @pytest.mark.parametrize(
     ("release", "words"),
     [
-        ({"ID": "debian"}, "as root: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; then `vstestbed doctor`"),
+        (
+            {"ID": "debian"},
+            (
+                "as root: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri;"
+                " then `vstestbed doctor`"
+            ),
+        ),
         ({"ID": "linuxmint", "ID_LIKE": "ubuntu debian"}, "as root: apt-get install libegl1"),
         ({"ID": "rocky", "ID_LIKE": "rhel centos fedora"}, "as root: dnf install mesa-libEGL"),
         ({"ID": "opensuse-leap", "ID_LIKE": "suse opensuse"}, "as root: zypper install libglvnd"),
@@ -81,7 +100,9 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pyte
         (None, "as root: (on Debian or Ubuntu) apt-get install libegl1"),
     ],
 )
-def test_the_command_that_installs_opengl_is_that_of_the_distribution(release, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_that_installs_opengl_is_that_of_the_distribution(
+    release, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def found() -> dict[str, str]:
         if release is None:
             raise OSError
@@ -91,23 +112,42 @@ def test_the_command_that_installs_opengl_is_that_of_the_distribution(release, w
     assert gl.remedy().startswith(words)
 
 
-def test_run_doctor_and_an_error_say_the_same(command, quick, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_doctor_and_an_error_say_the_same(
+    command, quick, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What is lacking and the command that installs it, wherever OpenGL is missed."""
     from vstestbed.sim.render import pictures
 
     monkeypatch.setenv("MUJOCO_GL", "disable")
     monkeypatch.setattr(gl, "_lack", [("libEGL.so.1 not found", gl.remedy())])
     pictures._warn_once.cache_clear()
-    line = ("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.1", "--video", "none")
-    warned, refused, examined = command(*line).err, command(*line, "--set", "camera.renderer=gl"), command("doctor").out
+    line = (
+        "run",
+        "quick.yaml",
+        "--set",
+        "detector=blobs",
+        "--set",
+        "stop.duration_s=0.1",
+        "--video",
+        "none",
+    )
+    warned, refused, examined = (
+        command(*line).err,
+        command(*line, "--set", "camera.renderer=gl"),
+        command("doctor").out,
+    )
     lack = "no OpenGL: libEGL.so.1 not found"
     assert warned.splitlines()[0] == f"{lack}; {gl.RAYS_INSTEAD}; {gl.remedy()}"
     assert (refused.code, refused.err) == (4, f"{lack}; {gl.remedy()}\n")
     assert f"{lack}; {gl.RAYS_INSTEAD}\n{' ' * 22}-> {gl.remedy()}\n" in examined
 
 
-def test_the_pair_of_mujoco_and_dm_control_that_does_not_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "versions", lambda: {"mujoco": "4.0.0", "dm_control": "1.0.50", "python": "3.11"})
+def test_the_pair_of_mujoco_and_dm_control_that_does_not_work_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        doctor, "versions", lambda: {"mujoco": "4.0.0", "dm_control": "1.0.50", "python": "3.11"}
+    )
     packages = next(f for f in examine() if f.what == "packages")
     assert not packages.works
     assert "pip install 'mujoco>=3.17,<4'" in packages.remedy
@@ -129,13 +169,17 @@ def test_a_finding_is_one_line_and_two_where_something_is_to_be_done() -> None:
 
 
 def test_a_long_finding_is_wrapped_in_its_column() -> None:
-    lines = list(Finding("packages", True, ", ".join(f"package{i} 1.0" for i in range(12))).lines(80))
+    lines = list(
+        Finding("packages", True, ", ".join(f"package{i} 1.0" for i in range(12))).lines(80)
+    )
     assert len(lines) == 3 and max(map(len, lines)) <= 80
     assert [line[:22].strip() for line in lines] == ["ok       packages", "", ""]
 
 
 class TestChoiceOfBackend:
-    """`gl` decides before MuJoCo is imported: these call it with libraries and variables made up."""
+    """`gl` decides before MuJoCo is imported:
+    these call it with libraries and variables made up.
+    """
 
     @pytest.fixture(autouse=True)
     def clean(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,21 +200,42 @@ class TestChoiceOfBackend:
         assert (os.environ["MUJOCO_GL"], os.environ["PYOPENGL_PLATFORM"]) == ("egl", "egl")
         gl.require()
 
-    def test_without_the_libraries_the_remedy_installs_them(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(gl, "missing_libraries", lambda backend="egl": ["libEGL.so.1", "libGL.so.1"])
+    def test_without_the_libraries_the_remedy_installs_them(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(
+            gl, "missing_libraries", lambda backend="egl": ["libEGL.so.1", "libGL.so.1"]
+        )
         gl.choose_backend()
-        with pytest.raises(EnvironmentLackError, match=r"no OpenGL: libEGL.so.1 and libGL.so.1 not found; .*install libegl1 libgl1"):
+        with pytest.raises(
+            EnvironmentLackError,
+            match=r"no OpenGL: libEGL.so.1 and libGL.so.1 not found; .*install libegl1 libgl1",
+        ):
             gl.require()
 
     @pytest.mark.parametrize(
         ("said", "words"),
         [
-            ("vulkan", "MUJOCO_GL=vulkan is set, and there is no such backend; unset MUJOCO_GL, or set it to egl, glfw, osmesa"),
-            ("glfw", "MUJOCO_GL=glfw needs a display, and there is none; unset MUJOCO_GL or set MUJOCO_GL=egl"),
+            (
+                "vulkan",
+                (
+                    "MUJOCO_GL=vulkan is set, and there is no such backend;"
+                    " unset MUJOCO_GL, or set it to egl, glfw, osmesa"
+                ),
+            ),
+            (
+                "glfw",
+                (
+                    "MUJOCO_GL=glfw needs a display, and there is none;"
+                    " unset MUJOCO_GL or set MUJOCO_GL=egl"
+                ),
+            ),
             ("off", "MUJOCO_GL=disable is set; unset MUJOCO_GL or set MUJOCO_GL=egl"),
         ],
     )
-    def test_what_cannot_work_is_told_before_mujoco_dies_of_it(self, said: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_what_cannot_work_is_told_before_mujoco_dies_of_it(
+        self, said: str, words: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         monkeypatch.setenv("MUJOCO_GL", said)
         gl.choose_backend()
         with pytest.raises(EnvironmentLackError) as told:
@@ -179,13 +244,20 @@ class TestChoiceOfBackend:
 
     @pytest.mark.parametrize("device", ["7", "-1", "abc", ""])
     @pytest.mark.opengl
-    def test_a_device_that_egl_does_not_have_is_told(self, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_a_device_that_egl_does_not_have_is_told(
+        self, device: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         monkeypatch.delenv("MUJOCO_GL", raising=False)
         monkeypatch.setenv("MUJOCO_EGL_DEVICE_ID", device)
         gl.choose_backend()
-        with pytest.raises(EnvironmentLackError, match=rf"MUJOCO_EGL_DEVICE_ID={device} is set, and the devices are 0 to \d+; unset"):
+        with pytest.raises(
+            EnvironmentLackError,
+            match=rf"MUJOCO_EGL_DEVICE_ID={device} is set, and the devices are 0 to \d+; unset",
+        ):
             gl.require()
 
     def test_only_an_import_error_about_the_driver_is_explained(self) -> None:
         assert gl.explain(ImportError("No module named 'polars'")) is None
-        assert "libegl-mesa0" in str(gl.explain(ImportError("Cannot initialize a headless EGL display.")))
+        assert "libegl-mesa0" in str(
+            gl.explain(ImportError("Cannot initialize a headless EGL display."))
+        )

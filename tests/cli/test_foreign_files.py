@@ -1,4 +1,6 @@
-"""Whatever a file is that somebody gives, each reader answers with a sentence that names it: no traceback, no hang, no memory lost."""
+"""Whatever a file is that somebody gives, each reader answers with a sentence that names it: no
+traceback, no hang, no memory lost.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,12 @@ import vstestbed as vs
 from vstestbed.camera.intrinsics import read_calibration, read_intrinsics, read_mount
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.lazy import cv2
-from vstestbed.core.named_files import bundled_comparisons, bundled_labs, bundled_scenarios, place_of_file
+from vstestbed.core.named_files import (
+    bundled_comparisons,
+    bundled_labs,
+    bundled_scenarios,
+    place_of_file,
+)
 from vstestbed.laws.policy import _network
 from vstestbed.loop.log_file import open_log
 from vstestbed.loop.recording import read_summary
@@ -34,9 +41,16 @@ from vstestbed.testing.grading import read_lab
 LONGEST_S = 60.0
 """No answer within this is a hang: the slowest takes 1 s, on a machine with other work 20 s."""
 DEEP = 3000
-ARM = '<mujoco><worldbody><body><joint name="j" axis="0 0 1"/><geom size="0.1"/><site name="tool"/></body></worldbody></mujoco>'
+ARM = (
+    '<mujoco><worldbody><body><joint name="j" axis="0 0 1"/><geom size="0.1"/><site name="tool"/>'
+    "</body></worldbody></mujoco>"
+)
 STAND = '<mujoco><worldbody><geom size="0.1"/></worldbody></mujoco>'
-CALIBRATION = "camera_matrix: {rows: 3, cols: 3, data: [600, 0, 320, 0, 600, 240, 0, 0, 1]}\nimage_width: 640\nimage_height: 480\n"
+CALIBRATION = (
+    "camera_matrix: {rows: 3, cols: 3, data: [600, 0, 320, 0, 600, 240, 0, 0, 1]}\n"
+    "image_width: 640\n"
+    "image_height: 480\n"
+)
 TRIANGLE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
 
 
@@ -75,30 +89,76 @@ def parquet() -> bytes:
 
 READERS: dict[str, tuple[str, Callable[[Path], object], Callable[[], bytes]]] = {
     "scenario": (".yaml", vs.load, lambda: bundled_scenarios()["ibvs_book"].read_bytes()),
-    "comparison": (".yaml", read_comparison, lambda: bundled_comparisons()["canonical"].read_bytes()),
+    "comparison": (
+        ".yaml",
+        read_comparison,
+        lambda: bundled_comparisons()["canonical"].read_bytes(),
+    ),
     "lab": (".yaml", read_lab, lambda: next(iter(bundled_labs().values())).read_bytes()),
     "intrinsics": (".yaml", lambda path: read_intrinsics(str(path)), CALIBRATION.encode),
-    "intrinsics in XML": (".xml", lambda path: read_intrinsics(str(path)), lambda: b"<?xml version='1.0'?><root><camera/></root>"),
-    "intrinsics in JSON": (".json", lambda path: read_intrinsics(str(path)), lambda: b'{"K": [600, 0, 320, 0, 600, 240, 0, 0, 1]}'),
-    "mount": (".yaml", lambda path: read_mount(str(path)), b"transformation: {x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 1}".strip),
+    "intrinsics in XML": (
+        ".xml",
+        lambda path: read_intrinsics(str(path)),
+        lambda: b"<?xml version='1.0'?><root><camera/></root>",
+    ),
+    "intrinsics in JSON": (
+        ".json",
+        lambda path: read_intrinsics(str(path)),
+        lambda: b'{"K": [600, 0, 320, 0, 600, 240, 0, 0, 1]}',
+    ),
+    "mount": (
+        ".yaml",
+        lambda path: read_mount(str(path)),
+        b"transformation: {x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 1}".strip,
+    ),
     "calibration": (".yaml", lambda path: read_calibration(str(path)), CALIBRATION.encode),
     "realism": (".yaml", lambda path: _preset_in(str(path)), b"drive_lag_s: 0.05\n".strip),
     "model": (".xml", lambda path: compiled(str(path)), ARM.encode),
-    "model in URDF": (".urdf", lambda path: compiled(str(path)), b'<robot name="a"><link name="b"/></robot>'.strip),
+    "model in URDF": (
+        ".urdf",
+        lambda path: compiled(str(path)),
+        b'<robot name="a"><link name="b"/></robot>'.strip,
+    ),
     "scenery": (".xml", lambda path: _checked(str(place_of_file(str(path))), 0), STAND.encode),
     "mesh": (".obj", lambda path: read_triangles(place_of_file(str(path)), 0), TRIANGLE.encode),
-    "mesh in STL": (".stl", lambda path: read_triangles(place_of_file(str(path)), 0), lambda: b"solid a\n" + 3 * b"vertex 0 0 0\n"),
+    "mesh in STL": (
+        ".stl",
+        lambda path: read_triangles(place_of_file(str(path)), 0),
+        lambda: b"solid a\n" + 3 * b"vertex 0 0 0\n",
+    ),
     "picture": (".png", lambda path: decoded(place_of_file(str(path))), png),
-    "policy": (".onnx", lambda path: _network(place_of_file(str(path)), 0, ("markers",)), lambda: b"\x08\x07\x12\x04test"),
-    "starts": (".json", lambda path: _read_lists(str(path)), lambda: b'{"robot": [{"xyz": [0, 0, 0]}]}'),
-    "baseline": (".csv", Baseline.read, lambda: b"scenario,seed,outcome,success\na,0,converged,true\n"),
+    "policy": (
+        ".onnx",
+        lambda path: _network(place_of_file(str(path)), 0, ("markers",)),
+        lambda: b"\x08\x07\x12\x04test",
+    ),
+    "starts": (
+        ".json",
+        lambda path: _read_lists(str(path)),
+        lambda: b'{"robot": [{"xyz": [0, 0, 0]}]}',
+    ),
+    "baseline": (
+        ".csv",
+        Baseline.read,
+        lambda: b"scenario,seed,outcome,success\na,0,converged,true\n",
+    ),
     "baseline in Parquet": (".parquet", Baseline.read, parquet),
     "log": (".parquet", in_folder("log.parquet", open_log), parquet),
-    "summary": (".json", in_folder("summary.json", lambda folder: read_summary(folder, "run again")), lambda: b'{"outcome": "converged"}'),
+    "summary": (
+        ".json",
+        in_folder("summary.json", lambda folder: read_summary(folder, "run again")),
+        lambda: b'{"outcome": "converged"}',
+    ),
     "changes": (".json", in_folder(FILE, read_changes), lambda: b"{}"),
-    "trials": (".json", in_folder(RECORD, lambda folder: read_record(folder, ("law.gain",))), lambda: b"[]"),
+    "trials": (
+        ".json",
+        in_folder(RECORD, lambda folder: read_record(folder, ("law.gain",))),
+        lambda: b"[]",
+    ),
 }
-"""Each reader of files with the ending that they have, and the content of one that is well or nearly so."""
+"""Each reader of files with the ending that they have, and the content of one that is well or
+nearly so.
+"""
 
 
 def deep(ending: str) -> bytes:
@@ -113,18 +173,30 @@ KINDS: dict[str, Callable[[Path, str, bytes], object]] = {
     "empty": lambda path, ending, well: path.write_bytes(b""),
     "random": lambda path, ending, well: path.write_bytes(np.random.default_rng(0).bytes(2000)),
     "cut off": lambda path, ending, well: path.write_bytes(well[: 2 * len(well) // 3]),
-    "zeros inside": lambda path, ending, well: path.write_bytes(well[: len(well) // 2] + bytes(64) + well[len(well) // 2 :]),
+    "zeros inside": lambda path, ending, well: path.write_bytes(
+        well[: len(well) // 2] + bytes(64) + well[len(well) // 2 :]
+    ),
     "deep": lambda path, ending, well: path.write_bytes(deep(ending)),
     "folder": lambda path, ending, well: path.mkdir(),
     "pipe": lambda path, ending, well: os.mkfifo(path),
-    "huge": lambda path, ending, well: os.truncate(path, 70 << 20) if path.write_bytes(well) else None,
+    "huge": lambda path, ending, well: (
+        os.truncate(path, 70 << 20) if path.write_bytes(well) else None
+    ),
     "UTF-16": lambda path, ending, well: path.write_bytes(well.decode("latin-1").encode("utf-16")),
     "Latin-1": lambda path, ending, well: path.write_bytes(b"\xe9\xff" + well),
     "missing": lambda path, ending, well: None,
 }
 """How a file is not what is asked for."""
-MAY_BE_READ = {("huge", "baseline"), ("folder", "changes"), ("pipe", "changes"), ("folder", "trials"), ("pipe", "trials")}
-"""Tables are as large as the studies that wrote them; a folder that has no file of a name has nothing to read."""
+MAY_BE_READ = {
+    ("huge", "baseline"),
+    ("folder", "changes"),
+    ("pipe", "changes"),
+    ("folder", "trials"),
+    ("pipe", "trials"),
+}
+"""Tables are as large as the studies that wrote them; a folder that has no file of a name has
+nothing to read.
+"""
 
 
 @contextlib.contextmanager

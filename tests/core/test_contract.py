@@ -1,4 +1,6 @@
-"""Contracts: what a class must have to become a member of a room, and the sentence that refuses it."""
+"""Contracts: what a class must have to become a member of a room,
+and the sentence that refuses it.
+"""
 
 from __future__ import annotations
 
@@ -32,14 +34,18 @@ class ShapeBase:
 
 
 def shapes() -> Registry:
-    return Registry("shape", contract=Contract(Shape, base=ShapeBase, words={"colours": ("red", "green")}))
+    return Registry(
+        "shape", contract=Contract(Shape, base=ShapeBase, words={"colours": ("red", "green")})
+    )
 
 
 def test_a_base_with_defaults_leaves_the_kind_and_one_method_to_write() -> None:
     @spec
     class Disc(ShapeBase):
         kind: Literal["disc"] = "disc"
-        radius: float  # a required field: properties of such a class cannot be read before it is used
+        radius: (
+            float  # a required field: properties of such a class cannot be read before it is used
+        )
 
         def area(self, scale: float, power: int = 2) -> float:
             return scale * self.radius**power
@@ -67,7 +73,11 @@ def test_a_missing_member_is_named_with_the_base_that_has_it() -> None:
         kind: Literal["bare"] = "bare"
 
     with pytest.raises(
-        ParameterError, match=r"^Bare lacks corners, colours, area\(scale\); derive it from .*ShapeBase.* all but kind and area$"
+        ParameterError,
+        match=(
+            r"^Bare lacks corners, colours, area\(scale\);"
+            r" derive it from .*ShapeBase.* all but kind and area$"
+        ),
     ):
         shapes().add(Bare)
 
@@ -77,7 +87,9 @@ def test_a_missing_method_of_a_class_with_the_base_is_to_be_added() -> None:
     class Still(ShapeBase):
         kind: Literal["still"] = "still"
 
-    with pytest.raises(ParameterError, match=r"^Still lacks area\(scale\); add what is missing \(see .*\.Shape\)$"):
+    with pytest.raises(
+        ParameterError, match=r"^Still lacks area\(scale\); add what is missing \(see .*\.Shape\)$"
+    ):
         shapes().add(Still)
 
 
@@ -98,7 +110,12 @@ def test_a_wrong_number_of_parameters_is_refused() -> None:
         def area(self) -> float:
             return 1.0
 
-    with pytest.raises(ParameterError, match=r"^Narrow\.area must take the arguments of area\(scale\); it has the signature \(self\)"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            r"^Narrow\.area must take the arguments of area\(scale\); it has the signature \(self\)"
+        ),
+    ):
         shapes().add(Narrow)
 
 
@@ -118,16 +135,25 @@ def test_attributes_and_methods_are_told_apart() -> None:
         kind: Literal["value"] = "value"
         area: float = 1.0
 
-    with pytest.raises(ParameterError, match=r"^Called\.colours must be an attribute, and is a method; write @property above it"):
+    with pytest.raises(
+        ParameterError,
+        match=r"^Called\.colours must be an attribute, and is a method; write @property above it",
+    ):
         shapes().add(Called)
     with pytest.raises(ParameterError, match=r"^Value\.area must be a method area\(scale\)"):
         shapes().add(Value)
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"), [(("red", "grean"), "'grean' is no valid word; did you mean 'green'"), ("red", "must be a tuple of words")]
+    ("words", "sentence"),
+    [
+        (("red", "grean"), "'grean' is no valid word; did you mean 'green'"),
+        ("red", "must be a tuple of words"),
+    ],
 )
-def test_unknown_words_are_refused_in_attributes_and_properties(words: tuple[str, ...], sentence: str) -> None:
+def test_unknown_words_are_refused_in_attributes_and_properties(
+    words: tuple[str, ...], sentence: str
+) -> None:
     @spec
     class Plain(ShapeBase):
         kind: Literal["plain"] = "plain"
@@ -152,7 +178,11 @@ def test_unknown_words_are_refused_in_attributes_and_properties(words: tuple[str
             shapes().add(member)
 
 
-@pytest.mark.parametrize("room", [room for room in registries().values() if room.contract is not None], ids=lambda room: room.what)
+@pytest.mark.parametrize(
+    "room",
+    [room for room in registries().values() if room.contract is not None],
+    ids=lambda room: room.what,
+)
 def test_every_bundled_kind_keeps_the_contract_of_its_room(room: Registry) -> None:
     assert room.contract is not None
     for member in room.members.values():
@@ -175,8 +205,13 @@ def test_features_and_detectors_have_contracts() -> None:
     class Seer:
         kind: Literal["seer"] = "seer"
 
-    with pytest.raises(ParameterError, match=r"^Feature\.inputs: 'depht' is no valid word; did you mean 'depth'"):
+    with pytest.raises(
+        ParameterError, match=r"^Feature\.inputs: 'depht' is no valid word; did you mean 'depth'"
+    ):
         FEATURES.add(Feature)
-    with pytest.raises(ParameterError, match=r"^Seer lacks needs_image, .*detect\(state, picture, view, camera, target, rng\)"):
+    with pytest.raises(
+        ParameterError,
+        match=r"^Seer lacks needs_image, .*detect\(state, picture, view, camera, target, rng\)",
+    ):
         DETECTORS.add(Seer)
     assert "own" not in FEATURES.members and "seer" not in DETECTORS.members

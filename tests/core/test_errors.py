@@ -32,11 +32,27 @@ def test_an_error_says_what_is_wrong_and_what_would_work() -> None:
     for error, code, words in (
         (ParameterError("gain", "must be > 0 [1/s]", -1), 2, "gain must be > 0 [1/s], got -1"),
         (ParameterError("gain", "is missing"), 2, "gain is missing"),
-        (ScenarioError([Mistake("a.yaml:3:5", "law.gain", "must be > 0, got -1")]), 2, "a.yaml:3:5: law.gain: must be > 0, got -1"),
-        (ScenarioError([Mistake("a.yaml", "", "x"), Mistake("a.yaml:1:1", "b", "y")]), 2, "a.yaml: x\na.yaml:1:1: b: y"),
+        (
+            ScenarioError([Mistake("a.yaml:3:5", "law.gain", "must be > 0, got -1")]),
+            2,
+            "a.yaml:3:5: law.gain: must be > 0, got -1",
+        ),
+        (
+            ScenarioError([Mistake("a.yaml", "", "x"), Mistake("a.yaml:1:1", "b", "y")]),
+            2,
+            "a.yaml: x\na.yaml:1:1: b: y",
+        ),
         (OutputError("out", "exists", "give a new folder"), 2, "out: exists; give a new folder"),
-        (RunFolderError("d", "no run here"), 2, "d: no run here; a run's folder holds scenario.yaml and log.parquet (or log.part)"),
-        (EnvironmentLackError("no OpenGL", "apt-get install libegl1 libgl1"), 4, "no OpenGL; apt-get install libegl1 libgl1"),
+        (
+            RunFolderError("d", "no run here"),
+            2,
+            "d: no run here; a run's folder holds scenario.yaml and log.parquet (or log.part)",
+        ),
+        (
+            EnvironmentLackError("no OpenGL", "apt-get install libegl1 libgl1"),
+            4,
+            "no OpenGL; apt-get install libegl1 libgl1",
+        ),
     ):
         assert str(error) == words
         assert error.exit_code == code
@@ -57,6 +73,12 @@ def test_mistakes_of_a_scenario_are_kept_as_data() -> None:
     assert pickle.loads(pickle.dumps(mistake)) == mistake
 
 
-@pytest.mark.parametrize("error", [ParameterError("action", "must be finite", 3), SessionError("the run has ended", "call reset()")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        ParameterError("action", "must be finite", 3),
+        SessionError("the run has ended", "call reset()"),
+    ],
+)
 def test_an_error_raised_again_from_itself_says_the_same(error: VstestbedError) -> None:
     assert str(type(error)(error)) == str(error)

@@ -14,7 +14,9 @@ from vstestbed.core.foreign import foreign, only_known, plain_file
 
 
 def test_what_libraries_raise_is_one_sentence_with_the_file(tmp_path):
-    """Each of a class of its own: cv2.error, SystemError, BadZipFile, polars' errors, RecursionError, LinAlgError."""
+    """Each of a class of its own: cv2.error, SystemError, BadZipFile, polars' errors,
+    RecursionError, LinAlgError.
+    """
     file = tmp_path / "theirs.xml"
     file.write_text("<a><b/></a>", encoding="utf-8")
     calls = [
@@ -38,7 +40,10 @@ def test_a_panic_is_no_exception_of_python_and_is_told_too():
     class PanicException(BaseException):
         """As pyo3 has it, by which polars ends."""
 
-    with pytest.raises(RunFolderError, match="log: cannot"), foreign("log", "a log", RunFolderError):
+    with (
+        pytest.raises(RunFolderError, match="log: cannot"),
+        foreign("log", "a log", RunFolderError),
+    ):
         raise PanicException("cannot")
 
 
@@ -57,7 +62,12 @@ def test_pipes_folders_and_huge_files_are_refused_before_they_are_read(tmp_path)
     huge = tmp_path / "huge"
     with huge.open("wb") as file:
         file.truncate(65 << 20)  # a hole: it takes no disk
-    for path, words in ((pipe, "not a regular file"), (tmp_path, "not a regular file"), (huge, "65 MiB"), (tmp_path / "none", "No such")):
+    for path, words in (
+        (pipe, "not a regular file"),
+        (tmp_path, "not a regular file"),
+        (huge, "65 MiB"),
+        (tmp_path / "none", "No such"),
+    ):
         with pytest.raises(ParameterError, match=words):
             plain_file(path, "a calibration")
     small = tmp_path / "small"

@@ -1,4 +1,6 @@
-"""Every call of a library that reads what others wrote stands inside `with foreign(...)`, or is listed here with its reason."""
+"""Every call of a library that reads what others wrote stands inside `with foreign(...)`, or is
+listed here with its reason.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,31 @@ import vstestbed
 PACKAGE = Path(vstestbed.__file__).parent
 CALLS = {
     *("cv2.imread", "cv2.imdecode", "cv2.FileStorage", "cv2.VideoCapture"),
-    *("mujoco.MjSpec.from_file", "mujoco.MjSpec.from_string", "mujoco.MjModel.from_xml_path", "mujoco.MjModel.from_xml_string"),
+    *(
+        "mujoco.MjSpec.from_file",
+        "mujoco.MjSpec.from_string",
+        "mujoco.MjModel.from_xml_path",
+        "mujoco.MjModel.from_xml_string",
+    ),
     *("zipfile.ZipFile", "tarfile.open", "ElementTree.parse", "ElementTree.fromstring"),
     *("pl.read_csv", "pl.read_parquet", "pl.scan_parquet", "pl.scan_csv", "np.load", "np.loadtxt"),
-    *("yaml.load", "yaml.safe_load", "yaml.load_all", "yaml.safe_load_all", "yaml.compose", "yaml.parse"),
-    *("json.load", "json.loads", "onnxruntime.InferenceSession", "av.open", "Image.open", "AnyReader", "make_reader"),
+    *(
+        "yaml.load",
+        "yaml.safe_load",
+        "yaml.load_all",
+        "yaml.safe_load_all",
+        "yaml.compose",
+        "yaml.parse",
+    ),
+    *(
+        "json.load",
+        "json.loads",
+        "onnxruntime.InferenceSession",
+        "av.open",
+        "Image.open",
+        "AnyReader",
+        "make_reader",
+    ),
     *("read_protobuf_messages", "csv.DictReader", "csv.reader"),
 }
 """Calls that read files, or the content of files."""
@@ -58,7 +80,9 @@ ELSEWHERE = {
         ("studies/suite.py", ""),
     },
 }
-"""File and function ("" for all of a file) by the reason for which the guard does not stand there."""
+"""File and function ("" for all of a file) by the reason for
+which the guard does not stand there.
+"""
 
 
 def name_of(call: ast.expr) -> str:
@@ -76,7 +100,10 @@ def unguarded(source: str) -> dict[str, set[str]]:
         if isinstance(node, ast.FunctionDef):
             function = node.name
         if isinstance(node, ast.With):
-            guarded |= any(isinstance(i.context_expr, ast.Call) and name_of(i.context_expr.func) == "foreign" for i in node.items)
+            guarded |= any(
+                isinstance(i.context_expr, ast.Call) and name_of(i.context_expr.func) == "foreign"
+                for i in node.items
+            )
         if isinstance(node, ast.Call) and not guarded and name_of(node.func) in CALLS:
             found.setdefault(function, set()).add(name_of(node.func))
         for child in ast.iter_child_nodes(node):
@@ -102,5 +129,13 @@ def test_every_foreign_call_is_guarded():
 
 
 def test_a_new_call_is_found():
-    source = 'def a():\n    with foreign("x", "y"):\n        yaml.safe_load("")\n\n\ndef b():\n    return json.loads("")\n'
+    source = (
+        "def a():\n"
+        '    with foreign("x", "y"):\n'
+        '        yaml.safe_load("")\n'
+        "\n"
+        "\n"
+        "def b():\n"
+        '    return json.loads("")\n'
+    )
     assert unguarded(source) == {"b": {"json.loads"}}

@@ -1,4 +1,6 @@
-"""Frames and twists: golden numbers, and the neighbourhoods of no turn and of a half turn where formulas lose their digits."""
+"""Frames and twists: golden numbers, and the neighbourhoods of no turn and of a half turn where
+formulas lose their digits.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +32,17 @@ from vstestbed.core.geometry import (
     transform,
 )
 
-GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
+GOLDEN = json.loads(
+    (Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text()
+)
 # The golden file has 15 digits; its own tolerance is 1e-10 (1 + |value|).
 RTOL = ATOL = 1e-10
-AXES = [np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), np.array([1.0, -2, 2]) / 3, np.array([-0.6, 0.0, 0.8])]
+AXES = [
+    np.array([1.0, 0, 0]),
+    np.array([0, 0, 1.0]),
+    np.array([1.0, -2, 2]) / 3,
+    np.array([-0.6, 0.0, 0.8]),
+]
 
 
 def turn(axis: np.ndarray, angle: float) -> np.ndarray:
@@ -56,11 +65,14 @@ class TestGolden:
     def test_rotations(self, case):
         R, theta_u = np.array(case["R"]), np.array(case["thetau"])
         x, y, z, w = case["q_xyzw"]
-        q = np.array([w, x, y, z]) * (1 if w >= 0 else -1)  # q and -q are one rotation; ours has w >= 0
+        # q and -q are one rotation; ours has w >= 0
+        q = np.array([w, x, y, z]) * (1 if w >= 0 else -1)
         np.testing.assert_allclose(quaternion_wxyz(R), q, rtol=RTOL, atol=ATOL)
         np.testing.assert_allclose(rotation_from_quaternion(q), R, rtol=RTOL, atol=ATOL)
         np.testing.assert_allclose(rotation_angle(R), np.linalg.norm(theta_u), rtol=RTOL, atol=ATOL)
-        np.testing.assert_allclose(exp(np.concatenate([np.zeros(3), theta_u]))[:3, :3], R, rtol=RTOL, atol=ATOL)
+        np.testing.assert_allclose(
+            exp(np.concatenate([np.zeros(3), theta_u]))[:3, :3], R, rtol=RTOL, atol=ATOL
+        )
 
 
 class TestExponential:
@@ -74,7 +86,8 @@ class TestExponential:
     @pytest.mark.parametrize("size", [0.0, 1e-8, 1.99e-4, 2.01e-4, 0.3, 3.14])
     def test_the_logarithm_undoes_it(self, size: float):
         twist = np.array([0.3, -0.2, 0.5, *(size * AXES[2])])
-        # Rounding; towards half a turn the quaternion's first number is the difference of nearly equal ones.
+        # Rounding; towards half a turn the quaternion's first number is the difference of nearly
+        # equal ones.
         np.testing.assert_allclose(log(exp(twist)), twist, atol=1e-11 if size > 3 else 1e-14)
 
     def test_without_rotation_it_translates(self):
@@ -83,7 +96,8 @@ class TestExponential:
     def test_series_meets_the_closed_form(self):
         v, w = np.array([0.3, -0.2, 0.5]), AXES[2]
         below, above = (exp(np.concatenate([v, s * w])) for s in (0.9999999e-4, 1.0000001e-4))
-        # 2e-11 rad lie between the two; a step from one formula to the other would come on top of that.
+        # 2e-11 rad lie between the two; a step from one formula to the other would come on top of
+        # that.
         np.testing.assert_allclose(below, above, atol=2.1e-11)
 
     def test_batches_are_single_ones_stacked(self):
@@ -95,9 +109,12 @@ class TestExponential:
 
 class TestAngles:
     @pytest.mark.parametrize("axis", AXES)
-    @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-8, 1e-4, 1.0, np.pi / 2, np.pi - 1e-4, np.pi - 1e-8, np.pi])
+    @pytest.mark.parametrize(
+        "angle", [0.0, 1e-12, 1e-8, 1e-4, 1.0, np.pi / 2, np.pi - 1e-4, np.pi - 1e-8, np.pi]
+    )
     def test_angle_keeps_its_digits_everywhere(self, axis: np.ndarray, angle: float):
-        # Rounding of the matrix's elements; an arc cosine of the trace would be off by 1e-8 at both ends.
+        # Rounding of the matrix's elements; an arc cosine of the trace would be off by 1e-8 at both
+        # ends.
         assert rotation_angle(turn(axis, angle)) == pytest.approx(angle, abs=4e-15)
 
     @pytest.mark.parametrize("axis", AXES)
@@ -116,7 +133,9 @@ class TestPoses:
         roll, pitch, yaw = np.radians([10, 20, 30])
         x, y, z = np.eye(3)
         T = Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)).T
-        np.testing.assert_allclose(T[:3, :3], turn(z, yaw) @ turn(y, pitch) @ turn(x, roll), atol=1e-15)
+        np.testing.assert_allclose(
+            T[:3, :3], turn(z, yaw) @ turn(y, pitch) @ turn(x, roll), atol=1e-15
+        )
         np.testing.assert_array_equal(T[:, 3], [1, 2, 3, 1])
 
     def test_inverse_transform_and_errors(self):
@@ -129,9 +148,14 @@ class TestPoses:
         assert angle == pytest.approx(0.7, abs=1e-14)
 
     def test_adjoint_carries_twists_between_frames_of_one_body(self):
-        T_a_b, twist_b = Pose(xyz=(0.1, -0.2, 0.3), rpy_deg=(20, -30, 50)).T, np.array([0.1, 0.2, -0.3, 0.4, -0.5, 0.6])
+        T_a_b, twist_b = (
+            Pose(xyz=(0.1, -0.2, 0.3), rpy_deg=(20, -30, 50)).T,
+            np.array([0.1, 0.2, -0.3, 0.4, -0.5, 0.6]),
+        )
         # exp(Ad x) = T exp(x) T^-1, the definition.
-        np.testing.assert_allclose(exp(adjoint(T_a_b) @ twist_b), T_a_b @ exp(twist_b) @ inverse(T_a_b), atol=4e-15)
+        np.testing.assert_allclose(
+            exp(adjoint(T_a_b) @ twist_b), T_a_b @ exp(twist_b) @ inverse(T_a_b), atol=4e-15
+        )
 
     def test_wrong_poses_are_refused(self):
         with pytest.raises(ParameterError, match="xyz"):
@@ -156,12 +180,15 @@ def test_angles_on_and_near_the_axis():
 
 def test_a_pose_is_found_again_from_its_matrix_and_many_rotations_are_as_one():
     rng = np.random.default_rng(4)
-    rpy = np.concatenate([rng.uniform(-180, 180, (20, 3)), [[10, 90, 40], [0, -90, 0], [0, 0, 180], [0, 0, 0]]])
+    rpy = np.concatenate(
+        [rng.uniform(-180, 180, (20, 3)), [[10, 90, 40], [0, -90, 0], [0, 0, 180], [0, 0, 0]]]
+    )
     R = rotation_from_rpy(np.radians(rpy))
     for turned, one in zip(rpy.tolist(), R, strict=True):
         pose = Pose(xyz=(1, 2, 3), rpy_deg=tuple(turned))
         assert one == pytest.approx(pose.T[:3, :3], abs=1e-12)
-        assert pytest.approx(pose.T, abs=1e-12) == Pose.of(pose.T).T  # at a pitch of 90 degrees, too, other angles
+        # at a pitch of 90 degrees, too, other angles
+        assert pytest.approx(pose.T, abs=1e-12) == Pose.of(pose.T).T
 
 
 def test_poses_have_the_same_bits_as_those_of_spatialmath():
@@ -170,9 +197,13 @@ def test_poses_have_the_same_bits_as_those_of_spatialmath():
     from spatialmath.base import tr2rpy
 
     rng = np.random.default_rng(0)
-    for rpy in np.concatenate([rng.uniform(-180, 180, (300, 3)), rng.choice([-180, -90, 0, 30, 45, 90, 180.0], (300, 3))]):
+    for rpy in np.concatenate(
+        [rng.uniform(-180, 180, (300, 3)), rng.choice([-180, -90, 0, 30, 45, 90, 180.0], (300, 3))]
+    ):
         expected = SE3.Rt(SO3.RPY(*rpy, order="zyx", unit="deg"), [1.0, 2.0, 3.0]).A
-        assert Pose(xyz=(1.0, 2.0, 3.0), rpy_deg=tuple(rpy.tolist())).T.tobytes() == expected.tobytes()
+        assert (
+            Pose(xyz=(1.0, 2.0, 3.0), rpy_deg=tuple(rpy.tolist())).T.tobytes() == expected.tobytes()
+        )
         angles = tr2rpy(expected[:3, :3], order="zyx", unit="deg", check=False)
         assert np.array(Pose.of(expected).rpy_deg).tobytes() == np.asarray(angles, float).tobytes()
 
@@ -182,6 +213,9 @@ def test_shortcuts_are_what_they_replace():
     rng = np.random.default_rng(5)
     p = rng.normal(size=(3, 5, 2))
     np.testing.assert_array_equal(lengths(p), np.linalg.norm(p, axis=-1, keepdims=True))
-    np.testing.assert_array_equal(joined(p[..., 1], p[..., 0], 1.0), np.stack([p[..., 1], p[..., 0], np.ones((3, 5))], axis=-1))
+    np.testing.assert_array_equal(
+        joined(p[..., 1], p[..., 0], 1.0),
+        np.stack([p[..., 1], p[..., 0], np.ones((3, 5))], axis=-1),
+    )
     for x in (-3.0, -1.0, 0.2, 2.0, 5.0, float("nan")):
         assert clip(x, -1.0, 2.0) == max(-1.0, min(2.0, x))

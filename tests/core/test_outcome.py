@@ -1,4 +1,6 @@
-"""Whatever lists outcomes knows each of them: a new one fails here, by name, until every table, letter and page has it."""
+"""Whatever lists outcomes knows each of them: a new one fails here, by name, until every table,
+letter and page has it.
+"""
 
 import re
 from pathlib import Path
@@ -29,7 +31,11 @@ def test_every_outcome_has_a_sentence_of_its_own() -> None:
 def test_the_guide_says_who_decides_each_outcome() -> None:
     text = (TOP / "docs/guides/running.md").read_text(encoding="utf-8")
     table = text.partition("| outcome | who decides |")[2].partition("\n\n")[0]
-    listed = {word for row in table.splitlines()[2:] for word in words_of(row.split("|")[1].partition(" with ")[0])}
+    listed = {
+        word
+        for row in table.splitlines()[2:]
+        for word in words_of(row.split("|")[1].partition(" with ")[0])
+    }
     assert listed == NAMES
 
 
@@ -46,32 +52,51 @@ def test_the_letters_that_a_map_shows_are_those_that_its_caption_explains(tmp_pa
 
 
 def test_a_map_of_basins_names_each_outcome_that_occurs() -> None:
-    """Those without a colour of their own are black, with their name in the legend; so would be one that is not there yet."""
-    assert set(figures.ENDINGS) - {"plane_crossed"} <= FAILED  # the one word of the map that is half of an outcome
+    """Those without a colour of their own are black, with their name in the legend; so would be one
+    that is not there yet.
+    """
+    # the one word of the map that is half of an outcome
+    assert set(figures.ENDINGS) - {"plane_crossed"} <= FAILED
     occurring = sorted({*FAILED, "plane_crossed", "petrified"})
     endings = np.array([occurring], dtype=object)
-    drawn = figures.draw_basin([("law", endings, np.full(endings.shape, np.nan))], ("x", "m", -1, 1), ("y", "m", -1, 1))
+    drawn = figures.draw_basin(
+        [("law", endings, np.full(endings.shape, np.nan))], ("x", "m", -1, 1), ("y", "m", -1, 1)
+    )
     shown = {text.get_text() for text in drawn.legends[0].get_texts()}
-    named = {figures.ENDINGS[word][1] if word in figures.ENDINGS else word.replace("_", " ") for word in occurring}
+    named = {
+        figures.ENDINGS[word][1] if word in figures.ENDINGS else word.replace("_", " ")
+        for word in occurring
+    }
     assert shown == named
 
 
 def test_a_batch_has_a_code_for_each_outcome() -> None:
-    assert {code.name for code in batch.CODES if code is not None} == NAMES and batch.CODES[batch.GOING] is None
+    assert {code.name for code in batch.CODES if code is not None} == NAMES and batch.CODES[
+        batch.GOING
+    ] is None
 
 
 def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
     pytest.importorskip("gymnasium")
     from vstestbed.env import vector_env
 
-    assert {outcome.name for outcome in vector_env.CODES} <= NAMES and vector_env.OUTCOMES[0] is vector_env.GOING
+    assert {outcome.name for outcome in vector_env.CODES} <= NAMES and vector_env.OUTCOMES[
+        0
+    ] is vector_env.GOING
 
 
 def test_an_outcome_is_a_word_of_the_package_where_one_is_written_as_text() -> None:
-    """Outcomes that are compared as texts, as those of a table are: a word that is none would never be equal."""
+    """Outcomes that are compared as texts, as those of a table are: a word that is none would never
+    be equal.
+    """
     known = {*NAMES, "plane_crossed", "no outcome", "cut off", ""}
     found = {}
     for path in (TOP / "vstestbed").rglob("*.py"):
-        for word in re.findall(r"""\boutcome(?:"\)|"\]|\b) ?[!=]= "(\w*)\"""", path.read_text(encoding="utf-8")):
+        for word in re.findall(
+            r"""\boutcome(?:"\)|"\]|\b) ?[!=]= "(\w*)\"""", path.read_text(encoding="utf-8")
+        ):
             found.setdefault(word, path.name)
-    assert "unstable" in found and {word: name for word, name in found.items() if word not in known} == {}
+    assert (
+        "unstable" in found
+        and {word: name for word, name in found.items() if word not in known} == {}
+    )

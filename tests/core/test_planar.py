@@ -14,7 +14,8 @@ RNG = np.random.default_rng(0)
 
 def test_the_pose_has_its_x_axis_along_the_heading():
     T = pose_on_ground(np.array([1.0, -2.0, np.pi / 2]))
-    np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, -1, 0, 1], atol=1e-15)  # a metre ahead is a metre along y
+    # a metre ahead is a metre along y
+    np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, -1, 0, 1], atol=1e-15)
     np.testing.assert_allclose(T @ [0, 0, 1, 1], [1, -2, 1, 1], atol=1e-15)
 
 
@@ -25,20 +26,26 @@ def test_configuration_and_pose_are_inverse():
 
 def test_an_arc_is_the_exponential_of_the_body_twist():
     at, motion = RNG.uniform(-3, 3, (200, 3)), RNG.uniform(-2, 2, (200, 3))
-    motion[:20, 2] *= 1e-9  # nearly straight, where (1 - cos) / theta loses its digits if written so
+    motion[:20, 2] *= (
+        1e-9  # nearly straight, where (1 - cos) / theta loses its digits if written so
+    )
     T = pose_on_ground(at) @ exp(motion @ PLANE.T * 0.7)
     np.testing.assert_allclose(pose_on_ground(moved(at, motion, 0.7)), T, atol=1e-12)
 
 
 def test_a_quarter_circle():
     # Radius 2 m to the left from the origin: ends at (2, 2), facing y.
-    np.testing.assert_allclose(moved(np.zeros(3), [np.pi, 0, np.pi / 2], 1.0), [2, 2, np.pi / 2], atol=1e-15)
+    np.testing.assert_allclose(
+        moved(np.zeros(3), [np.pi, 0, np.pi / 2], 1.0), [2, 2, np.pi / 2], atol=1e-15
+    )
 
 
 def test_straight_on_and_at_rest():
     at = np.array([1.0, 2.0, 0.3])
     np.testing.assert_array_equal(moved(at, np.zeros(3), 1.0), at)
-    np.testing.assert_allclose(moved(at, [2.0, 0, 0], 0.5) - at, [np.cos(0.3), np.sin(0.3), 0], atol=1e-15)
+    np.testing.assert_allclose(
+        moved(at, [2.0, 0, 0], 0.5) - at, [np.cos(0.3), np.sin(0.3), 0], atol=1e-15
+    )
 
 
 def test_the_motion_between_two_configurations_is_the_arc_between_them():
@@ -54,12 +61,16 @@ def test_the_motion_between_two_headings_takes_the_short_way():
 
 class TestStart:
     def test_random_starts_fill_their_box(self):
-        start = GroundStart(nominal=GroundPose(x=1, y=2, heading_deg=90), random=GroundBox(x=0.5, y=0.2, heading_deg=30))
+        start = GroundStart(
+            nominal=GroundPose(x=1, y=2, heading_deg=90),
+            random=GroundBox(x=0.5, y=0.2, heading_deg=30),
+        )
         rng = np.random.default_rng(1)
         drawn = np.array([Omni(start=start.drawn(rng)).configuration() for _ in range(300)])
         offset = (drawn - Omni(start=start).configuration()) / [0.5, 0.2, np.radians(30)]
         assert np.abs(offset).max() <= 1
-        # Of 300 even draws a side's last twentieth is missed with probability .975^300 = 5e-4; the seed is fixed.
+        # Of 300 even draws a side's last twentieth is missed with probability .975^300 = 5e-4; the
+        # seed is fixed.
         assert (offset.max(axis=0) > 0.95).all() and (offset.min(axis=0) < -0.95).all()
 
     def test_one_seed_one_start(self):

@@ -1,4 +1,6 @@
-"""Every number of a scenario has bounds with a reason, in YAML, from Python, and in the JSON Schema."""
+"""Every number of a scenario has bounds with a reason, in YAML, from Python, and in the JSON
+Schema.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from annotated_types import Ge, Le, Len
 from tests.scenario.schemas import whole_schema
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
-from vstestbed.core.quantity import Broadcast, Length, PositiveLength, PositiveTime, Seed, TighterBounds
+from vstestbed.core.quantity import (
+    Broadcast,
+    Length,
+    PositiveLength,
+    PositiveTime,
+    Seed,
+    TighterBounds,
+)
 from vstestbed.core.spec import spec
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
@@ -42,7 +51,10 @@ def unbounded(part: Any, path: str = "") -> Iterator[str]:
     """Places in a JSON Schema where a number has no finite bounds."""
     if isinstance(part, dict):
         if part.get("type") in ("number", "integer") and "enum" not in part:
-            low, high = part.get("minimum", part.get("exclusiveMinimum")), part.get("maximum", part.get("exclusiveMaximum"))
+            low, high = (
+                part.get("minimum", part.get("exclusiveMinimum")),
+                part.get("maximum", part.get("exclusiveMaximum")),
+            )
             if low is None or high is None or not math.isfinite(high - low):
                 yield path
         for name, inner in part.items():
@@ -53,8 +65,12 @@ def unbounded(part: Any, path: str = "") -> Iterator[str]:
 
 
 def test_every_number_of_a_scenario_has_bounds() -> None:
-    assert list(unbounded(whole_schema(Scenario))) == [], "give each field a type of core.quantity, or bounds of its own"
-    assert list(unbounded({"properties": {"x": {"type": "number", "minimum": 0}}})) == ["/properties/x"]
+    assert list(unbounded(whole_schema(Scenario))) == [], (
+        "give each field a type of core.quantity, or bounds of its own"
+    )
+    assert list(unbounded({"properties": {"x": {"type": "number", "minimum": 0}}})) == [
+        "/properties/x"
+    ]
 
 
 def test_the_schema_has_the_tighter_of_two_bounds() -> None:
@@ -62,12 +78,25 @@ def test_the_schema_has_the_tighter_of_two_bounds() -> None:
     assert (shown["at"]["minimum"], shown["at"]["maximum"]) == (-1000, 1000)
     assert (shown["size"]["exclusiveMinimum"], shown["size"]["minimum"]) == (0, 1e-9)
     assert (shown["narrow"]["minimum"], shown["narrow"]["maximum"]) == (1e-6, 60)
-    assert shown["seed"] == {"default": 0, "minimum": 0, "maximum": 2**63 - 1, "title": "Seed", "type": "integer"}
+    assert shown["seed"] == {
+        "default": 0,
+        "minimum": 0,
+        "maximum": 2**63 - 1,
+        "title": "Seed",
+        "type": "integer",
+    }
 
 
 def test_a_value_beyond_is_refused_with_the_reason() -> None:
     for field, value, words in (
-        ("at", 1e308, "must be -1000 to 1000 m (five times the 200 m at which a camera counts as diverged), got 1e+308"),
+        (
+            "at",
+            1e308,
+            (
+                "must be -1000 to 1000 m"
+                " (five times the 200 m at which a camera counts as diverged), got 1e+308"
+            ),
+        ),
         ("at", -1000.1, "must be -1000 to 1000 m"),
         ("at", math.inf, "finite"),
         ("size", 0, "must be > 0"),
@@ -106,8 +135,16 @@ def test_what_python_makes_has_the_same_bounds() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        # Physically plausible extremes: a microscope's picture, a drone's flight from far away, a pixel of half a micrometre.
-        ({"camera.focal_length_m": 2e-3, "camera.pixel_size_m": 0.56e-6, "camera.fovy_deg": None}, "picture"),
+        # Physically plausible extremes: a microscope's picture, a drone's flight from far away, a
+        # pixel of half a micrometre.
+        (
+            {
+                "camera.focal_length_m": 2e-3,
+                "camera.pixel_size_m": 0.56e-6,
+                "camera.fovy_deg": None,
+            },
+            "picture",
+        ),
         ({"stop.duration_s": 36_000}, ""),
         ({"camera.rate_hz": 1000, "stop.duration_s": 900}, ""),
         ({"camera.rate_hz": 0.1, "stop.duration_s": 86_400}, ""),
@@ -134,13 +171,34 @@ class TestOneNumberForAllJoints:
     def test_the_schema_has_both(self) -> None:
         shown = pydantic.TypeAdapter(Joints).json_schema()["properties"]["most"]
         number = {"maximum": 10, "minimum": 0, "type": "number"}
-        assert shown["anyOf"] == [{"items": number, "maxItems": 7, "minItems": 1, "type": "array"}, number]
+        assert shown["anyOf"] == [
+            {"items": number, "maxItems": 7, "minItems": 1, "type": "array"},
+            number,
+        ]
 
     def test_others_are_refused(self) -> None:
         for field, value, words in (
-            ("most", "2", "Joints.most must be a number for all joints, or a list with one for each, got '2'"),
-            ("most", True, "Joints.most must be a number for all joints, or a list with one for each, got True"),
-            ("most", None, "Joints.most must be a number for all joints, or a list with one for each, got None"),
+            (
+                "most",
+                "2",
+                "Joints.most must be a number for all joints, or a list with one for each, got '2'",
+            ),
+            (
+                "most",
+                True,
+                (
+                    "Joints.most must be a number for all joints,"
+                    " or a list with one for each, got True"
+                ),
+            ),
+            (
+                "most",
+                None,
+                (
+                    "Joints.most must be a number for all joints,"
+                    " or a list with one for each, got None"
+                ),
+            ),
             ("most", 11, "Joints.most must be <= 10, got 11"),
             ("most", math.nan, "Joints.most must be a finite number, got nan"),
             ("most", [1, 11], "Joints.most.1 must be <= 10, got 11"),

@@ -8,7 +8,9 @@ import pytest
 WAITS = """\
 import os, signal, threading, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import polars  # gives SIGINT the flag SA_RESTART, with which a lock that is waited for without an end does not hear of it
+# polars gives SIGINT the flag SA_RESTART, with which a lock that is waited for without an end does
+# not hear of it.
+import polars
 from concurrent.futures import Future
 from vstestbed.core.shares import result_of
 
@@ -25,5 +27,7 @@ os._exit(0)  # not after the second timer
 
 @pytest.mark.process
 def test_ctrl_c_is_heard_while_a_result_is_waited_for():
-    done = subprocess.run([sys.executable, "-c", WAITS], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", WAITS], capture_output=True, text=True, timeout=60, check=True
+    )
     assert done.stdout == "interrupted at once\n"

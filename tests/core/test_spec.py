@@ -46,7 +46,12 @@ def test_a_spec_is_frozen_keyword_only_and_compares_by_value() -> None:
     assert disc == Disc(radius=1.0)
     with pytest.raises(dataclasses.FrozenInstanceError):
         disc.radius = 2.0
-    with pytest.raises(ParameterError, match=r"^Disc takes its fields by their names, such as Disc\(radius=\.\.\.\), got \(0\.5,\)$"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            r"^Disc takes its fields by their names, such as Disc\(radius=\.\.\.\), got \(0\.5,\)$"
+        ),
+    ):
         Disc(0.5)
 
 
@@ -58,7 +63,10 @@ def test_a_constructor_refuses_with_the_name_of_the_field() -> None:
         ({"radius": "wide"}, "radius must be a number, got 'wide'"),
         ({"radius": "1"}, "radius must be a number, got '1'"),
         ({"radius": True}, "radius must be a number, got True"),
-        ({"radios": 1.0, "radius": -1}, r"^Disc\.radios is an unknown field; did you mean 'radius'\?$"),
+        (
+            {"radios": 1.0, "radius": -1},
+            r"^Disc\.radios is an unknown field; did you mean 'radius'\?$",
+        ),
         ({"kind": "square"}, "kind .*'disc'"),
     ):
         with pytest.raises(ParameterError, match=words):
@@ -74,7 +82,12 @@ def test_a_required_field_and_a_rule_between_fields() -> None:
 
 def test_a_block_a_bare_word_and_an_object_become_the_same() -> None:
     _, adapter = room()
-    assert adapter.validate_python({"kind": "disc"}) == adapter.validate_python("disc") == adapter.validate_python(Disc()) == Disc()
+    assert (
+        adapter.validate_python({"kind": "disc"})
+        == adapter.validate_python("disc")
+        == adapter.validate_python(Disc())
+        == Disc()
+    )
 
 
 def test_a_number_and_a_default_kind_stand_for_a_block() -> None:
@@ -113,9 +126,12 @@ def test_a_room_refuses_a_word_twice_and_a_member_without_a_word() -> None:
         kind_of(Nameless)
 
 
-def test_installed_packages_add_kinds_through_their_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_installed_packages_add_kinds_through_their_entry_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     offered = EntryPoints(
-        EntryPoint(name, f"{__name__}:Ring", group) for name, group in (("a", "vstestbed.shapes"), ("b", "vstestbed.laws"))
+        EntryPoint(name, f"{__name__}:Ring", group)
+        for name, group in (("a", "vstestbed.shapes"), ("b", "vstestbed.laws"))
     )
     shapes = Registry("shape", Disc)
     monkeypatch.setattr(EntryPoint, "load", lambda self: {"a": Ring}[self.name])

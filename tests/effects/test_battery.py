@@ -37,7 +37,9 @@ def test_an_hour_of_its_capacity_empties_it():
 
 def test_the_power_at_hover_is_that_of_the_drag_torques():
     battery = Battery(efficiency=0.5, avionics_w=0.0)
-    assert battery.power(HOVER, X4) == pytest.approx(2 * 4 * X4.drag_coefficient * X4.hover * HOVER[0])
+    assert battery.power(HOVER, X4) == pytest.approx(
+        2 * 4 * X4.drag_coefficient * X4.hover * HOVER[0]
+    )
 
 
 def test_where_it_was_calibrated_an_order_is_what_the_rotors_do():

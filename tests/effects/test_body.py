@@ -9,9 +9,18 @@ from vstestbed.effects.body import stretch
 def test_places_ends_of_capsules_and_sizes_of_boxes_are_stretched_and_shifted_and_no_radii():
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="a")
-    body.add_geom(name="rod", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.1, 0, 0, 0.3, 0, 0], size=[0.02, 0, 0])
-    body.add_geom(name="box", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[0.2, 0.1, 0], size=[0.1, 0.1, 0.1])
-    body.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=[0, 0, 0.3], size=[0.05, 0, 0])
+    body.add_geom(
+        name="rod",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[0.1, 0, 0, 0.3, 0, 0],
+        size=[0.02, 0, 0],
+    )
+    body.add_geom(
+        name="box", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[0.2, 0.1, 0], size=[0.1, 0.1, 0.1]
+    )
+    body.add_geom(
+        name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=[0, 0, 0.3], size=[0.05, 0, 0]
+    )
     stretch(spec, "a", (2.0, 3.0, 1.0), (0.0, 0.0, 0.1))
     model = spec.compile()
     rod, box, ball = (model.geom(name) for name in ("rod", "box", "ball"))

@@ -1,4 +1,6 @@
-"""Elastic gears against the closed form of the two-mass joint: eigenfrequencies, damping, play; the rotor has motor and encoder."""
+"""Elastic gears against the closed form of the two-mass joint: eigenfrequencies, damping, play; the
+rotor has motor and encoder.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def loose(folder: Path, step_s: float | None = None, **gears: float | tuple[floa
     return stage
 
 
-def swing(stage: Scene, seconds: float, wind: float = 0.001, locked: bool = False) -> tuple[Array, Array]:
+def swing(
+    stage: Scene, seconds: float, wind: float = 0.001, locked: bool = False
+) -> tuple[Array, Array]:
     """Times and angles of the spring, let go at a deflection [rad]."""
     model, data, at = stage.model, stage.data, stage.at
     if locked:
@@ -64,7 +68,9 @@ def test_it_decays_by_the_logarithmic_decrement(tmp_path: Path) -> None:
 
 
 def test_its_lost_motion_is_the_play(tmp_path: Path) -> None:
-    """The link is turned to and fro before a held rotor by a torque: the two rests are apart by the play and twice the wind-up."""
+    """The link is turned to and fro before a held rotor by a torque: the two rests are apart by the
+    play and twice the wind-up.
+    """
     play, torque = 0.2, 0.5
     stage = loose(tmp_path, damping_s=0.01, backlash_deg=(play, 0.0))
     model, data, at = stage.model, stage.data, stage.at
@@ -79,7 +85,9 @@ def test_its_lost_motion_is_the_play(tmp_path: Path) -> None:
 
 
 def test_a_small_load_winds_the_gears_up_to_the_side_that_it_pulls(tmp_path: Path) -> None:
-    """At the start the rotor is ahead of its link by T / k and half the play, also under 0.3 Nm; without a load by neither."""
+    """At the start the rotor is ahead of its link by T / k and half the play, also under 0.3 Nm;
+    without a load by neither.
+    """
     play = math.radians(0.2)
     for torque, expected in ((0.3, 0.3 / K + play / 2), (-0.3, -0.3 / K - play / 2), (0.0, 0.0)):
         stage = loose(tmp_path, backlash_deg=(0.2, 0.0))
@@ -87,20 +95,30 @@ def test_a_small_load_winds_the_gears_up_to_the_side_that_it_pulls(tmp_path: Pat
         load = np.zeros(stage.model.nv)
         load[stage.at.qvel[0]] = torque
         stage.data.qpos[stage.at.motor_qpos] = stage.data.qpos[stage.at.qpos]
-        effect.settle(RobotBody(stage.model, stage.data, stage.at, stage.model.opt.timestep, (), ()), load)
-        assert stage.data.qpos[stage.at.motor_qpos[0]] - stage.data.qpos[stage.at.qpos[0]] == pytest.approx(expected, abs=1e-12)
+        effect.settle(
+            RobotBody(stage.model, stage.data, stage.at, stage.model.opt.timestep, (), ()), load
+        )
+        assert stage.data.qpos[stage.at.motor_qpos[0]] - stage.data.qpos[
+            stage.at.qpos[0]
+        ] == pytest.approx(expected, abs=1e-12)
         assert load[stage.at.motor_qvel[0]] == torque  # which then is the rotor's
         stage.close()
 
 
 def test_within_its_play_the_link_is_free(tmp_path: Path) -> None:
-    _, x = swing(loose(tmp_path, damping_s=0.0, backlash_deg=(0.4, 0.0)), 0.5, wind=math.radians(0.1))
+    _, x = swing(
+        loose(tmp_path, damping_s=0.0, backlash_deg=(0.4, 0.0)), 0.5, wind=math.radians(0.1)
+    )
     assert np.ptp(x) == 0.0
 
 
 @pytest.mark.parametrize(("torque", "part"), [(0.0, 0), (-1.0, 0), (5.0, 1), (-30.0, 2)])
-def test_a_strain_wave_gear_bends_and_vibrates_in_stages(tmp_path: Path, torque: float, part: int) -> None:
-    """Size 14 before a held rotor: its torsion under a torque is the catalogue's, and the link swings about it at sqrt(k / M)."""
+def test_a_strain_wave_gear_bends_and_vibrates_in_stages(
+    tmp_path: Path, torque: float, part: int
+) -> None:
+    """Size 14 before a held rotor: its torsion under a torque is the catalogue's, and the link
+    swings about it at sqrt(k / M).
+    """
     curve, gear = CURVES[14], StrainWave(sizes=(14, 0), rotor_kgm2=(0.5, 0.01))
     stage = stage_of(arm(tmp_path, gears=Gears(damping_s=0.0), strain_wave=gear), 0.0005)
     model, data, at = stage.model, stage.data, stage.at
@@ -108,7 +126,9 @@ def test_a_strain_wave_gear_bends_and_vibrates_in_stages(tmp_path: Path, torque:
     model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
     model.dof_damping[at.motor_qvel[0]], data.qfrc_applied[at.qvel[0]] = 1e9, torque
     (first, second), T, stiffness = curve.bends, abs(torque), (curve.k1, curve.k2, curve.k3)[part]
-    torsion = (T / curve.k1, first + (T - curve.t1) / curve.k2, second + (T - curve.t2) / curve.k3)[part]
+    torsion = (T / curve.k1, first + (T - curve.t1) / curve.k2, second + (T - curve.t2) / curve.k3)[
+        part
+    ]
     rest = math.copysign(torsion, torque)
     data.qpos[at.qpos[0]] = rest + 1e-5
     rows = []
@@ -128,17 +148,21 @@ def test_encoder_and_servo_are_on_the_rotors_side(tmp_path: Path) -> None:
     assert truth.q == pytest.approx([0, 0], abs=1e-12)  # it starts where the scenario says
     assert reading.q == pytest.approx([-sag, 0], abs=1e-6)
     assert plant.advance(500)
-    assert plant.truth().q == pytest.approx([0, 0], abs=1e-6)  # at rest: servo and spring carry the load
+    # at rest: servo and spring carry the load
+    assert plant.truth().q == pytest.approx([0, 0], abs=1e-6)
     plant.close()
 
 
 def test_it_moves_as_commanded_and_trembles(tmp_path: Path) -> None:
-    still, soft = (plant_of(arm(tmp_path, gears=g)) for g in (None, Gears(stiffness_nmprad=(K, 0.0))))
+    still, soft = (
+        plant_of(arm(tmp_path, gears=g)) for g in (None, Gears(stiffness_nmprad=(K, 0.0)))
+    )
     shakes = []
     for plant in (still, soft):
         plant.apply(np.array([0.3, 0.0]))
         plant.advance(round(1.0 / plant.step_s))
-        assert plant.truth().q[0] == pytest.approx(0.3 - 0.3 / 40, abs=0.012)  # behind by its lag, kv / kp = 1/40 s
+        # behind by its lag, kv / kp = 1/40 s
+        assert plant.truth().q[0] == pytest.approx(0.3 - 0.3 / 40, abs=0.012)
         plant.apply(np.zeros(2))
         plant.advance(round(0.15 / plant.step_s))
         speeds = []
@@ -151,10 +175,11 @@ def test_it_moves_as_commanded_and_trembles(tmp_path: Path) -> None:
 
 
 def test_dry_friction_winds_a_servo_up(tmp_path: Path) -> None:
-    """A servo of the gains kp and kv that turns a joint of the friction F at w is behind by (F + kv w) / kp.
+    """A servo of the gains kp and kv that turns a joint of the friction F at w is behind by (F + kv
+    w) / kp.
 
-    Before it breaks away, friction of MuJoCo lets the joint creep: of the impedance d and the time constant c, under a torque T < F, at
-    (1 - d)/d T / (M b), b = 2/(dmax c).
+    Before it breaks away, friction of MuJoCo lets the joint creep: of the impedance d and the time
+    constant c, under a torque T < F, at (1 - d)/d T / (M b), b = 2/(dmax c).
     """
     friction, w, kp, kv = 20.0, 0.02, 2000.0, 50.0
     stage = stage_of(arm(tmp_path), 0.001)
@@ -168,7 +193,9 @@ def test_dry_friction_winds_a_servo_up(tmp_path: Path) -> None:
         log.append((data.time, data.act[0] - data.qpos[at.qpos[0]], data.qvel[at.qvel[0]]))
     stage.close()
     t, behind, rate = np.array(log).T
-    assert behind[-1] == pytest.approx((friction + kv * w) / kp, rel=0.002) and rate[-1] == pytest.approx(w, rel=0.002)
+    assert behind[-1] == pytest.approx((friction + kv * w) / kp, rel=0.002) and rate[
+        -1
+    ] == pytest.approx(w, rel=0.002)
     creeps = (t > 0.25) & (t < 0.5)
     torque = kp * behind - kv * rate
     assert torque[creeps].max() < friction

@@ -1,4 +1,6 @@
-"""The true links of an arm: displaced as its geometry's errors say, against the product of its DH frames and its first-order model."""
+"""The true links of an arm: displaced as its geometry's errors say, against the product of its DH
+frames and its first-order model.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from vstestbed.robots import Puma560
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
-JOINTS = np.radians([[0, 45, -180, 0, 45, -45], [30, -20, -60, 80, -40, 100], [-100, 120, -10, -50, 70, 10]])
+JOINTS = np.radians(
+    [[0, 45, -180, 0, 45, -45], [30, -20, -60, 80, -40, 100], [-100, 120, -10, -50, 70, 10]]
+)
 
 
 def true_pose(robot: Puma560, q: Array) -> Array:
@@ -34,7 +38,9 @@ def true_pose(robot: Puma560, q: Array) -> Array:
 
 
 def wrong(scale: float, seed: int = 0) -> Puma560:
-    return Puma560(geometry_error=GeometryError(sigma_m=1e-3 * scale, sigma_deg=0.1 * scale)).drawn(np.random.default_rng(seed))
+    return Puma560(geometry_error=GeometryError(sigma_m=1e-3 * scale, sigma_deg=0.1 * scale)).drawn(
+        np.random.default_rng(seed)
+    )
 
 
 @pytest.mark.parametrize("q", JOINTS)
@@ -57,7 +63,9 @@ def test_its_error_is_that_of_the_first_order_model() -> None:
         assert robot.geometry_error is not None
         frames, twist = frames_of(q), np.zeros(6)
         for i, pose in enumerate(robot.geometry_error.offsets):
-            twist += adjoint(inverse(inverse(frames[i + 1]) @ frames[6])) @ np.array([*pose.xyz, *np.radians(pose.rpy_deg)])
+            twist += adjoint(inverse(inverse(frames[i + 1]) @ frames[6])) @ np.array(
+                [*pose.xyz, *np.radians(pose.rpy_deg)]
+            )
         found = log(inverse(forward(q)) @ true_pose(robot, q))
         assert np.abs(found).max() > 1e-3 * scale
         left.append(np.abs(found - twist).max())
@@ -65,25 +73,42 @@ def test_its_error_is_that_of_the_first_order_model() -> None:
 
 
 def test_errors_of_dh_parameters_are_displacements() -> None:
-    """Joint 3 with a longer by 2 mm, alpha by 0.2 deg, d by 1 mm, theta by 0.1 deg: the table with these numbers."""
+    """Joint 3 with a longer by 2 mm, alpha by 0.2 deg, d by 1 mm, theta by 0.1 deg: the table with
+    these numbers.
+    """
     da, dalpha, dd, dtheta = 2e-3, np.radians(0.2), 1e-3, np.radians(0.1)
 
     def link(d: float, a: float, alpha: float, theta: float) -> Array:
-        turn, tilt = Pose(rpy_deg=(0, 0, np.degrees(theta))).T, Pose(rpy_deg=(np.degrees(alpha), 0, 0)).T
+        turn, tilt = (
+            Pose(rpy_deg=(0, 0, np.degrees(theta))).T,
+            Pose(rpy_deg=(np.degrees(alpha), 0, 0)).T,
+        )
         return turn @ Pose(xyz=(a, 0, d)).T @ tilt
 
     d, a, alpha = DH[2]
     D = inverse(link(d, a, alpha, 0.0)) @ link(d + dd, a + da, alpha + dalpha, dtheta)
-    robot = Puma560(geometry_error=GeometryError(offsets=(Pose(), Pose(), vs.Pose(**_block(D)), Pose(), Pose(), Pose())))
+    robot = Puma560(
+        geometry_error=GeometryError(
+            offsets=(Pose(), Pose(), vs.Pose(**_block(D)), Pose(), Pose(), Pose())
+        )
+    )
     q, frames = JOINTS[1], frames_of(JOINTS[1])
-    T = frames[2] @ link(d + dd, a + da, alpha + dalpha, q[2] + dtheta) @ inverse(frames[3]) @ frames[6]
+    T = (
+        frames[2]
+        @ link(d + dd, a + da, alpha + dalpha, q[2] + dtheta)
+        @ inverse(frames[3])
+        @ frames[6]
+    )
     np.testing.assert_allclose(true_pose(robot, q), T, atol=1e-9)
 
 
 def _block(T: Array) -> dict[str, tuple[float, ...]]:
     from spatialmath import SE3
 
-    return {"xyz": tuple(T[:3, 3].tolist()), "rpy_deg": tuple(SE3(T, check=False).rpy(unit="deg", order="zyx").tolist())}
+    return {
+        "xyz": tuple(T[:3, 3].tolist()),
+        "rpy_deg": tuple(SE3(T, check=False).rpy(unit="deg", order="zyx").tolist()),
+    }
 
 
 def test_an_arm_by_its_file_is_displaced_too(tmp_path: Path) -> None:
@@ -99,7 +124,11 @@ def test_an_arm_by_its_file_is_displaced_too(tmp_path: Path) -> None:
 def test_joints_of_one_body_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "one.xml"
     path.write_text(
-        (HERE / "two_link.xml").read_text().replace('<joint name="shoulder"/>', '<joint name="shoulder"/><joint name="tilt" axis="0 1 0"/>')
+        (HERE / "two_link.xml")
+        .read_text()
+        .replace(
+            '<joint name="shoulder"/>', '<joint name="shoulder"/><joint name="tilt" axis="0 1 0"/>'
+        )
     )
     robot = vs.ROBOTS.members["mjcf"](
         file=str(path),
@@ -112,7 +141,10 @@ def test_joints_of_one_body_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_payload_has_its_mass_inertia_and_place(tmp_path: Path) -> None:
-    plain, laden = (stage_of(arm(tmp_path, payload=p)) for p in (None, Payload(mass_kg=3.0, com_m=(0.1, 0.2, 0.0), edge_m=0.2)))
+    plain, laden = (
+        stage_of(arm(tmp_path, payload=p))
+        for p in (None, Payload(mass_kg=3.0, com_m=(0.1, 0.2, 0.0), edge_m=0.2))
+    )
     assert laden.model.body_mass.sum() - plain.model.body_mass.sum() == pytest.approx(3.0)
     body = laden.model.body("robot/payload")
     assert body.inertia == pytest.approx([0.02] * 3)

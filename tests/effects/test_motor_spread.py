@@ -36,9 +36,21 @@ def test_hover_of_unlike_rotors_has_no_torque_and_the_weight():
 
 def test_a_craft_that_could_not_hover_is_refused():
     for block, field, words in (
-        ({"motors": {"thrust": (0.5, 1, 1, 1)}}, "motors.thrust", "makes the front rotor turn at .* rad/s to hover"),
-        ({"motors": {"thrust": (1, 1, 1, 1), "limit": (1, 0.7, 1, 1)}}, "motors.thrust", "the right rotor"),
-        ({"battery": {"charge": 0.0}}, "battery.charge", "leaves 0.45 of the ordered thrust at the start"),
+        (
+            {"motors": {"thrust": (0.5, 1, 1, 1)}},
+            "motors.thrust",
+            "makes the front rotor turn at .* rad/s to hover",
+        ),
+        (
+            {"motors": {"thrust": (1, 1, 1, 1), "limit": (1, 0.7, 1, 1)}},
+            "motors.thrust",
+            "the right rotor",
+        ),
+        (
+            {"battery": {"charge": 0.0}},
+            "battery.charge",
+            "leaves 0.45 of the ordered thrust at the start",
+        ),
     ):
         with pytest.raises(ParameterError, match=words) as told:
             Quadrotor(**block)

@@ -1,4 +1,6 @@
-"""Torques of motors at each physics step: the current loop's step response, delay and bandwidth; cogging and ripple."""
+"""Torques of motors at each physics step: the current loop's step response, delay and bandwidth;
+cogging and ripple.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ KP = 2000.0
 
 
 def held(stage: Scene) -> MotorTorques:
-    """The motors of an arm whose joints are held, so that the servo's torque is what the test says."""
+    """The motors of an arm whose joints are held,
+    so that the servo's torque is what the test says.
+    """
     settle(stage)
     stage.model.dof_damping[:] = 1e9
     motors = stage.parts.robot.acting[0].actor(stage.body, np.random.default_rng(0))
@@ -29,7 +33,9 @@ def held(stage: Scene) -> MotorTorques:
 
 
 def torques(stage: Scene, motors: MotorTorques, wind: Array) -> Array:
-    """Torque of the first motor in each step, as its servo's reference is wound up by so much [rad]."""
+    """Torque of the first motor in each step, as its servo's reference is wound up by so much
+    [rad].
+    """
     h, data, out = stage.model.opt.timestep, stage.data, []
     rest = data.act[0]
     for offset in wind:
@@ -46,11 +52,14 @@ def torques(stage: Scene, motors: MotorTorques, wind: Array) -> Array:
 @pytest.mark.parametrize("delay_s", [0.0, 0.003])
 def test_the_torque_follows_a_step_with_lag_and_delay(tmp_path: Path, delay_s: float) -> None:
     T, h, step = 1 / (2 * math.pi * 100.0), 0.0005, 0.01
-    stage = stage_of(arm(tmp_path, drives=CurrentLoops(bandwidth_hz=100.0, delay_s=delay_s)), step_s=h)
+    stage = stage_of(
+        arm(tmp_path, drives=CurrentLoops(bandwidth_hz=100.0, delay_s=delay_s)), step_s=h
+    )
     found = torques(stage, held(stage), np.full(60, step))
     begin = round(delay_s / h)
     t = h * np.arange(61 - begin)
-    response = t + T * np.exp(-t / T)  # the integral of 1 - exp(-t / T): the mean torque of a step is its difference
+    # the integral of 1 - exp(-t / T): the mean torque of a step is its difference
+    response = t + T * np.exp(-t / T)
     theory = np.concatenate([np.zeros(begin), KP * step * np.diff(response) / h])
     np.testing.assert_allclose(found, theory, atol=1e-3)
 

@@ -1,4 +1,6 @@
-"""Effects of one's own: forces are added to those of others, columns are checked, and what does not fit is told with its place."""
+"""Effects of one's own: forces are added to those of others, columns are checked, and what does not
+fit is told with its place.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ class Twister(vs.EffectBase):
 
     def check(self, joints: tuple[str, ...]) -> None:
         if self.torque_nm > 100:
-            raise ParameterError("torque_nm", f"must be at most 100 for {joints[0]}", self.torque_nm)
+            raise ParameterError(
+                "torque_nm", f"must be at most 100 for {joints[0]}", self.torque_nm
+            )
 
     def actor(self, body: Any, rng: np.random.Generator) -> Actor:
         return Torque(self, body)
@@ -38,7 +42,12 @@ class Twister(vs.EffectBase):
 
 class Torque(Actor):
     def __init__(self, effect: Twister, body: Any):
-        self.effect, self.at, self.data, self.force = effect, body.at.motor_qvel[0], body.data, np.zeros(body.model.nv)
+        self.effect, self.at, self.data, self.force = (
+            effect,
+            body.at.motor_qvel[0],
+            body.data,
+            np.zeros(body.model.nv),
+        )
 
     def act(self, t: float, dt: float) -> None:
         self.force[self.at] = self.effect.torque_nm
@@ -53,7 +62,12 @@ def twister(own_kinds) -> None:
 
 
 def table(*effects: dict[str, Any], **given: Any) -> Any:
-    return vs.run(vs.load("arm_ibvs", QUICK | {"robot.effects": [{"kind": "twister"} | e for e in effects]} | given)).frame()
+    return vs.run(
+        vs.load(
+            "arm_ibvs",
+            QUICK | {"robot.effects": [{"kind": "twister"} | e for e in effects]} | given,
+        )
+    ).frame()
 
 
 def test_its_force_is_added_to_those_of_other_effects(twister) -> None:
@@ -73,18 +87,26 @@ def test_without_others_it_is_all_that_is_applied(twister) -> None:
 @pytest.mark.parametrize(
     ("effects", "words"),
     [
-        ([{"values": 2}], "Twister has the columns twist_nm; `row` of its actor must return as many"),
+        (
+            [{"values": 2}],
+            "Twister has the columns twist_nm; `row` of its actor must return as many",
+        ),
         ([{"values": 0}], "Twister has the columns twist_nm"),
         ([{}, {}], "robot.effects must have columns of their own: the log has twist_nm twice"),
     ],
 )
-def test_columns_that_do_not_fit_are_refused(twister, effects: list[dict[str, Any]], words: str) -> None:
+def test_columns_that_do_not_fit_are_refused(
+    twister, effects: list[dict[str, Any]], words: str
+) -> None:
     with pytest.raises(ParameterError, match=words):
         table(*effects)
 
 
 def test_what_does_not_fit_the_robot_is_refused_with_its_place(twister) -> None:
-    with pytest.raises(ScenarioError, match=r"robot\.effects\.1\.torque_nm: must be at most 100 for joint_1, got 200"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"robot\.effects\.1\.torque_nm: must be at most 100 for joint_1, got 200",
+    ):
         table({}, {"torque_nm": 200.0})
 
 
@@ -118,10 +140,16 @@ class Limit(Actor):
 
 
 @pytest.mark.parametrize("realism", ["none", "field"])
-def test_the_torque_of_the_motors_is_known_to_it_and_may_be_limited(own_kinds, realism: str) -> None:
-    """MuJoCo's own servos and current loops keep the limit alike; their lag is over within 20 ms. Cogging and ripple come on top."""
+def test_the_torque_of_the_motors_is_known_to_it_and_may_be_limited(
+    own_kinds, realism: str
+) -> None:
+    """MuJoCo's own servos and current loops keep the limit alike; their lag is over within 20 ms.
+    Cogging and ripple come on top.
+    """
     vs.EFFECTS.add(Derated)
-    frame = vs.run(vs.load("arm_ibvs", QUICK | {"robot.realism": realism, "robot.effects": ["derated"]})).frame()
+    frame = vs.run(
+        vs.load("arm_ibvs", QUICK | {"robot.realism": realism, "robot.effects": ["derated"]})
+    ).frame()
     torque = frame.select("^tau_.*$").to_numpy()
     assert np.array_equal(frame["motor_1_nm"], torque[:, 0])
     before, after = (np.abs(torque[frame["t"].to_numpy() >= t]).max() for t in (0.0, 0.15))

@@ -1,4 +1,6 @@
-"""Strain wave gears against their catalogue, and the two arms that have them: springs, rotors, eigenfrequencies."""
+"""Strain wave gears against their catalogue, and the two arms that have them: springs, rotors,
+eigenfrequencies.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,15 @@ RATIO_30 = {
     25: (Torsion(14, 48, 10000, 13000, 21000), 14, 40),
     32: (Torsion(29, 108, 24000, 30000, 49000), 12.1, 38),
 }
-"""Another table of the catalogue, of ratio 30, which prints the torsion at t1 and t2 as well [1e-4 rad]."""
+"""Another table of the catalogue, of ratio 30, which prints the torsion at t1 and t2 as well [1e-4
+rad].
+"""
 
 
 def free_links(robot: Any, q: Array, displaced: Array) -> tuple[Array, Array]:
-    """Times and link positions (T, n) of 1 s before rotors that are held at q, without weight, servos and friction."""
+    """Times and link positions (T, n) of 1 s before rotors that are held at q, without weight,
+    servos and friction.
+    """
     stage = stage_of(robot)
     model, data, at = stage.model, stage.data, stage.at
     model.opt.gravity[:] = 0.0
@@ -55,7 +61,8 @@ ARMS = ["arm_jaco", pytest.param("arm_panda", marks=NEEDS_PANDA)]
 @pytest.mark.parametrize("size", RATIO_30)
 def test_the_torsion_at_the_stages_ends_is_the_catalogues(size: int) -> None:
     curve, first, second = RATIO_30[size]
-    assert 1e4 * np.array(curve.bends) == pytest.approx([first, second], rel=0.03)  # printed with two digits
+    # printed with two digits
+    assert 1e4 * np.array(curve.bends) == pytest.approx([first, second], rel=0.03)
 
 
 def test_one_number_stands_for_all_joints() -> None:
@@ -65,17 +72,29 @@ def test_one_number_stands_for_all_joints() -> None:
 
 def test_a_stiffness_of_the_preset_does_not_hide_it() -> None:
     given = {"robot.realism": "field", "robot.strain_wave": {"sizes": [20, 20, 20, 0, 0, 0]}}
-    with pytest.raises(ScenarioError, match=r"is given by realism field and by strain_wave; works: robot.gears.stiffness_nmprad=\[\]"):
+    with pytest.raises(
+        ScenarioError,
+        match=(
+            r"is given by realism field and by strain_wave;"
+            r" works: robot.gears.stiffness_nmprad=\[\]"
+        ),
+    ):
         vs.load("arm_ibvs", given)
     found = vs.load("arm_ibvs", given | {"robot.gears.stiffness_nmprad": []}).robot.elastic
     assert found is not None and found.stiffest[0] == 29000
-    own = vs.load("arm_ibvs", given | {"robot.gears.stiffness_nmprad": [4e3, 4e3, 4e3, 0, 0, 0]}).robot.elastic
+    own = vs.load(
+        "arm_ibvs", given | {"robot.gears.stiffness_nmprad": [4e3, 4e3, 4e3, 0, 0, 0]}
+    ).robot.elastic
     assert own is not None and own.stiffest[0] == 4e3
 
 
 def test_the_table_grows_with_the_size() -> None:
     table = np.array(list(CURVES.values()))
-    assert (np.diff(table, axis=0) > 0).all() and (table[:, 0] < table[:, 1]).all() and (np.diff(table[:, 2:], axis=1) > 0).all()
+    assert (
+        (np.diff(table, axis=0) > 0).all()
+        and (table[:, 0] < table[:, 1]).all()
+        and (np.diff(table[:, 2:], axis=1) > 0).all()
+    )
 
 
 class TestMechanics:
@@ -88,42 +107,72 @@ class TestMechanics:
             compliance = (found.torsion(load + step) - found.torsion(load - step)) / 2e-3
             assert compliance == pytest.approx([1 / stiffness, 0], rel=1e-6)
         assert found.torsion(np.array([25.0, 0])) == pytest.approx([7 / 16000 + 18 / 25000, 0])
-        assert found.torsion(np.array([-60.0, 0])) == pytest.approx([-7 / 16000 - 18 / 25000 - 35 / 29000, 0])
+        assert found.torsion(np.array([-60.0, 0])) == pytest.approx(
+            [-7 / 16000 - 18 / 25000 - 35 / 29000, 0]
+        )
 
     def test_a_constant_stiffness_has_one_stage(self, tmp_path: Path) -> None:
         found = arm(tmp_path, gears=Gears(stiffness_nmprad=(2000, 0))).elastic
-        assert found is not None and found.torsion(np.array([-30.0, 5.0])) == pytest.approx([-0.015, 0])
+        assert found is not None and found.torsion(np.array([-30.0, 5.0])) == pytest.approx(
+            [-0.015, 0]
+        )
 
     def test_without_gears_it_changes_nothing(self, tmp_path: Path) -> None:
-        rigid, known = arm(tmp_path), arm(tmp_path, strain_wave=StrainWave(sizes=(20,), rotor_kgm2=(1.0,)))
-        assert known.elastic is None and known.servo_kp == rigid.servo_kp and needed_step(known) == np.inf
+        rigid, known = (
+            arm(tmp_path),
+            arm(tmp_path, strain_wave=StrainWave(sizes=(20,), rotor_kgm2=(1.0,))),
+        )
+        assert (
+            known.elastic is None
+            and known.servo_kp == rigid.servo_kp
+            and needed_step(known) == np.inf
+        )
 
     def test_added_servos_move_the_rotors_that_are_given(self, tmp_path: Path) -> None:
         given: dict[str, Any] = {"servo_kp": (), "servo_kv": (), "gears": Gears()}
         robot = arm(tmp_path, strain_wave=StrainWave(sizes=(14, 0), rotor_kgm2=(0.5, 0.2)), **given)
-        assert robot.servo_kp == pytest.approx([4500 * (inertia() + 0.5), 4500 * (0.001 + 0.2)], rel=1e-3)
+        assert robot.servo_kp == pytest.approx(
+            [4500 * (inertia() + 0.5), 4500 * (0.001 + 0.2)], rel=1e-3
+        )
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     for given, words in (
-        ({"strain_wave": StrainWave(sizes=(21,)), "gears": Gears()}, "must be one of 0, 8, 11, 14, 17, 20, 25, 32, 40"),
-        ({"strain_wave": StrainWave(sizes=(20, 20, 20)), "gears": Gears()}, "must be one value for all joints, or 2"),
+        (
+            {"strain_wave": StrainWave(sizes=(21,)), "gears": Gears()},
+            "must be one of 0, 8, 11, 14, 17, 20, 25, 32, 40",
+        ),
+        (
+            {"strain_wave": StrainWave(sizes=(20, 20, 20)), "gears": Gears()},
+            "must be one value for all joints, or 2",
+        ),
         ({"gears": Gears()}, "gears.stiffness_nmprad is missing; or give the catalogue sizes"),
-        ({"gears": Gears(backlash_deg=(0.1,)), "realism": "lab"}, "gears.stiffness_nmprad is missing; or give the catalogue sizes"),
+        (
+            {"gears": Gears(backlash_deg=(0.1,)), "realism": "lab"},
+            "gears.stiffness_nmprad is missing; or give the catalogue sizes",
+        ),
     ):
         with pytest.raises(ParameterError, match=words):
             arm(tmp_path, **given)
 
 
 def test_too_stiff_a_gear_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match=r"strain_wave.sizes must be 0 \(rigid\) for roll: it vibrates at \d+ Hz"):
+    with pytest.raises(
+        ParameterError,
+        match=r"strain_wave.sizes must be 0 \(rigid\) for roll: it vibrates at \d+ Hz",
+    ):
         needed_step(arm(tmp_path, strain_wave=StrainWave(sizes=(0, 40)), gears=Gears()))
-    with pytest.raises(ScenarioError, match=r"robot.strain_wave.sizes: must be 0 \(rigid\) for joint_\d"):
+    with pytest.raises(
+        ScenarioError, match=r"robot.strain_wave.sizes: must be 0 \(rigid\) for joint_\d"
+    ):
         vs.load("arm_jaco", {"robot.realism": "lab", "robot.strain_wave": {"sizes": [14]}})
 
 
 def test_a_joint_without_rotor_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match=r"sizes must be 0 for swing, .* or its inertia in strain_wave.rotor_kgm2"):
+    with pytest.raises(
+        ParameterError,
+        match=r"sizes must be 0 for swing, .* or its inertia in strain_wave.rotor_kgm2",
+    ):
         needed_step(arm(tmp_path, rotor=0.0, strain_wave=StrainWave(sizes=(20, 0)), gears=Gears()))
 
 
@@ -155,7 +204,9 @@ class TestArms:
         mode[soft] = modes[:, 0] / np.abs(modes[:, 0]).max()
         t, q = free_links(robot, start, 5e-5 * mode)
         leading = np.abs(mode).argmax()
-        assert frequency(t, q[:, leading] - start[leading]) == pytest.approx(math.sqrt(w2[0]), rel=0.01)
+        assert frequency(t, q[:, leading] - start[leading]) == pytest.approx(
+            math.sqrt(w2[0]), rel=0.01
+        )
 
     @pytest.mark.study
     @pytest.mark.parametrize("level", ["lab", "field"])

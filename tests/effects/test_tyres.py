@@ -1,4 +1,6 @@
-"""Tyres with slip: the brush against its formula, the way that the force takes, a spring at rest, the friction circle."""
+"""Tyres with slip: the brush against its formula, the way that the force takes, a spring at rest,
+the friction circle.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from vstestbed.effects.wheels import LOW_SPEED, TyreForces, Tyres
 LOAD, MU, DT = 150.0, 0.8, 0.002
 
 
-def steady(tyres: Tyres, sliding: tuple[float, float], speed: float, friction: float = MU) -> tuple[float, float]:
+def steady(
+    tyres: Tyres, sliding: tuple[float, float], speed: float, friction: float = MU
+) -> tuple[float, float]:
     """The force after a long way with a held slip [N]."""
     u = (0.0, 0.0)
     for _ in range(round(20 * tyres.relaxation_m / (speed * DT))):
@@ -29,11 +33,15 @@ def test_the_slope_at_zero_is_the_cornering_stiffness() -> None:
 
 @pytest.mark.parametrize("slip", [0.02, 0.1, 0.25, 0.5])
 def test_a_held_slip_has_the_force_of_the_brush(slip: float) -> None:
-    """Pacejka's polynomial of a brush with parabolic pressure: 3 mu F_z theta s (1 - theta s + (theta s)^2 / 3) up to theta s = 1."""
+    """Pacejka's polynomial of a brush with parabolic pressure: 3 mu F_z theta s (1 - theta s +
+    (theta s)^2 / 3) up to theta s = 1.
+    """
     theta = 8.0 / (3 * MU)
     x = theta * slip
     brush = 3 * MU * LOAD * x * (1 - x + x * x / 3) if x < 1 else MU * LOAD
-    assert math.hypot(*steady(Tyres(stiffness=8.0), (0.6 * slip, 0.8 * slip), 1.0)) == pytest.approx(brush, rel=1e-6)
+    assert math.hypot(
+        *steady(Tyres(stiffness=8.0), (0.6 * slip, 0.8 * slip), 1.0)
+    ) == pytest.approx(brush, rel=1e-6)
 
 
 def test_the_force_is_against_the_sliding() -> None:
@@ -50,14 +58,18 @@ def test_a_step_of_slip_takes_the_relaxation_length(sigma: float, speed: float) 
     for _ in range(steps):
         u = tyres.deflected(u, (0.0, slip * speed), speed, MU, DT / 10)
     way = steps * speed * DT / 10
-    force = -tyres.force(u, (0.0, slip * speed), speed, MU, LOAD)[1] / (tyres.stiffness * LOAD * slip)
+    force = -tyres.force(u, (0.0, slip * speed), speed, MU, LOAD)[1] / (
+        tyres.stiffness * LOAD * slip
+    )
     assert force == pytest.approx(1 - math.exp(-way / sigma), rel=1e-3)
 
 
 def test_at_rest_it_is_a_spring() -> None:
     tyres = Tyres(stiffness=8.0, relaxation_m=0.2)
     u = tyres.deflected((0.0, 0.0), (0.0, 1e-3), 0.0, MU, 0.5)
-    assert -tyres.force(u, (0.0, 0.0), 0.0, MU, LOAD)[1] == pytest.approx(8.0 * LOAD / 0.2 * 0.5e-3, rel=1e-2)
+    assert -tyres.force(u, (0.0, 0.0), 0.0, MU, LOAD)[1] == pytest.approx(
+        8.0 * LOAD / 0.2 * 0.5e-3, rel=1e-2
+    )
 
 
 def test_a_spring_that_slid_turns_at_once() -> None:
@@ -71,7 +83,9 @@ def test_a_spring_that_slid_turns_at_once() -> None:
 def test_the_force_is_never_more_than_friction() -> None:
     rng, tyres = np.random.default_rng(0), Tyres()
     for u_x, u_y, s_x, s_y, speed in rng.uniform(-1, 1, (200, 5)).tolist():
-        assert math.hypot(*tyres.force((u_x, u_y), (s_x, s_y), abs(speed), MU, LOAD)) <= MU * LOAD * (1 + 1e-12)
+        assert math.hypot(
+            *tyres.force((u_x, u_y), (s_x, s_y), abs(speed), MU, LOAD)
+        ) <= MU * LOAD * (1 + 1e-12)
 
 
 def test_the_damper_is_gone_at_speed() -> None:
@@ -91,7 +105,8 @@ def test_a_patch_too_stiff_for_the_step_is_refused(which: str) -> None:
 
 
 def test_a_wheel_in_the_air_has_no_force_and_lands_with_a_patch_at_rest() -> None:
-    forces = TyreForces.__new__(TyreForces)  # of no vehicle: what a wheel without load does asks for none
+    # of no vehicle: what a wheel without load does asks for none
+    forces = TyreForces.__new__(TyreForces)
     forces._deflection = [(1e-3, -1e-3)] * 4
     assert forces._wheel(2, 0.0, [0.0, 1.0], [0.1] * 6, 1e-3) == (0.0,) * 6
     assert forces._deflection == [(1e-3, -1e-3)] * 2 + [(0.0, 0.0), (1e-3, -1e-3)]

@@ -27,12 +27,16 @@ def test_heights_have_their_size_and_their_correlation(rms_m: float, correlation
 
 
 def test_slopes_follow() -> None:
-    """sqrt(2) rms / l, less what differences over a cell miss: the mean square of a difference is 2 (R(0) - R(cell))."""
+    """sqrt(2) rms / l, less what differences over a cell miss: the mean square of a difference is 2
+    (R(0) - R(cell)).
+    """
     floor = UnevenFloor(rms_m=0.002, correlation_m=0.3, seed=2)
     h = floor.heights(HALF_M)
     cell = 2 * HALF_M / (len(h) - 1)
     slope = np.diff(h, axis=1).std() / cell
-    assert slope == pytest.approx(0.002 * np.sqrt(2 * (1 - np.exp(-((cell / 0.3) ** 2)))) / cell, rel=0.03)
+    assert slope == pytest.approx(
+        0.002 * np.sqrt(2 * (1 - np.exp(-((cell / 0.3) ** 2)))) / cell, rel=0.03
+    )
     assert slope == pytest.approx(np.sqrt(2) * 0.002 / 0.3, rel=0.05)
 
 
@@ -50,7 +54,9 @@ def test_one_is_drawn_where_none_is_given() -> None:
 
 
 def test_a_base_is_tilted_by_the_heights_under_its_wheels() -> None:
-    """The plane through wheels 2a and 2b apart has a pitch of standard deviation rms / 2a sqrt((1 + R(2b)) (1 - R(2a))): 0.17 degrees."""
+    """The plane through wheels 2a and 2b apart has a pitch of standard deviation rms / 2a sqrt((1 +
+    R(2b)) (1 - R(2a))): 0.17 degrees.
+    """
     rms_m, length, wheelbase, track = 0.001, 0.3, 0.3, 0.32
     found = []
     for seed in range(2):
@@ -65,16 +71,26 @@ def test_a_base_is_tilted_by_the_heights_under_its_wheels() -> None:
 
 
 def test_the_relief_lies_where_its_heights_say() -> None:
-    """Rays straight down find the heights at the grid's corners, the floor's middle in the world's origin."""
-    scenario = vs.load("car_pbvs", {"robot.uneven_floor": {"rms_m": 0.004, "correlation_m": 0.3, "seed": 3}})
+    """Rays straight down find the heights at the grid's corners, the floor's middle in the world's
+    origin.
+    """
+    scenario = vs.load(
+        "car_pbvs", {"robot.uneven_floor": {"rms_m": 0.004, "correlation_m": 0.3, "seed": 3}}
+    )
     heights = UnevenFloor(rms_m=0.004, correlation_m=0.3, seed=3).heights(HALF_M)
     scene = Scene(scenario.scene)
     mujoco.mj_forward(scene.model, scene.data)
-    relief = next(i for i in range(scene.model.ngeom) if scene.model.geom_type[i] == mujoco.mjtGeom.mjGEOM_HFIELD)
+    relief = next(
+        i
+        for i in range(scene.model.ngeom)
+        if scene.model.geom_type[i] == mujoco.mjtGeom.mjGEOM_HFIELD
+    )
     cell, n = 2 * HALF_M / (len(heights) - 1), len(heights)
     for i, j in ((n // 4, n // 3), (n // 2 + 7, n // 5), (n // 3, 3 * n // 4)):
         above = np.array([j * cell - HALF_M, i * cell - HALF_M, 0.5])
-        away = mujoco.mj_rayHfield(scene.model, scene.data, relief, above, np.array([0.0, 0, -1]), None)
+        away = mujoco.mj_rayHfield(
+            scene.model, scene.data, relief, above, np.array([0.0, 0, -1]), None
+        )
         assert above[2] - away == pytest.approx(heights[i, j], abs=2e-4)
     assert np.ptp(heights) > 0.01
     scene.close()

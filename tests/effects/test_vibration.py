@@ -11,7 +11,13 @@ from vstestbed.effects.rotors import Vibration
 from vstestbed.robots.rotors import X4
 
 STILL = [0.0] * 6
-ONE = Vibration(imbalance_mps2=2.0, blade_pass_mps2=3.0, gyro_radps=0.1, accel_sigma_mps2=0.0, gyro_sigma_radps=0.0)
+ONE = Vibration(
+    imbalance_mps2=2.0,
+    blade_pass_mps2=3.0,
+    gyro_radps=0.1,
+    accel_sigma_mps2=0.0,
+    gyro_sigma_radps=0.0,
+)
 
 
 def test_one_rotor_at_hover_has_the_stated_amplitudes():
@@ -26,7 +32,9 @@ def test_one_rotor_at_hover_has_the_stated_amplitudes():
 
 def test_an_imbalance_grows_with_the_squared_speed_and_rotors_at_rest_are_quiet():
     at = (0.0, 0.0, 0.0, 0.0)
-    slow, fast = (ONE.at(at, (w, 0.0, 0.0, 0.0), X4.hover, STILL)[0][0] for w in (250_000.0, 1_000_000.0))
+    slow, fast = (
+        ONE.at(at, (w, 0.0, 0.0, 0.0), X4.hover, STILL)[0][0] for w in (250_000.0, 1_000_000.0)
+    )
     assert fast == pytest.approx(4 * slow)
     assert ONE.at(at, (0.0, 0.0, 0.0, 0.0), X4.hover, STILL) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -36,5 +44,10 @@ def test_the_default_is_within_what_autopilots_call_normal():
     rng = np.random.default_rng(0)
     W, block = (X4.hover,) * 4, Vibration()
     angles, noise = rng.uniform(0, 2 * math.pi, (4000, 4)), rng.standard_normal((4000, 6))
-    felt = np.array([block.at(tuple(a), W, X4.hover, n)[0] for a, n in zip(angles.tolist(), noise.tolist(), strict=True)])
+    felt = np.array(
+        [
+            block.at(tuple(a), W, X4.hover, n)[0]
+            for a, n in zip(angles.tolist(), noise.tolist(), strict=True)
+        ]
+    )
     assert felt.std(axis=0) == pytest.approx([2.9, 2.9, 3.6], rel=0.06)

@@ -11,7 +11,11 @@ MODEL = mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
 
 def test_a_gust_comes_and_goes():
     wind = Wind(mean_mps=(1, 0, 0), gusts=(Gust(from_s=2, duration_s=4, velocity_mps=(0, 5, 0)),))
-    np.testing.assert_allclose([wind.at(t) for t in (0, 2, 3, 4, 5, 6, 9)], [[1, v, 0] for v in (0, 0, 2.5, 5, 2.5, 0, 0)], atol=1e-12)
+    np.testing.assert_allclose(
+        [wind.at(t) for t in (0, 2, 3, 4, 5, 6, 9)],
+        [[1, v, 0] for v in (0, 0, 2.5, 5, 2.5, 0, 0)],
+        atol=1e-12,
+    )
 
 
 def test_turbulence_has_its_size_and_its_memory():
@@ -27,4 +31,8 @@ def test_turbulence_has_its_size_and_its_memory():
 
 
 def test_still_air():
-    assert Wind().still and not Wind(turbulence_mps=0.1).still and not Wind(gusts=(Gust(from_s=1),)).still
+    assert (
+        Wind().still
+        and not Wind(turbulence_mps=0.1).still
+        and not Wind(gusts=(Gust(from_s=1),)).still
+    )

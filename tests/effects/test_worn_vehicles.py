@@ -1,4 +1,6 @@
-"""Imperfections of vehicles in MuJoCo, against theory: tyres, coasting, play, unequal wheels, an uneven floor."""
+"""Imperfections of vehicles in MuJoCo, against theory: tyres, coasting, play, unequal wheels, an
+uneven floor.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class Drive:
     def __init__(self, robot: Car | Omni, floor_friction: float | None = None):
         s = vs.load("car_pbvs")
         self.robot = robot
-        self.stage = Scene(SceneDescription(robot, s.camera, s.target, World(floor_friction=floor_friction), STEP))
+        self.stage = Scene(
+            SceneDescription(robot, s.camera, s.target, World(floor_friction=floor_friction), STEP)
+        )
         self.plant = MujocoPlant(self.stage, 20, None, False, np.random.default_rng(0))
         self.model, self.data = self.stage.model, self.stage.data
 
@@ -55,7 +59,9 @@ class Drive:
         """True (vx, vy, wz) of the frame on the floor, in its own axes."""
         twist, root = np.zeros(6), self.stage.root
         assert root is not None
-        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, root.body, twist, 1)
+        mujoco.mj_objectVelocity(
+            self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, root.body, twist, 1
+        )
         return twist[3], twist[4], twist[2]
 
     def body(self, name: str) -> int:
@@ -80,13 +86,20 @@ def driven() -> Iterator[Driven]:
 
 class TestTyres:
     @pytest.mark.parametrize(("speed", "sigma"), [(1.0, 0.1), (2.5, 0.1), (2.5, 0.3)])
-    def test_a_step_of_slip_angle_takes_the_relaxation_length(self, speed: float, sigma: float, driven: Driven) -> None:
-        """The car is led with a held slip angle from rest: the force on its wheels has 63 % of the last after the way sigma."""
+    def test_a_step_of_slip_angle_takes_the_relaxation_length(
+        self, speed: float, sigma: float, driven: Driven
+    ) -> None:
+        """The car is led with a held slip angle from rest: the force on its wheels has 63 % of the
+        last after the way sigma.
+        """
         drive = driven(Car(tyres=Tyres(stiffness=6.0, relaxation_m=sigma)))
         model, data, slip = drive.model, drive.data, 0.002
         forces = TyreForces(drive.stage.body, Tyres(stiffness=6.0, relaxation_m=sigma))
         # The rear wheels: the front ones give way by their steering, by a tenth of this slip.
-        bodies, slides = ([get(f"{name}{end}") for name in WHEELS[2:]] for get, end in ((drive.body, "_wheel"), (drive.joint, "_spring")))
+        bodies, slides = (
+            [get(f"{name}{end}") for name in WHEELS[2:]]
+            for get, end in ((drive.body, "_wheel"), (drive.joint, "_spring"))
+        )
         upright = data.qpos[2:7].copy()
         found = []
         for _ in range(round(5 * sigma / speed / STEP)):
@@ -99,20 +112,27 @@ class TestTyres:
             drive.stage.step(1)
         way = (np.arange(len(found)) + 1) * speed * STEP
         assert found[-1] == pytest.approx(6.0 * slip, rel=0.02)
-        assert np.interp(1 - math.exp(-1), np.array(found) / (6.0 * slip), way) == pytest.approx(sigma, rel=0.02)
+        assert np.interp(1 - math.exp(-1), np.array(found) / (6.0 * slip), way) == pytest.approx(
+            sigma, rel=0.02
+        )
 
     def test_a_bend_takes_its_slip_angle(self, driven: Driven) -> None:
-        """The rear axle's share of m v^2 / R is c alpha of its load, b / L m g: alpha = v^2 / (R g c), whatever the mass."""
+        """The rear axle's share of m v^2 / R is c alpha of its load, b / L m g: alpha = v^2 / (R g
+        c), whatever the mass.
+        """
         for mass, speed in ((60.0, 1.2), (90.0, 2.0)):
             parameters = CarParameters(mass_kg=mass, motor_torque_nm=40.0)
             drive = driven(Car(tyres=Tyres(stiffness=6.0), limits=FAST, parameters=parameters))
             drive.go(3.5, speed, 0.1)
             vx, vy, wz = drive.velocity
             assert vx * wz > 0.09 * speed**2
-            assert -math.atan2(vy, vx) == pytest.approx(vx * wz / (G * 6.0), rel=0.03)  # the brush is softer by 2 % here
+            # the brush is softer by 2 % here
+            assert -math.atan2(vy, vx) == pytest.approx(vx * wz / (G * 6.0), rel=0.03)
 
     def test_odometry_does_not_see_the_side_slip(self, driven: Driven) -> None:
-        """The rear axle drifts outwards by v tan(alpha); by its encoders the car goes where it points."""
+        """The rear axle drifts outwards by v tan(alpha); by its encoders the car goes where it
+        points.
+        """
         drive = driven(Car(tyres=Tyres(stiffness=4.0), limits=FAST))
         drive.go(3.0, 2.0, 0.1)
         before = drive.plant.reading()
@@ -123,7 +143,9 @@ class TestTyres:
         assert 1.0 < ahead / vx < 1.01  # driven wheels turn a little faster than they roll
 
     def test_softer_front_tyres_understeer(self, driven: Driven) -> None:
-        """The steering angle L / R + K a_y has the gradient K = (1 / c_front - 1 / c_rear) / g; a car with equal tyres has none."""
+        """The steering angle L / R + K a_y has the gradient K = (1 / c_front - 1 / c_rear) / g; a
+        car with equal tyres has none.
+        """
         bends = []
         for rear in (6.0, 12.0):
             drive = driven(Car(tyres=Tyres(stiffness=6.0, rear_stiffness=rear), limits=FAST))
@@ -139,7 +161,9 @@ class TestTyres:
         drive.go(0.5)
         loads = drive.data.qfrc_constraint[[drive.joint(f"{name}_spring") for name in WHEELS]]
         assert loads.sum() == pytest.approx(60 * G, rel=1e-3)
-        np.testing.assert_allclose(loads, 60 * G * np.array([0.2044, 0.2044, 0.2956, 0.2956]), rtol=0.01)
+        np.testing.assert_allclose(
+            loads, 60 * G * np.array([0.2044, 0.2044, 0.2956, 0.2956]), rtol=0.01
+        )
 
     def test_a_car_that_stands_stays_also_where_it_is_pushed(self, driven: Driven) -> None:
         """A spring of stiffness c m g / sigma for all four wheels: it gives way, and comes back."""
@@ -148,13 +172,16 @@ class TestTyres:
         drive.plant.push(np.array([0.0, 30.0, 0.0]), 2.0)
         drive.go(2.0)
         pushed = drive.place[1] - y
-        assert pushed == pytest.approx(30.0 / (10.0 * 60 * G / 0.15), rel=0.25)  # the camera's body is not the middle of the car
+        # the camera's body is not the middle of the car
+        assert pushed == pytest.approx(30.0 / (10.0 * 60 * G / 0.15), rel=0.25)
         drive.go(3.0)
         assert abs(drive.place[1] - y) < 0.02 * pushed
 
     def test_on_ice_it_slides(self, driven: Driven) -> None:
         """No more acceleration than mu g, in a bend that would take .6 m/s^2 of it at 1.4 m/s."""
-        drive = driven(Car(tyres=Tyres(), limits=CarLimits(speed_mps=1.4, acceleration_mps2=0.3)), 0.05)
+        drive = driven(
+            Car(tyres=Tyres(), limits=CarLimits(speed_mps=1.4, acceleration_mps2=0.3)), 0.05
+        )
         drive.go(4.0, 1.4, 0.0)
         before = np.array(drive.data.qvel[:2])
         drive.go(0.5, 1.4, 0.3)
@@ -163,16 +190,27 @@ class TestTyres:
 
 class TestRolling:
     @pytest.mark.parametrize("coefficient", [0.015, 0.04])
-    def test_a_car_coasts_to_rest_by_its_rolling_resistance(self, coefficient: float, driven: Driven) -> None:
-        """m_eff a = c m g, with the wheels' inertia in m_eff, beside the same car without: that has its bearings alone."""
-        slowed = [coasting(driven(Car(rolling_resistance=c, limits=FAST)), "drive") for c in (0.0, coefficient)]
+    def test_a_car_coasts_to_rest_by_its_rolling_resistance(
+        self, coefficient: float, driven: Driven
+    ) -> None:
+        """m_eff a = c m g, with the wheels' inertia in m_eff, beside the same car without: that has
+        its bearings alone.
+        """
+        slowed = [
+            coasting(driven(Car(rolling_resistance=c, limits=FAST)), "drive")
+            for c in (0.0, coefficient)
+        ]
         spin = 4 * (0.5 * 1.5 * 0.15**2 + 0.5 * 0.7 * 0.088**2)
-        assert slowed[1] - slowed[0] == pytest.approx(coefficient * G * 60 / (60 + spin / 0.15**2), rel=0.02)
+        assert slowed[1] - slowed[0] == pytest.approx(
+            coefficient * G * 60 / (60 + spin / 0.15**2), rel=0.02
+        )
 
     def test_and_so_does_the_base(self, driven: Driven) -> None:
         bases = [driven(Omni(rolling_resistance=c)) for c in (0.0, 0.02)]
         slowed = [coasting(base, *WHEELS) for base in bases]
-        assert slowed[1] - slowed[0] == pytest.approx(0.02 * G * 8 / (8 + 4 * 1.6e-3 / 0.05**2), rel=0.03)
+        assert slowed[1] - slowed[0] == pytest.approx(
+            0.02 * G * 8 / (8 + 4 * 1.6e-3 / 0.05**2), rel=0.03
+        )
 
 
 def coasting(drive: Drive, *motors: str) -> float:
@@ -192,10 +230,14 @@ class TestPlay:
     """Slow enough that the wheels stop with the servo, by friction."""
 
     def test_the_wheels_follow_behind_the_play(self, driven: Driven) -> None:
-        """Servo less output is half the play on the way out, minus half of it on the way back: all of it is lost at a turn."""
+        """Servo less output is half the play on the way out, minus half of it on the way back: all
+        of it is lost at a turn.
+        """
         width = math.radians(3.0)
         drive = driven(self.CAR)
-        servo, output = (drive.data.joint(f"robot/{name}") for name in ("steering", "steering_output"))
+        servo, output = (
+            drive.data.joint(f"robot/{name}") for name in ("steering", "steering_output")
+        )
         lost = []
         for angle in (0.1, -0.1, 0.1):
             drive.go(1.6, 0.5, angle)
@@ -219,7 +261,8 @@ class TestPlay:
 
 class TestSpread:
     def test_dead_reckoning_turns_by_unequal_rear_wheels(self, driven: Driven) -> None:
-        """Of wheels that roll, v = r (1 + e) w: odometry takes the larger one, which turns slower, for the one in the bend.
+        """Of wheels that roll, v = r (1 + e) w: odometry takes the larger one, which turns slower,
+        for the one in the bend.
 
         The heading drifts by v (1 / (1 + e_right) - 1 / (1 + e_left)) / track.
         """
@@ -240,7 +283,9 @@ class TestSpread:
         before, at = drive.plant.reading(), drive.place
         drive.go(1.0)
         true = np.hypot(*(drive.place - at)[:2])
-        assert true / drive.robot.odometry(before, drive.plant.reading(), 1.0)[0] == pytest.approx(1.02, abs=2e-3)
+        assert true / drive.robot.odometry(before, drive.plant.reading(), 1.0)[0] == pytest.approx(
+            1.02, abs=2e-3
+        )
 
 
 class TestUnevenFloor:
@@ -252,13 +297,22 @@ class TestUnevenFloor:
         relief = drive.model.geom(RELIEF).id
         for row, column in np.random.default_rng(0).integers(1, len(heights) - 1, (50, 2)).tolist():
             x, y = (2 * HALF_M * np.array([column, row]) / (len(heights) - 1) - HALF_M).tolist()
-            way = mujoco.mj_rayHfield(drive.model, drive.data, relief, np.array([x, y, 1.0]), np.array([0.0, 0.0, -1.0]))
+            way = mujoco.mj_rayHfield(
+                drive.model, drive.data, relief, np.array([x, y, 1.0]), np.array([0.0, 0.0, -1.0])
+            )
             assert 1.0 - way == pytest.approx(heights[row, column], abs=2e-6)
 
     @pytest.mark.parametrize("robot", [Car, Omni])
     def test_a_vehicle_rides_on_it(self, robot: type[Car | Omni], driven: Driven) -> None:
-        """It goes up and down with the floor, stays in contact, and touches nothing that counts as a collision."""
-        drive = driven(robot(uneven_floor=UnevenFloor(rms_m=0.003, correlation_m=0.5, seed=1), start=GroundStart()))
+        """It goes up and down with the floor, stays in contact, and touches nothing that counts as
+        a collision.
+        """
+        drive = driven(
+            robot(
+                uneven_floor=UnevenFloor(rms_m=0.003, correlation_m=0.5, seed=1),
+                start=GroundStart(),
+            )
+        )
         heights = []
         for _ in range(30):
             truth = drive.go(0.1, *((1.0, 0.2) if robot is Car else (10.0,) * 4))
@@ -271,10 +325,17 @@ class TestUnevenFloor:
         np.testing.assert_allclose(drive.place, 0.0, atol=1e-6)
         before = drive.place
         drive.go(1.0)
-        np.testing.assert_allclose(drive.place, before, atol=2e-3)  # the drive's loop lets it creep where the floor slopes
+        # the drive's loop lets it creep where the floor slopes
+        np.testing.assert_allclose(drive.place, before, atol=2e-3)
 
     def test_the_written_model_has_it(self, tmp_path: Path) -> None:
-        s = vs.load("car_pbvs", {"robot.uneven_floor": {"rms_m": 0.002, "correlation_m": 1.0}, "robot.steering_play_deg": 1.0})
+        s = vs.load(
+            "car_pbvs",
+            {
+                "robot.uneven_floor": {"rms_m": 0.002, "correlation_m": 1.0},
+                "robot.steering_play_deg": 1.0,
+            },
+        )
         xml, assets = scene_files(s.scene)
         (tmp_path / "model.xml").write_text(xml)
         for name, data in assets.items():

@@ -1,4 +1,6 @@
-"""The dm_env environments: dm_env's own conformance tests, on episodes that end by a success, by a failure and by the clock."""
+"""The dm_env environments: dm_env's own conformance tests, on episodes that end by a success, by a
+failure and by the clock.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +29,27 @@ class Conformance(test_utils.EnvironmentTestMixin):
 
 
 class TestArm(Conformance, absltest.TestCase):
-    settings = {"scenario": "arm_ibvs", "observation": "both", "overrides": {"stop.duration_s": 0.4}}  # noqa: RUF012 - a test's
+    settings = {  # noqa: RUF012 - a test's
+        "scenario": "arm_ibvs",
+        "observation": "both",
+        "overrides": {"stop.duration_s": 0.4},
+    }
 
 
 @pytest.mark.study
 class TestCar(Conformance, absltest.TestCase):
-    settings = {"scenario": "car_pbvs", "overrides": {"stop.duration_s": 0.4}, "reward": "negative_error"}  # noqa: RUF012 - a test's
+    settings = {  # noqa: RUF012 - a test's
+        "scenario": "car_pbvs",
+        "overrides": {"stop.duration_s": 0.4},
+        "reward": "negative_error",
+    }
 
 
 class TestIdealCamera(Conformance, absltest.TestCase):
-    settings = {"scenario": "ibvs_book", "overrides": {"detector": "oracle", "stop.duration_s": 1.0}}  # noqa: RUF012 - a test's
+    settings = {  # noqa: RUF012 - a test's
+        "scenario": "ibvs_book",
+        "overrides": {"detector": "oracle", "stop.duration_s": 1.0},
+    }
 
 
 @pytest.mark.opengl
@@ -54,15 +67,28 @@ def test_it_is_the_gymnasium_environment_in_other_words() -> None:
     gym.close()
 
 
-@pytest.mark.parametrize(("ending", "discount"), [(vs.Outcome.timed_out, 1.0), (vs.Outcome.collided, 0.0), (vs.Outcome.converged, 0.0)])
-def test_only_the_clock_leaves_a_future(ending: vs.Outcome, discount: float, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("ending", "discount"),
+    [(vs.Outcome.timed_out, 1.0), (vs.Outcome.collided, 0.0), (vs.Outcome.converged, 0.0)],
+)
+def test_only_the_clock_leaves_a_future(
+    ending: vs.Outcome, discount: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from vstestbed.loop.termination import Termination
 
-    monkeypatch.setattr(Termination, "verdict", lambda termination, frame: (ending, "so") if frame.t > 0.1 else None)
-    env = vstestbed.env.dm("ibvs_book", overrides={"detector": "oracle"}, success_bonus=5.0, reward="sparse")
+    monkeypatch.setattr(
+        Termination, "verdict", lambda termination, frame: (ending, "so") if frame.t > 0.1 else None
+    )
+    env = vstestbed.env.dm(
+        "ibvs_book", overrides={"detector": "oracle"}, success_bonus=5.0, reward="sparse"
+    )
     env.reset()
     last = [env.step(np.zeros(6)) for _ in range(2)][-1]
-    assert last.last() and last.discount == discount and last.reward == (5.0 if ending.success else 0.0)
+    assert (
+        last.last()
+        and last.discount == discount
+        and last.reward == (5.0 if ending.success else 0.0)
+    )
     assert env.info["is_success"] is ending.success
     assert env.step(np.zeros(6)).first()
     env.close()

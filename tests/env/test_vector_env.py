@@ -1,4 +1,6 @@
-"""Many environments by arrays: the same episodes as of one environment each, seed by seed and action by action."""
+"""Many environments by arrays: the same episodes as of one environment each, seed by seed and
+action by action.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ N = 6
 
 def made(mode: str, n: int = N, name: str = "ibvs_book", **settings: Any) -> Any:
     overrides = IDEAL | settings.pop("overrides", {})
-    return gymnasium.make_vec(f"vstestbed/{name}-v0", num_envs=n, vectorization_mode=mode, overrides=overrides, **settings)
+    return gymnasium.make_vec(
+        f"vstestbed/{name}-v0", num_envs=n, vectorization_mode=mode, overrides=overrides, **settings
+    )
 
 
 def towards(env: GymServos) -> np.ndarray:
@@ -51,15 +55,23 @@ def test_episodes_are_those_of_single_environments(settings: dict[str, Any], sha
     rng = np.random.default_rng(0)
     for k in range(160):
         for key, values in a[0].items():
-            assert values.dtype == np.float32 and values == pytest.approx(b[0][key], rel=1e-6, abs=1e-3)
+            assert values.dtype == np.float32 and values == pytest.approx(
+                b[0][key], rel=1e-6, abs=1e-3
+            )
         assert arrays.observation_space.contains(a[0])
         for name in ("outcome", "is_success", "seed"):
             assert (a[-1][name] == b[-1][name]).all(), (k, name)
-        assert a[-1]["t"] == pytest.approx(b[-1]["t"], abs=1e-9) and a[-1]["error"] == pytest.approx(b[-1]["error"], nan_ok=True, rel=1e-6)
-        wild = rng.uniform(-1, 1, (N, 6)) * (0.6 if "stop.rest_after_s" not in settings.get("overrides", {}) else (k % 40 < 20))
+        assert a[-1]["t"] == pytest.approx(b[-1]["t"], abs=1e-9) and a[-1][
+            "error"
+        ] == pytest.approx(b[-1]["error"], nan_ok=True, rel=1e-6)
+        wild = rng.uniform(-1, 1, (N, 6)) * (
+            0.6 if "stop.rest_after_s" not in settings.get("overrides", {}) else (k % 40 < 20)
+        )
         action = (share * towards(arrays.unwrapped) + (1 - share) * wild).astype(np.float32)
         a, b = arrays.step(action), single.step(action)
-        assert a[1] == pytest.approx(b[1], abs=1e-6) and (a[2] == b[2]).all() and (a[3] == b[3]).all()
+        assert (
+            a[1] == pytest.approx(b[1], abs=1e-6) and (a[2] == b[2]).all() and (a[3] == b[3]).all()
+        )
         ends |= set(a[-1]["outcome"])
     assert len(ends) > 1 or settings.get("end_on_loss") is False
     arrays.close(), single.close()
@@ -71,7 +83,11 @@ def test_an_episode_that_ends_with_its_first_frame_tells_it_in_its_first_step() 
     arrays.reset(seed=1), single.reset(seed=1)
     for _ in range(5):
         a, b = arrays.step(np.full((3, 6), 0.1)), single.step(np.full((3, 6), 0.1))
-        assert a[1] == pytest.approx(b[1], abs=1e-6) and (a[2] == b[2]).all() and (a[-1]["seed"] == b[-1]["seed"]).all()
+        assert (
+            a[1] == pytest.approx(b[1], abs=1e-6)
+            and (a[2] == b[2]).all()
+            and (a[-1]["seed"] == b[-1]["seed"]).all()
+        )
     single.close()
 
 
@@ -93,18 +109,33 @@ def test_a_mask_begins_some_of_them() -> None:
     env.reset(seed=[5, 6, 7])
     for _ in range(3):
         before, *_ = env.step(np.full((3, 6), 0.01))
-    after, info = env.reset(seed=[9, None, None], options={"reset_mask": np.array([True, False, False])})
+    after, info = env.reset(
+        seed=[9, None, None], options={"reset_mask": np.array([True, False, False])}
+    )
     assert info["seed"].tolist() == [9, 6, 7] and info["t"][0] == 0 < info["t"][1]
-    assert (after["markers"][1:] == before["markers"][1:]).all() and not np.allclose(after["markers"][0], before["markers"][0])
+    assert (after["markers"][1:] == before["markers"][1:]).all() and not np.allclose(
+        after["markers"][0], before["markers"][0]
+    )
 
 
 def test_what_a_batch_leaves_out_is_not_left_out_silently() -> None:
-    with pytest.raises(ParameterError, match=r"ideal must be True .* leaves out the dynamics and limits of robot puma560.*detector blobs"):
-        gymnasium.make_vec("vstestbed/arm_ibvs-v0", num_envs=2, vectorization_mode="vector_entry_point")
-    env = gymnasium.make_vec("vstestbed/arm_ibvs-v0", num_envs=2, vectorization_mode="vector_entry_point", ideal=True)
+    with pytest.raises(
+        ParameterError,
+        match=(
+            r"ideal must be True .* leaves out the dynamics"
+            r" and limits of robot puma560.*detector blobs"
+        ),
+    ):
+        gymnasium.make_vec(
+            "vstestbed/arm_ibvs-v0", num_envs=2, vectorization_mode="vector_entry_point"
+        )
+    env = gymnasium.make_vec(
+        "vstestbed/arm_ibvs-v0", num_envs=2, vectorization_mode="vector_entry_point", ideal=True
+    )
     shown, _ = env.reset(seed=4)
     arm = gymnasium.make("vstestbed/arm_ibvs-v0", overrides=IDEAL)
-    assert shown["markers"][0] == pytest.approx(arm.reset(seed=4)[0]["markers"], abs=0.01)  # the arm's own start
+    # the arm's own start
+    assert shown["markers"][0] == pytest.approx(arm.reset(seed=4)[0]["markers"], abs=0.01)
     with pytest.raises(ParameterError, match="observation must be markers"):
         made("vector_entry_point", observation="pixels")
     with pytest.raises(ParameterError, match="action_repeat must be 1"):

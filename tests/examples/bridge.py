@@ -1,13 +1,16 @@
-"""A bridge to a robot without ROS: its pictures and joints over a socket to the controller, joint velocities back, and a stop first.
+"""A bridge to a robot without ROS: its pictures and joints over a socket to the controller, joint
+velocities back, and a stop first.
 
     python bridge.py SCENARIO HOST PORT
 
-The robot's side sends, for each picture, a line of JSON `{"t": 1.23, "q": [...], "qd": [...], "picture": "BASE64"}`: the time of the
-exposure [s] on a clock that starts with the task, its joints [rad], and the picture as a file of PNG or JPEG. It is sent lines
-`{"move": [...]}` (joint velocities [rad/s]) or `{"stop": "REASON"}`. It must stop by itself where none has come for 0.5 s. Of pictures
-that have waited only the newest is answered: by the others the robot would move late. Nobody knows by another clock how old a picture is;
-but what it took to come, and what it came later than the one that came soonest, is known. One that was so long on its way that no command
-lasts as long stops the robot.
+The robot's side sends, for each picture, a line of JSON
+`{"t": 1.23, "q": [...], "qd": [...], "picture": "BASE64"}`: the time of the exposure [s] on a clock
+that starts with the task, its joints [rad], and the picture as a file of PNG or JPEG. It is sent
+lines `{"move": [...]}` (joint velocities [rad/s]) or `{"stop": "REASON"}`. It must stop by itself
+where none has come for 0.5 s. Of pictures that have waited only the newest is answered: by the
+others the robot would move late. Nobody knows by another clock how old a picture is; but what it
+took to come, and what it came later than the one that came soonest, is known. One that was so long
+on its way that no command lasts as long stops the robot.
 """
 
 import base64
@@ -29,7 +32,11 @@ SILENCE_S = 0.5
 
 def obey(order, out: IO[str]) -> None:
     """Tell the robot what to do: the stop comes first."""
-    told = {"stop": order.reason, "latched": order.latched} if order.stopped else {"move": order.setpoint.tolist()}
+    told = (
+        {"stop": order.reason, "latched": order.latched}
+        if order.stopped
+        else {"move": order.setpoint.tolist()}
+    )
     out.write(json.dumps(told) + "\n")
     out.flush()
 
@@ -44,8 +51,10 @@ def serve(controller: vs.Controller, link: socket.socket) -> int:
     """Answer each new picture until the robot's side ends; how many there were."""
     link.settimeout(SILENCE_S)  # for what is sent
     out, waiting, reading, count = link.makefile("w"), b"", None, 0
-    now, ahead, began = 0.0, math.inf, 0.0  # now: by the robot's clock; ahead: by how much the own clock is, at most; began: a message
-    deadline = time.monotonic() + SILENCE_S  # for a whole message: bytes that trickle are no picture
+    # now: by the robot's clock; ahead: by how much the own clock is, at most; began: a message
+    now, ahead, began = 0.0, math.inf, 0.0
+    # for a whole message: bytes that trickle are no picture
+    deadline = time.monotonic() + SILENCE_S
     try:
         while True:
             left = deadline - time.monotonic()

@@ -1,10 +1,12 @@
 """Image-based servoing with an estimated Jacobian (Broyden), as a plugin.
 
-The smallest of its kind, whose first Jacobian is still that of a calibrated camera; the law `uncalibrated` needs none.
+The smallest of its kind, whose first Jacobian is still that of a calibrated camera; the law
+`uncalibrated` needs none.
 
 From this folder: `vstestbed run arm_ibvs --plugin broyden --set law=broyden`.
 
-Reference: Jagersand, Fuentes & Nelson 1997, doi:10.1109/ROBOT.1997.606723; Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6.
+Reference: Jagersand, Fuentes & Nelson 1997, doi:10.1109/ROBOT.1997.606723; Broyden 1965,
+doi:10.1090/S0025-5718-1965-0198670-6.
 """
 
 from typing import Annotated, Literal, NamedTuple
@@ -16,7 +18,9 @@ import vstestbed as vs
 
 
 class Memory(NamedTuple):
-    """The last frame: time [s], Jacobian (2N, n) of the features, features (2N,), velocities commanded (n,)."""
+    """The last frame: time [s], Jacobian (2N, n) of the features, features (2N,), velocities
+    commanded (n,).
+    """
 
     t: float
     J: vs.Array
@@ -27,7 +31,9 @@ class Memory(NamedTuple):
 @vs.LAWS.add
 @vs.spec
 class Broyden(vs.LawBase):
-    """u = -gain pinv(J) e, with J corrected by what the last motion did: J + update (ds - J dx) dx' / (dx' dx)."""
+    """u = -gain pinv(J) e, with J corrected by what the last motion did: J + update (ds - J dx)
+    dx' / (dx' dx).
+    """
 
     kind: Literal["broyden"] = "broyden"
     gain: Annotated[float, Gt(0)] = 1.0
@@ -39,7 +45,11 @@ class Broyden(vs.LawBase):
         if not observation.seen.all():
             return None, vs.Command.rest(basis, "a marker is out of sight")
         s, s_goal = observation.xy.ravel(), goal.xy.ravel()
-        J = vs.features.Point().interaction(goal.xy, goal.depth) @ basis if state is None else state.J
+        J = (
+            vs.features.Point().interaction(goal.xy, goal.depth) @ basis
+            if state is None
+            else state.J
+        )
         if state is not None:
             dx = state.u * (observation.t - state.t)
             if dx @ dx > 1e-12:  # at rest there is nothing to learn

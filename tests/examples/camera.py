@@ -1,8 +1,10 @@
-"""The controller of a scenario on a real camera's pictures: prints the order that each one asks for, a stop or a camera twist.
+"""The controller of a scenario on a real camera's pictures: prints the order that each one asks
+for, a stop or a camera twist.
 
     python camera.py SCENARIO [FILM.mp4 | CAMERA]
 
-SCENARIO: with the real camera's size, focal length and rate, for a camera held by hand (`robot: free`). CAMERA: 0 for the first one.
+SCENARIO: with the real camera's size, focal length and rate, for a camera held by hand
+(`robot: free`). CAMERA: 0 for the first one.
 """
 
 import sys
@@ -25,7 +27,11 @@ def twists(scenario: vs.Scenario, source: str) -> Iterator[vs.Cycle]:
         sys.exit(f"{source}: no film or camera that OpenCV can open")
     while True:
         there, picture = video.read()
-        t = time.monotonic() - began if source.isdigit() else video.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        t = (
+            time.monotonic() - began
+            if source.isdigit()
+            else video.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        )
         if not there:
             return
         yield controller.step(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), t, NO_JOINTS)

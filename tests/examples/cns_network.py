@@ -1,7 +1,9 @@
-"""The published network of CNS for `point_graph`: Chen et al. 2023, arXiv:2309.09047, https://github.com/hhcaz/CNS (MIT licence).
+"""The published network of CNS for `point_graph`: Chen et al. 2023, arXiv:2309.09047,
+https://github.com/hhcaz/CNS (MIT licence).
 
-It needs a clone of that repository, with its weights, and what they need: `pip install torch torch_geometric scikit-learn`. Nothing of it
-is copied here; the graph and the network are built by its own code.
+It needs a clone of that repository, with its weights, and what they need:
+`pip install torch torch_geometric scikit-learn`. Nothing of it is copied here; the graph and the
+network are built by its own code.
 """
 
 from __future__ import annotations
@@ -14,8 +16,8 @@ import numpy as np
 class Cns:
     """The network in one run.
 
-    repository: of the clone. weights: `checkpoints/cns_state_dict.pth` in it. distance_m: from the camera to the scene at the goal,
-    about [m].
+    repository: of the clone. weights: `checkpoints/cns_state_dict.pth` in it. distance_m: from the
+    camera to the scene at the goal, about [m].
     """
 
     def __init__(self, repository: str, weights: str, distance_m: str):

@@ -1,4 +1,5 @@
-"""Policies of one's own, for `law: {kind: policy, file: "policy.py:act"}`: here image-based servoing from pixels, by hand.
+"""Policies of one's own, for `law: {kind: policy, file: "policy.py:act"}`: here image-based
+servoing from pixels, by hand.
 
 From this folder: `vstestbed run ibvs_book --set "law={kind: policy, file: policy.py:act}"`.
 """
@@ -21,7 +22,9 @@ def act(observation):
 
 
 class Smooth:
-    """The same through a first-order filter: a policy with a memory, of which every run has an instance of its own."""
+    """The same through a first-order filter: a policy with a memory, of which every run has an
+    instance of its own.
+    """
 
     def __init__(self):
         self.action, self.frames = np.zeros(6), 0

@@ -1,6 +1,9 @@
-"""A hybrid law, as a plugin: pictures across the axis of a hole, the force at the wrist along it.
+r"""A hybrid law, as a plugin: pictures across the axis of a hole, the force at the wrist along it.
 
-From this folder: `vstestbed run arm_insert --plugin pressing --set law=pressing --set goal.press_n=null --set goal.seat_s=2`.
+From this folder:
+
+    vstestbed run arm_insert --plugin pressing --set law=pressing \
+        --set goal.press_n=null --set goal.seat_s=2
 
 Reference: Raibert & Craig 1981, doi:10.1115/1.3139652.
 """
@@ -19,9 +22,11 @@ TOUCH_N = 3.0
 @vs.LAWS.add
 @vs.spec
 class Pressing(PBVS):
-    """As `pbvs`, but for the way along the hole's axis while the plug touches: there the speed is gain (force_n - f) / stiffness_npm.
+    """As `pbvs`, but for the way along the hole's axis while the plug touches: there the speed is
+    gain (force_n - f) / stiffness_npm.
 
-    f is the pressure along the axis [N]. The weight of a tool is part of it, unless the axis is horizontal.
+    f is the pressure along the axis [N]. The weight of a tool is part of it, unless the axis is
+    horizontal.
     """
 
     kind: Literal["pressing"] = "pressing"

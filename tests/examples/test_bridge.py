@@ -1,4 +1,6 @@
-"""The bridge to a robot without ROS: every picture is answered, silence and the end stop the robot."""
+"""The bridge to a robot without ROS: every picture is answered,
+silence and the end stop the robot.
+"""
 
 import base64
 import json
@@ -19,7 +21,12 @@ BRIDGE = load_file(Path(__file__).with_name("bridge.py"))
 def line_of(frame):
     """What the robot's side sends."""
     png = base64.b64encode(cv2.imencode(".png", frame.image[..., ::-1])[1]).decode()
-    line = {"t": frame.t, "q": frame.truth.q.tolist(), "qd": frame.truth.qd.tolist(), "picture": png}
+    line = {
+        "t": frame.t,
+        "q": frame.truth.q.tolist(),
+        "qd": frame.truth.qd.tolist(),
+        "picture": png,
+    }
     return json.dumps(line) + "\n"
 
 
@@ -29,7 +36,8 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     robot, law = socket.socketpair()
     robot.settimeout(20)
     controller = vs.Controller(scenario)
-    controller.clock = lambda: now_s  # of the simulation, which is slower than real time where the machine is busy
+    # of the simulation, which is slower than real time where the machine is busy
+    controller.clock = lambda: now_s
     now_s = 0.0
     thread = threading.Thread(target=BRIDGE.serve, args=(controller, law), daemon=True)
     thread.start()
@@ -66,7 +74,11 @@ def test_old_pictures_of_a_queue_and_one_that_comes_again_move_nothing(monkeypat
     thread = threading.Thread(target=BRIDGE.serve, args=(controller, law), daemon=True)
     thread.start()
     answers = robot.makefile("r")
-    assert "move" in json.loads(answers.readline()) and controller.before.number == 0 and controller.before.t > 0
+    assert (
+        "move" in json.loads(answers.readline())
+        and controller.before.number == 0
+        and controller.before.t > 0
+    )
     controller.clock = lambda: 1e9  # and then the camera stands
     robot.sendall(newest.encode())
     assert json.loads(answers.readline()) == {"stop": "no picture arrived for 1 s", "latched": True}
@@ -75,8 +87,12 @@ def test_old_pictures_of_a_queue_and_one_that_comes_again_move_nothing(monkeypat
     law.close()
 
 
-def test_a_link_that_stalls_stops_the_robot_and_a_picture_that_was_too_long_on_its_way_does_not_move_it(monkeypatch):
-    """Bytes come all the time, each sooner than the silence that stops; the whole picture does not."""
+def test_a_link_that_stalls_stops_the_robot_and_a_picture_long_on_its_way_does_not_move_it(
+    monkeypatch,
+):
+    """Bytes come all the time, each sooner than the silence that stops;
+    the whole picture does not.
+    """
     monkeypatch.setattr(BRIDGE, "SILENCE_S", 0.4)
     scenario = vs.load("arm_ibvs", {"timing.command_timeout_s": 0.3})
     robot, law = socket.socketpair()

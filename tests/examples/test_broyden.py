@@ -1,4 +1,6 @@
-"""A law of 30 lines as a plugin: on the arm, in a comparison, in a map of its basin, at its gain limit, and through the suite."""
+"""A law of 30 lines as a plugin: on the arm, in a comparison, in a map of its basin, at its gain
+limit, and through the suite.
+"""
 
 from __future__ import annotations
 
@@ -38,23 +40,40 @@ def test_it_passes_the_suite_of_laws():
 
 def test_it_drives_the_arm(command):
     ideal = ("--set", "detector=oracle", "--set", "robot.actuation=industrial")
-    summary = json.loads(command("run", "arm_ibvs", "--video", "none", *QUIET, *BROYDEN, *ideal).out)
+    summary = json.loads(
+        command("run", "arm_ibvs", "--video", "none", *QUIET, *BROYDEN, *ideal).out
+    )
     assert summary["outcome"] == "converged" and summary["time_to_converge_s"] < 15
 
 
 @pytest.mark.study
 def test_it_is_compared_with_the_classic(command, quick: Path, here: None, one_figure: None):
     both = ("--vary", "law.kind=ibvs,broyden", "--set", "law.gain=3")
-    ended = command("compare", "quick.yaml", *both, "--plugin", "broyden", "--seeds", 2, "--set", "camera.rate_hz=10", *QUIET)
+    ended = command(
+        "compare",
+        "quick.yaml",
+        *both,
+        "--plugin",
+        "broyden",
+        "--seeds",
+        2,
+        "--set",
+        "camera.rate_hz=10",
+        *QUIET,
+    )
     assert ended.code == 0, ended.err
     rows = json.loads(ended.out)
-    assert sorted((row["law.kind"], row["outcome"]) for row in rows) == [(law, "converged") for law in ("broyden", "ibvs") for _ in "12"]
+    assert sorted((row["law.kind"], row["outcome"]) for row in rows) == [
+        (law, "converged") for law in ("broyden", "ibvs") for _ in "12"
+    ]
     assert Path("runs/compare/001/comparison.mp4").stat().st_size > 1000
 
 
 def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):
     grid = ("--x", "x=-.15:.15", "--y", "yaw=-40:40", "--n", 3, "--check", 3)
-    ended = command("basin", "quick.yaml", "--plugin", "broyden", "--set", "law=broyden", *grid, *QUIET)
+    ended = command(
+        "basin", "quick.yaml", "--plugin", "broyden", "--set", "law=broyden", *grid, *QUIET
+    )
     assert ended.code == 0, ended.err
     basin = json.loads(ended.out)[0]
     assert basin["checked"] == basin["agreeing"] == 3 + len(ON_AXIS_DEG)
@@ -64,8 +83,17 @@ def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):
 @pytest.mark.study
 def test_it_has_a_gain_limit(command, quick: Path):
     ended = command(
-        "gain-limit", "quick.yaml", "--plugin", "broyden", "--set", "law={kind: broyden, update: 1e-6}", "--frames", "1", *QUIET
+        "gain-limit",
+        "quick.yaml",
+        "--plugin",
+        "broyden",
+        "--set",
+        "law={kind: broyden, update: 1e-6}",
+        "--frames",
+        "1",
+        *QUIET,
     )
     assert ended.code == 0, ended.err
     limit = json.loads(ended.out)[0]
-    assert limit["measured_to_theory"] == pytest.approx(1.0, abs=0.005)  # a Jacobian that stays: the classic's closed form
+    # a Jacobian that stays: the classic's closed form
+    assert limit["measured_to_theory"] == pytest.approx(1.0, abs=0.005)

@@ -15,7 +15,11 @@ from vstestbed.vision.local_features import Orb
 
 pytestmark = pytest.mark.usefixtures("own_kinds")
 FILE = Path(__file__).parent / "conv_features.py"
-NEAR = {"robot.start.nominal": {"xyz": [0.1, 0.05, -0.7], "rpy_deg": [3, -4, 8]}, "camera.width": 320, "camera.height": 240}
+NEAR = {
+    "robot.start.nominal": {"xyz": [0.1, 0.05, -0.7], "rpy_deg": [3, -4, 8]},
+    "camera.width": 320,
+    "camera.height": 240,
+}
 
 
 @pytest.mark.parametrize("kind", ["sift", "orb", "conv"])
@@ -37,7 +41,11 @@ def test_features_that_find_other_places_fail_the_suite():
 
 
 def test_a_network_of_one_s_own_finds_the_points_of_the_goal_s_picture():
-    changes = NEAR | {"detector.features": {"kind": "conv", "most": 300}, "stop.duration_s": 0.5, "law.gain": 2}
+    changes = NEAR | {
+        "detector.features": {"kind": "conv", "most": 300},
+        "stop.duration_s": 0.5,
+        "law.gain": 2,
+    }
     s = vs.load("camera_keypoints", changes, plugins=[str(FILE)])
     r = vs.run(s)
     off = np.column_stack([np.abs(r[f"u_{i}"] - r[f"u_true_{i}"]) for i in range(s.rows)])

@@ -1,4 +1,6 @@
-"""A hybrid law of pictures and force as a plugin: the plug sits with the ordered force, by the truth."""
+"""A hybrid law of pictures and force as a plugin: the plug sits with the ordered force, by the
+truth.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ import pytest
 import vstestbed as vs
 from vstestbed.effects import RobotModel
 
-NEAR = {"robot.start.nominal.q_deg": [13.0, 34.0, -168.0, 18.4, 46.0, -13.0]}  # 4 cm before the mouth
+# 4 cm before the mouth
+NEAR = {"robot.start.nominal.q_deg": [13.0, 34.0, -168.0, 18.4, 46.0, -13.0]}
 SEATED = NEAR | {"detector": "oracle", "goal.press_n": None, "goal.jam_s": 8.0}
 
 
@@ -35,7 +38,9 @@ def pressed_most(**changes: object) -> float:
 
 
 def test_the_plug_sits_with_the_ordered_force_where_a_law_of_pictures_presses_on():
-    assert pressed(law={"kind": "pressing", "gain": 1, "force_n": 20.0}, **{"goal.seat_s": 4.0}) == pytest.approx(20, abs=3)
+    assert pressed(
+        law={"kind": "pressing", "gain": 1, "force_n": 20.0}, **{"goal.seat_s": 4.0}
+    ) == pytest.approx(20, abs=3)
     assert pressed(**{"goal.seat_s": 2.0}) > 40
 
 
@@ -58,6 +63,7 @@ def test_what_is_over_the_ordered_force_is_coulomb_friction_of_the_joints_alone(
     law, seat = {"kind": "pressing", "gain": 1, "force_n": 20.0}, {"goal.seat_s": 6.0}
     assert pressed(law=law, **seat) > 21.5  # 22.4 N were measured
     smooth = {"robot.effects": [{"kind": "smooth"}]}
-    assert pressed(law=law, **seat, **smooth) == pytest.approx(20, abs=0.3)  # e^-6 of the 65 N of the impact are 0.2 N
+    # e^-6 of the 65 N of the impact are 0.2 N
+    assert pressed(law=law, **seat, **smooth) == pytest.approx(20, abs=0.3)
     touch = pressed_most(**{"robot.actuation": "industrial"}), pressed_most(**smooth)
     assert touch[1] < 0.5 * touch[0]  # 66 of 167 N at 5 mm/s

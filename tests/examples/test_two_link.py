@@ -1,4 +1,6 @@
-"""An arm of two joints as a plugin: it passes the suite of robots, and its camera finds a marker in MuJoCo."""
+"""An arm of two joints as a plugin: it passes the suite of robots, and its camera finds a marker in
+MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +32,14 @@ def test_its_basis_changes_with_its_configuration():
 
 @pytest.mark.usefixtures("own_kinds")
 def test_it_servoes_on_one_marker():
-    """Two motions, two coordinates: the marker comes to the middle of the picture, with masses and velocity servos."""
+    """Two motions, two coordinates: the marker comes to the middle of the picture, with masses and
+    velocity servos.
+    """
     vs.ROBOTS.add(TwoLink)
     scenario = vs.Scenario(
         robot=TwoLink(),
-        camera=Perspective(mount=Pose(xyz=(0, 0, -0.06), rpy_deg=DOWN)),  # under the link, which would hide the marker
+        # under the link, which would hide the marker
+        camera=Perspective(mount=Pose(xyz=(0, 0, -0.06), rpy_deg=DOWN)),
         target=Points(at=((0, 0, 0),), pose=Pose(xyz=(0.45, 0.45, 0.1), rpy_deg=DOWN)),
         detector=Oracle(),
         law=IBVS(gain=1.5, depth=AtGoal()),  # pyright: ignore[reportArgumentType] - a number is a constant gain

@@ -1,4 +1,6 @@
-"""A planar arm of two links as a robot plugin: two joints, a basis that depends on the configuration; its body is in two_link.xml."""
+"""A planar arm of two links as a robot plugin: two joints, a basis that depends on the
+configuration; its body is in two_link.xml.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class TwoLinkStart:
 
 @spec
 class TwoLink(RobotBase):
-    """Two joints about the world's z axis; the flange at the tip, 1 m up, its x axis along the second link."""
+    """Two joints about the world's z axis; the flange at the tip, 1 m up, its x axis along the
+    second link.
+    """
 
     kind: Literal["two_link"] = "two_link"
     start: TwoLinkStart = TwoLinkStart()
@@ -58,12 +62,23 @@ class TwoLink(RobotBase):
         a, b = configuration[0], configuration[0] + configuration[1]
         x = LENGTHS[0] * np.cos(a) + LENGTHS[1] * np.cos(b)
         y = LENGTHS[0] * np.sin(a) + LENGTHS[1] * np.sin(b)
-        return np.array([[np.cos(b), -np.sin(b), 0, x], [np.sin(b), np.cos(b), 0, y], [0, 0, 1, 1.0], [0, 0, 0, 1]])
+        return np.array(
+            [
+                [np.cos(b), -np.sin(b), 0, x],
+                [np.sin(b), np.cos(b), 0, y],
+                [0, 0, 1, 1.0],
+                [0, 0, 0, 1],
+            ]
+        )
 
     def jacobian(self, q: Array) -> Array:
         """Flange twists (6, 2), (v, w) in the flange's frame, of the joints' speeds."""
         J = np.zeros((6, 2))
-        J[0, 0], J[1, 0], J[1, 1] = LENGTHS[0] * np.sin(q[1]), LENGTHS[1] + LENGTHS[0] * np.cos(q[1]), LENGTHS[1]
+        J[0, 0], J[1, 0], J[1, 1] = (
+            LENGTHS[0] * np.sin(q[1]),
+            LENGTHS[1] + LENGTHS[0] * np.cos(q[1]),
+            LENGTHS[1],
+        )
         J[5] = 1.0
         return J
 
@@ -71,13 +86,24 @@ class TwoLink(RobotBase):
         """Camera twists of the two joints, shape (6, 2): u is the joints' speeds."""
         return mount.to_camera @ self.jacobian(q)
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
         """Mean camera twist (6,)."""
-        return self.motion_basis(mount, (before.q + now.q) / 2) @ (now.q - before.q) / duration if duration > 0 else np.zeros(6)
+        return (
+            self.motion_basis(mount, (before.q + now.q) / 2) @ (now.q - before.q) / duration
+            if duration > 0
+            else np.zeros(6)
+        )
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Joint speeds (2,) by least squares, scaled into the limits."""
         basis = self.motion_basis(mount, reading.q)
         u = np.linalg.lstsq(basis, twist, rcond=None)[0]
         scale = min(1.0, SPEED_LIMIT / max(float(np.abs(u).max()), 1e-12))
-        return Allocation(setpoint=u * scale, twist=basis @ u * scale, scale=scale, limit="speed" if scale < 1 else "")
+        return Allocation(
+            setpoint=u * scale,
+            twist=basis @ u * scale,
+            scale=scale,
+            limit="speed" if scale < 1 else "",
+        )

@@ -61,7 +61,9 @@ class Rolling(Oracle):
 
     kind: Literal["rolling"] = "rolling"
 
-    def detect(self, state: Any, picture: Any, view: Any, camera: Any, target: Any, rng: Any) -> Any:
+    def detect(
+        self, state: Any, picture: Any, view: Any, camera: Any, target: Any, rng: Any
+    ) -> Any:
         """The true points, after a draw."""
         rng.random()
         return super().detect(state, picture, view, camera, target, rng)

@@ -1,4 +1,6 @@
-"""Lenses, features, motions, metrics, perturbations and monitors that are wrong, each in one way: the suites must say so."""
+"""Lenses, features, motions, metrics, perturbations and monitors that are wrong, each in one way:
+the suites must say so.
+"""
 
 from __future__ import annotations
 

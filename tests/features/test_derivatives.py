@@ -1,4 +1,6 @@
-"""Every feature's L against central differences over real motions of the camera; a member added to the room is tested too."""
+"""Every feature's L against central differences over real motions of the camera; a member added to
+the room is tested too.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +16,43 @@ from vstestbed.features.pose import log_depth_interaction, translation_interacti
 
 CASES = 200
 STEP = 1e-6
-"""Truncation is step^2 times third derivatives: relative 1e-12/r^2 for an angle at radius r, and r > 2e-3 in what is drawn
-below; rounding is 1e-16/step = 1e-10. Both stay under the bound of 1e-6 that every feature is held to."""
+"""Truncation is step^2 times third derivatives: relative 1e-12/r^2 for an angle at radius r, and
+r > 2e-3 in what is drawn below; rounding is 1e-16/step = 1e-10. Both stay under the bound of 1e-6
+that every feature is held to.
+"""
 SQUARE = 0.25 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 
 Measured = Callable[[np.ndarray], np.ndarray]
 
 
 def moved(T: np.ndarray) -> np.ndarray:
-    """T_camera_x (..., 4, 4) after the camera has moved by plus and minus a step along each axis of its twist: (2, 6, ..., 4, 4)."""
+    """T_camera_x (..., 4, 4) after the camera has moved by plus and minus a step along each axis of
+    its twist: (2, 6, ..., 4, 4).
+    """
     steps = exp(STEP * np.stack([np.eye(6), -np.eye(6)]))
     return inverse(steps).reshape(2, 6, *(1,) * (T.ndim - 2), 4, 4) @ T
 
 
-def differences(after: np.ndarray, now: np.ndarray, error: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """L (..., k, 6) of s after the steps (2, 6, ..., k), by way of the error so that angles may pass from pi to -pi."""
+def differences(
+    after: np.ndarray, now: np.ndarray, error: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """L (..., k, 6) of s after the steps (2, 6, ..., k), by way of the error so that angles may
+    pass from pi to -pi.
+    """
     return np.moveaxis(error(after[0], now) - error(after[1], now), 0, -1) / (2 * STEP)
 
 
 def worst(measured: np.ndarray, L: np.ndarray) -> float:
     """The largest relative error of any case, |difference| / |L|."""
-    return float((np.linalg.norm(measured - L, axis=(-2, -1)) / np.linalg.norm(L, axis=(-2, -1))).max())
+    return float(
+        (np.linalg.norm(measured - L, axis=(-2, -1)) / np.linalg.norm(L, axis=(-2, -1))).max()
+    )
 
 
 def views(rng: np.random.Generator) -> np.ndarray:
-    """Poses T_camera_target (200, 4, 4): turned at will, tilted up to 56 degrees, 0.8 to 2.5 m away."""
+    """Poses T_camera_target (200, 4, 4): turned at will, tilted up to 56 degrees, 0.8 to 2.5 m
+    away.
+    """
     w = np.zeros((CASES, 6))
     w[:, 3:] = rng.uniform(-1, 1, (CASES, 3)) * [0.7, 0.7, 0]
     turn = np.zeros((CASES, 6))
@@ -58,7 +72,9 @@ def in_front(rng: np.random.Generator) -> np.ndarray:
 def in_a_plane(rng: np.random.Generator) -> np.ndarray:
     """Seven markers of a plane, within 0.3 m of its middle, in order around a star: (200, 7, 3)."""
     angle, radius = 2 * np.pi * np.arange(7) / 7, rng.uniform(0.1, 0.3, (CASES, 7))
-    flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(radius)], axis=-1)
+    flat = np.stack(
+        [radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(radius)], axis=-1
+    )
     return transform(views(rng), flat)
 
 
@@ -84,7 +100,9 @@ def seen(p: np.ndarray, inputs: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray
     if inputs == ("xy", "depth"):
         return p[..., :2] / p[..., 2:], p[..., 2]
     if inputs == ("xyw", "depth"):
-        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[..., 2]
+        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[
+            ..., 2
+        ]
     assert inputs == ("ray", "range")
     range_ = np.linalg.norm(p, axis=-1)
     return p / range_[..., None], range_
@@ -98,7 +116,9 @@ def test_features_of_markers(kind):
     assert around == bool((p[..., 2] < 0).any())  # a sphere's markers are behind the camera too
     x, distance = seen(p, feature.inputs)
     L = feature.interaction(x, distance)
-    after = feature.measure(seen(transform(moved(np.broadcast_to(np.eye(4), (CASES, 4, 4))), p), feature.inputs)[0])
+    after = feature.measure(
+        seen(transform(moved(np.broadcast_to(np.eye(4), (CASES, 4, 4))), p), feature.inputs)[0]
+    )
     measured = differences(after, feature.measure(x), feature.error)
     rows = 4 * feature.rows_per_marker
     assert L.shape == measured.shape and (rows == 0 or L.shape == (CASES, rows, 6))
@@ -111,7 +131,9 @@ def test_lists_will_do(kind):
     x = seen(SETS.get(kind, in_front)(np.random.default_rng(0))[0], feature.inputs)[0]
     s = feature.measure(x.tolist())
     np.testing.assert_array_equal(s, feature.measure(x))
-    np.testing.assert_array_equal(feature.interaction(x.tolist(), [1] * len(x)), feature.interaction(x, np.ones(len(x))))
+    np.testing.assert_array_equal(
+        feature.interaction(x.tolist(), [1] * len(x)), feature.interaction(x, np.ones(len(x)))
+    )
     np.testing.assert_array_equal(feature.error(s.tolist(), s.tolist()), feature.error(s, s))
 
 
@@ -135,9 +157,15 @@ def test_log_depth():
 
 
 def angles(where: str, rng: np.random.Generator) -> np.ndarray:
-    """200 angles of rotation [rad]; "half turn" ends where a step of the differences would not yet cross pi."""
+    """200 angles of rotation [rad]; "half turn" ends where a step of the differences would not yet
+    cross pi.
+    """
     few = 10 ** rng.uniform(-9, -2, CASES)
-    return {"identity": few, "anywhere": rng.uniform(0.01, 3.1, CASES), "half turn": np.pi - 10 ** rng.uniform(-4, -1, CASES)}[where]
+    return {
+        "identity": few,
+        "anywhere": rng.uniform(0.01, 3.1, CASES),
+        "half turn": np.pi - 10 ** rng.uniform(-4, -1, CASES),
+    }[where]
 
 
 def poses(where: str, rng: np.random.Generator) -> np.ndarray:
@@ -158,9 +186,15 @@ def test_features_of_a_pose(of, where):
         now, later = inverse(now), inverse(later)
     if of in ("cdRc", "cRcd"):
         feature, now, later = ThetaU(rotation=of), now[..., :3, :3], later[..., :3, :3]
-        measured, L = differences(feature.measure(later), feature.measure(now), np.subtract), feature.interaction(now)
+        measured, L = (
+            differences(feature.measure(later), feature.measure(now), np.subtract),
+            feature.interaction(now),
+        )
     else:
-        measured, L = differences(later[..., :3, 3], now[..., :3, 3], np.subtract), translation_interaction(now, of)
+        measured, L = (
+            differences(later[..., :3, 3], now[..., :3, 3], np.subtract),
+            translation_interaction(now, of),
+        )
     assert worst(measured, L) < 1e-6
 
 
@@ -174,5 +208,6 @@ def test_a_line_has_one_matrix_whichever_plane_holds_it():
     feature = FEATURES.members["line"]()
     s = feature.measure(ends[..., :2] / ends[..., 2:])
     L = feature.interaction(ends[..., :2] / ends[..., 2:], ends[..., 2])
-    # A third point drawn near the plane of the camera's centre makes D small; 1e-16 / 1e-5 is the worst drawn here.
+    # A third point drawn near the plane of the camera's centre makes D small; 1e-16 / 1e-5 is the
+    # worst drawn here.
     np.testing.assert_allclose(line_interaction(s[:, 0], s[:, 1], plane), L, rtol=1e-9, atol=1e-9)

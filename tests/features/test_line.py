@@ -28,7 +28,12 @@ def test_both_markers_are_on_their_line():
 
 def test_distance_passes_zero_without_a_jump():
     across = np.linspace(-0.1, 0.1, 11)
-    s = LineFeature().measure(np.stack([np.stack([0 * across - 0.3, across], -1), np.stack([0 * across + 0.3, across], -1)], axis=-2))
+    s = LineFeature().measure(
+        np.stack(
+            [np.stack([0 * across - 0.3, across], -1), np.stack([0 * across + 0.3, across], -1)],
+            axis=-2,
+        )
+    )
     np.testing.assert_allclose(s, np.stack([across, np.full(11, np.pi / 2)], axis=-1), atol=1e-15)
 
 
@@ -50,8 +55,11 @@ def test_both_names_of_a_line_are_one_where_the_way_is_not_known():
     s, other = np.array([0.3, 1.0, -0.2, -2.0]), np.array([-0.3, 1.0 + np.pi, 0.2, -2.0 + np.pi])
     either = LineFeature(directed=False)
     np.testing.assert_allclose(either.error(s, other), 0, atol=1e-15)
-    np.testing.assert_allclose(either.error(s + [0.01, 0.1, -0.02, 0.2], other), [0.01, 0.1, -0.02, 0.2], atol=1e-15)
-    assert np.abs(LineFeature().error(s, other)).max() == pytest.approx(np.pi)  # with directions it is the line run backwards
+    np.testing.assert_allclose(
+        either.error(s + [0.01, 0.1, -0.02, 0.2], other), [0.01, 0.1, -0.02, 0.2], atol=1e-15
+    )
+    # with directions it is the line run backwards
+    assert np.abs(LineFeature().error(s, other)).max() == pytest.approx(np.pi)
     e = either.error(np.array([0.3, 1.0]), np.array([0.3, 2.0]))
     np.testing.assert_allclose(e, [0, -1], atol=1e-15)
 

@@ -12,7 +12,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import exp, inverse, transform
 from vstestbed.features import Point
 
-GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())["point"]["cases"]
+GOLDEN = json.loads(
+    (Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text()
+)["point"]["cases"]
 
 
 @pytest.mark.parametrize("case", GOLDEN)
@@ -35,8 +37,11 @@ def test_matrix_is_the_derivative_over_motions_of_the_camera():
         p = np.column_stack([rng.uniform(-0.5, 0.5, (4, 2)), rng.uniform(0.5, 3, 4)])
         L = Point().interaction(p[:, :2] / p[:, 2:], p[:, 2])
         steps = h * np.eye(6)
-        differences = np.column_stack([(seen_after(d, p) - seen_after(-d, p)) / (2 * h) for d in steps])
-        # Central differences: truncation h^2 = 1e-12 times third derivatives of up to 1e2, rounding 1e-16 / h = 1e-10.
+        differences = np.column_stack(
+            [(seen_after(d, p) - seen_after(-d, p)) / (2 * h) for d in steps]
+        )
+        # Central differences: truncation h^2 = 1e-12 times third derivatives of up to 1e2, rounding
+        # 1e-16 / h = 1e-10.
         np.testing.assert_allclose(differences, L, atol=2e-9)
 
 

@@ -12,7 +12,9 @@ from vstestbed.features.base import CENTRE
 
 def test_measure():
     xy = np.array([[0.3, 0.4], [0, -0.2], [-0.1, 0]])
-    np.testing.assert_allclose(Polar().measure(xy), [0.5, np.arctan2(4, 3), 0.2, -np.pi / 2, 0.1, np.pi], rtol=1e-15)
+    np.testing.assert_allclose(
+        Polar().measure(xy), [0.5, np.arctan2(4, 3), 0.2, -np.pi / 2, 0.1, np.pi], rtol=1e-15
+    )
 
 
 def test_only_the_angles_are_wrapped():
@@ -50,7 +52,9 @@ def test_next_to_the_principal_point_the_error_is_as_small_as_the_way_to_go():
     e = Polar().error(Polar().measure(near), Polar().measure(near * [[1], [-1]]))
     assert abs(e[3]) == pytest.approx(np.pi * 1e-6)  # half a turn round a goal 1e-5 away
     away = Polar().measure(np.array([[0.3, 0.2], [0.01, 0]]))
-    np.testing.assert_allclose(Polar().error(away, Polar().measure(np.array([[0.2, 0.3], [0, -0.01]])))[3], np.pi / 2)
+    np.testing.assert_allclose(
+        Polar().error(away, Polar().measure(np.array([[0.2, 0.3], [0, -0.01]])))[3], np.pi / 2
+    )
 
 
 def test_a_marker_at_the_principal_point_has_no_say_in_the_half_turn():
@@ -77,7 +81,9 @@ def test_depth_behind_the_camera():
 
 
 class TestAsPrinted:
-    """Without the weight at the centre the law is that of print up to the centre, where the angle ends."""
+    """Without the weight at the centre the law is that of print up to the centre, where the angle
+    ends.
+    """
 
     PRINTED, WEIGHTED = Polar(centre_weight=False), Polar()
     NEAR = np.array([[0.003, 0.004], [-0.004, 0.003], [0.2, 0.1]])
@@ -85,7 +91,9 @@ class TestAsPrinted:
     def test_the_row_of_the_angle_grows_as_one_over_the_radius(self):
         # phi_dot of eq. 16.9 at r = .005, c = .6, s = .8, Z = .5.
         L = self.PRINTED.interaction(self.NEAR, np.full(3, 0.5)).reshape(3, 2, 6)
-        np.testing.assert_allclose(L[0, 1], [0.8 / 0.0025, -0.6 / 0.0025, 0, 0.6 / 0.005, 0.8 / 0.005, -1], rtol=1e-12)
+        np.testing.assert_allclose(
+            L[0, 1], [0.8 / 0.0025, -0.6 / 0.0025, 0, 0.6 / 0.005, 0.8 / 0.005, -1], rtol=1e-12
+        )
         # The weight of r = .005 is a half, and its square multiplies that row alone.
         weighted = self.WEIGHTED.interaction(self.NEAR, np.full(3, 0.5)).reshape(3, 2, 6)
         np.testing.assert_allclose(weighted[:, 1], L[:, 1] * [[0.25], [0.25], [1]], rtol=1e-12)
@@ -98,10 +106,15 @@ class TestAsPrinted:
         # Along vx at Z = 1 the point moves by x_dot = -1.
         x, y, h = 0.001, -0.002, 1e-8
         difference = (polar(x - h, y) - polar(x + h, y)) / (2 * h)
-        np.testing.assert_allclose(self.PRINTED.interaction(np.array([[x, y]]), np.ones(1))[:, 0], difference, rtol=1e-8)
+        np.testing.assert_allclose(
+            self.PRINTED.interaction(np.array([[x, y]]), np.ones(1))[:, 0], difference, rtol=1e-8
+        )
 
     def test_its_error_is_the_whole_angle(self):
-        s, s_star = self.PRINTED.measure(self.NEAR), self.PRINTED.measure(self.NEAR * [[1], [-1], [1]])
+        s, s_star = (
+            self.PRINTED.measure(self.NEAR),
+            self.PRINTED.measure(self.NEAR * [[1], [-1], [1]]),
+        )
         assert abs(self.PRINTED.error(s, s_star)[3]) == pytest.approx(np.pi)
         assert abs(self.WEIGHTED.error(s, s_star)[3]) == pytest.approx(np.pi / 4)
 
@@ -111,13 +124,17 @@ class TestAsPrinted:
         phi = self.PRINTED.measure(xy)[1::2]
         printed = np.arctan(xy[:, 1] / xy[:, 0])
         assert printed[0] == printed[1] and abs(phi[0] - phi[1]) == pytest.approx(np.pi)
-        np.testing.assert_allclose(np.hypot(*xy.T)[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), xy, rtol=1e-12)
+        np.testing.assert_allclose(
+            np.hypot(*xy.T)[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), xy, rtol=1e-12
+        )
 
     def test_the_radius_over_the_picture_s_diagonal_has_another_derivative(self):
-        # r = hypot(u, v)/sqrt(W^2 + H^2) [px/px] of the book's camera: 800 px of focal length, 1000 x 1000 px.
+        # r = hypot(u, v)/sqrt(W^2 + H^2) [px/px] of the book's camera: 800 px of focal length, 1000
+        # x 1000 px.
         x, y, h = 0.1, 0.2, 1e-6
         share = 800 / np.hypot(1000, 1000)
-        difference = share * (np.hypot(x - h, y) - np.hypot(x + h, y)) / (2 * h)  # along vx at Z = 1
+        # along vx at Z = 1
+        difference = share * (np.hypot(x - h, y) - np.hypot(x + h, y)) / (2 * h)
         row = self.PRINTED.interaction(np.array([[x, y]]), np.ones(1))[0, 0]
         assert difference / row == pytest.approx(share) and share < 0.6
 

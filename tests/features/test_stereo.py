@@ -1,4 +1,6 @@
-"""The feature of a pair of cameras, and depths by triangulation: against the pair's own pictures."""
+"""The feature of a pair of cameras, and depths by triangulation:
+against the pair's own pictures.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,14 @@ def test_the_pair_is_what_both_pictures_show() -> None:
 
 
 def test_the_matrix_of_the_pair_is_that_of_points_in_both_cameras() -> None:
-    # Rows of x_l and y in the left camera; that of x_r in the right one's frame, with the twist Ad(T_right_left) v.
+    # Rows of x_l and y in the left camera; that of x_r in the right one's frame, with the twist
+    # Ad(T_right_left) v.
     L = StereoPoint(form="pair", baseline_m=B).interaction(xyw(P), P[:, 2]).reshape(-1, 3, 6)
     right = transform(T_RIGHT_LEFT, P)
     left_rows = Point().interaction(P[:, :2] / P[:, 2:], P[:, 2]).reshape(-1, 2, 6)
-    right_rows = Point().interaction(right[:, :2] / right[:, 2:], right[:, 2]).reshape(-1, 2, 6) @ adjoint(T_RIGHT_LEFT)
+    right_rows = Point().interaction(right[:, :2] / right[:, 2:], right[:, 2]).reshape(
+        -1, 2, 6
+    ) @ adjoint(T_RIGHT_LEFT)
     assert L[:, 0] == pytest.approx(left_rows[:, 0])
     assert L[:, 1] == pytest.approx(right_rows[:, 0])
     assert L[:, 2] == pytest.approx(left_rows[:, 1])
@@ -50,7 +55,11 @@ def test_the_matrix_is_the_derivative(form: str) -> None:
 
 
 class TestTriangulated:
-    @pytest.mark.parametrize("T", [inverse(T_RIGHT_LEFT), Pose(xyz=(0.3, -0.1, 0.05), rpy_deg=(4, -20, 8)).T], ids=["parallel", "turned"])
+    @pytest.mark.parametrize(
+        "T",
+        [inverse(T_RIGHT_LEFT), Pose(xyz=(0.3, -0.1, 0.05), rpy_deg=(4, -20, 8)).T],
+        ids=["parallel", "turned"],
+    )
     def test_it_is_the_point_where_exact_rays_meet(self, T: np.ndarray) -> None:
         other = transform(inverse(T), P)
         found = triangulated(P / lengths(P), other / lengths(other), T)

@@ -21,13 +21,17 @@ def scene(shift: int = 0) -> Image:
     """A picture (96, 128, 3) with texture, edges and a ramp."""
     rng = np.random.default_rng(1)
     v, u = np.mgrid[:96, :128]
-    image = np.stack([u, v * 2, 128 + 60 * np.sin(u / 5.0)], axis=-1) + rng.normal(0, 6, (96, 128, 3))
+    image = np.stack([u, v * 2, 128 + 60 * np.sin(u / 5.0)], axis=-1) + rng.normal(
+        0, 6, (96, 128, 3)
+    )
     image[30:60, 40 + shift : 80 + shift] = (230, 30, 40)
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
 def psnr(a: Image, b: Image) -> float:
-    """Peak signal to noise ratio of the brightness [dB]; colours have half the size whatever the quality."""
+    """Peak signal to noise ratio of the brightness [dB]; colours have half the size whatever the
+    quality.
+    """
     return float(10 * np.log10(255**2 / ((grey(a) - grey(b)) ** 2).mean()))
 
 
@@ -128,28 +132,48 @@ def test_what_contradicts_itself_is_refused():
 
 @pytest.mark.parametrize(
     ("block", "kind"),
-    [({"bitrate_kbps": 500}, H264Stream), ({"crf": 30}, H264Stream), ({"group": 5}, H264Stream), ({"quality": 40}, JpegStream)],
+    [
+        ({"bitrate_kbps": 500}, H264Stream),
+        ({"crf": 30}, H264Stream),
+        ({"group": 5}, H264Stream),
+        ({"quality": 40}, JpegStream),
+    ],
 )
 def test_a_field_of_one_kind_alone_names_the_kind(block: dict[str, Any], kind: type) -> None:
-    assert isinstance(vs.load("arm_ibvs", {f"camera.stream.{name}": value for name, value in block.items()}).camera.stream, kind)
+    assert isinstance(
+        vs.load(
+            "arm_ibvs", {f"camera.stream.{name}": value for name, value in block.items()}
+        ).camera.stream,
+        kind,
+    )
 
 
 def test_a_field_of_another_kind_is_refused_with_the_kind_that_has_it() -> None:
-    with pytest.raises(ScenarioError, match=r"camera\.stream\.bitrate_kbps: is an unknown field of jpeg; h264 has it"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"camera\.stream\.bitrate_kbps: is an unknown field of jpeg; h264 has it",
+    ):
         vs.load("arm_ibvs", {"camera.stream": "jpeg", "camera.stream.bitrate_kbps": 500})
 
 
 LUMINANCE = """
-16 11 10 16 24 40 51 61  12 12 14 19 26 58 60 55  14 13 16 24 40 57 69 56  14 17 22 29 51 87 80 62
-18 22 37 56 68 109 103 77  24 35 55 64 81 104 113 92  49 64 78 87 103 121 120 101  72 92 95 98 112 100 103 99
+16 11 10 16 24 40 51 61
+12 12 14 19 26 58 60 55
+14 13 16 24 40 57 69 56
+14 17 22 29 51 87 80 62
+18 22 37 56 68 109 103 77
+24 35 55 64 81 104 113 92
+49 64 78 87 103 121 120 101
+72 92 95 98 112 100 103 99
 """
 """Quantisation steps of the brightness at quality 50 (ISO/IEC 10918-1:1994, table K.1)."""
 
 
 @pytest.mark.parametrize("quality", [90, 80])
 def test_the_error_of_jpeg_is_that_of_its_quantisation(quality: int) -> None:
-    """Of a picture whose DCT coefficients are all much wider than the steps q, each is off by q^2 / 12 in the mean, and each rounded grey
-    level by 1/12 more; the transform is orthonormal, so that the mean square over the pixels is the same.
+    """Of a picture whose DCT coefficients are all much wider than the steps q, each is off by q^2 /
+    12 in the mean, and each rounded grey level by 1/12 more; the transform is orthonormal, so that
+    the mean square over the pixels is the same.
     """
     noise = np.clip(np.random.default_rng(3).normal(128, 40, (240, 320)), 0, 255).astype(np.uint8)
     picture = np.repeat(noise[..., None], 3, axis=-1)
@@ -164,14 +188,20 @@ def test_a_picture_of_the_goal_may_be_kept_as_jpeg():
         kept = GoalPicture(jpeg_quality=quality).under_its_light(image, rng)
         assert np.array_equal(kept, round_trip(JpegStream(quality=quality), RATE)(image))
     assert np.array_equal(GoalPicture().under_its_light(image, rng), image)
-    with pytest.raises(ParameterError, match="jpeg_quality is for a picture that the simulated camera takes"):
+    with pytest.raises(
+        ParameterError, match="jpeg_quality is for a picture that the simulated camera takes"
+    ):
         GoalPicture(file="goal.png", jpeg_quality=95)
 
 
 def test_six_steps_of_crf_double_the_error_of_h264():
-    """The step of its quantiser is 2^((crf - 4)/6), and the error of many coefficients in proportion; a still scene stays as it is."""
+    """The step of its quantiser is 2^((crf - 4)/6), and the error of many coefficients in
+    proportion; a still scene stays as it is.
+    """
     rng = np.random.default_rng(0)
-    image = np.repeat(np.clip(rng.normal(128, 30, (240, 320, 1)), 0, 255), 3, axis=2).astype(np.uint8)
+    image = np.repeat(np.clip(rng.normal(128, 30, (240, 320, 1)), 0, 255), 3, axis=2).astype(
+        np.uint8
+    )
     error = []
     for crf in (18, 24, 30):
         coded = round_trip(H264Stream(crf=crf, colours="full"), RATE)

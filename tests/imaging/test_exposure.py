@@ -10,12 +10,24 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.imaging.exposure import SKIP, AutoExposure, ExposureControl, ExposureLoop, ExposureSetting
+from vstestbed.imaging.exposure import (
+    SKIP,
+    AutoExposure,
+    ExposureControl,
+    ExposureLoop,
+    ExposureSetting,
+)
 from vstestbed.imaging.sensor import plain
 
 PERIOD = 0.04
-RENDERED = np.repeat(np.repeat(np.linspace(35, 45, 64 * 64 * 3, dtype=np.float32).reshape(64, 64, 3), SKIP, axis=0), SKIP, axis=1)
-"""A ramp, in whose mean the rounding of grey levels averages out; each metered pixel stands for those round it."""
+RENDERED = np.repeat(
+    np.repeat(np.linspace(35, 45, 64 * 64 * 3, dtype=np.float32).reshape(64, 64, 3), SKIP, axis=0),
+    SKIP,
+    axis=1,
+)
+"""A ramp, in whose mean the rounding of grey levels averages out; each metered pixel stands for
+those round it.
+"""
 
 
 def taken(setting: ExposureSetting) -> NDArray[np.uint8]:
@@ -26,7 +38,9 @@ def part(setting: ExposureSetting) -> NDArray[np.uint8]:
     return plain(RENDERED[::SKIP, ::SKIP], setting)
 
 
-def means(auto: AutoExposure, pictures: int, light: tuple[tuple[float, float], ...]) -> NDArray[np.float64]:
+def means(
+    auto: AutoExposure, pictures: int, light: tuple[tuple[float, float], ...]
+) -> NDArray[np.float64]:
     """Mean of each picture, before it is rounded [grey levels]."""
     loop, made = ExposureLoop(ExposureControl(light=light, auto=auto), PERIOD), []
     for k in range(pictures):
@@ -74,13 +88,29 @@ def test_the_refused_lags_are_those_that_oscillate():
     least = -PERIOD / math.log1p(-2 * math.sin(math.pi / 14))
     Perspective(exposure=ExposureControl(auto=AutoExposure(delay_pictures=3, lag_s=1.01 * least)))
     with pytest.raises(ParameterError, match="oscillates"):
-        Perspective(exposure=ExposureControl(auto=AutoExposure(delay_pictures=3, lag_s=0.99 * least)))
+        Perspective(
+            exposure=ExposureControl(auto=AutoExposure(delay_pictures=3, lag_s=0.99 * least))
+        )
 
 
 def test_time_is_used_up_before_gain_and_both_have_limits():
-    auto = AutoExposure(target_grey=200, lag_s=0.05, delay_pictures=0, longest_s=0.01, largest_gain=4, shortest_s=0.001)
-    for light, time_s, gain in ((1.0, 0.01, 2.5), (0.1, 0.01, 4.0), (5.0, 0.005, 1.0), (100.0, 0.001, 1.0)):
-        setting = ExposureLoop(ExposureControl(light=((0.0, light),), auto=auto), PERIOD).setting(0.0, part)
+    auto = AutoExposure(
+        target_grey=200,
+        lag_s=0.05,
+        delay_pictures=0,
+        longest_s=0.01,
+        largest_gain=4,
+        shortest_s=0.001,
+    )
+    for light, time_s, gain in (
+        (1.0, 0.01, 2.5),
+        (0.1, 0.01, 4.0),
+        (5.0, 0.005, 1.0),
+        (100.0, 0.001, 1.0),
+    ):
+        setting = ExposureLoop(ExposureControl(light=((0.0, light),), auto=auto), PERIOD).setting(
+            0.0, part
+        )
         assert (setting.time_s, setting.gain) == pytest.approx((time_s, gain), rel=0.01)
 
 

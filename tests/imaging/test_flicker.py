@@ -1,4 +1,6 @@
-"""Flicker: the closed-form means against numerical integrals, and bands, beat and cancellation in pictures against the means."""
+"""Flicker: the closed-form means against numerical integrals, and bands, beat and cancellation in
+pictures against the means.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +22,38 @@ FLICKER = {"frequency_hz": 100.0, "depth": 0.4, "phase_deg": 30.0}
 
 
 def pictures(
-    renderer: str, flicker: dict[str, float] | None, number: int = 3, lit: bool = True, settings: dict[str, Any] | None = None
+    renderer: str,
+    flicker: dict[str, float] | None,
+    number: int = 3,
+    lit: bool = True,
+    settings: dict[str, Any] | None = None,
 ) -> list[Array]:
-    """A column of pictures of a lit grey board that fills them, (number, H); or of an unlit marker that does."""
+    """A column of pictures of a lit grey board that fills them, (number, H); or of an unlit marker
+    that does.
+    """
     near = {"xyz": [0, 0, 2.4]} if lit else {"xyz": [0.25, 0.25, 2.97]}
     light = LAMP if flicker is None else LAMP | {"flicker": flicker}
-    camera = {"kind": "perspective", "width": 120, "height": 120, "fovy_deg": 30, "rate_hz": 25, "renderer": renderer}
+    camera = {
+        "kind": "perspective",
+        "width": 120,
+        "height": 120,
+        "fovy_deg": 30,
+        "rate_hz": 25,
+        "renderer": renderer,
+    }
     goal = {"goal.T_camera_target.xyz": [0, 0, 1.5]}
-    s = vs.load("ibvs_book", {"camera": camera, "robot.start": {"nominal": near}, "world.light": light} | goal | (settings or {}))
+    s = vs.load(
+        "ibvs_book",
+        {"camera": camera, "robot.start": {"nominal": near}, "world.light": light}
+        | goal
+        | (settings or {}),
+    )
     plant = build_plant(s.scene, PictureSetup(needs_image=True, needs_truth=False))[0]
     assert s.world.light is not None
     rng = np.random.default_rng(0)
-    shutter = Shutter(s.timing, s.camera, plant.step_s, plant.steps_per_frame, rng, flicker=s.world.light.flicker)
+    shutter = Shutter(
+        s.timing, s.camera, plant.step_s, plant.steps_per_frame, rng, flicker=s.world.light.flicker
+    )
     columns = []
     for _ in range(number):
         plan = shutter.following()
@@ -66,8 +88,12 @@ class TestMeans:
         weights, light = of_rows(nodes, rows, exposure_s, self.LIGHT)
         np.testing.assert_allclose(weights.sum(axis=0), 1)
         if exposure_s:
-            np.testing.assert_allclose(light.sum(axis=0), self.LIGHT.mean(rows, exposure_s), atol=1e-9)
-            value = quad(lambda t: np.interp(t, nodes, np.eye(9)[4]) * self.brightness(t), 6.999, 7.001)[0]
+            np.testing.assert_allclose(
+                light.sum(axis=0), self.LIGHT.mean(rows, exposure_s), atol=1e-9
+            )
+            value = quad(
+                lambda t: np.interp(t, nodes, np.eye(9)[4]) * self.brightness(t), 6.999, 7.001
+            )[0]
             at = of_rows(nodes, np.array([7.0]), 0.002, self.LIGHT)[1][4, 0]
             assert at == pytest.approx(value / 0.002, abs=1e-6)
 
@@ -81,7 +107,10 @@ class TestPictures:
         rows = (np.arange(120) - 59.5) / 120 * 0.02
         columns = pictures(renderer, FLICKER, 2, settings=roll)
         for number, column in enumerate(columns):
-            np.testing.assert_allclose(column, steady * light.mean(0.04 * number + rows, exposure_s), atol=1.0)  # rounded twice
+            # rounded twice
+            np.testing.assert_allclose(
+                column, steady * light.mean(0.04 * number + rows, exposure_s), atol=1.0
+            )
         # A period of 10 ms is 60 of the 120 rows, and the amplitude is the depth times a sinc.
         share = columns[0] / steady - 1
         wave = share @ np.exp(-2j * np.pi * np.arange(120) / 60) / 60
@@ -89,9 +118,13 @@ class TestPictures:
         assert np.abs(share @ np.exp(-2j * np.pi * np.arange(120) / 40) / 60) < 0.004
 
     def test_beat_of_a_global_shutter(self, renderer: str):
-        # 100 Hz is 10 Hz more than three times the camera's 30 Hz: a period of the beat is three pictures.
+        # 100 Hz is 10 Hz more than three times the camera's 30 Hz: a period of the beat is three
+        # pictures.
         steady = pictures(renderer, None, 1)[0]
-        levels = [column.mean() / steady.mean() for column in pictures(renderer, FLICKER, 6, settings={"camera.rate_hz": 30})]
+        levels = [
+            column.mean() / steady.mean()
+            for column in pictures(renderer, FLICKER, 6, settings={"camera.rate_hz": 30})
+        ]
         beat = 1 + 0.4 * np.cos(2 * np.pi * 10 * np.arange(6) / 30 + np.radians(30))
         np.testing.assert_allclose(levels, beat, atol=0.008)
 
@@ -103,7 +136,13 @@ class TestPictures:
 
     @pytest.mark.parametrize("readout_s", [0.0, 0.02])
     def test_what_is_not_lit_does_not_flicker(self, renderer: str, readout_s: float):
-        column = pictures(renderer, FLICKER | {"depth": 1.0}, 2, lit=False, settings={"camera.readout_s": readout_s})[1]
+        column = pictures(
+            renderer,
+            FLICKER | {"depth": 1.0},
+            2,
+            lit=False,
+            settings={"camera.readout_s": readout_s},
+        )[1]
         assert np.ptp(column) <= 1 and column.mean() > 254
 
 
@@ -111,7 +150,9 @@ def test_none_is_steady_and_costs_nothing():
     light = vs.load("ibvs_book", {"world.light": LAMP}).world.light
     assert light is not None and light.flicker == STEADY
     s = vs.load("ibvs_book")
-    assert Shutter(s.timing, s.camera, 0.002, 50, np.random.default_rng(0), flicker=STEADY).following().weights == (1.0,)
+    assert Shutter(
+        s.timing, s.camera, 0.002, 50, np.random.default_rng(0), flicker=STEADY
+    ).following().weights == (1.0,)
 
 
 def test_a_run_sees_it_and_an_oracle_does_not():
@@ -129,5 +170,8 @@ def test_a_run_sees_it_and_an_oracle_does_not():
             image = session.step().image
     assert max(means) > 2 * min(means)
     blind = {"detector": "oracle", "law.depth": "oracle", "stop.duration_s": 0.5}
-    a, b = (vs.run(vs.load("ibvs_book", blind | own)) for own in ({}, {"world.light": lamp["world.light"]}))
+    a, b = (
+        vs.run(vs.load("ibvs_book", blind | own))
+        for own in ({}, {"world.light": lamp["world.light"]})
+    )
     np.testing.assert_array_equal(a.table, b.table)

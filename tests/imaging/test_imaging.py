@@ -1,4 +1,6 @@
-"""Lens, exposure, sensor and stream in a run: whole pictures, either renderer, goal pictures, pictures taken again, random numbers."""
+"""Lens, exposure, sensor and stream in a run: whole pictures, either renderer, goal pictures,
+pictures taken again, random numbers.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def seen(picture: Picture | None) -> Image:
     return picture.image.copy()
 
 
-def first(changes: dict[str, Any], regions: Regions | None = None, seed: int = 3, sigma: float = 0.0) -> Image:
+def first(
+    changes: dict[str, Any], regions: Regions | None = None, seed: int = 3, sigma: float = 0.0
+) -> Image:
     with plant(scenario(changes), seed, sigma) as one:
         return seen(one.capture(regions)[0])
 
@@ -60,7 +64,9 @@ def test_regions_of_interest_change_nothing():
 
 def test_both_renderers_are_blurred_alike():
     changes = {"camera.optics": ALL["camera.optics"]}
-    gl, rays = (first({**changes, "camera.renderer": name}).astype(float) for name in ("gl", "rays"))
+    gl, rays = (
+        first({**changes, "camera.renderer": name}).astype(float) for name in ("gl", "rays")
+    )
     sharp = first({}).astype(float)
     detail = [np.abs(np.diff(image, axis=1)).max() for image in (gl, rays, sharp)]
     assert detail[0] < 0.6 * detail[2]
@@ -72,8 +78,13 @@ def test_seeds_draw_the_sensor_and_nothing_else():
     a, b, other = first(sensor), first(sensor), first(sensor, seed=4)
     np.testing.assert_array_equal(a, b)
     assert not np.array_equal(a, other)
-    # The scenario's own noise is the same with and without the sensor's: their mean difference has no part of it.
-    with_both, alone, plain = first(sensor, sigma=3.0).astype(float), first({}, sigma=3.0).astype(float), first({}).astype(float)
+    # The scenario's own noise is the same with and without the sensor's: their mean difference has
+    # no part of it.
+    with_both, alone, plain = (
+        first(sensor, sigma=3.0).astype(float),
+        first({}, sigma=3.0).astype(float),
+        first({}).astype(float),
+    )
     own, both = (alone - plain).ravel(), (with_both - plain).ravel()
     assert np.corrcoef(own, both)[0, 1] > 0.7
 
@@ -86,7 +97,9 @@ def test_a_run_and_its_pictures_taken_again_are_the_same():
         for _ in range(5):
             assert frame.image is not None
             truth = frame.truth
-            taken.append((frame.t, truth.T_world_target, truth.q, truth.T_world_camera, frame.image.copy()))
+            taken.append(
+                (frame.t, truth.T_world_target, truth.q, truth.T_world_camera, frame.image.copy())
+            )
             frame = session.step()
     with closing(Rerendering(s.scene, imaging_rng=s.rng(IMAGING_STREAM))) as rerendered:
         for t, T_world_target, q, T_world_camera, image in taken:
@@ -102,14 +115,25 @@ def test_the_goals_picture_is_seen_through_the_same_camera_at_rest():
         shown, sharp = take_goal_images(s, one)[0].image, take_goal_images(bare, other)[0].image
         with plant(s) as third:
             seen(third.capture()[0])
-            np.testing.assert_array_equal(seen(third.capture()[0]), seen(one.capture()[0]))  # the goal's picture has drawn nothing
+            # the goal's picture has drawn nothing
+            np.testing.assert_array_equal(seen(third.capture()[0]), seen(one.capture()[0]))
     assert shown.mean() == pytest.approx(90, abs=3)  # exposed as the camera would have settled
-    assert np.abs(np.diff(shown.astype(float), axis=1)).max() < 0.7 * np.abs(np.diff(sharp.astype(float), axis=1)).max()
+    assert (
+        np.abs(np.diff(shown.astype(float), axis=1)).max()
+        < 0.7 * np.abs(np.diff(sharp.astype(float), axis=1)).max()
+    )
     assert before.mean() == pytest.approx(90, abs=3)
 
 
 def test_a_step_of_the_light_is_seen_and_settles_in_a_run():
-    s = scenario({"camera.exposure": {"light": [[0.4, 2.0]], "auto": {"target_grey": 80, "lag_s": 0.2, "delay_pictures": 0}}})
+    s = scenario(
+        {
+            "camera.exposure": {
+                "light": [[0.4, 2.0]],
+                "auto": {"target_grey": 80, "lag_s": 0.2, "delay_pictures": 0},
+            }
+        }
+    )
     means = []
     with vs.Session(s, pictures=True) as session:
         frame = session.reset()
@@ -131,11 +155,17 @@ def test_nothing_is_made_for_a_camera_without_any():
 
 def test_a_film_drawn_again_shows_the_camera_at_rest():
     s = scenario(ALL)
-    with closing(Replay(s.scene, share=0.5)) as replay, closing(Replay(replace(s.scene, camera=scenario({}).camera))) as bare:
+    with (
+        closing(Replay(s.scene, share=0.5)) as replay,
+        closing(Replay(replace(s.scene, camera=scenario({}).camera))) as bare,
+    ):
         state = "eye", 80, 60, 0.0, s.target.T_world_start, s.robot.configuration(), np.eye(4)
         shown, sharp = replay.picture(*state), bare.picture(*state)
     assert shown.shape == (120, 160, 3) and shown.mean() == pytest.approx(90, abs=3)
-    assert np.abs(np.diff(shown.astype(float), axis=1)).max() < 0.7 * np.abs(np.diff(sharp.astype(float), axis=1)).max()
+    assert (
+        np.abs(np.diff(shown.astype(float), axis=1)).max()
+        < 0.7 * np.abs(np.diff(sharp.astype(float), axis=1)).max()
+    )
 
 
 def test_a_run_converges_through_all_of_it():

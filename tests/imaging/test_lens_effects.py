@@ -1,4 +1,6 @@
-"""Discs of defocus against the moments and the edge of a disc in closed form; lateral colour and vignetting in pixels."""
+"""Discs of defocus against the moments and the edge of a disc in closed form; lateral colour and
+vignetting in pixels.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,11 @@ def test_a_disc_has_the_variance_of_a_disc(c: float):
     kernel = disc(c)
     at = np.arange(len(kernel)) - len(kernel) // 2
     assert kernel.sum() == pytest.approx(1, abs=1e-5)
-    # A disc's variance along an axis is (c/2)^2 / 4; a pixel's own 1/12 is added, as each has its share of the area.
-    assert (kernel.sum(axis=0) * at**2).sum() == pytest.approx(c * c / 16, abs=0.09 + 0.005 * c * c / 16)
+    # A disc's variance along an axis is (c/2)^2 / 4; a pixel's own 1/12 is added, as each has its
+    # share of the area.
+    assert (kernel.sum(axis=0) * at**2).sum() == pytest.approx(
+        c * c / 16, abs=0.09 + 0.005 * c * c / 16
+    )
 
 
 @pytest.mark.parametrize("c", [3.0, 8.0, 20.0])
@@ -101,8 +106,14 @@ def test_lateral_colour_moves_red_and_blue_along_the_radius():
     for x, y in spots:
         window = (np.abs(u - x) < 14) & (np.abs(v - y) < 14)
         for channel, px in enumerate((2.0, 0.0, -1.0)):
-            at = [(after[..., channel] * window * axis).sum() / (after[..., channel] * window).sum() for axis in (u, v)]
-            before = [(image[..., 1] * window * axis).sum() / (image[..., 1] * window).sum() for axis in (u, v)]
+            at = [
+                (after[..., channel] * window * axis).sum() / (after[..., channel] * window).sum()
+                for axis in (u, v)
+            ]
+            before = [
+                (image[..., 1] * window * axis).sum() / (image[..., 1] * window).sum()
+                for axis in (u, v)
+            ]
             moved = np.array([x - 79.5, y - 59.5]) * px / corner
             np.testing.assert_allclose(np.array(at) - before, moved, atol=0.05)
 
@@ -119,7 +130,9 @@ def test_vignetting_is_the_cos4_law_and_the_share_in_the_corner():
 
 
 def test_a_blurred_picture_has_no_negative_light() -> None:
-    """Of large discs OpenCV multiplies Fourier transforms, and shot noise has no negative expectation."""
+    """Of large discs OpenCV multiplies Fourier transforms, and shot noise has no negative
+    expectation.
+    """
     light = np.zeros((60, 80, 3), np.float32)
     light[20:40, 30:50] = 255
     assert defocused(light, np.full((60, 80), 25.0, np.float32)).min() == 0

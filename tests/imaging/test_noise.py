@@ -1,4 +1,6 @@
-"""Noise of the image sensor: as strong as asked for, of its generator, the same at a pixel whatever else is drawn."""
+"""Noise of the image sensor: as strong as asked for, of its generator, the same at a pixel whatever
+else is drawn.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ def test_it_depends_on_pixel_and_panel_alone():
     some = of_picture((part, None, GREY))
     assert some[0] is not None and some[1] is None
     np.testing.assert_array_equal(some[0][:, :50], whole[0][:, :50])
-    np.testing.assert_allclose(some[0][:, 50:] + 68.0, whole[0][:, 50:], atol=1)  # the same number, rounded in another place
+    # the same number, rounded in another place
+    np.testing.assert_allclose(some[0][:, 50:] + 68.0, whole[0][:, 50:], atol=1)
     np.testing.assert_array_equal(some[2], whole[2])
     assert not np.array_equal(whole[0], whole[2])
 
@@ -47,5 +50,6 @@ def test_without_noise_nothing_is_copied():
 
 def test_contrast_drifts_about_the_middle_grey():
     levels: Image = np.repeat(np.array([[28, 128, 228]], np.uint8)[..., None], 3, axis=2)
-    after = Drift(contrast=0.5, period_s=4.0).of((levels,), 3.0)[0]  # a quarter of a period before the end: -1
+    # a quarter of a period before the end: -1
+    after = Drift(contrast=0.5, period_s=4.0).of((levels,), 3.0)[0]
     assert after is not None and after[0, :, 1].tolist() == [78, 128, 178]

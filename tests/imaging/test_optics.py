@@ -18,7 +18,8 @@ def circle(z: float, f_px: float) -> float:
 
 
 def test_the_circle_on_the_sensor_is_that_of_the_thin_lens():
-    f_px = F * FOCUS / (FOCUS - F) / PITCH  # the sensor's distance from the lens in pixels: what a calibration finds
+    # the sensor's distance from the lens in pixels: what a calibration finds
+    f_px = F * FOCUS / (FOCUS - F) / PITCH
     for z in (0.3, 0.7, 0.8, 1.5, 20.0):
         on_sensor = F / N * abs(z - FOCUS) / z * F / (FOCUS - F)
         assert abs(circle(z, f_px)) * PITCH == pytest.approx(on_sensor, rel=1e-4, abs=1e-10)
@@ -42,7 +43,11 @@ def test_the_depth_of_field_is_the_textbooks(allowed_m: float):
 
 def test_a_lens_without_a_focal_length_or_an_image_is_refused():
     for given, field, words in (
-        ({"optics": Optics(defocus=Defocus(focus_m=0.5, f_number=2))}, "optics.defocus.focal_length_m", "needed"),
+        (
+            {"optics": Optics(defocus=Defocus(focus_m=0.5, f_number=2))},
+            "optics.defocus.focal_length_m",
+            "needed",
+        ),
         (
             {"optics": Optics(defocus=LENS), "focal_length_m": F, "pixel_size_m": PITCH},
             "optics.defocus.focal_length_m",

@@ -1,4 +1,6 @@
-"""The parameters of EMVA 1288 recovered from pictures as the standard does it: photon transfer, dark noise, DSNU, PRNU."""
+"""The parameters of EMVA 1288 recovered from pictures as the standard does it: photon transfer,
+dark noise, DSNU, PRNU.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,19 @@ def light(value: float) -> np.ndarray:
     return np.full(SHAPE, value, np.float32)
 
 
-def two(chip: SensorNoise, value: float, setting: ExposureSetting, seed: int = 0) -> tuple[float, float]:
-    """Mean and temporal variance from two pictures of one light, as the standard takes them [DN, DN^2]."""
+def two(
+    chip: SensorNoise, value: float, setting: ExposureSetting, seed: int = 0
+) -> tuple[float, float]:
+    """Mean and temporal variance from two pictures of one light, as the standard takes them [DN,
+    DN^2].
+    """
     pattern = chip.pattern((SHAPE[1], SHAPE[0]), np.random.default_rng(1))
-    a, b = (chip.converted(light(value), setting, pattern, np.random.default_rng((seed, i))).astype(float) for i in (0, 1))
+    a, b = (
+        chip.converted(light(value), setting, pattern, np.random.default_rng((seed, i))).astype(
+            float
+        )
+        for i in (0, 1)
+    )
     return float((a.mean() + b.mean()) / 2), float(((a - b) ** 2).mean() / 2)
 
 
@@ -28,7 +39,9 @@ def two(chip: SensorNoise, value: float, setting: ExposureSetting, seed: int = 0
 def test_the_photon_transfer_curve_has_the_slope_K_and_the_dark_noise(gain: float):
     dark, dark_variance = two(CHIP, 0.0, ExposureSetting(gain=gain))
     values = np.linspace(10, 180 / gain, 8)
-    points = np.array([two(CHIP, v, ExposureSetting(gain=gain), i + 1) for i, v in enumerate(values)])
+    points = np.array(
+        [two(CHIP, v, ExposureSetting(gain=gain), i + 1) for i, v in enumerate(values)]
+    )
     slope = np.polyfit(points[:, 0] - dark, points[:, 1] - dark_variance, 1)[0]
     assert slope == pytest.approx(gain * CHIP.K, rel=0.01)
     assert dark == pytest.approx(100, abs=0.1)
@@ -39,7 +52,8 @@ def test_a_longer_exposure_has_less_noise_than_a_larger_gain():
     by_time = two(CHIP, 50.0, ExposureSetting(time_s=3.0))
     by_gain = two(CHIP, 50.0, ExposureSetting(gain=3.0))
     assert by_time[0] == pytest.approx(by_gain[0], rel=0.01)
-    assert by_gain[1] / by_time[1] == pytest.approx(3.0, rel=0.05)  # K g (mu - dark), with the same mean
+    # K g (mu - dark), with the same mean
+    assert by_gain[1] / by_time[1] == pytest.approx(3.0, rel=0.05)
 
 
 def test_dsnu_and_prnu_are_found_in_the_mean_of_many_pictures():
@@ -47,7 +61,12 @@ def test_dsnu_and_prnu_are_found_in_the_mean_of_many_pictures():
 
     def mean(value: float) -> np.ndarray:
         n = 12
-        total = sum(CHIP.converted(light(value), ExposureSetting(), pattern, np.random.default_rng((5, i))).astype(float) for i in range(n))
+        total = sum(
+            CHIP.converted(
+                light(value), ExposureSetting(), pattern, np.random.default_rng((5, i))
+            ).astype(float)
+            for i in range(n)
+        )
         return np.asarray(total) / n
 
     dark, bright = mean(0.0), mean(128.0)
@@ -60,7 +79,9 @@ def test_dsnu_and_prnu_are_found_in_the_mean_of_many_pictures():
 
 
 def test_the_default_is_the_camera_that_was_measured():
-    """SNR and dynamic range by the standard's equations, against the maker's table: IMX250 in the mvBlueFOX3-2051, 40.3 and 71.2 dB."""
+    """SNR and dynamic range by the standard's equations, against the maker's table: IMX250 in the
+    mvBlueFOX3-2051, 40.3 and 71.2 dB.
+    """
     chip = SensorNoise(bits=12)
     dark = chip.dark_noise_e**2 + 1 / 12 / chip.K**2
     least = np.sqrt(dark + 1 / 4) + 1 / 2  # electrons at which signal and noise are equal
@@ -86,16 +107,22 @@ def test_shot_noise_has_the_moments_of_poissons_distribution(mean: float):
 
 
 def test_the_well_and_the_converter_are_full_where_they_should_be():
-    well = SensorNoise(full_well_e=5000, white_e=10000, gain_dn_per_e=0.02, prnu=0, dsnu_e=0, dark_noise_e=0)
+    well = SensorNoise(
+        full_well_e=5000, white_e=10000, gain_dn_per_e=0.02, prnu=0, dsnu_e=0, dark_noise_e=0
+    )
     read = well.converted(light(255.0), ExposureSetting(), None, None)
     assert (read == 100).all()  # 5000 e- at .02 DN/e-, though white would be 10000
     assert (CHIP.read(light(300.0), ExposureSetting(), None, None) == 255).all()
     assert (SensorNoise().read(light(255.0), ExposureSetting(), None, None) == 255).all()
-    assert (CHIP.read(light(0.0), ExposureSetting(), None, None) == 100 >> 4).all() and CHIP.black == 6.25
+    assert (
+        CHIP.read(light(0.0), ExposureSetting(), None, None) == 100 >> 4
+    ).all() and CHIP.black == 6.25
     with pytest.raises(ParameterError, match="half of the largest"):
         SensorNoise(black_level_dn=200)
 
 
 def test_without_noise_it_is_the_plain_picture():
     ramp = np.tile(np.arange(256, dtype=np.float32)[:, None, None], (1, 2, 3))
-    np.testing.assert_array_equal(SensorNoise().read(ramp, ExposureSetting(), None, None), plain(ramp, ExposureSetting()))
+    np.testing.assert_array_equal(
+        SensorNoise().read(ramp, ExposureSetting(), None, None), plain(ramp, ExposureSetting())
+    )

@@ -1,4 +1,6 @@
-"""Flights of the ideal camera with the oracle: the book's camera (f = 800 px on 1000 x 1000), no border of the picture."""
+"""Flights of the ideal camera with the oracle: the book's camera (f = 800 px on 1000 x 1000), no
+border of the picture.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ from vstestbed.vision import Oracle
 
 def book_camera(rate_hz: float = 25.0) -> Camera:
     """The book's default camera."""
-    return Perspective(width=1000, height=1000, focal_length_m=0.008, pixel_size_m=1e-5, rate_hz=rate_hz)
+    return Perspective(
+        width=1000, height=1000, focal_length_m=0.008, pixel_size_m=1e-5, rate_hz=rate_hz
+    )
 
 
 def fly(
@@ -37,7 +41,8 @@ def fly(
     rpy_deg: tuple[float, float, float] | None = None,
     at: tuple[tuple[float, float, float], ...] | None = None,
 ) -> vs.Recording:
-    """A flight to the view from goal_z straight in front of a square, until the 2-norm of the 8 pixel errors is under norm_px.
+    """A flight to the view from goal_z straight in front of a square, until the 2-norm of the 8
+    pixel errors is under norm_px.
 
     With `at` the target has its markers there in place of a square's corners.
     """
@@ -51,7 +56,9 @@ def fly(
             detector=Oracle(field_of_view="unlimited" if unlimited else "limited"),
             law=law,  # pyright: ignore[reportArgumentType]
             goal=GoalView(T_camera_target=Pose(xyz=(0, 0, goal_z))),
-            stop=Stop(duration_s=duration_s, converged=Converged(error_px=norm_px / np.sqrt(8), hold_s=0)),
+            stop=Stop(
+                duration_s=duration_s, converged=Converged(error_px=norm_px / np.sqrt(8), hold_s=0)
+            ),
         )
     )
 

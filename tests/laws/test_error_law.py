@@ -1,4 +1,6 @@
-"""The state of a feedforward between frames: integral, anti-windup, what is dead-reckoned for how long, horizons before and after now."""
+"""The state of a feedforward between frames: integral, anti-windup, what is dead-reckoned for how
+long, horizons before and after now.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,22 @@ from vstestbed.core.geometry import Pose, exp, transform
 from vstestbed.features.observation import EgoMotion, Goal, Observation
 from vstestbed.laws import IBVS, PBVS
 from vstestbed.laws.base import TwistLimits, inputs_of
-from vstestbed.laws.error_law import DEAD_RECKON_S, ErrorState, integrated, usable_markers, usable_pose
-from vstestbed.laws.feedforward import AlphaBeta, Integral, KalmanCA, KalmanCV, NoFeedforward, TargetEstimate, look_ahead
+from vstestbed.laws.error_law import (
+    DEAD_RECKON_S,
+    ErrorState,
+    integrated,
+    usable_markers,
+    usable_pose,
+)
+from vstestbed.laws.feedforward import (
+    AlphaBeta,
+    Integral,
+    KalmanCA,
+    KalmanCV,
+    NoFeedforward,
+    TargetEstimate,
+    look_ahead,
+)
 from vstestbed.laws.points import TOO_FEW
 from vstestbed.targets import Square
 from vstestbed.vision.homography import relative_view
@@ -29,7 +45,9 @@ def seen(t: float, motion: EgoMotion | None = None) -> Observation:
     return Observation(t, uv, uv, np.ones(4), motion=motion)
 
 
-def own(since_s: float = 0.04, age_s: float = 0.0, moved: float = 0.0, commanded: float = 0.0) -> EgoMotion:
+def own(
+    since_s: float = 0.04, age_s: float = 0.0, moved: float = 0.0, commanded: float = 0.0
+) -> EgoMotion:
     return EgoMotion(np.zeros(6), since_s, np.full(6, moved), age_s, np.full(6, commanded))
 
 
@@ -50,7 +68,10 @@ class TestIntegral:
         np.testing.assert_allclose(term, 0.5 * (0.3 * X + 0.1 * 2 * X))
 
     def test_it_does_not_grow_while_the_limits_scale_the_command(self):
-        view, goal = Goal.from_view(CAMERA, POINTS, AWAY), Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)
+        view, goal = (
+            Goal.from_view(CAMERA, POINTS, AWAY),
+            Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T),
+        )
         frames = [Observation(0.1 * i, view.uv, view.xy, view.depth) for i in range(3)]
         for speed, grows in ((None, True), (0.01, False)):
             law = IBVS(feedforward=self.KIND, limits=TwistLimits(speed_mps=speed))
@@ -64,12 +85,17 @@ class TestIntegral:
 
 
 def test_without_feedforward_or_without_the_cameras_motion_nothing_is_added():
-    view, goal = Goal.from_view(CAMERA, POINTS, AWAY), Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)
+    view, goal = (
+        Goal.from_view(CAMERA, POINTS, AWAY),
+        Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T),
+    )
     plain = IBVS()
     for kind, motion in ((NoFeedforward(), own()), (KalmanCV(), None)):
         law = IBVS(feedforward=kind)
         state = law.init(goal)
-        after, command = law.step(state, Observation(0.0, view.uv, view.xy, view.depth, motion=motion), goal, SIX)
+        after, command = law.step(
+            state, Observation(0.0, view.uv, view.xy, view.depth, motion=motion), goal, SIX
+        )
         assert after is state
         expected = plain.step(state, Observation(0.0, view.uv, view.xy, view.depth), goal, SIX)[1]
         np.testing.assert_array_equal(command.twist, expected.twist)
@@ -77,35 +103,65 @@ def test_without_feedforward_or_without_the_cameras_motion_nothing_is_added():
 
 def test_only_estimators_ask_for_the_cameras_motion():
     kinds = NoFeedforward(), Integral(), AlphaBeta(), KalmanCV(), KalmanCA()
-    assert ["motion" in inputs_of(PBVS(feedforward=kind)) for kind in kinds] == [False, False, True, True, True]
+    assert ["motion" in inputs_of(PBVS(feedforward=kind)) for kind in kinds] == [
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
 
 
 class TestDeadReckoning:
     """What is not seen goes on by the camera's motion and the target's, for both kinds of laws."""
 
     KIND, LONG = KalmanCV(), 5.0
-    GOAL = Goal.from_view(Perspective(), Square(side=0.5, pose=Pose()).points, Pose(xyz=(0, 0, 1)).T)
+    GOAL = Goal.from_view(
+        Perspective(), Square(side=0.5, pose=Pose()).points, Pose(xyz=(0, 0, 1)).T
+    )
     T = Pose(xyz=(0.1, -0.05, 1.2), rpy_deg=(5, -8, 20)).T
-    TWIST, RATE = np.array([0.1, -0.2, 0.05, 0.1, 0.05, -0.1]), np.array([-0.05, 0.1, 0.1, 0.02, 0.0, 0.05])
+    TWIST, RATE = (
+        np.array([0.1, -0.2, 0.05, 0.1, 0.05, -0.1]),
+        np.array([-0.05, 0.1, 0.1, 0.02, 0.0, 0.05]),
+    )
     POINTS = Square(side=0.5, pose=Pose()).points
 
-    def view(self, T: np.ndarray, t: float, motion: EgoMotion, gone: tuple[int, ...] = (), rays: bool = False) -> Observation:
+    def view(
+        self,
+        T: np.ndarray,
+        t: float,
+        motion: EgoMotion,
+        gone: tuple[int, ...] = (),
+        rays: bool = False,
+    ) -> Observation:
         p = transform(T, self.POINTS)
         uv = self.GOAL.camera.project(p)
         uv[list(gone)] = np.nan
         xy, ray = self.GOAL.camera.normalise(uv), self.GOAL.camera.ray(uv)
         relative = None if gone else relative_view(self.GOAL.xy, xy, self.GOAL.normal)
         depth = np.where(np.isnan(uv[:, 0]), np.nan, p[:, 2])
-        around = {"ray": ray, "range": np.where(np.isnan(uv[:, 0]), np.nan, np.linalg.norm(p, axis=1))} if rays else {}
-        return Observation(t, uv, xy, depth, None if gone else T, relative=relative, motion=motion, **around)
+        around = (
+            {"ray": ray, "range": np.where(np.isnan(uv[:, 0]), np.nan, np.linalg.norm(p, axis=1))}
+            if rays
+            else {}
+        )
+        return Observation(
+            t, uv, xy, depth, None if gone else T, relative=relative, motion=motion, **around
+        )
 
-    def frames(self, gone: tuple[int, ...], dt: float = 0.04, rays: bool = False) -> tuple[ErrorState, Observation, Observation]:
-        """The state after a frame with all markers, the next with some gone, and what it would be with all."""
+    def frames(
+        self, gone: tuple[int, ...], dt: float = 0.04, rays: bool = False
+    ) -> tuple[ErrorState, Observation, Observation]:
+        """The state after a frame with all markers, the next with some gone, and what it would be
+        with all.
+        """
         motion = EgoMotion(self.TWIST, dt, np.zeros(6), 0.0, np.zeros(6))
         T = exp(-(self.TWIST + self.RATE) * dt) @ self.T
         target = TargetEstimate(np.stack([np.zeros(6), self.RATE]), np.zeros(6), np.eye(2))
         seen = self.view(self.T, self.LONG, motion, rays=rays)
-        state = replace(NOTHING, seen=seen, known_t=self.LONG, marker_t=np.full(4, self.LONG), target=target)
+        state = replace(
+            NOTHING, seen=seen, known_t=self.LONG, marker_t=np.full(4, self.LONG), target=target
+        )
         now = self.LONG + dt
         return state, self.view(T, now, motion, gone, rays), self.view(T, now, motion, rays=rays)
 
@@ -120,18 +176,31 @@ class TestDeadReckoning:
             np.testing.assert_allclose(getattr(known, name), getattr(whole, name), atol=1e-12)
         np.testing.assert_array_equal(known.seen, seen.seen)  # what the picture shows stays
         pose = usable_pose(self.KIND, state, seen, self.GOAL, SIX)
-        assert pose is not None and pose.T_camera_target is not None and pose.relative is not None and whole.relative is not None
+        assert (
+            pose is not None
+            and pose.T_camera_target is not None
+            and pose.relative is not None
+            and whole.relative is not None
+        )
         np.testing.assert_allclose(pose.T_camera_target, whole.T_camera_target, atol=1e-12)
         np.testing.assert_allclose(pose.relative[0], whole.relative[0], atol=1e-9)
         np.testing.assert_allclose(pose.relative[1], whole.relative[1], atol=1e-9)
 
     def test_one_that_is_hidden_for_long_moves_with_the_others(self):
-        """The target turns aside of what is estimated: three markers tell, and the fourth must fit to them."""
+        """The target turns aside of what is estimated: three markers tell, and the fourth must fit
+        to them.
+        """
         state, seen, _ = self.frames((0,))
         state = replace(state, marker_t=np.array([self.LONG - 0.2, *[self.LONG] * 3]))
-        aside = exp(np.array([0.003, -0.002, 0.001, 0.002, -0.003, 0.004])) @ exp(-(self.TWIST + self.RATE) * 0.04) @ self.T
+        aside = (
+            exp(np.array([0.003, -0.002, 0.001, 0.002, -0.003, 0.004]))
+            @ exp(-(self.TWIST + self.RATE) * 0.04)
+            @ self.T
+        )
         assert seen.motion is not None
-        known, _, why = usable_markers(self.KIND, state, self.view(aside, seen.t, seen.motion, (0,)), SIX, ("xy", "depth"), 3)
+        known, _, why = usable_markers(
+            self.KIND, state, self.view(aside, seen.t, seen.motion, (0,)), SIX, ("xy", "depth"), 3
+        )
         assert not why
         expected = self.view(aside, seen.t, seen.motion).xy[0]
         assert np.abs(known.xy[0] - expected).max() < 1e-4
@@ -146,7 +215,11 @@ class TestDeadReckoning:
             assert (usable_pose(self.KIND, state, seen, self.GOAL, SIX) is not None) == goes_on
         state, seen, _ = self.frames((1,), DEAD_RECKON_S + 0.01)  # enough markers without it
         known, rows, why = usable_markers(self.KIND, state, seen, SIX, ("xy", "depth"), 3)
-        assert not why and np.array_equal(rows, [True, False, True, True]) and np.isnan(known.xy[1]).all()
+        assert (
+            not why
+            and np.array_equal(rows, [True, False, True, True])
+            and np.isnan(known.xy[1]).all()
+        )
 
     def test_it_needs_an_estimator_an_estimate_and_the_own_motion(self):
         state, seen, whole = self.frames((1, 2))
@@ -157,7 +230,9 @@ class TestDeadReckoning:
             (self.KIND, NOTHING, seen),
         )
         for kind, given, observation in lacking:
-            assert isinstance(usable_markers(kind, given, observation, SIX, ("xy", "depth"), 3)[1], str)
+            assert isinstance(
+                usable_markers(kind, given, observation, SIX, ("xy", "depth"), 3)[1], str
+            )
             assert usable_pose(kind, given, observation, self.GOAL, SIX) is None
         assert usable_markers(self.KIND, state, whole, SIX, ("xy", "depth"), 3)[0] is whole
 
@@ -172,7 +247,10 @@ class TestDeadReckoning:
 
     def test_a_command_says_what_is_lacking(self):
         state, seen, whole = self.frames((1, 2))
-        for law, why in ((IBVS(feedforward=self.KIND), TOO_FEW), (PBVS(feedforward=self.KIND), TOO_FEW)):
+        for law, why in (
+            (IBVS(feedforward=self.KIND), TOO_FEW),
+            (PBVS(feedforward=self.KIND), TOO_FEW),
+        ):
             command = law.step(state, seen, self.GOAL, SIX)[1]
             assert command.rest_reason == why and command.twist.any()
             assert not law.step(state, whole, self.GOAL, SIX)[1].rest_reason
@@ -181,12 +259,18 @@ class TestDeadReckoning:
 class TestHorizon:
     def test_before_at_and_after_now(self):
         for predict_s, expected in (
-            # Half of the way that the camera has gone in .1 s since the exposure; all of it; and .1 s more as commanded.
+            # Half of the way that the camera has gone in .1 s since the exposure; all of it; and .1
+            # s more as commanded.
             (0.05, 0.3 * 0.05 + 0.02),
             (0.1, 0.3 * 0.1 + 0.04),
             (0.2, 0.3 * 0.2 + 0.04 + 0.5 * 0.1),
         ):
-            shift, rate = look_ahead(KalmanCV(predict_s=predict_s), moving(0.3), SIX, own(age_s=0.1, moved=0.04, commanded=0.5))
+            shift, rate = look_ahead(
+                KalmanCV(predict_s=predict_s),
+                moving(0.3),
+                SIX,
+                own(age_s=0.1, moved=0.04, commanded=0.5),
+            )
             np.testing.assert_allclose(shift, expected)
             np.testing.assert_allclose(rate, 0.3)
 
@@ -223,5 +307,6 @@ def test_the_first_frames_set_a_kalman_filters_rate():
     corner = 2 * np.pi
     np.testing.assert_allclose(target.P, np.diag([corner, 1e3 * corner**3]))
     np.testing.assert_allclose(
-        KalmanCA(bandwidth_hz=1.0).update(None, None, 0.04, 2).P, np.diag([corner, 1e3 * corner**3, 1e3 * corner**5])
+        KalmanCA(bandwidth_hz=1.0).update(None, None, 0.04, 2).P,
+        np.diag([corner, 1e3 * corner**3, 1e3 * corner**5]),
     )

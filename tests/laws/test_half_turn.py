@@ -1,4 +1,6 @@
-"""An exact half turn about the optical axis, at the goal's depth: which law does what (ideal camera, oracle, no border)."""
+"""An exact half turn about the optical axis, at the goal's depth: which law does what (ideal
+camera, oracle, no border).
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ def test_points_with_the_mean_matrix_stand_still():
     r = half_turn(IBVS(feature=Point(), interaction="mean", depth=TRUE))
     assert r.outcome is vs.Outcome.local_minimum
     assert r.summary()["path_length_m"] < 1e-6
-    assert r["error_px"][-1] == pytest.approx(2 * 200, rel=1e-3)  # every marker where the opposite one should be
+    # every marker where the opposite one should be
+    assert r["error_px"][-1] == pytest.approx(2 * 200, rel=1e-3)
 
 
 LAWS: dict[str, Law] = {

@@ -1,4 +1,6 @@
-"""2.5D: finite differences of its error, both sources of rotation and ratio agree, the target's image goes straight."""
+"""2.5D: finite differences of its error, both sources of rotation and ratio agree, the target's
+image goes straight.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def test_the_matrix_is_the_derivative_of_the_error():
     goal, law, h = Goal.from_view(CAMERA, POINTS, TILTED), Hybrid(source="model"), 1e-6
 
     def feature(T: Array) -> tuple[Array, Array]:
-        return law.of_middle(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
+        return law.of_middle(
+            T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3]
+        )
 
     L = feature(AWAY)[1]
     for i, twist in enumerate(np.eye(6)):
@@ -47,13 +51,19 @@ def test_the_matrix_is_the_derivative_of_the_error():
 def test_homography_and_model_order_the_same(goal_pose: Array):
     goal = Goal.from_view(CAMERA, POINTS, goal_pose)
     o = view(AWAY, goal)
-    twists = [(law := Hybrid(source=source)).step(law.init(goal), o, goal, np.eye(6))[1].twist for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
-    assert twists[0] == pytest.approx(twists[1], abs=1e-6)  # findHomography computes in single precision
+    twists = [
+        (law := Hybrid(source=source)).step(law.init(goal), o, goal, np.eye(6))[1].twist
+        for source in ("homography", "model")
+    ]  # pyright: ignore[reportArgumentType]
+    # findHomography computes in single precision
+    assert twists[0] == pytest.approx(twists[1], abs=1e-6)
 
 
 @pytest.mark.parametrize("source", ["homography", "model"])
 def test_the_change_between_two_views_is_the_motion_between_them(source: str):
-    """e = L xi to second order, with xi the motion of the camera: so that the feedforward finds the target's motion."""
+    """e = L xi to second order, with xi the motion of the camera: so that the feedforward finds the
+    target's motion.
+    """
     goal, law = Goal.from_view(CAMERA, POINTS, TILTED), Hybrid(source=source)  # pyright: ignore[reportArgumentType] - of a parameter
     moved = np.array([0.01, -0.02, 0.015, 0.03, -0.02, 0.04])
     e, L = law.change(view(AWAY, goal), view(exp(-moved) @ AWAY, goal), goal)
@@ -66,7 +76,8 @@ def test_the_image_of_the_targets_origin_goes_straight():
     o = np.array([inverse(T)[:3, 3] for T in camera_poses(r)])
     xy = o[:, :2] / o[:, 2:]
     way = xy[0] / np.linalg.norm(xy[0])
-    assert np.abs(xy[:, 0] * way[1] - xy[:, 1] * way[0]).max() < 5e-3  # of 1: the goal's image is (0, 0)
+    # of 1: the goal's image is (0, 0)
+    assert np.abs(xy[:, 0] * way[1] - xy[:, 1] * way[0]).max() < 5e-3
 
 
 def test_views_that_cannot_be_compared_bring_rest():
@@ -85,16 +96,23 @@ SLANTED = ((-0.25, -0.25, 0.2), (0.25, -0.25, 0.4), (0.25, 0.25, 0.4), (-0.25, 0
 @pytest.mark.parametrize("at", [OFF_THE_ORIGIN, SLANTED], ids=["z = .5", "slanted"])
 @pytest.mark.study
 def test_markers_in_another_plane_than_the_origins(at: tuple[tuple[float, float, float], ...]):
-    runs = [fly(Hybrid(source=source), (0.3, 0.3, -2), 0.4, at=at) for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
+    runs = [
+        fly(Hybrid(source=source), (0.3, 0.3, -2), 0.4, at=at) for source in ("homography", "model")
+    ]  # pyright: ignore[reportArgumentType]
     assert all(r.outcome is vs.Outcome.converged for r in runs)
     assert len(runs[0]["t"]) == pytest.approx(len(runs[1]["t"]), abs=1)
 
 
 @pytest.mark.parametrize(
     ("fourth", "words"),
-    [((-0.25, 0.25, 0.2), ".*not in one plane.*source: model"), ((0.0, -0.25, 0.0), "all markers but one on a line.*source: model")],
+    [
+        ((-0.25, 0.25, 0.2), ".*not in one plane.*source: model"),
+        ((0.0, -0.25, 0.0), "all markers but one on a line.*source: model"),
+    ],
 )
-def test_markers_that_make_no_homography_are_refused(fourth: tuple[float, float, float], words: str):
+def test_markers_that_make_no_homography_are_refused(
+    fourth: tuple[float, float, float], words: str
+):
     at = ((-0.25, -0.25, 0.0), (0.25, -0.25, 0.0), (0.25, 0.25, 0.0), fourth)
     with pytest.raises(ParameterError, match=f"^target has {words}"):
         fly(Hybrid(), at=at)
@@ -106,13 +124,20 @@ class TestFlat:
 
     @pytest.mark.parametrize(("height", "flat"), [(0.9e-3, True), (1.1e-3, False)])
     def test_a_plane(self, height: float, flat: bool):
-        corners = np.array([[-1.0, -1, 1], [1, -1, -1], [1, 1, 1], [-1, 1, -1]]) * [0.5, 0.5, 0.5 * height]  # extents 1, 1, height
+        # extents 1, 1, height
+        corners = np.array([[-1.0, -1, 1], [1, -1, -1], [1, 1, 1], [-1, 1, -1]]) * [
+            0.5,
+            0.5,
+            0.5 * height,
+        ]
         law, goal = Hybrid(), Goal.from_view(CAMERA, POINTS, TILTED)
         with nullcontext() if flat else pytest.raises(ParameterError, match="not in one plane"):
             law.check(corners, goal)
 
     def test_only_a_homography_asks(self):
-        Hybrid(source="model").check(np.random.default_rng(0).normal(size=(4, 3)), Goal.from_view(CAMERA, POINTS, TILTED))
+        Hybrid(source="model").check(
+            np.random.default_rng(0).normal(size=(4, 3)), Goal.from_view(CAMERA, POINTS, TILTED)
+        )
 
     def test_five_with_four_on_a_line_are_refused_and_with_three_are_not(self):
         line = np.array([[-0.2, 0, 0], [-0.1, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0, 0.2, 0]])

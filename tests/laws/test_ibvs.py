@@ -1,4 +1,6 @@
-"""The image-based law: convergence on the ideal plant, its known failures, gains, limits, and what it does when it sees little."""
+"""The image-based law: convergence on the ideal plant, its known failures, gains, limits, and what
+it does when it sees little.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,18 @@ from vstestbed.laws import IBVS
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
 from vstestbed.targets.base import Square
 
-GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
+GOLDEN = json.loads(
+    (Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text()
+)
 CAMERA, POINTS = Perspective(), Square(side=0.5, pose=Pose()).points
 GOAL = Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)
 SIX = np.eye(6)
 AWAY = Pose(xyz=(0.2, -0.1, 1.6), rpy_deg=(10, -15, 30)).T
 
 
-def look(T_camera_target: Array = AWAY, t: float = 0.0, unseen: tuple[int, ...] = ()) -> Observation:
+def look(
+    T_camera_target: Array = AWAY, t: float = 0.0, unseen: tuple[int, ...] = ()
+) -> Observation:
     """A perfect observation from a pose."""
     p = transform(T_camera_target, POINTS)
     uv = CAMERA.project(p)
@@ -39,7 +45,9 @@ def command(law: IBVS, observation: Observation, basis: Array = SIX) -> Array:
 
 
 def ideal(rz_deg: float = 40, **overrides: object) -> vs.Recording:
-    """A flight of the ideal camera with the oracle; the book's camera, goal 1 m before the square, 25 Hz."""
+    """A flight of the ideal camera with the oracle; the book's camera, goal 1 m before the square,
+    25 Hz.
+    """
     changes = {
         "robot.start": {"nominal": {"xyz": [0.3, 0.3, 1], "rpy_deg": [0, 0, rz_deg]}},
         "camera.rate_hz": 25,
@@ -53,16 +61,19 @@ def ideal(rz_deg: float = 40, **overrides: object) -> vs.Recording:
 class TestOnTheIdealPlant:
     @pytest.mark.parametrize("interaction", ["current", "desired", "mean"])
     def test_converges(self, interaction: str):
-        r = ideal(**{"law.interaction": interaction, "stop.converged": {"error_px": 0.01, "hold_s": 0}})
+        r = ideal(
+            **{"law.interaction": interaction, "stop.converged": {"error_px": 0.01, "hold_s": 0}}
+        )
         assert r.outcome is vs.Outcome.converged
-        # .01 px at 800 px and 1 m: 12 um sideways; the tilt's direction is the weakest, some ten times that.
+        # .01 px at 800 px and 1 m: 12 um sideways; the tilt's direction is the weakest, some ten
+        # times that.
         assert r["position_error_m"][-1] < 2e-4 and r["rotation_error_rad"][-1] < 2e-4
 
     def test_the_error_decays_with_the_gain(self):
         r = ideal(**{"stop.converged": {"error_px": 0.01, "hold_s": 0}})
         e = r["error_px"]
-        # Current L and true depth: e(t) = e(0) exp(-gain t) at every frame; steps of 40 ms bend it by gain dt = 2 %,
-        # more where the camera is far and moves fast (first second left out).
+        # Current L and true depth: e(t) = e(0) exp(-gain t) at every frame; steps of 40 ms bend it
+        # by gain dt = 2 %, more where the camera is far and moves fast (first second left out).
         rate = -np.diff(np.log(e)) / np.diff(r["t"])
         np.testing.assert_allclose(rate[25:], 0.5, rtol=0.04)
 
@@ -71,7 +82,12 @@ class TestOnTheIdealPlant:
         assert r.outcome is vs.Outcome.diverged and not r.outcome.success
 
     def test_half_turn_crosses_the_target_with_the_desired_one(self):
-        r = ideal(**{"robot.start": {"nominal": {"xyz": [0, 0, 2], "rpy_deg": [0, 0, 180]}}, "law.interaction": "desired"})
+        r = ideal(
+            **{
+                "robot.start": {"nominal": {"xyz": [0, 0, 2], "rpy_deg": [0, 0, 180]}},
+                "law.interaction": "desired",
+            }
+        )
         assert r.outcome is vs.Outcome.target_lost
 
     def test_smooth_start_arrives_where_the_plain_law_does(self):
@@ -87,14 +103,17 @@ class TestGains:
     @pytest.mark.parametrize("case", GOLDEN["adaptive_gain_4_0p4_30"]["cases"])
     def test_adaptive_golden(self, case):
         gain = AdaptiveGain(at_zero=4, at_infinity=0.4, slope_at_zero=30)
-        for e in (np.array([case["in"][0]]), np.array([0.0, -case["in"][0], 0.01])):  # the norm is the largest component's size
+        # the norm is the largest component's size
+        for e in (np.array([case["in"][0]]), np.array([0.0, -case["in"][0], 0.01])):
             assert gain.at(e) == pytest.approx(case["gain"], rel=1e-10)
 
     def test_adaptive_looks_at_the_motion_still_to_be_made(self):
         o = look()
         motion = np.linalg.pinv(Point().interaction(o.xy, o.depth)) @ (o.xy - GOAL.xy).ravel()
         # Two ways of the same least squares.
-        np.testing.assert_allclose(command(IBVS(gain=AdaptiveGain()), o), -AdaptiveGain().at(motion) * motion, rtol=1e-10)
+        np.testing.assert_allclose(
+            command(IBVS(gain=AdaptiveGain()), o), -AdaptiveGain().at(motion) * motion, rtol=1e-10
+        )
 
     def test_adaptive_rises_towards_the_goal(self):
         assert AdaptiveGain().at(np.zeros(8)) == pytest.approx(4.0, rel=1e-15)
@@ -132,7 +151,9 @@ class TestSmoothStart:
 
 class TestSmoothing:
     def test_is_an_exponential_average(self):
-        """A weight of 0.8 of each new command at 25 Hz, as the docstring has it; the first command is taken as it is."""
+        """A weight of 0.8 of each new command at 25 Hz, as the docstring has it; the first command
+        is taken as it is.
+        """
         law, plain = IBVS(smoothing_s=-0.04 / np.log(0.2)), IBVS()
         state, mean = law.init(GOAL), np.zeros(6)
         for i, t in enumerate((0.0, 0.04, 0.08, 0.12)):
@@ -152,12 +173,16 @@ class TestSmoothing:
         assert kept.rest_reason == rest.rest_reason and not given.rest_reason
 
 
-@pytest.mark.parametrize("limits", [{"speed_mps": 0.05}, {"rate_radps": 0.02}, {"speed_mps": 0.05, "rate_radps": 0.02}])
+@pytest.mark.parametrize(
+    "limits", [{"speed_mps": 0.05}, {"rate_radps": 0.02}, {"speed_mps": 0.05, "rate_radps": 0.02}]
+)
 def test_limits_scale_the_whole_twist(limits: dict[str, float]):
     free, limited = command(IBVS(), look()), command(IBVS(limits=TwistLimits(**limits)), look())
     size = {"speed_mps": np.linalg.norm(limited[:3]), "rate_radps": np.linalg.norm(limited[3:])}
     # The same direction, and just at the tighter limit: rounding.
-    np.testing.assert_allclose(limited / np.linalg.norm(limited), free / np.linalg.norm(free), atol=1e-14)
+    np.testing.assert_allclose(
+        limited / np.linalg.norm(limited), free / np.linalg.norm(free), atol=1e-14
+    )
     assert max(size[name] / limit for name, limit in limits.items()) == pytest.approx(1, rel=1e-12)
 
 
@@ -181,7 +206,11 @@ class TestFewMarkers:
         assert IBVS().step(IBVS().init(GOAL), half_blind, GOAL, SIX)[1].rest_reason
 
     def test_two_are_enough_for_three_motions(self):
-        assert not IBVS().step(IBVS().init(GOAL), look(unseen=(0, 2)), GOAL, SIX[:, [0, 1, 5]])[1].rest_reason
+        assert (
+            not IBVS()
+            .step(IBVS().init(GOAL), look(unseen=(0, 2)), GOAL, SIX[:, [0, 1, 5]])[1]
+            .rest_reason
+        )
 
 
 class TestMotionBasis:
@@ -205,7 +234,8 @@ class TestMotionBasis:
             """How far the image's motion is from -gain e."""
             return float(np.linalg.norm(L @ self.BASIS @ u + 0.5 * e))
 
-        # The basis' own answer is the least-squares one; the cut one is far from it, not off by rounding.
+        # The basis' own answer is the least-squares one; the cut one is far from it, not off by
+        # rounding.
         assert left_over(right) < 0.9 * left_over(cut)
         assert np.linalg.norm(right - cut) > 0.3 * np.linalg.norm(right)
 
@@ -215,4 +245,6 @@ def test_interaction_choices():
     e = (o.xy - GOAL.xy).ravel()
     now, then = Point().interaction(o.xy, o.depth), Point().interaction(GOAL.xy, GOAL.depth)
     for word, L in {"current": now, "desired": then, "mean": (now + then) / 2}.items():
-        np.testing.assert_allclose(command(IBVS(interaction=word), o), -0.5 * np.linalg.pinv(L) @ e, rtol=1e-10)
+        np.testing.assert_allclose(
+            command(IBVS(interaction=word), o), -0.5 * np.linalg.pinv(L) @ e, rtol=1e-10
+        )

@@ -1,4 +1,6 @@
-"""Line following without masses and pictures: exact in bends, poles as told, corners cut as told, recovery, refusals."""
+"""Line following without masses and pictures: exact in bends, poles as told, corners cut as told,
+recovery, refusals.
+"""
 
 from contextlib import nullcontext
 
@@ -38,7 +40,9 @@ def observe(lines, goal, place, t=0.0):
 
 
 def drive(law, plane, lines, goal, start, seconds, steering_radps=2.0):
-    """Offsets from the way, a frame at a time; a car's steering (wheelbase 1 m) turns no faster than given."""
+    """Offsets from the way, a frame at a time; a car's steering (wheelbase 1 m) turns no faster
+    than given.
+    """
     basis, place = Mount.of(goal.T_base_camera).to_camera @ plane, np.array(start, dtype=float)
     state, steering, off = law.init(goal), 0.0, []
     for k in range(round(seconds / DT)):
@@ -48,7 +52,9 @@ def drive(law, plane, lines, goal, start, seconds, steering_radps=2.0):
         for _ in range(SUB):
             if plane is CAR:
                 wanted = np.clip(np.arctan(commanded[2] / commanded[0]), -1, 1)
-                steering += np.clip(wanted - steering, -steering_radps * DT / SUB, steering_radps * DT / SUB)
+                steering += np.clip(
+                    wanted - steering, -steering_radps * DT / SUB, steering_radps * DT / SUB
+                )
                 motion = np.array([commanded[0], 0, commanded[0] * np.tan(steering)])
             place = moved(place, motion, DT / SUB)
     return np.array(off)
@@ -58,7 +64,8 @@ class TestBends:
     @pytest.mark.parametrize("plane", one_quick(CAR, OMNI), ids=["car", "omni"])
     @pytest.mark.parametrize(("radius", "bound"), [(2.0, 2e-3), (-2.0, 2e-3), (6.0, 5e-5)])
     def test_a_constant_curvature_leaves_no_error_to_second_order(self, plane, radius, bound):
-        # What is left is of fourth order, x^4 / 8 R^3 (.5 m, 2 m: 1 mm), and with three times the radius 27 times less.
+        # What is left is of fourth order, x^4 / 8 R^3 (.5 m, 2 m: 1 mm), and with three times the
+        # radius 27 times less.
         lines, goal = world(CircularRoute(radius_m=radius))
         off = drive(LineFollowing(), plane, lines, goal, (0, 0, 0), 12)
         assert np.abs(off[-100:]).max() < bound
@@ -74,7 +81,8 @@ class TestBends:
         np.testing.assert_allclose(off[-100:], 0.2, atol=2e-3)
 
     def test_where_it_begins_the_corner_is_cut_as_told(self):
-        # k m^2 / 9 = 9 mm for the lookahead of .4 m and a bend of 2 m, with the gain of damping .707, 2 v / m.
+        # k m^2 / 9 = 9 mm for the lookahead of .4 m and a bend of 2 m, with the gain of damping
+        # .707, 2 v / m.
         lines, goal = world(BEND)
         off = drive(LineFollowing(gain=4.0), CAR, lines, goal, (0, 0, 0), 18, steering_radps=100)
         assert np.abs(off).max() == pytest.approx(0.5 * 0.4**2 / 9, rel=0.15)
@@ -83,13 +91,17 @@ class TestBends:
     def test_a_camera_at_the_front_cuts_it_by_a_decimetre(self):
         # It measures 1.25 to 1.55 m before the rear axle: (1.4 / .4)^2 = 12 times the way off.
         under, front = (world(BEND, *at) for at in ((UNDER, LOOK), (FRONT, (0.15, 0.45))))
-        best = [drive(LineFollowing(gain=1.6 / m), CAR, *at, (0, 0, 0), 18) for at, m in ((under, 0.4), (front, 1.4))]
+        best = [
+            drive(LineFollowing(gain=1.6 / m), CAR, *at, (0, 0, 0), 18)
+            for at, m in ((under, 0.4), (front, 1.4))
+        ]
         assert np.abs(best[0]).max() < 0.015 and np.abs(best[1]).max() > 0.1
 
 
 class TestPoles:
     def test_the_car_comes_back_as_the_linear_system_does(self):
-        # y0'' + (lambda x_e + v)/m y0' + lambda v/m y0 = 0, x_e = .25 x .55 / .8; 5 mm off: linear to a part in a thousand.
+        # y0'' + (lambda x_e + v)/m y0' + lambda v/m y0 = 0, x_e = .25 x .55 / .8; 5 mm off: linear
+        # to a part in a thousand.
         law, (lines, goal) = LineFollowing(gain=2.0), world(Straight(length_m=30))
         off = drive(law, CAR, lines, goal, (1, 0.005, 0), 3, steering_radps=100)
         m, exact, v, gain = 0.4, 0.25 * 0.55 / 0.8, 0.8, 2.0
@@ -97,14 +109,19 @@ class TestPoles:
         for k in range(round(3 / h)):
             if k % 100 == 0:
                 told.append(y)
-            y, slope = y + h * slope, slope - h * ((gain * exact + v) / m * slope + gain * v / m * y)
-        # The law acts on pictures that are up to .04 s old: some 6 % of the largest rate, .4 /s, times 5 mm.
+            y, slope = (
+                y + h * slope,
+                slope - h * ((gain * exact + v) / m * slope + gain * v / m * y),
+            )
+        # The law acts on pictures that are up to .04 s old: some 6 % of the largest rate, .4 /s,
+        # times 5 mm.
         np.testing.assert_allclose(off, told, atol=3e-4)
 
     def test_the_base_comes_back_as_an_exponential(self):
         law, (lines, goal) = LineFollowing(gain=2.0), world(Straight(length_m=30))
         off = drive(law, OMNI, lines, goal, (1, 0.02, 0), 2)
-        np.testing.assert_allclose(off, 0.02 * (1 - 2.0 * DT) ** np.arange(len(off)), atol=1e-6)  # held for a frame
+        # held for a frame
+        np.testing.assert_allclose(off, 0.02 * (1 - 2.0 * DT) ** np.arange(len(off)), atol=1e-6)
 
 
 class TestRecovery:
@@ -160,10 +177,17 @@ def test_the_least_distance_to_look_ahead_is_5_cm(near, right):
 
 
 def test_one_frame_of_a_car_by_hand():
-    """On a straight line, y to the left: w m = -gain (y - y*) - v tan(phi), the first bounded by v tan(approach)."""
+    """On a straight line, y to the left: w m = -gain (y - y*) - v tan(phi), the first bounded by v
+    tan(approach).
+    """
     lines, goal = world(Straight(length_m=9))
     basis = Mount.of(goal.T_base_camera).to_camera @ CAR
-    for off, turn, gain in ((0.02, 0.0, 3.0), (0.02, 0.05, 2.0), (0.15, 0.0, 3.0), (-0.15, 0.0, 3.0)):
+    for off, turn, gain in (
+        (0.02, 0.0, 3.0),
+        (0.02, 0.05, 2.0),
+        (0.15, 0.0, 3.0),
+        (-0.15, 0.0, 3.0),
+    ):
         law = LineFollowing(gain=gain, cruise_mps=0.6)
         u = law.step(law.init(goal), observe(lines, goal, (3, off, turn)), goal, basis)[1].u
         assert u[0] == pytest.approx(0.6)
@@ -171,7 +195,8 @@ def test_one_frame_of_a_car_by_hand():
         e = -(off / np.cos(turn) + x_e * np.tan(turn))
         bound = 0.6 * np.tan(np.radians(25))
         slope = -np.tan(turn)
-        # y(m) of the line changes by v tan(phi) as the car drives, and by -(m + y* tan(phi)) w as it turns, y* = 0.
+        # y(m) of the line changes by v tan(phi) as the car drives, and by -(m + y* tan(phi)) w as
+        # it turns, y* = 0.
         assert u[1] == pytest.approx((np.clip(gain * e, -bound, bound) + 0.6 * slope) / m, rel=1e-3)
 
 

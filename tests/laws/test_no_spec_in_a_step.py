@@ -1,4 +1,6 @@
-"""A law's step builds no spec: its bounds are for scenarios, and what a step computes may lie outside of them."""
+"""A law's step builds no spec: its bounds are for scenarios, and what a step computes may lie
+outside of them.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ FEW, ROUND = ("polygon", "segment"), ("ellipse", "moments")
 
 @pytest.fixture
 def built(monkeypatch: pytest.MonkeyPatch) -> Built:
-    """Runs a scenario for some frames; the specs that were built in the steps of its law, each with where."""
+    """Runs a scenario for some frames; the specs that were built in the steps of its law, each with
+    where.
+    """
     found: set[str] = set()
     within: list[object] = []
     construct, step = spec.construct, GuardedLaw.step
@@ -82,32 +86,60 @@ def test_no_law(kind: str, built: Built) -> None:
 @pytest.mark.parametrize(
     "law",
     [
-        {"kind": "uncalibrated", "excitation": {"amplitude_px": 4.0, "time_s": 0.1}},  # 12 frames do not end that of the defaults
-        {"kind": "uncalibrated", "excitation": {"amplitude_px": 4.0, "time_s": 0.1}, "dynamic": True},
+        # 12 frames do not end that of the defaults
+        {"kind": "uncalibrated", "excitation": {"amplitude_px": 4.0, "time_s": 0.1}},
+        {
+            "kind": "uncalibrated",
+            "excitation": {"amplitude_px": 4.0, "time_s": 0.1},
+            "dynamic": True,
+        },
         {"kind": "predictive", "feedforward": "integral"},
         {"kind": "ibvs", "redundant": True, "projection": "large"},
-        {"kind": "ibvs", "visibility": {"margin_px": 20.0}, "smooth_start_s": 0.2, "keep_last": True},
+        {
+            "kind": "ibvs",
+            "visibility": {"margin_px": 20.0},
+            "smooth_start_s": 0.2,
+            "keep_last": True,
+        },
         *({"kind": "ibvs", "feedforward": kind} for kind in FEEDFORWARDS.members),
-        *({"kind": "ibvs", "feature": kind, "redundant": kind in FEW} for kind in FEATURES.members if kind not in ROUND),
+        *(
+            {"kind": "ibvs", "feature": kind, "redundant": kind in FEW}
+            for kind in FEATURES.members
+            if kind not in ROUND
+        ),
     ],
     ids=lambda law: "-".join(str(value) for value in law.values() if isinstance(value, str)),
 )
 def test_no_part_of_a_law(law: dict[str, object], built: Built) -> None:
-    assert built(vs.load("ibvs_book", {"law": law, "detector": "oracle"}), 60 if law["kind"] == "uncalibrated" else 8) == set()
+    assert (
+        built(
+            vs.load("ibvs_book", {"law": law, "detector": "oracle"}),
+            60 if law["kind"] == "uncalibrated" else 8,
+        )
+        == set()
+    )
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", sorted(path.stem for path in folder("scenarios").glob("*.yaml") if path.stem != "camera_vitvs"))
+@pytest.mark.parametrize(
+    "name",
+    sorted(path.stem for path in folder("scenarios").glob("*.yaml") if path.stem != "camera_vitvs"),
+)
 def test_no_law_of_a_bundled_scenario(name: str, built: Built) -> None:
     assert built(vs.load(name), 60) == set()
 
 
 def test_what_a_step_computes_may_lie_outside_of_the_bounds_of_a_field() -> None:
-    """The damping of `uncalibrated` is error / trust_px, the trust of `predictive` a share of the distance in a period."""
+    """The damping of `uncalibrated` is error / trust_px, the trust of `predictive` a share of the
+    distance in a period.
+    """
     A, b = np.diag([2.0, 1.0]), np.ones(2)
     assert np.allclose(Solve().least_squares(A, b, at_least=1e6), A @ b / 1e12, rtol=1e-9)
-    assert np.allclose(Solve(damping=0.5).least_squares(A, b, at_least=0.1), Solve(damping=0.5).least_squares(A, b))
+    assert np.allclose(
+        Solve(damping=0.5).least_squares(A, b, at_least=0.1), Solve(damping=0.5).least_squares(A, b)
+    )
     assert Predictive()._trusted(np.array([[0.0, 0.0, 500.0]]), 0.001) == (50_000.0, 100.0)
-    assert Predictive()._trusted(np.array([[0.0, 0.0, 1e-7]]), 0.04)[0] < 1e-6  # under the least speed that a scenario may give
+    # under the least speed that a scenario may give
+    assert Predictive()._trusted(np.array([[0.0, 0.0, 1e-7]]), 0.04)[0] < 1e-6
     craft = Quadrotor(rotor_drag=RotorDrag(), parameters=replace(X4, drag_area_m2=0.0))
     assert craft.body.changes[2][-1] == (0.0,)

@@ -1,4 +1,6 @@
-"""A plugin law that gives its equations alone, the example of the guide: a run, the batch, the basin, the gain limit, feedforward."""
+"""A plugin law that gives its equations alone, the example of the guide: a run, the batch, the
+basin, the gain limit, feedforward.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,10 @@ def test_a_batch_of_it_ends_as_its_runs_do(plugin: str):
     """The batch of `basin` calls `equations` over all starts; the time loop over one."""
     scenario = ideal(loaded(plugin, "ibvs_book", gain=2.0))
     assert has_batch(scenario.law)
-    poses = [Pose(xyz=(0.3, -0.2, -1.5), rpy_deg=(5, -10, 30)), Pose(xyz=(0, 0, -1.2), rpy_deg=(0, 0, 170))]
+    poses = [
+        Pose(xyz=(0.3, -0.2, -1.5), rpy_deg=(5, -10, 30)),
+        Pose(xyz=(0, 0, -1.2), rpy_deg=(0, 0, 170)),
+    ]
     starts = np.array([inverse(pose.T) for pose in poses])
     found = simulate_batch(scenario, starts)
     assert list(found.outcome) == [vs.run(started_at(scenario, start)).outcome for start in starts]
@@ -57,19 +62,32 @@ def test_a_batch_of_it_ends_as_its_runs_do(plugin: str):
 
 
 def test_its_gain_limit_is_that_of_theory(plugin: str):
-    """One frame of delay: the loop z^2 - z + g = 0 is unstable from g = 1 a frame on, 10 1/s at 10 Hz."""
+    """One frame of delay: the loop z^2 - z + g = 0 is unstable from g = 1 a frame on, 10 1/s at 10
+    Hz.
+    """
     at_goal = prepared(loaded(plugin, "ibvs_book"))
     at_start, limit = displaced(at_goal), at_goal.camera.rate_hz
     assert growth(at_start, 0.97 * limit, 1) < 1 < growth(at_start, 1.03 * limit, 1)
 
 
 def test_its_feedforward_removes_the_lag_behind_a_moving_target(plugin: str):
-    """A target at 0.05 m/s and a gain of 1 1/s: without feedforward the camera stays speed / gain = 50 mm behind."""
+    """A target at 0.05 m/s and a gain of 1 1/s: without feedforward the camera stays speed / gain =
+    50 mm behind.
+    """
 
     def behind_m(feedforward: str) -> float:
-        changes = {"law": {"kind": "my_law", "gain": 1.0, "feedforward": feedforward}, "detector": "oracle", "stop.duration_s": 8}
-        moving = {"target.motion": {"kind": "line", "velocity_mps": [0.05, 0, 0]}, "camera.rate_hz": 25}
-        return float(vs.run(vs.load("ibvs_book", changes | moving, plugins=[plugin]))["position_error_m"][-1])
+        changes = {
+            "law": {"kind": "my_law", "gain": 1.0, "feedforward": feedforward},
+            "detector": "oracle",
+            "stop.duration_s": 8,
+        }
+        moving = {
+            "target.motion": {"kind": "line", "velocity_mps": [0.05, 0, 0]},
+            "camera.rate_hz": 25,
+        }
+        return float(
+            vs.run(vs.load("ibvs_book", changes | moving, plugins=[plugin]))["position_error_m"][-1]
+        )
 
     assert behind_m("none") == pytest.approx(0.05, rel=0.05)
     assert behind_m("kalman_cv") < 1e-3  # what exp(-8) leaves of the start
@@ -88,4 +106,7 @@ def test_equations_of_a_wrong_shape_are_named_with_what_they_gave():
 
     ended = vs.run(vs.load("ibvs_book", {"law": "transposed", "detector": "oracle"}))
     assert ended.outcome is vs.Outcome.law_failed
-    assert "Transposed.equations must give e (..., rows) and J (..., rows, 6); it gave e (8,) and J (6, 8)" in ended.reason
+    assert (
+        "Transposed.equations must give e (..., rows) and J (..., rows, 6);"
+        " it gave e (8,) and J (6, 8)" in ended.reason
+    )

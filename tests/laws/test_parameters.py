@@ -127,18 +127,31 @@ class TestTwistLimits:
             made = TwistLimits(**limits)
             assert made.scale(self.TWIST) == pytest.approx(factor, rel=1e-15)
             many = made.within(np.stack([self.TWIST, 0.01 * self.TWIST, np.zeros(6)]))
-            np.testing.assert_allclose(many, [factor * self.TWIST, 0.01 * self.TWIST, np.zeros(6)], rtol=1e-14)
+            np.testing.assert_allclose(
+                many, [factor * self.TWIST, 0.01 * self.TWIST, np.zeros(6)], rtol=1e-14
+            )
             basis = np.diag([2.0, 1, 1, 1, 1, 1])
             command = made.command(self.TWIST / [2, 1, 1, 1, 1, 1], basis)
-            assert command.scale == pytest.approx(factor) and not command.free and not command.rest_reason
+            assert (
+                command.scale == pytest.approx(factor)
+                and not command.free
+                and not command.rest_reason
+            )
             np.testing.assert_allclose(command.twist, factor * self.TWIST, rtol=1e-14)
             np.testing.assert_allclose(basis @ command.u, command.twist, rtol=1e-14)
 
 
 def test_the_adaptive_gain_of_many_is_that_of_each():
-    gain, errors = AdaptiveGain(at_zero=3.0, at_infinity=1.0, slope_at_zero=8.0), np.array([[0.0, 0.0], [0.1, -0.5], [-0.2, 0.1]])
+    gain, errors = (
+        AdaptiveGain(at_zero=3.0, at_infinity=1.0, slope_at_zero=8.0),
+        np.array([[0.0, 0.0], [0.1, -0.5], [-0.2, 0.1]]),
+    )
     found = gain.at(errors)
     # (l0 - linf) exp(-slope x / (l0 - linf)) + linf
-    np.testing.assert_allclose(found, [[3.0], [2 * math.exp(-4 * 0.5) + 1], [2 * math.exp(-4 * 0.2) + 1]], rtol=1e-14)
+    np.testing.assert_allclose(
+        found, [[3.0], [2 * math.exp(-4 * 0.5) + 1], [2 * math.exp(-4 * 0.2) + 1]], rtol=1e-14
+    )
     h = 1e-7
-    assert (gain.at(np.array([h])) - gain.at(np.array([0.0])))[0] / h == pytest.approx(-8.0, rel=1e-5)
+    assert (gain.at(np.array([h])) - gain.at(np.array([0.0])))[0] / h == pytest.approx(
+        -8.0, rel=1e-5
+    )

@@ -1,4 +1,6 @@
-"""The position-based law: which way the camera takes, what it does without a pose, finite differences of its error."""
+"""The position-based law: which way the camera takes, what it does without a pose, finite
+differences of its error.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def test_the_matrix_is_the_derivative_of_the_error(way: Way):
 
 
 def off_line(p: np.ndarray) -> float:
-    """How far points (frames, 3) stray from the straight line between the first one and the origin [m]."""
+    """How far points (frames, 3) stray from the straight line between the first one and the origin
+    [m].
+    """
     return float(np.linalg.norm(np.cross(p, p[0] / np.linalg.norm(p[0])), axis=1).max())
 
 
@@ -70,7 +74,9 @@ def camera_poses(r: vs.Recording) -> list[np.ndarray]:
 
 
 def test_the_image_is_left_to_itself():
-    """Its weakness: markers may leave the picture on the way, since nothing in the law knows of it."""
+    """Its weakness: markers may leave the picture on the way,
+    since nothing in the law knows of it.
+    """
     r = fly(PBVS(), (0.9, 0.0, -1.6), rpy_deg=(0, -20, 170))
     assert r.outcome is vs.Outcome.converged
     assert not CAMERA.inside(pixels(r)).all()

@@ -1,4 +1,6 @@
-"""Luminance as a feature: L against finite differences of rendered pictures, the law in closed loop, outliers, what it refuses."""
+"""Luminance as a feature: L against finite differences of rendered pictures, the law in closed
+loop, outliers, what it refuses.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,11 @@ def texture() -> np.ndarray:
     """Noise of all scales (900, 1200)."""
     rng, made = np.random.default_rng(0), np.zeros((900, 1200), np.float32)
     for n in (4, 8, 16, 32, 64):
-        made += cv2.resize(rng.normal(size=(3 * n, 4 * n)).astype(np.float32), (1200, 900), interpolation=cv2.INTER_CUBIC)
+        made += cv2.resize(
+            rng.normal(size=(3 * n, 4 * n)).astype(np.float32),
+            (1200, 900),
+            interpolation=cv2.INTER_CUBIC,
+        )
     return np.clip(128 + 50 * made / made.std(), 0, 255).astype(np.uint8)
 
 
@@ -63,11 +69,21 @@ def file(texture: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def seen(texture: np.ndarray, T: np.ndarray, fine: int = 2) -> Sight:
-    """The picture of the texture on a plane 0.6 m wide from T_camera_target, each pixel the mean of fine x fine."""
+    """The picture of the texture on a plane 0.6 m wide from T_camera_target, each pixel the mean of
+    fine x fine.
+    """
     f, (cx, cy), s = CAMERA.f * fine, (CAMERA.centre + 0.5) * fine - 0.5, 0.6 / texture.shape[1]
-    plane = np.array([[s, 0, -s * (texture.shape[1] - 1) / 2], [0, s, -s * (texture.shape[0] - 1) / 2], [0, 0, 1]])
+    plane = np.array(
+        [
+            [s, 0, -s * (texture.shape[1] - 1) / 2],
+            [0, s, -s * (texture.shape[0] - 1) / 2],
+            [0, 0, 1],
+        ]
+    )
     H = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]]) @ T[:3, [0, 1, 3]] @ plane
-    grey = cv2.warpPerspective(texture, H, (CAMERA.width * fine, CAMERA.height * fine), borderValue=90)
+    grey = cv2.warpPerspective(
+        texture, H, (CAMERA.width * fine, CAMERA.height * fine), borderValue=90
+    )
     small = cv2.resize(grey, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA)
     return Sight(np.asarray(cv2.cvtColor(small, cv2.COLOR_GRAY2RGB), np.uint8))
 
@@ -82,12 +98,20 @@ def looked(image: Sight | None, t: float = 0.0) -> Observation:
     return Observation(t, np.empty((0, 2)), np.empty((0, 2)), np.empty(0), image=image)
 
 
-def flown(law: Photometric, texture: np.ndarray, off: list[float], frames: int = 80, spoil=lambda sight, t: sight) -> tuple[float, float]:
+def flown(
+    law: Photometric,
+    texture: np.ndarray,
+    off: list[float],
+    frames: int = 80,
+    spoil=lambda sight, t: sight,
+) -> tuple[float, float]:
     """Distance [m] and angle [deg] from the goal after so many frames at 25 Hz from exp(off) T*."""
     goal, T = goal_of(texture), exp(np.array(off)) @ AT_GOAL
     state = law.init(goal)
     for k in range(frames):
-        state, command = law.step(state, looked(spoil(seen(texture, T), 0.04 * k), 0.04 * k), goal, np.eye(6))
+        state, command = law.step(
+            state, looked(spoil(seen(texture, T), 0.04 * k), 0.04 * k), goal, np.eye(6)
+        )
         T = exp(-0.04 * command.twist) @ T
     distance, angle = rigid_error(inverse(T), inverse(AT_GOAL))
     return distance, float(np.degrees(angle))
@@ -96,11 +120,27 @@ def flown(law: Photometric, texture: np.ndarray, off: list[float], frames: int =
 def scenario_of(file: Path, **changed: object) -> vs.Scenario:
     """The ideal camera before the texture, in small pictures."""
     plain = {
-        "robot": {"kind": "free", "start": {"nominal": {"xyz": [0.02, -0.01, -1.05], "rpy_deg": [1, 1, 4]}}},
+        "robot": {
+            "kind": "free",
+            "start": {"nominal": {"xyz": [0.02, -0.01, -1.05], "rpy_deg": [1, 1, 4]}},
+        },
         "camera": {"kind": "perspective", "width": 160, "height": 120, "fovy_deg": 25},
-        "target": {"kind": "picture", "file": str(file), "width": 0.6, "pose": {}, "lit": False, "draw_markers": False},
+        "target": {
+            "kind": "picture",
+            "file": str(file),
+            "width": 0.6,
+            "pose": {},
+            "lit": False,
+            "draw_markers": False,
+        },
         "detector": {"kind": "none"},
-        "law": {"kind": "photometric", "gain": 10, "margin_px": 4, "interaction": "mean", "levels": 3},
+        "law": {
+            "kind": "photometric",
+            "gain": 10,
+            "margin_px": 4,
+            "interaction": "mean",
+            "levels": 3,
+        },
         "world": {"floor_z": -40},
         "goal": {"T_camera_target": {"xyz": [0, 0, 1]}},
         "stop": {"duration_s": 6, "converged": {"error_grey": 0.5, "hold_s": 0.2}},
@@ -108,18 +148,37 @@ def scenario_of(file: Path, **changed: object) -> vs.Scenario:
     return parse(json.dumps(plain | changed), "test.yaml")
 
 
-@pytest.mark.parametrize(("distortion", "level"), [(None, 0), (None, 1), ((-0.3, 0.1, 0.002, 0.001, 0.0), 0)])
-def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion: tuple[float, ...] | None, level: int) -> None:
-    """Column by column: correlation above 0.98, scale within 4 % of the differences that displacements of a pixel make."""
-    s = scenario_of(file, camera={"kind": "perspective", "width": 160, "height": 120, "fovy_deg": 25, "distortion": distortion})
+@pytest.mark.parametrize(
+    ("distortion", "level"), [(None, 0), (None, 1), ((-0.3, 0.1, 0.002, 0.001, 0.0), 0)]
+)
+def test_interaction_matrix_is_that_of_rendered_pictures(
+    file: Path, distortion: tuple[float, ...] | None, level: int
+) -> None:
+    """Column by column: correlation above 0.98, scale within 4 % of the differences that
+    displacements of a pixel make.
+    """
+    s = scenario_of(
+        file,
+        camera={
+            "kind": "perspective",
+            "width": 160,
+            "height": 120,
+            "fovy_deg": 25,
+            "distortion": distortion,
+        },
+    )
     camera, rerendered = s.camera, Rerendering(s.scene)
     assert isinstance(camera, Perspective)
     T = exp(np.array([0.02, 0.01, 0.1, 0.2, -0.1, 0.3])) @ AT_GOAL
     pixels, normal = GoalLevel.of(camera, np.zeros((1, 1), np.float32), level, 8, 1), T[:3, 2]
-    near = ((normal[0] * pixels.x + normal[1] * pixels.y + normal[2]) / (normal @ T[:3, 3])).astype(np.float32)
+    near = ((normal[0] * pixels.x + normal[1] * pixels.y + normal[2]) / (normal @ T[:3, 3])).astype(
+        np.float32
+    )
 
     def picture(by: np.ndarray) -> np.ndarray:
-        grey = luminance(rerendered.picture(0.0, np.eye(4), np.zeros(0), inverse(exp(-by) @ T)), 1.5)
+        grey = luminance(
+            rerendered.picture(0.0, np.eye(4), np.zeros(0), inverse(exp(-by) @ T)), 1.5
+        )
         return coarser(grey) if level else grey
 
     L = pixels.interaction(gradient(picture(np.zeros(6))), near)
@@ -134,7 +193,12 @@ def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion:
 @pytest.mark.parametrize("interaction", ["current", "desired", "mean"])
 def test_converges_with_each_matrix(texture: np.ndarray, interaction: Which) -> None:
     """From 3 cm and 3 degrees to under a millimetre."""
-    law = Photometric(gain=ConstantGain(value=12.0), interaction=interaction, margin_px=4, damping=LevenbergMarquardt(after_s=1.0))
+    law = Photometric(
+        gain=ConstantGain(value=12.0),
+        interaction=interaction,
+        margin_px=4,
+        damping=LevenbergMarquardt(after_s=1.0),
+    )
     distance, angle = flown(law, texture, [0.01, -0.01, 0.03, 0.01, 0.01, 0.05])
     assert distance < 1e-3
     assert angle < 0.06
@@ -144,27 +208,42 @@ def test_pyramid_widens_the_basin(texture: np.ndarray) -> None:
     """A start from which full pictures alone do not get there."""
     off = [0.05, 0.03, 0.1, 0.02, -0.04, 0.35]
     law = Photometric(
-        gain=ConstantGain(value=12.0), interaction="mean", margin_px=4, smooth_px=0.0, damping=LevenbergMarquardt(after_s=1.0)
+        gain=ConstantGain(value=12.0),
+        interaction="mean",
+        margin_px=4,
+        smooth_px=0.0,
+        damping=LevenbergMarquardt(after_s=1.0),
     )
     assert flown(law, texture, off)[0] > 0.05
     assert flown(replace(law, levels=4), texture, off)[0] < 1e-3
 
 
 def test_other_light_is_fitted_with_the_motion(texture: np.ndarray) -> None:
-    """A goal taken a fifth darker: without gain and offset the camera ends beside it, with them it does not."""
+    """A goal taken a fifth darker: without gain and offset the camera ends beside it, with them it
+    does not.
+    """
 
     def brighter(sight: Sight, t: float) -> Sight:
         return Sight(np.clip(sight.image * 0.8 + 10.5, 0, 255).astype(np.uint8))
 
-    law = Photometric(gain=ConstantGain(value=12.0), interaction="mean", margin_px=4, damping=LevenbergMarquardt(after_s=1.0))
+    law = Photometric(
+        gain=ConstantGain(value=12.0),
+        interaction="mean",
+        margin_px=4,
+        damping=LevenbergMarquardt(after_s=1.0),
+    )
     off = [0.01, -0.01, 0.03, 0.01, 0.01, 0.05]
     assert flown(law, texture, off, spoil=brighter)[0] > 0.005
     assert flown(replace(law, light="gain_offset"), texture, off, spoil=brighter)[0] < 1e-3
 
 
-@pytest.mark.parametrize("goal", one_quick({}, {"goal.picture": {"brightness": 0.7}}), ids=["same", "darker"])
+@pytest.mark.parametrize(
+    "goal", one_quick({}, {"goal.picture": {"brightness": 0.7}}), ids=["same", "darker"]
+)
 def test_other_light_is_told_from_a_motion_far_away_too(goal: dict[str, object]) -> None:
-    """From a start at which gain and offset, fitted at the coarsest level, take most of the motion's error for the light's."""
+    """From a start at which gain and offset, fitted at the coarsest level, take most of the
+    motion's error for the light's.
+    """
     r = vs.run(vs.load("arm_photometric", {"law.light": "gain_offset", **goal}))
     assert r.outcome is vs.Outcome.converged
     assert r["position_error_m"][-1] < 1e-3
@@ -185,13 +264,25 @@ def test_without_structure_or_depth_it_rests(texture: np.ndarray) -> None:
     """A wall as the goal's picture, and a depth camera that measured nothing."""
     law, wall = Photometric(margin_px=4), np.full_like(texture, 128)
     wall += (np.arange(1200) // 400).astype(np.uint8)
-    assert law.step(law.init(goal_of(wall)), looked(seen(texture, AT_GOAL)), goal_of(wall), np.eye(6))[1].rest_reason == NO_STRUCTURE
+    assert (
+        law.step(law.init(goal_of(wall)), looked(seen(texture, AT_GOAL)), goal_of(wall), np.eye(6))[
+            1
+        ].rest_reason
+        == NO_STRUCTURE
+    )
     blind = replace(seen(texture, AT_GOAL), depth=np.full((CAMERA.height, CAMERA.width), np.nan))
     goal = replace(goal_of(texture), image=blind)
-    assert replace(law, depth=Sensed()).step(law.init(goal), looked(blind), goal, np.eye(6))[1].rest_reason == NO_DEPTH
+    assert (
+        replace(law, depth=Sensed())
+        .step(law.init(goal), looked(blind), goal, np.eye(6))[1]
+        .rest_reason
+        == NO_DEPTH
+    )
 
 
-def test_the_structure_of_the_goals_picture_is_measured_once(texture: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_structure_of_the_goals_picture_is_measured_once(
+    texture: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked, eigenvalues = [], np.linalg.eigvalsh
     monkeypatch.setattr(np.linalg, "eigvalsh", lambda H: asked.append(H) or eigenvalues(H))
     law, goal = Photometric(margin_px=4), goal_of(texture)
@@ -216,7 +307,9 @@ def test_the_motion_of_a_picture_is_that_of_projected_points() -> None:
     p *= 0.8 / p[:, 2:]
     for step in 1e-4 * np.random.default_rng(2).normal(size=(4, 6)):
         moved = CAMERA.project(transform(exp(-step), p)) - CAMERA.project(p)
-        assert motion_px(CAMERA, step, 0.8) == pytest.approx(float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))), rel=0.05)
+        assert motion_px(CAMERA, step, 0.8) == pytest.approx(
+            float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))), rel=0.05
+        )
 
 
 def test_the_matrix_at_the_goal_is_weighted_too(texture: np.ndarray) -> None:
@@ -232,12 +325,25 @@ def test_the_matrix_at_the_goal_is_weighted_too(texture: np.ndarray) -> None:
     np.testing.assert_allclose(b, (level.L * w) @ e, rtol=1e-2, atol=1e-3 * np.abs(b).max())
 
 
-def test_it_goes_a_level_down_where_the_picture_hardly_moves_and_one_up_where_it_moves_far(texture: np.ndarray) -> None:
+def test_it_goes_a_level_down_where_the_picture_hardly_moves_and_one_up_where_it_moves_far(
+    texture: np.ndarray,
+) -> None:
     law, goal = Photometric(margin_px=4, levels=4), goal_of(texture)
     state, _ = law.step(law.init(goal), looked(seen(texture, AT_GOAL)), goal, np.eye(6))
     sideways = np.array([1.0, 0, 0, 0, 0, 0]) / CAMERA.f  # a pixel at 1 m
-    for level, px, expected in ((3, 0.0, 2), (2, 0.9, 1), (2, 1.1, 2), (2, 15.0, 2), (2, 17.0, 3), (3, 99.0, 3), (0, 0.0, 0)):
-        assert law._next_level(replace(state, level=level), px * sideways, goal) == expected, (level, px)
+    for level, px, expected in (
+        (3, 0.0, 2),
+        (2, 0.9, 1),
+        (2, 1.1, 2),
+        (2, 15.0, 2),
+        (2, 17.0, 3),
+        (3, 99.0, 3),
+        (0, 0.0, 0),
+    ):
+        assert law._next_level(replace(state, level=level), px * sideways, goal) == expected, (
+            level,
+            px,
+        )
 
 
 def test_outliers_break_least_squares_and_not_the_m_estimator(texture: np.ndarray) -> None:
@@ -249,15 +355,26 @@ def test_outliers_break_least_squares_and_not_the_m_estimator(texture: np.ndarra
         image[:, left : left + 40] = image[:, left : left + 40] // 3
         return Sight(image)
 
-    law = Photometric(gain=ConstantGain(value=12.0), interaction="mean", margin_px=4, levels=3, damping=LevenbergMarquardt(after_s=1.0))
+    law = Photometric(
+        gain=ConstantGain(value=12.0),
+        interaction="mean",
+        margin_px=4,
+        levels=3,
+        damping=LevenbergMarquardt(after_s=1.0),
+    )
     off = [0.01, -0.01, 0.02, 0.0, 0.01, 0.05]
-    plain, robust = (flown(replace(law, robust=kind), texture, off, spoil=shaded)[0] for kind in ("none", "tukey"))
+    plain, robust = (
+        flown(replace(law, robust=kind), texture, off, spoil=shaded)[0]
+        for kind in ("none", "tukey")
+    )
     assert plain > 0.02
     assert robust < 2e-3
 
 
 def test_weights() -> None:
-    """The scale is that of most errors; Huber's weights fall with 1/|e|, Tukey's are 0 beyond 4.685 scales."""
+    """The scale is that of most errors; Huber's weights fall with 1/|e|, Tukey's are 0 beyond 4.685
+    scales.
+    """
     e = np.random.default_rng(1).normal(0, 8, 10_000).astype(np.float32)
     e[:2000] = 200
     assert scale(e) == pytest.approx(8 * 1.3, rel=0.1)
@@ -284,11 +401,18 @@ def test_rests_without_a_picture_and_before_a_wall(texture: np.ndarray) -> None:
 
 
 def test_depth_of_the_pixels(texture: np.ndarray) -> None:
-    """With a goal plane at 1 m a constant depth of 1 m is the same law; a depth picture too, whose holes do not count."""
+    """With a goal plane at 1 m a constant depth of 1 m is the same law; a depth picture too, whose
+    holes do not count.
+    """
     goal = goal_of(texture)
     image = seen(texture, exp(np.array([0.01, 0, 0, 0, 0, 0.02])) @ AT_GOAL)
-    plane, constant = (Photometric(margin_px=4, depth=d) for d in (Photometric().depth, Constant(depth_m=1.0)))
-    twists = [law.step(law.init(goal), looked(image), goal, np.eye(6))[1].twist for law in (plane, constant)]
+    plane, constant = (
+        Photometric(margin_px=4, depth=d) for d in (Photometric().depth, Constant(depth_m=1.0))
+    )
+    twists = [
+        law.step(law.init(goal), looked(image), goal, np.eye(6))[1].twist
+        for law in (plane, constant)
+    ]
     np.testing.assert_allclose(*twists, rtol=1e-4)
     assert Photometric().damping.at(3.0) == 0.01
     assert Photometric().damping.at(4.0) == 0.0001
@@ -299,7 +423,11 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
     vs.testing.check_law(scenario_of(file).law, scenario_of(file))
     r = vs.run(scenario_of(file))
     summary = r.summary()
-    assert (summary["outcome"], summary["judged_unit"], summary["judged_limit"]) == ("converged", "grey levels", 0.5)
+    assert (summary["outcome"], summary["judged_unit"], summary["judged_limit"]) == (
+        "converged",
+        "grey levels",
+        0.5,
+    )
     assert summary["final_error_px"] is None
     assert summary["final_error_grey"] == r["error_grey"][-1] < 0.5
     assert Metric.named("final_error_grey").label == "Measured image error [grey levels]"
@@ -311,21 +439,35 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"stop": {"converged": {"error_px": 0.2}}}, "error_px: needs markers, and detector none finds none"),
+        (
+            {"stop": {"converged": {"error_px": 0.2}}},
+            "error_px: needs markers, and detector none finds none",
+        ),
         ({"law": {"kind": "ibvs"}}, "detector: may not be none"),
         ({"law": {"kind": "photometric", "depth": "pnp"}}, "needs it of pixels"),
         ({"law": {"kind": "photometric", "depth": "sensor"}}, "or use goal or constant"),
         ({"detector": {"kind": "blobs"}}, "no markers are drawn .*; use none"),
         ({"detector": {"kind": "keypoints"}}, "reads no points of it; use none"),
         ({"law": {"kind": "photometric", "levels": 6}}, "at the coarsest level"),
-        ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "camera: must be of kind perspective for law photometric"),
+        (
+            {"camera": {"kind": "fisheye", "width": 160, "height": 120}},
+            "camera: must be of kind perspective for law photometric",
+        ),
         (
             {"law": {"kind": "ibvs", "depth": "oracle"}, "detector": {"kind": "oracle"}},
             "error_grey: is of a law that works on grey levels",
         ),
-        ({"goal": {"T_camera_target": {"xyz": [0, 0, 1]}, "picture": "nowhere.png"}}, "is not there"),
         (
-            {"goal": {"T_camera_target": {"xyz": [0, 0, 1]}, "picture": {"file": "x.png", "brightness": 0.5}}},
+            {"goal": {"T_camera_target": {"xyz": [0, 0, 1]}, "picture": "nowhere.png"}},
+            "is not there",
+        ),
+        (
+            {
+                "goal": {
+                    "T_camera_target": {"xyz": [0, 0, 1]},
+                    "picture": {"file": "x.png", "brightness": 0.5},
+                }
+            },
             "leave it out, or the file",
         ),
     ],
@@ -344,10 +486,11 @@ def test_depth_of_markers_is_refused() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_one_step_is_a_few_per_cent_shorter_than_the_motion_that_it_measures(axis: int) -> None:
-    """From 0.26, 0.52 and 0.87 px aside (f = 870 px, 1 m) the first command, over its gain, moves the picture by 92 to 100 % of that.
+    """From 0.26, 0.52 and 0.87 px aside (f = 870 px, 1 m) the first command, over its gain, moves
+    the picture by 92 to 100 % of that.
 
-    A step aside and a turn look nearly alike here. What they make together is compared: in the middle of the picture
-    x' = -(v_x / Z + w_y), y' = -(v_y / Z - w_x).
+    A step aside and a turn look nearly alike here. What they make together is compared: in the
+    middle of the picture x' = -(v_x / Z + w_y), y' = -(v_y / Z - w_x).
     """
     scenario, gain = vs.load("camera_photometric", {"stop.duration_s": 0.1}), 30.0
     for aside in (0.0003, 0.0006, 0.001):

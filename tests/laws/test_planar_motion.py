@@ -1,4 +1,6 @@
-"""Image-based servoing of a base that moves in the plane: the motions go through the mount's adjoint. What print does instead diverges."""
+"""Image-based servoing of a base that moves in the plane: the motions go through the mount's
+adjoint. What print does instead diverges.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ STEP_S = 0.1
 
 
 def drive(scenario, naive: bool, steps: int = 300):
-    """Steps until the norm of the normalised coordinates is under 1e-3, or None; the largest norm on the way."""
+    """Steps until the norm of the normalised coordinates is under 1e-3, or None; the largest norm
+    on the way.
+    """
     mount = Mount.of(scenario.camera.mount.T)
     goal, points, feature = scenario.goal_view, scenario.target.points, scenario.law.feature
     T = scenario.robot.flange_pose(scenario.robot.configuration())
@@ -28,8 +32,13 @@ def drive(scenario, naive: bool, steps: int = 300):
         if np.linalg.norm(e) < 1e-3:
             return k, farthest
         L = feature.interaction(xy, p[:, 2])
-        # Print: of the camera's six columns those named vx, vy and wz, as if the camera's axes were the vehicle's.
-        basis = np.eye(6)[:, [0, 1, 5]] if naive else scenario.robot.motion_basis(mount, scenario.robot.start_joints())
+        # Print: of the camera's six columns those named vx, vy and wz, as if the camera's axes were
+        # the vehicle's.
+        basis = (
+            np.eye(6)[:, [0, 1, 5]]
+            if naive
+            else scenario.robot.motion_basis(mount, scenario.robot.start_joints())
+        )
         u = -np.linalg.pinv(L @ basis) @ e
         T = T @ exp(PLANE @ u * STEP_S)
         if np.hypot(*T[:2, 3]) > 100:
@@ -53,7 +62,9 @@ def test_from_many_starts():
     assert naive.count(None) == 20
 
 
-@pytest.mark.parametrize("rpy_deg", [(-45, 0, -90), (-90, 0, -90), (0, 0, -90), (-60, 10, -80), (-45, 0, 45)])
+@pytest.mark.parametrize(
+    "rpy_deg", [(-45, 0, -90), (-90, 0, -90), (0, 0, -90), (-60, 10, -80), (-45, 0, 45)]
+)
 def test_the_basis_is_what_the_camera_does(rpy_deg):
     """Finite differences of the camera's pose for each motion of the base, any mount."""
     scenario = vs.load(

@@ -1,4 +1,6 @@
-"""The pose controller as a law: it chooses its direction once, arrives and stays, and says why it cannot drive."""
+"""The pose controller as a law: it chooses its direction once, arrives and stays, and says why it
+cannot drive.
+"""
 
 import numpy as np
 import pytest
@@ -13,8 +15,14 @@ DT = 0.04
 
 
 def arrive(law, start, there, seconds=60.0):
-    """The places on the way and the commands, of a vehicle that does as told with curvature up to 1.5 1/m."""
-    want, place, state = goal(place=np.array(there, dtype=float)), np.array(start, dtype=float), None
+    """The places on the way and the commands, of a vehicle that does as told with curvature up to
+    1.5 1/m.
+    """
+    want, place, state = (
+        goal(place=np.array(there, dtype=float)),
+        np.array(start, dtype=float),
+        None,
+    )
     state, ways, speeds = law.init(want), [place], []
     for k in range(round(seconds / DT)):
         state, command = law.step(state, observe(k * DT, place, ways[0]), want, BASIS)
@@ -26,12 +34,16 @@ def arrive(law, start, there, seconds=60.0):
     return np.array(ways), np.array(speeds)
 
 
-@pytest.mark.parametrize(("start", "there"), [((2, 2, 0.35), (5, 5, np.pi / 2)), ((0, 0, 0), (4, -2, -0.5)), ((1, 1, 2.0), (-2, 4, 2.5))])
+@pytest.mark.parametrize(
+    ("start", "there"),
+    [((2, 2, 0.35), (5, 5, np.pi / 2)), ((0, 0, 0), (4, -2, -0.5)), ((1, 1, 2.0), (-2, 4, 2.5))],
+)
 def test_it_arrives_forwards_and_stays(start, there):
     ways, speeds = arrive(PoseController(k_alpha=4, k_beta=-2.5), start, there)
     off = relative(np.array(there, dtype=float), ways[-1])
     assert np.hypot(*off[:2]) < 0.021  # rest_m is 2 cm
-    assert abs(off[2]) < np.radians(1.5)  # without noise the smoothing of the last 30 cm costs some of it
+    # without noise the smoothing of the last 30 cm costs some of it
+    assert abs(off[2]) < np.radians(1.5)
     assert speeds.min() >= 0 and speeds.max() <= 1
     assert (speeds[-100:] == 0).all()
 
@@ -43,7 +55,9 @@ def test_it_reverses_to_a_goal_behind_it():
 
 
 def test_a_direction_may_be_told():
-    _, speeds = arrive(PoseController(direction="reverse"), (2, 2, 0.35), (5, 5, np.pi / 2), seconds=1.0)
+    _, speeds = arrive(
+        PoseController(direction="reverse"), (2, 2, 0.35), (5, 5, np.pi / 2), seconds=1.0
+    )
     assert speeds.max() < 0
 
 
@@ -51,25 +65,36 @@ def test_the_direction_is_chosen_once():
     law, want = PoseController(), goal(place=np.array([5.0, 0.0, 0.0]))
     state, _ = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
     assert state[0] == 1
-    state, command = law.step(state, observe(1, np.array([0, 0, 3.0]), np.zeros(3)), want, BASIS)  # now it lies behind
+    # now it lies behind
+    state, command = law.step(state, observe(1, np.array([0, 0, 3.0]), np.zeros(3)), want, BASIS)
     assert state[0] == 1 and command.u[0] > 0
 
 
 def test_a_missed_goal_is_not_circled():
     law, want = PoseController(), goal(place=np.zeros(3))
-    state, _ = law.step(law.init(want), observe(0, np.array([-1.0, 0, 0]), np.zeros(3)), want, BASIS)
-    state, command = law.step(state, observe(1, np.array([0.02, 0.05, 0.0]), np.zeros(3)), want, BASIS)  # abeam, 5 cm aside
+    state, _ = law.step(
+        law.init(want), observe(0, np.array([-1.0, 0, 0]), np.zeros(3)), want, BASIS
+    )
+    # abeam, 5 cm aside
+    state, command = law.step(
+        state, observe(1, np.array([0.02, 0.05, 0.0]), np.zeros(3)), want, BASIS
+    )
     assert state[1] and not command.u.any() and not command.rest_reason
 
 
 def test_without_a_place_it_rests_and_says_so():
     law, want = PoseController(), goal(place=np.zeros(3))
     blind = observe(0, np.zeros(3), np.zeros(3))
-    _, command = law.step(law.init(want), type(blind)(0.0, blind.uv, blind.xy, blind.depth), want, BASIS)
+    _, command = law.step(
+        law.init(want), type(blind)(0.0, blind.uv, blind.xy, blind.depth), want, BASIS
+    )
     assert not command.u.any() and command.rest_reason == "the vehicle's place cannot be estimated"
 
 
-@pytest.mark.parametrize(("gains", "field"), [({"k_rho": -1}, "k_rho"), ({"k_beta": 0.5}, "k_beta"), ({"k_alpha": 0.5}, "k_alpha")])
+@pytest.mark.parametrize(
+    ("gains", "field"),
+    [({"k_rho": -1}, "k_rho"), ({"k_beta": 0.5}, "k_beta"), ({"k_alpha": 0.5}, "k_alpha")],
+)
 def test_gains_that_are_unstable_are_refused(gains, field):
     with pytest.raises(ParameterError, match=field):
         PoseController(**gains)
@@ -79,7 +104,10 @@ class TestArrival:
     """Nearer than rest_m it stands for good; within pass_m only where the goal is not ahead."""
 
     def after(self, place, law=None, direction="auto"):
-        law, want = law or PoseController(rest_m=0.03, pass_m=0.2, direction=direction), goal(place=np.zeros(3))
+        law, want = (
+            law or PoseController(rest_m=0.03, pass_m=0.2, direction=direction),
+            goal(place=np.zeros(3)),
+        )
         start = observe(0, np.array([-1.0, 0, 0]), np.zeros(3))
         state, _ = law.step(law.init(want), start, want, BASIS)
         return law.step(state, observe(1, np.asarray(place, dtype=float), np.zeros(3)), want, BASIS)
@@ -100,18 +128,27 @@ class TestArrival:
 
     def test_for_good(self):
         law, want = PoseController(), goal(place=np.zeros(3))
-        state, _ = law.step(law.init(want), observe(0, np.array([-0.01, 0, 0]), np.zeros(3)), want, BASIS)
-        state, command = law.step(state, observe(1, np.array([-0.5, 0.3, 0]), np.zeros(3)), want, BASIS)
+        state, _ = law.step(
+            law.init(want), observe(0, np.array([-0.01, 0, 0]), np.zeros(3)), want, BASIS
+        )
+        state, command = law.step(
+            state, observe(1, np.array([-0.5, 0.3, 0]), np.zeros(3)), want, BASIS
+        )
         assert state[1] and not command.u.any()
 
     def test_directions(self):
         for direction, sign in (("forward", 1), ("reverse", -1)):
             law, want = PoseController(direction=direction), goal(place=np.array([3.0, 0, 0]))
-            state, command = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
+            state, command = law.step(
+                law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS
+            )
             assert state[0] == sign and np.sign(command.u[0]) == sign
 
     def test_the_command_is_the_polar_laws(self):
-        law, want = PoseController(k_rho=0.4, k_alpha=3, k_beta=-1, speed_mps=0.7), goal(place=np.array([1.0, 0.5, 0.3]))
+        law, want = (
+            PoseController(k_rho=0.4, k_alpha=3, k_beta=-1, speed_mps=0.7),
+            goal(place=np.array([1.0, 0.5, 0.3])),
+        )
         _, command = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
         rho, alpha = np.hypot(1, 0.5), np.arctan2(0.5, 1)
         np.testing.assert_allclose(command.u, [0.4 * rho, 3 * alpha - (0.3 - alpha)], rtol=1e-12)
@@ -122,7 +159,9 @@ class TestArrival:
 
 
 class TestNoiseNearTheGoal:
-    """The vehicle's place is measured with an error across its way, at 5 cm from the goal multiplied by 2600 rad/m."""
+    """The vehicle's place is measured with an error across its way, at 5 cm from the goal
+    multiplied by 2600 rad/m.
+    """
 
     def curvatures(self, law, rho, errors):
         want, state = goal(place=np.zeros(3)), law.init(goal(place=np.zeros(3)))
@@ -149,21 +188,26 @@ class TestNoiseNearTheGoal:
     def test_a_whole_way(self):
         law, rng = PoseController(k_alpha=4, k_beta=-2.5), np.random.default_rng(0)
         want, state, found = goal(place=np.zeros(3)), law.init(goal(place=np.zeros(3))), []
-        for k, rho in enumerate(0.6 * np.exp(-DT * np.arange(70))):  # as v = rho drives it, to 3.8 cm
+        # as v = rho drives it, to 3.8 cm
+        for k, rho in enumerate(0.6 * np.exp(-DT * np.arange(70))):
             place = np.array([-rho, 1e-3 * rng.standard_normal(), 0.0])
             state, command = law.step(state, observe(k * DT, place, place), want, BASIS)
             found.append((rho, command.u[-1] / command.u[0]))
         rho, curvature = np.array(found).T
-        # A frame's own noise of 1 mm makes .072 at .3 m, where the smoothing begins, and 4.5 at the end.
+        # A frame's own noise of 1 mm makes .072 at .3 m, where the smoothing begins, and 4.5 at the
+        # end.
         assert np.abs(curvature).max() < 0.4
         assert np.abs(np.diff(curvature[rho < 0.1])).max() < 0.06
 
     def test_it_still_steers_near_the_goal(self):
-        # A place that is 1 cm aside for good, after 10 frames at 15 cm: a mean of all frames would give 25 of 35.
+        # A place that is 1 cm aside for good, after 10 frames at 15 cm: a mean of all frames would
+        # give 25 of 35.
         law = PoseController(k_alpha=4, k_beta=-2.5)
         weight = (np.hypot(0.15, 0.01) / 0.3) ** 3
         found = self.curvatures(law, 0.15, [0.0] * 10 + [0.01] * 25)
-        asked = self.curvatures(PoseController(k_alpha=4, k_beta=-2.5, average_m=0), 0.15, [0.01])[0]
+        asked = self.curvatures(PoseController(k_alpha=4, k_beta=-2.5, average_m=0), 0.15, [0.01])[
+            0
+        ]
         assert found[-1] / asked == pytest.approx(1 - (1 - weight) ** 25, rel=1e-6)
 
     def test_a_vehicle_that_leaves_begins_anew(self):

@@ -1,4 +1,6 @@
-"""Quadratic programs against SciPy and the conditions of optimality; what gives way where constraints contradict each other."""
+"""Quadratic programs against SciPy and the conditions of optimality; what gives way where
+constraints contradict each other.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def test_inequalities_as_scipy_has_them(seed: int) -> None:
     A, b = problem(seed)
     rng = np.random.default_rng(100 + seed)
     C, low = 50 * rng.normal(size=(5, 6)), rng.normal(size=5)
-    found = minimise(A, b, -ENDLESS, ENDLESS, (Group("border", C[:2], low[:2]), Group("twist", C[2:], low[2:])))
+    found = minimise(
+        A, b, -ENDLESS, ENDLESS, (Group("border", C[:2], low[:2]), Group("twist", C[2:], low[2:]))
+    )
     slsqp = minimize(
         lambda x: ((A @ x - b) ** 2).sum(),
         np.zeros(6),
@@ -53,17 +57,24 @@ def test_inequalities_as_scipy_has_them(seed: int) -> None:
 
 def test_fewer_rows_than_unknowns_give_the_smallest() -> None:
     A, b = problem(3, rows=3)
-    np.testing.assert_allclose(minimise(A, b, -ENDLESS, ENDLESS, ()).x, np.linalg.pinv(A) @ b, atol=1e-5)
+    np.testing.assert_allclose(
+        minimise(A, b, -ENDLESS, ENDLESS, ()).x, np.linalg.pinv(A) @ b, atol=1e-5
+    )
 
 
 def test_groups_give_way_in_their_order_and_as_little_as_they_must() -> None:
     A, b, one = np.eye(6), np.zeros(6), np.eye(6)[:1]
-    soft, firm = Group("border", one, np.array([3.0])), Group("twist", -one, np.array([-1.0]))  # x_0 >= 3 and x_0 <= 1
+    # x_0 >= 3 and x_0 <= 1
+    soft, firm = Group("border", one, np.array([3.0])), Group("twist", -one, np.array([-1.0]))
     found = minimise(A, b, -ENDLESS, ENDLESS, (soft, firm))
     assert found.gave_way == ("border",) and found.x is not None
     assert found.x[0] == pytest.approx(1.0, abs=1e-4)  # as near to 3 as the other allows
     other = minimise(A, b, -ENDLESS, ENDLESS, (firm, soft))
-    assert other.gave_way == ("twist",) and other.x is not None and other.x[0] == pytest.approx(3.0, abs=1e-4)
+    assert (
+        other.gave_way == ("twist",)
+        and other.x is not None
+        and other.x[0] == pytest.approx(3.0, abs=1e-4)
+    )
 
 
 def test_bounds_never_give_way() -> None:
@@ -71,7 +82,11 @@ def test_bounds_never_give_way() -> None:
     high = np.full(6, 0.5)
     both = Group("border", one, np.array([3.0])), Group("twist", one, np.array([2.0]))
     found = minimise(np.eye(6), np.zeros(6), -high, high, both)
-    assert found.gave_way == ("border", "twist") and found.x is not None and found.x[0] == pytest.approx(0.5)
+    assert (
+        found.gave_way == ("border", "twist")
+        and found.x is not None
+        and found.x[0] == pytest.approx(0.5)
+    )
     assert (
         minimise(np.eye(6), np.zeros(6), high, -high, ()).failure
         == "the quadratic program was not solved: its bounds contradict each other"
@@ -83,8 +98,13 @@ def test_a_solver_that_gives_up_is_told(monkeypatch: pytest.MonkeyPatch) -> None
     rng = np.random.default_rng(0)
     groups = (Group("border", rng.normal(size=(40, 6)), np.ones(40) * 0.1),)
     found = minimise(*problem(1), -ENDLESS, ENDLESS, groups)
-    assert found.x is None and found.failure == "the quadratic program was not solved: the solver stopped with code -4"
+    assert (
+        found.x is None
+        and found.failure == "the quadratic program was not solved: the solver stopped with code -4"
+    )
 
 
 def test_an_objective_of_zeros_gives_rest() -> None:
-    np.testing.assert_array_equal(minimise(np.zeros((2, 6)), np.zeros(2), -ENDLESS, ENDLESS, ()).x, np.zeros(6))
+    np.testing.assert_array_equal(
+        minimise(np.zeros((2, 6)), np.zeros(2), -ENDLESS, ENDLESS, ()).x, np.zeros(6)
+    )

@@ -1,4 +1,6 @@
-"""What a law leaves to a secondary task: the error's norm decreases as without one, near the goal the null space alone is free."""
+"""What a law leaves to a secondary task: the error's norm decreases as without one, near the goal
+the null space alone is free.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,16 @@ def command(projection: Projection, T: np.ndarray) -> Command:
 
 
 def secondary(made: Command) -> np.ndarray:
-    """The secondary task of a robot whose joints are the camera's motions: `WANTED`, projected orthogonally."""
-    return sum((share * np.linalg.qr(twists)[0] @ (np.linalg.qr(twists)[0].T @ WANTED) for share, twists in made.free), np.zeros(6))
+    """The secondary task of a robot whose joints are the camera's motions: `WANTED`, projected
+    orthogonally.
+    """
+    return sum(
+        (
+            share * np.linalg.qr(twists)[0] @ (np.linalg.qr(twists)[0].T @ WANTED)
+            for share, twists in made.free
+        ),
+        np.zeros(6),
+    )
 
 
 def test_the_norm_of_the_error_decreases_as_without_a_secondary_task():
@@ -43,7 +53,9 @@ def test_the_norm_of_the_error_decreases_as_without_a_secondary_task():
 
     def rate(twist: np.ndarray) -> float:
         h = 1e-5
-        after, before = (np.linalg.norm(view(exp(-sign * twist * h) @ FAR).xy - GOAL.xy) for sign in (1, -1))
+        after, before = (
+            np.linalg.norm(view(exp(-sign * twist * h) @ FAR).xy - GOAL.xy) for sign in (1, -1)
+        )
         return float(after - before) / (2 * h)
 
     alone = rate(made.twist)
@@ -73,7 +85,10 @@ def test_near_the_goal_it_is_the_classical_one():
 
 
 def test_the_share_grows_smoothly_from_near_to_far():
-    shares = [Large(near=0.1, far=0.3).share(np.array([0.0, -x, 0.0])) for x in (0.0, 0.1, 0.1001, 0.2, 0.2999, 0.3, 5.0)]
+    shares = [
+        Large(near=0.1, far=0.3).share(np.array([0.0, -x, 0.0]))
+        for x in (0.0, 0.1, 0.1001, 0.2, 0.2999, 0.3, 5.0)
+    ]
     assert shares[:2] == [0, 0] and shares[-2:] == [1, 1] and shares[3] == pytest.approx(0.5)
     assert 0 < shares[2] < 1e-3 and 1 - 1e-3 < shares[4] < 1
 

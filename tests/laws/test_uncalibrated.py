@@ -1,4 +1,6 @@
-"""The uncalibrated law: estimates against closed forms, the measured Jacobian against the robot's, and what it never reads."""
+"""The uncalibrated law: estimates against closed forms, the measured Jacobian against the robot's,
+and what it never reads.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +16,25 @@ from vstestbed.features.depth import AtGoal
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, Uncalibrated
 from vstestbed.laws.points import TOO_FEW
-from vstestbed.laws.uncalibrated import EXCITES, NO_CIRCLE, SERVOES, TILTS, Broyden, MotionSums, RecursiveLeastSquares, UncalibratedState
+from vstestbed.laws.uncalibrated import (
+    EXCITES,
+    NO_CIRCLE,
+    SERVOES,
+    TILTS,
+    Broyden,
+    MotionSums,
+    RecursiveLeastSquares,
+    UncalibratedState,
+)
 from vstestbed.robots.own_model import OwnModel
 
 ENDLESS = np.full(3, np.inf)
 
 
 def linear_system(samples: int, noise_px: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J (4, 2, 3), displacements (K, 3), and the motion of four markers that they make (K, 4, 2)."""
+    """J (4, 2, 3), displacements (K, 3), and the motion of four markers
+    that they make (K, 4, 2).
+    """
     rng = np.random.default_rng(5)
     J, x = rng.normal(size=(4, 2, 3)), rng.normal(size=(samples, 3))
     return J, x, np.einsum("nij,kj->kni", J, x) + noise_px * rng.normal(size=(samples, 4, 2))
@@ -65,7 +78,9 @@ def test_both_find_a_constant_jacobian(estimator: Any) -> None:
 def test_the_covariance_does_not_wind_up_where_nothing_is_excited() -> None:
     J, P = np.zeros((1, 2, 3)), 0.1 * np.eye(3)[None]
     for _ in range(200):
-        J, P = RecursiveLeastSquares(forgetting=0.8).corrected(J, P, np.array([1.0, 0, 0]), np.array([[2.0, 0]]), most=0.1)
+        J, P = RecursiveLeastSquares(forgetting=0.8).corrected(
+            J, P, np.array([1.0, 0, 0]), np.array([[2.0, 0]]), most=0.1
+        )
     assert np.linalg.eigvalsh(P[0]).max() <= 0.1 * (1 + 1e-9)
     np.testing.assert_allclose(J[0, 0], [2, 0, 0], atol=1e-6)
 
@@ -81,7 +96,9 @@ def test_a_marker_that_was_not_seen_in_one_velocitys_turn_has_no_rows() -> None:
 
 
 class Plant:
-    """Three velocities that move three markers by a constant J; sensors, a delay in frames, and a target whose motion they can follow."""
+    """Three velocities that move three markers by a constant J; sensors, a delay in frames, and a
+    target whose motion they can follow.
+    """
 
     def __init__(self, law: Uncalibrated, late: int = 0, drift: float = 0.0, **model: Any):
         rng = np.random.default_rng(6)
@@ -89,7 +106,11 @@ class Plant:
         self.q, self.t, self.late = np.zeros(3), 0.0, late
         self.drift = self.J @ (drift * np.array([1.0, -1.0, 0.5]))
         self.law, self.model = law, model
-        goal = Goal.from_view(vs.load("ibvs_book").camera, np.array([[0.1, 0, 1], [0, 0.1, 1], [-0.1, 0, 1]]), np.eye(4))
+        goal = Goal.from_view(
+            vs.load("ibvs_book").camera,
+            np.array([[0.1, 0, 1], [0, 0.1, 1], [-0.1, 0, 1]]),
+            np.eye(4),
+        )
         self.goal = replace(goal, uv=60 * rng.normal(size=(3, 2)))
         self.start = self.goal.uv - (self.J @ np.array([0.2, -0.15, 0.1]))
         self.state: UncalibratedState = law.init(self.goal)
@@ -101,8 +122,16 @@ class Plant:
         uv[list(hide)] = np.nan
         moved = self.q - self.places[-1]
         pending = sum(self.orders[-self.late :], np.zeros(3)) * dt if self.late else np.zeros(3)
-        robot = OwnModel.of_motions(("a", "b", "c"), np.zeros((6, 3)), ENDLESS, ENDLESS, **self.model)
-        robot = replace(robot, moved=moved, since_s=dt if self.t else 0.0, underway=pending, underway_s=self.late * dt)
+        robot = OwnModel.of_motions(
+            ("a", "b", "c"), np.zeros((6, 3)), ENDLESS, ENDLESS, **self.model
+        )
+        robot = replace(
+            robot,
+            moved=moved,
+            since_s=dt if self.t else 0.0,
+            underway=pending,
+            underway_s=self.late * dt,
+        )
         seen = Observation(self.t, uv, uv, np.ones(3), robot=robot)
         self.places.append(self.q)
         self.state, command = self.law.step(self.state, seen, self.goal, np.eye(6)[:, :3])
@@ -126,7 +155,9 @@ def test_a_linear_plant_is_measured_and_driven_to_the_goal(estimator: Any, late:
     first = modes.index(SERVOES)
     assert set(modes[:first]) == {EXCITES} and set(modes[first:]) == {SERVOES}
     assert plant.state.estimate is not None
-    np.testing.assert_allclose(plant.state.estimate.J * plant.state.estimate.scale, plant.J, rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(
+        plant.state.estimate.J * plant.state.estimate.scale, plant.J, rtol=1e-6, atol=1e-4
+    )
     assert plant.error_px() < 0.1
 
 
@@ -153,7 +184,8 @@ def test_a_jacobian_that_turned_wrong_is_measured_anew() -> None:
     plant = Plant(Uncalibrated())
     while plant.step().mode == EXCITES:
         pass
-    plant.start, plant.J = plant.start + 2 * plant.J @ plant.q, -plant.J  # as if the camera had been mounted upside down
+    # as if the camera had been mounted upside down
+    plant.start, plant.J = plant.start + 2 * plant.J @ plant.q, -plant.J
     modes = [plant.step().mode for _ in range(1500)]
     assert plant.state.excitations >= 2 and EXCITES in modes and plant.error_px() < 0.2
     assert plant.state.patience_s == 3.0 * 2 ** (plant.state.excitations - 1)
@@ -183,15 +215,22 @@ def test_an_excitation_that_loses_the_markers_goes_back_by_the_sensors(dynamic: 
     while np.linalg.norm(plant.J @ (plant.q * [0, 1, 0]), axis=1).mean() < 8:
         plant.step()
     blind = [plant.step(hide=(0, 1, 2)) for _ in range(8)]
-    assert all(command.rest_reason == TOO_FEW and command.mode == EXCITES for command in blind) and blind[0].rates is not None
+    assert (
+        all(command.rest_reason == TOO_FEW and command.mode == EXCITES for command in blind)
+        and blind[0].rates is not None
+    )
     assert np.linalg.norm(plant.J @ (plant.q * [0, 1, 0]), axis=1).mean() < 3
     for _ in range(500):
         plant.step()
     assert plant.error_px() < 0.5 and plant.state.excitations == 1
 
 
-@pytest.mark.parametrize(("model", "why"), [({"turning_radius_m": 1.0}, NO_CIRCLE), ({"tilt": np.zeros(2)}, TILTS)])
-def test_a_robot_whose_velocities_are_not_free_rests_and_says_why(model: dict[str, Any], why: str) -> None:
+@pytest.mark.parametrize(
+    ("model", "why"), [({"turning_radius_m": 1.0}, NO_CIRCLE), ({"tilt": np.zeros(2)}, TILTS)]
+)
+def test_a_robot_whose_velocities_are_not_free_rests_and_says_why(
+    model: dict[str, Any], why: str
+) -> None:
     assert Plant(Uncalibrated(), **model).step().rest_reason == why
 
 
@@ -209,7 +248,15 @@ class Frames:
 def frames_of(name: str, seconds: float) -> tuple[vs.Recording, list[vs.Frame], vs.Scenario]:
     """A short run with exact pixels."""
     law = {"kind": "uncalibrated", "gain": 1.0}
-    scenario = vs.load(name, {"law": law, "detector": "oracle", "stop": {"duration_s": seconds}, "camera.latency_s": 0.04})
+    scenario = vs.load(
+        name,
+        {
+            "law": law,
+            "detector": "oracle",
+            "stop": {"duration_s": seconds},
+            "camera.latency_s": 0.04,
+        },
+    )
     watch = Frames()
     return vs.run(scenario, watch=[watch]), watch.kept, scenario
 
@@ -227,10 +274,13 @@ def test_the_measured_jacobian_is_that_of_the_arm_and_the_camera(name: str) -> N
     def pixels(at: np.ndarray) -> np.ndarray:
         flange, mount = robot.flange_pose(at), scenario.camera.mount.T
         T = inverse(mount) @ flange if scenario.target.on_gripper else inverse(flange @ mount)
-        return scenario.camera.project(transform(T @ scenario.target.pose.T, scenario.target.points))
+        return scenario.camera.project(
+            transform(T @ scenario.target.pose.T, scenario.target.points)
+        )
 
     true = np.stack([(pixels(q + d) - pixels(q - d)) / 2e-5 for d in 1e-5 * np.eye(6)], axis=-1)
-    # Three per cent of each column: servos bring the joints back to within 2 px, and the picture is curved.
+    # Three per cent of each column: servos bring the joints back to within 2 px, and the picture is
+    # curved.
     assert (np.linalg.norm(J - true, axis=(0, 1)) < 0.03 * np.linalg.norm(true, axis=(0, 1))).all()
 
 
@@ -245,9 +295,17 @@ def test_commands_follow_from_pixels_and_sensors_alone() -> None:
         assert robot is not None and frame.command.rates is not None
         wrong = replace(robot, J=7 * rng.normal(size=(6, 6)), jacobian=lambda q: np.zeros((6, 6)))
         n = len(frame.observation.uv)
-        garbage = {"xy": rng.normal(size=(n, 2)), "depth": rng.normal(size=n), "T_camera_target": None}
-        goal = replace(frame.goal, depth=np.full(n, np.nan), T_camera_target=np.zeros((4, 4)), camera=fisheye)
-        state, command = law.step(state, replace(frame.observation, robot=wrong, **garbage), goal, np.eye(6))
+        garbage = {
+            "xy": rng.normal(size=(n, 2)),
+            "depth": rng.normal(size=n),
+            "T_camera_target": None,
+        }
+        goal = replace(
+            frame.goal, depth=np.full(n, np.nan), T_camera_target=np.zeros((4, 4)), camera=fisheye
+        )
+        state, command = law.step(
+            state, replace(frame.observation, robot=wrong, **garbage), goal, np.eye(6)
+        )
         np.testing.assert_array_equal(command.rates, frame.command.rates)
         np.testing.assert_allclose(frame.command.twist, robot.J @ frame.command.rates)
     assert law.depth == AtGoal() and law.inputs == ("robot",)

@@ -1,4 +1,6 @@
-"""Views of a batch of ideal cameras: the same quantities as an Observation's, and the law's own source of depth."""
+"""Views of a batch of ideal cameras: the same quantities as an Observation's, and the law's own
+source of depth.
+"""
 
 from __future__ import annotations
 

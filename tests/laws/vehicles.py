@@ -1,4 +1,6 @@
-"""A vehicle without masses: an observation of its place and its target, and exact motion in the plane."""
+"""A vehicle without masses: an observation of its place and its target, and exact motion in the
+plane.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def goal(place: Array | None = None, gap_m: float | None = None) -> Goal:
     return replace(view, place=place, gap_m=gap_m)
 
 
-def observe(t: float, place: Array, start: Array, target: Array | None = None, seen: bool = True) -> Observation:
+def observe(
+    t: float, place: Array, start: Array, target: Array | None = None, seen: bool = True
+) -> Observation:
     uv = np.zeros((2, 2)) if seen else np.full((2, 2), np.nan)
     T = None
     if target is not None:

@@ -18,8 +18,9 @@ from websockets.sync.client import connect
 
 NAMES = "chromium", "chromium-browser", "google-chrome", "chrome"
 FLAGS = (
-    "--headless=new --no-sandbox --disable-dev-shm-usage --no-first-run --disable-extensions --disable-background-networking"
-    " --use-angle=swiftshader --enable-unsafe-swiftshader --remote-debugging-port=0 --remote-allow-origins=*"
+    "--headless=new --no-sandbox --disable-dev-shm-usage --no-first-run --disable-extensions"
+    " --disable-background-networking --use-angle=swiftshader --enable-unsafe-swiftshader"
+    " --remote-debugging-port=0 --remote-allow-origins=*"
 )
 
 
@@ -34,7 +35,10 @@ KEYS = {"ArrowRight": 39, "ArrowLeft": 37, "End": 35, "Home": 36}
 
 def labelled(label: str) -> str:
     """JavaScript for the control with a label; the last one, where several have it."""
-    labels = f"[...document.querySelectorAll('label')].filter(l => l.innerText.trim() === {json.dumps(label)})"
+    labels = (
+        "[...document.querySelectorAll('label')].filter(l => l.innerText.trim()"
+        f" === {json.dumps(label)})"
+    )
     return f"document.getElementById({labels}.at(-1)?.htmlFor)"
 
 
@@ -57,7 +61,9 @@ class Tab:
 
     def js(self, expression: str) -> Any:
         """The value of a JavaScript expression, which may be a promise."""
-        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
@@ -70,7 +76,9 @@ class Tab:
         """Wait until a JavaScript expression is true; how long it took [s]."""
         began = time.perf_counter()
         while not self.js(expression):
-            assert time.perf_counter() - began < seconds, f"not true within {seconds} s: {expression}; the page says {self.text()[:2000]}"
+            assert time.perf_counter() - began < seconds, (
+                f"not true within {seconds} s: {expression}; the page says {self.text()[:2000]}"
+            )
             time.sleep(0.02)  # between two looks at a page that changes by itself
         return time.perf_counter() - began
 
@@ -80,15 +88,18 @@ class Tab:
 
     def click(self, words: str) -> None:
         """Click the button with these words."""
-        found = f"[...document.querySelectorAll('button')].find(b => b.innerText.trim() === {json.dumps(words)})"
+        found = (
+            "[...document.querySelectorAll('button')].find(b => b.innerText.trim()"
+            f" === {json.dumps(words)})"
+        )
         self.wait(f"!!({found})")
         self.js(f"{found}.click()")
 
     def unfold(self, words: str) -> None:
         """Open the folder with these words."""
         self.js(
-            f"[...document.querySelectorAll('p,div,span,legend')].filter(e => e.innerText?.trim() === {json.dumps(words)}"
-            " && ![...e.children].some(c => c.innerText))[0]?.click()"
+            "[...document.querySelectorAll('p,div,span,legend')].filter(e => e.innerText?.trim()"
+            f" === {json.dumps(words)} && ![...e.children].some(c => c.innerText))[0]?.click()"
         )
 
     def set_slider(self, label: str, keys: list[str]) -> None:
@@ -97,7 +108,13 @@ class Tab:
         self.js(f"{labelled(label)}.querySelector('[role=slider]').focus()")
         for key in keys:
             for kind in ("keyDown", "keyUp"):
-                self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=KEYS[key])
+                self.call(
+                    "Input.dispatchKeyEvent",
+                    type=kind,
+                    key=key,
+                    code=key,
+                    windowsVirtualKeyCode=KEYS[key],
+                )
 
     def type_into(self, label: str, text: str) -> None:
         """Replace what is in the field with a label, and leave it."""
@@ -111,7 +128,10 @@ class Tab:
         """Choose a word from the menu with a label."""
         self.wait(f"!!({labelled(label)})")
         self.js(f"{labelled(label)}.click()")
-        option = f"[...document.querySelectorAll('[role=option]')].find(o => o.innerText.trim() === {json.dumps(word)})"
+        option = (
+            "[...document.querySelectorAll('[role=option]')].find(o => o.innerText.trim()"
+            f" === {json.dumps(word)})"
+        )
         self.wait(f"!!({option})")
         self.js(f"{option}.click()")
 
@@ -119,7 +139,10 @@ class Tab:
         """What the field, or the slider, with a label shows."""
         found = labelled(label)
         return str(
-            self.js(f"(() => {{ const e = {found}; const s = e.querySelector('[role=slider]'); return s ? s.ariaValueNow : e.value }})()")
+            self.js(
+                f"(() => {{ const e = {found}; const s = e.querySelector('[role=slider]');"
+                " return s ? s.ariaValueNow : e.value })()"
+            )
         )
 
     def screenshot(self, path: Path | None = None) -> bytes:
@@ -141,20 +164,32 @@ class Browser:
         program = chromium()
         assert program is not None
         self._profile = tempfile.mkdtemp(prefix="vstestbed-chromium-")
-        command = [program, *FLAGS.split(), f"--user-data-dir={self._profile}", f"--window-size={width},{height}", "about:blank"]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        command = [
+            program,
+            *FLAGS.split(),
+            f"--user-data-dir={self._profile}",
+            f"--window-size={width},{height}",
+            "about:blank",
+        ]
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         self._port = self._devtools_port()
 
     def _devtools_port(self) -> int:
         path, until = Path(self._profile) / "DevToolsActivePort", time.monotonic() + 60
         while not (path.is_file() and path.read_text().strip()):
-            assert time.monotonic() < until and self._process.poll() is None, "Chromium does not start"
+            assert time.monotonic() < until and self._process.poll() is None, (
+                "Chromium does not start"
+            )
             time.sleep(0.05)  # between two looks for a file of another process
         return int(path.read_text().split()[0])
 
     def tab(self, url: str) -> Tab:
         """A new tab with a page."""
-        request = urllib.request.Request(f"http://127.0.0.1:{self._port}/json/new?about:blank", method="PUT")
+        request = urllib.request.Request(
+            f"http://127.0.0.1:{self._port}/json/new?about:blank", method="PUT"
+        )
         with urllib.request.urlopen(request, timeout=30) as answer:
             tab = Tab(json.load(answer)["webSocketDebuggerUrl"])
         tab.go(url)
@@ -163,7 +198,12 @@ class Browser:
     def __enter__(self) -> Browser:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._process.terminate()
         self._process.wait(20)
         shutil.rmtree(self._profile, ignore_errors=True)

@@ -1,4 +1,6 @@
-"""The live view in a headless Chromium: what a person sees and does there. Run with `-m study -s` for the figures."""
+"""The live view in a headless Chromium: what a person sees and does there. Run with `-m study -s`
+for the figures.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ from vstestbed.studies.run_folder import new_folder, run_into
 pytestmark = [
     pytest.mark.study,
     pytest.mark.process,
-    pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine (apt-get install chromium)"),
+    pytest.mark.skipif(
+        chromium() is None, reason="no Chromium on this machine (apt-get install chromium)"
+    ),
 ]
 OPENS_S = 5.0
 FRAME = r"Number(document.body?.innerText.match(/frame (\d+)/)?.[1] ?? -1)"
@@ -65,10 +69,13 @@ class Served:
         return tab
 
     def steps(self, tab: Tab, count: int) -> None:
-        """Click `step` so many times, each after the frame of the one before: viser's page sends at most 20 messages a second."""
+        """Click `step` so many times, each after the frame of the one before: viser's page sends at
+        most 20 messages a second.
+        """
         for _ in range(count):
             n = self.run.frames
-            time.sleep(0.06)  # at most 20 messages a second: two clicks nearer to each other arrive as one
+            # at most 20 messages a second: two clicks nearer to each other arrive as one
+            time.sleep(0.06)
             tab.click("step")
             self.until(lambda n=n: self.run.frames == n + 1)
 
@@ -87,7 +94,9 @@ def picture(tab: Tab) -> np.ndarray:
 def opened(browser: Browser, address: str, words: str) -> float:
     began = time.perf_counter()
     tab = browser.tab(address)
-    tab.wait(f"!!document.querySelector('canvas') && document.body.innerText.includes({words!r})", 60)
+    tab.wait(
+        f"!!document.querySelector('canvas') && document.body.innerText.includes({words!r})", 60
+    )
     took = time.perf_counter() - began
     tab.call("Page.close")
     tab.close()
@@ -99,11 +108,21 @@ def test_the_page_opens_soon(browser: Browser):
     bare.gui.add_markdown("an empty page")
     with Served("arm_ibvs") as live:
         opened(browser, bare.address, "an empty page")  # the browser's own first time
-        pairs = [(opened(browser, bare.address, "an empty page"), opened(browser, live.app.address, "frame")) for _ in range(3)]
+        pairs = [
+            (
+                opened(browser, bare.address, "an empty page"),
+                opened(browser, live.app.address, "frame"),
+            )
+            for _ in range(3)
+        ]
     bare.stop()
     empty, page = min(e for e, _ in pairs), min(p for _, p in pairs)
-    print(f"\nthe page opens in {page:.2f} s; one of the same program with nothing in it in {empty:.2f} s")
-    assert page < max(OPENS_S, 2.5 * empty)  # on a machine that is busy with other things an empty one takes longer, too
+    print(
+        f"\nthe page opens in {page:.2f} s;"
+        f" one of the same program with nothing in it in {empty:.2f} s"
+    )
+    # on a machine that is busy with other things an empty one takes longer, too
+    assert page < max(OPENS_S, 2.5 * empty)
 
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "car_parking", "quadrotor_hover"])
@@ -136,7 +155,9 @@ def test_a_gain_of_the_slider_is_in_the_next_frames_command(browser: Browser):
         tab.set_slider("law.gain", ["End"])
         live.until(lambda: live.run.scenario.law.gain.value == 4.0)
         live.steps(tab, 1)
-        np.testing.assert_allclose(live.run.frame.command.twist, 8.0 * twin.step().command.twist, rtol=1e-9)
+        np.testing.assert_allclose(
+            live.run.frame.command.twist, 8.0 * twin.step().command.twist, rtol=1e-9
+        )
         tab.wait("document.body.innerText.includes('in force from the next frame on')")
         assert live.run.restarts == 1 and "law" in live.run.session.recording().scenario.description
         _print_latency(live, tab)
@@ -144,7 +165,9 @@ def test_a_gain_of_the_slider_is_in_the_next_frames_command(browser: Browser):
 
 
 def _print_latency(live: Served, tab: Tab) -> None:
-    """Time from a key on the slider to the frame whose command has the new gain, while the run plays."""
+    """Time from a key on the slider to the frame whose command has the new gain, while the run
+    plays.
+    """
     tab.click("reset")
     live.until(lambda: live.run.restarts == 2)
     tab.click("play")
@@ -155,12 +178,17 @@ def _print_latency(live: Served, tab: Tab) -> None:
         tab.js("1")
         began = time.perf_counter()
         tab.set_slider("law.gain", [key])
-        live.until(lambda before=before: live.run.session.episode.controller.law.gain.value != before)
+        live.until(
+            lambda before=before: live.run.session.episode.controller.law.gain.value != before
+        )
         frame = live.run.frames
         live.until(lambda frame=frame: live.run.frames > frame or live.run.ended)
         took.append(1e3 * (time.perf_counter() - began))
         time.sleep(0.1)  # the next change of the slider is a message of its own
-    print(f"\nfrom the slider to the command: median {np.median(took):.0f} ms, most {max(took):.0f} ms (a frame has 40 ms)")
+    print(
+        "\nfrom the slider to the command:"
+        f" median {np.median(took):.0f} ms, most {max(took):.0f} ms (a frame has 40 ms)"
+    )
     assert np.median(took) < 1000
 
 
@@ -169,7 +197,10 @@ def test_a_refused_value_shows_its_sentence_and_changes_nothing(browser: Browser
         tab = live.open(browser)
         tab.unfold("law")
         tab.choose("depth", "oracle")
-        tab.wait("document.body.innerText.includes('refused: law.depth: may be oracle only with detector')")
+        tab.wait(
+            "document.body.innerText.includes('refused: law.depth:"
+            " may be oracle only with detector')"
+        )
         tab.wait(f"{labelled('depth')}.value === 'pnp'")
         tab.type_into("solve.damping", "-3")
         tab.wait("document.body.innerText.includes('refused: law.solve.damping: must be')")
@@ -195,7 +226,9 @@ def test_pause_and_step_count_frames_exactly(browser: Browser):
         tab.close()
 
 
-def test_what_is_saved_gives_the_same_log(browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_what_is_saved_gives_the_same_log(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.chdir(tmp_path)
     with Served("arm_ibvs", {"stop.duration_s": 2.0, "noise.pixel_sigma_px": 0.2}) as live:
         tab = live.open(browser)
@@ -216,7 +249,11 @@ def test_what_is_saved_gives_the_same_log(browser: Browser, tmp_path: Path, monk
         tab.close()
     again = vs.run(vs.load("runs/arm_ibvs/live/001/scenario.yaml"))
     np.testing.assert_array_equal(again.table, shown.table)
-    assert again.scenario.law.gain.value == 0.58 and again.scenario.seed == 7 and again.columns == shown.columns
+    assert (
+        again.scenario.law.gain.value == 0.58
+        and again.scenario.seed == 7
+        and again.columns == shown.columns
+    )
 
 
 def test_tabs_see_one_run_and_a_tab_that_goes_stops_nothing(browser: Browser):
@@ -237,9 +274,19 @@ def test_gains_latency_noise_and_rate_stand_first(browser: Browser):
     with Served("arm_ibvs", playing=False) as live:
         tab = live.open(browser)
         tab.wait(f"!!({labelled('camera.rate_hz')})")
-        labels = "[...document.querySelectorAll('label')].filter(l => l.checkVisibility() && l.offsetHeight).map(l => l.innerText.trim())"
+        labels = (
+            "[...document.querySelectorAll('label')].filter(l => l.checkVisibility() &&"
+            " l.offsetHeight).map(l => l.innerText.trim())"
+        )
         shown = [label for label in tab.js(labels) if label not in ("run", "speed")]
-        assert shown[:6] == ["law.gain", "camera.latency_s", "noise.image_sigma", "noise.pixel_sigma_px", "camera.rate_hz", "seed"]
+        assert shown[:6] == [
+            "law.gain",
+            "camera.latency_s",
+            "noise.image_sigma",
+            "noise.pixel_sigma_px",
+            "camera.rate_hz",
+            "seed",
+        ]
         assert "commanded speed" in tab.text() and "ordered" not in tab.text()
         tab.close()
 
@@ -251,8 +298,14 @@ def test_who_has_not_the_address_is_not_let_in(browser: Browser):
         tab.wait("document.body?.innerText.includes('Open the whole address')")
         tab.go(other.address)
         tab.wait("!!document.querySelector('canvas')", 40)
-        socket = f"new WebSocket({live.app.address.replace('http', 'ws', 1)!r}, ['viser-v{viser.__version__}'])"
-        said = f"new Promise(done => {{ const s = {socket}; s.onopen = () => done('open'); s.onerror = () => done('refused') }})"
+        socket = (
+            f"new WebSocket({live.app.address.replace('http', 'ws', 1)!r},"
+            f" ['viser-v{viser.__version__}'])"
+        )
+        said = (
+            f"new Promise(done => {{ const s = {socket}; s.onopen = () => done('open');"
+            " s.onerror = () => done('refused') })"
+        )
         assert tab.js(said) == "refused"  # a page at another port, though it knows the address
         tab.close()
     other.stop()
@@ -264,11 +317,15 @@ SHOWN = f"""(() => {{
     if (!img?.naturalWidth) return null;
     [c.width, c.height] = [img.naturalWidth, img.naturalHeight];
     const x = c.getContext('2d'); x.drawImage(img, 0, 0);
-    const bar = Math.floor(c.width / {BARS}), row = x.getImageData(0, c.height - {HIGH} / 2, c.width, 1).data;
-    const number = [...Array({BARS}).keys()].reduce((n, i) => n + (row[4 * Math.floor((i + 0.5) * bar)] > 128 ? 1 << i : 0), 0);
+    const bar = Math.floor(c.width / {BARS});
+    const row = x.getImageData(0, c.height - {HIGH} / 2, c.width, 1).data;
+    const white = i => row[4 * Math.floor((i + 0.5) * bar)] > 128;
+    const number = [...Array({BARS}).keys()].reduce((n, i) => n + (white(i) ? 1 << i : 0), 0);
     return [{FRAME}, number];
 }})()"""
-"""Numbers of the frames in the words and in the picture of a page, which has its number in black and white bars."""
+"""Numbers of the frames in the words and in the picture of a page, which has its number in black
+and white bars.
+"""
 
 
 def with_bars(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,10 +361,16 @@ def test_a_replay_begins_when_its_page_is_there_and_its_words_are_of_its_picture
         seen.append(tab.js(SHOWN))
     tab.wait(f"{FRAME} === {len(app.recorded) - 1} && {SHOWN}[1] === {len(app.recorded) - 1}")
     behind = [words - drawn for words, drawn in filter(None, seen)]
-    print(f"\nwords before picture: {np.median(behind):.0f} frames in the median, {max(behind, default=0)} at most ({len(behind)} looks)")
+    print(
+        f"\nwords before picture: {np.median(behind):.0f} frames in the median,"
+        f" {max(behind, default=0)} at most ({len(behind)} looks)"
+    )
     app.ask(lambda: app.transport.play(False))
     app.ask(lambda: app.go_to(37))
-    tab.wait(f"{FRAME} === 37 && {SHOWN}[1] === 37 && {labelled('t [s]')}.querySelector('[role=slider]').ariaValueNow === '1.48'")
+    tab.wait(
+        f"{FRAME} === 37 && {SHOWN}[1] === 37 &&"
+        f" {labelled('t [s]')}.querySelector('[role=slider]').ariaValueNow === '1.48'"
+    )
     app.stop()
     thread.join(20)
     tab.close()
@@ -325,10 +388,15 @@ def test_reloads_leak_nothing(browser: Browser):
             live.until(lambda: len(live.app._server.get_clients()) == 1)
             gc.collect()
             if i >= 4:  # the first ones fill caches
-                seen.append((process.memory_info().rss / 1e6, process.num_fds(), threading.active_count()))
+                seen.append(
+                    (process.memory_info().rss / 1e6, process.num_fds(), threading.active_count())
+                )
         tab.close()
     (first_mb, first_fds, _), (last_mb, last_fds, last_threads) = seen[0], seen[-1]
-    print(f"\n{RELOADS} reloads: memory {first_mb:.0f} -> {last_mb:.0f} MB, descriptors {first_fds} -> {last_fds}, threads {last_threads}")
+    print(
+        f"\n{RELOADS} reloads: memory {first_mb:.0f} -> {last_mb:.0f} MB,"
+        f" descriptors {first_fds} -> {last_fds}, threads {last_threads}"
+    )
     assert last_fds <= first_fds + 1 and last_mb - first_mb < 40
 
 
@@ -343,5 +411,8 @@ def test_by_hand(browser: Browser):
         tab.js(f"{labelled('hold a plate')}.click()")
         live.until(lambda: "plate held" in live.run.by_hand)
         live.steps(tab, 2)
-        assert np.isnan(live.run.frame.observation.uv[0]).all() and np.isfinite(live.run.frame.observation.uv[1:]).all()
+        assert (
+            np.isnan(live.run.frame.observation.uv[0]).all()
+            and np.isfinite(live.run.frame.observation.uv[1:]).all()
+        )
         tab.close()

@@ -29,7 +29,14 @@ class TestSettings:
 
     def test_a_refused_one_changes_nothing(self):
         settings = Settings("arm_ibvs")
-        for path, value in (("law.gain", -1), ("law.gain", "much"), ("law.depth", "oracle"), ("lwa.gain", 1), ("seed", -1), ("seed", 1.5)):
+        for path, value in (
+            ("law.gain", -1),
+            ("law.gain", "much"),
+            ("law.depth", "oracle"),
+            ("lwa.gain", 1),
+            ("seed", -1),
+            ("seed", 1.5),
+        ):
             with pytest.raises(ScenarioError, match=path.partition(".")[0]):
                 settings.change(path, value)
         assert settings.scenario == vs.load("arm_ibvs") and settings.seed is None
@@ -48,7 +55,13 @@ class TestSettings:
     def test_one_coefficient_of_the_distortion_keeps_the_others(self):
         settings = Settings("arm_ibvs")
         settings.change("camera.distortion.0", -0.05)
-        assert settings.change("camera.distortion.1", 0.02).camera.distortion == (-0.05, 0.02, 0.0, 0.0, 0.0)
+        assert settings.change("camera.distortion.1", 0.02).camera.distortion == (
+            -0.05,
+            0.02,
+            0.0,
+            0.0,
+            0.0,
+        )
 
     def test_a_page_cannot_load_a_plugin(self):
         with pytest.raises(ScenarioError, match="command line alone"):
@@ -60,7 +73,13 @@ class TestSettings:
             ("law", {"kind": "policy", "file": "HERE/code.py:act"}),
             ("law", {"kind": "policy", "file": "code.py:act"}),
             ("law", {"kind": "policy", "file": "HERE/net.onnx"}),
-            ("law", {"kind": "switched", "turns": [{"law": {"kind": "policy", "file": "HERE/code.py:act"}}]}),
+            (
+                "law",
+                {
+                    "kind": "switched",
+                    "turns": [{"law": {"kind": "policy", "file": "HERE/code.py:act"}}],
+                },
+            ),
             ("law.file", "code.py:act"),
             ("law.weights", "code.py"),
             ("randomise", [{"field": "law.file", "choice": ["HERE/code.py:act"]}]),
@@ -81,9 +100,13 @@ class TestSettings:
             ("name", "../../elsewhere"),
         ],
     )
-    def test_a_page_can_name_no_file(self, path: str, value: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def test_a_page_can_name_no_file(
+        self, path: str, value: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ):
         monkeypatch.chdir(tmp_path)
-        (tmp_path / "code.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\ndef act(seen): pass\n")
+        (tmp_path / "code.py").write_text(
+            f"open({str(tmp_path / 'ran')!r}, 'w')\ndef act(seen): pass\n"
+        )
         for name in ("net.onnx", "model.xml", "picture.png", "line"):
             (tmp_path / name).touch()
         settings = Settings("arm_ibvs")
@@ -102,28 +125,45 @@ class TestSettings:
     def test_a_level_of_realism_is_a_word(self):
         assert Settings("arm_ibvs").change("robot.realism", "lab").robot.realism == "lab"
 
-    def test_a_file_of_the_command_line_may_be_named_again(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def test_a_file_of_the_command_line_may_be_named_again(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ):
         monkeypatch.chdir(tmp_path)
-        (tmp_path / "mine.py").write_text("def act(seen): return None\n\ndef other(seen): return None\n")
+        (tmp_path / "mine.py").write_text(
+            "def act(seen): return None\n\ndef other(seen): return None\n"
+        )
         settings = Settings("arm_ibvs", {"law": {"kind": "policy", "file": "mine.py:act"}})
         settings.change("law", "pbvs")
-        assert settings.change("law", {"kind": "policy", "file": "mine.py:act"}).law.kind == "policy"
+        assert (
+            settings.change("law", {"kind": "policy", "file": "mine.py:act"}).law.kind == "policy"
+        )
         with pytest.raises(ScenarioError, match=r"'mine\.py:other' is no word of this scenario"):
             settings.change("law.file", "mine.py:other")
 
     def test_a_word_with_a_slip_has_its_nearest(self):
-        with pytest.raises(ScenarioError, match="'poler' is no word of this scenario; did you mean 'polar'"):
+        with pytest.raises(
+            ScenarioError, match="'poler' is no word of this scenario; did you mean 'polar'"
+        ):
             Settings("arm_ibvs").change("law.feature", "poler")
 
     def test_a_bundled_texture_may_be_named(self):
-        assert Settings("arm_ibvs").change("world.floor.texture", "texture:brick").world.floor.texture == "texture:brick"
+        assert (
+            Settings("arm_ibvs").change("world.floor.texture", "texture:brick").world.floor.texture
+            == "texture:brick"
+        )
 
-    def test_a_saved_scenario_is_read_as_the_same(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def test_a_saved_scenario_is_read_as_the_same(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ):
         monkeypatch.chdir(tmp_path)
         settings = Settings("arm_ibvs", seed=3)
         settings.change("law.gain", 0.9)
         first, second = settings.keep(), settings.keep("Pushed.")
-        assert vs.load(first) == settings.scenario and first.parent.name == "001" and second.parent.name == "002"
+        assert (
+            vs.load(first) == settings.scenario
+            and first.parent.name == "001"
+            and second.parent.name == "002"
+        )
         assert vs.load(second).description.endswith("Pushed.")
 
 
@@ -133,7 +173,13 @@ class TestFields:
         scenario = vs.load(name)
         fields = fields_of(scenario)
         keys = [(f.path, f.control == "choice") for f in fields]
-        assert len(keys) == len(set(keys)) and {f.path.partition(".")[0] for f in fields} >= {"law", "camera", "noise", "timing", "seed"}
+        assert len(keys) == len(set(keys)) and {f.path.partition(".")[0] for f in fields} >= {
+            "law",
+            "camera",
+            "noise",
+            "timing",
+            "seed",
+        }
         for field in fields:
             if field.control == "slider":
                 assert field.low <= field.value <= field.high and field.step > 0, field
@@ -144,26 +190,50 @@ class TestFields:
         sliders = {f.path: f for f in fields_of(vs.load("arm_ibvs")) if f.control == "slider"}
         gain = sliders["law.gain"]
         assert (gain.low, gain.high, gain.step, gain.value) == (0.02, 4.0, 0.02, 0.5)
-        assert {"camera.latency_s", "noise.image_sigma", "noise.pixel_sigma_px", "camera.distortion.0"} <= set(sliders)
+        assert {
+            "camera.latency_s",
+            "noise.image_sigma",
+            "noise.pixel_sigma_px",
+            "camera.distortion.0",
+        } <= set(sliders)
         menus = {f.path: f.choices for f in fields_of(vs.load("arm_ibvs")) if f.control == "choice"}
-        assert menus["law.interaction"] == ("current", "desired", "mean") and "polar" in menus["law.feature"]
-        assert menus["robot.actuation"] == ("ideal", "industrial", "raw") and "estimate" in menus["law.depth"]
+        assert (
+            menus["law.interaction"] == ("current", "desired", "mean")
+            and "polar" in menus["law.feature"]
+        )
+        assert (
+            menus["robot.actuation"] == ("ideal", "industrial", "raw")
+            and "estimate" in menus["law.depth"]
+        )
 
     @pytest.mark.parametrize(
         ("name", "gains"),
-        [("arm_ibvs", ["law.gain"]), ("arm_partitioned", ["law.gain", "law.gain_z", "law.gain_turn", "law.gain_xy"]), ("arm_policy", [])],
+        [
+            ("arm_ibvs", ["law.gain"]),
+            ("arm_partitioned", ["law.gain", "law.gain_z", "law.gain_turn", "law.gain_xy"]),
+            ("arm_policy", []),
+        ],
     )
     def test_gains_latency_noise_and_rate_come_first(self, name: str, gains: list[str]):
         fields = fields_of(vs.load(name))
         first = [f.path for f in fields if f.comes_first]
-        assert first == [*gains, "camera.latency_s", "noise.image_sigma", "noise.pixel_sigma_px", "camera.rate_hz", "seed"]
+        assert first == [
+            *gains,
+            "camera.latency_s",
+            "noise.image_sigma",
+            "noise.pixel_sigma_px",
+            "camera.rate_hz",
+            "seed",
+        ]
         assert [f.path for f in fields[: len(first)]] == first
         assert [f.label for f in fields if f.path == "camera.latency_s"] == ["camera.latency_s"]
 
     def test_an_ends_of_a_slider_are_valid(self):
         settings = Settings("arm_ibvs")
         for field in fields_of(settings.scenario):
-            if field.control == "slider" and field.path.startswith(("law.gain", "noise", "camera.latency")):
+            if field.control == "slider" and field.path.startswith(
+                ("law.gain", "noise", "camera.latency")
+            ):
                 settings.change(field.path, field.low)
                 settings.change(field.path, field.high)
                 settings.change(field.path, field.value)
@@ -231,7 +301,9 @@ class TestInbox:
         assert inbox.waits("gain") and not inbox.waits("seed")
         for order in inbox.take(0.0):
             order()
-        assert done == [("step", 0), ("step", 1), ("gain", 2), ("step", 2)] and inbox.take(0.0) == []
+        assert (
+            done == [("step", 0), ("step", 1), ("gain", 2), ("step", 2)] and inbox.take(0.0) == []
+        )
 
     def test_it_wakes_who_waits(self):
         inbox = Inbox()
@@ -248,17 +320,30 @@ class TestRun:
         assert run.change("law.gain", 1.0) is False
         run.turn()
         twin.turn()
-        np.testing.assert_allclose(run.frame.command.twist, 2 * twin.frame.command.twist, rtol=1e-12)
+        np.testing.assert_allclose(
+            run.frame.command.twist, 2 * twin.frame.command.twist, rtol=1e-12
+        )
         assert run.restarts == 1 and run.by_hand == ("law",)
-        assert "Changed by hand during the run: law from 0.12 s on" in run.session.recording().scenario.description
+        assert (
+            "Changed by hand during the run: law from 0.12 s on"
+            in run.session.recording().scenario.description
+        )
         run.close()
         twin.close()
 
-    @pytest.mark.parametrize(("path", "value"), [("law.feature", "polar"), ("camera.latency_s", 0.08), ("seed", 2), ("law.depth", "goal")])
+    @pytest.mark.parametrize(
+        ("path", "value"),
+        [("law.feature", "polar"), ("camera.latency_s", 0.08), ("seed", 2), ("law.depth", "goal")],
+    )
     def test_what_cannot_change_under_way_starts_again(self, path: str, value: object):
         run = LiveRun(Settings("arm_ibvs"))
         run.turn()
-        assert run.change(path, value) is True and run.restarts == 2 and run.frames == 1 and run.frame.timing.number == 0
+        assert (
+            run.change(path, value) is True
+            and run.restarts == 2
+            and run.frames == 1
+            and run.frame.timing.number == 0
+        )
         assert run.by_hand == ()
         run.close()
 
@@ -277,7 +362,9 @@ class TestRun:
         before = run.scenario
 
         def fails(self: object, seed: object = None) -> None:
-            raise vs.errors.SessionError("the run ended before a picture arrived", "change the camera's timing")
+            raise vs.errors.SessionError(
+                "the run ended before a picture arrived", "change the camera's timing"
+            )
 
         with monkeypatch.context() as patch:
             patch.setattr(vs.Session, "reset", fails)
@@ -291,7 +378,11 @@ class TestRun:
         run = LiveRun(Settings(IDEAL, {"stop.duration_s": 0.5}))
         while run.wait_s() is not None:
             run.turn()
-        assert run.ended and run.last.verdict is not None and run.last.verdict[1] == "0.5 s were not enough"
+        assert (
+            run.ended
+            and run.last.verdict is not None
+            and run.last.verdict[1] == "0.5 s were not enough"
+        )
         with pytest.raises(ParameterError, match="has ended; reset it first"):
             run.move_target(np.eye(4))
         run.restart()

@@ -1,4 +1,6 @@
-"""The server of pages without a browser: who is let in, ports, Ctrl-C, a recorded run; a client that speaks for a page."""
+"""The server of pages without a browser: who is let in, ports, Ctrl-C, a recorded run; a client
+that speaks for a page.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,12 @@ def own_origin(server: LocalServer) -> str:
 def joined(server: LocalServer):
     """A client that speaks for a page of the server."""
     address = server.address.replace("http", "ws", 1)
-    return connect(address, origin=own_origin(server), subprotocols=[f"viser-v{viser.__version__}"], max_size=None)
+    return connect(
+        address,
+        origin=own_origin(server),
+        subprotocols=[f"viser-v{viser.__version__}"],
+        max_size=None,
+    )
 
 
 def message(**fields: object) -> bytes:
@@ -79,13 +86,23 @@ SOCKET = {
 }
 
 
-def asked(server: LocalServer, path: str | None = None, **headers: str) -> tuple[int, str, dict[str, str]]:
-    """Status, text and headers of the answer to a request with these headers; by default for the page, as a browser asks for it."""
+def asked(
+    server: LocalServer, path: str | None = None, **headers: str
+) -> tuple[int, str, dict[str, str]]:
+    """Status, text and headers of the answer to a request with these headers; by default for the
+    page, as a browser asks for it.
+    """
     connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10)
     names = {name.replace("_", "-"): value for name, value in headers.items()}
-    connection.request("GET", urlsplit(server.address).path if path is None else path, headers=names)
+    connection.request(
+        "GET", urlsplit(server.address).path if path is None else path, headers=names
+    )
     answer = connection.getresponse()
-    found = answer.status, "" if answer.status == 101 else answer.read().decode(), dict(answer.headers)
+    found = (
+        answer.status,
+        "" if answer.status == 101 else answer.read().decode(),
+        dict(answer.headers),
+    )
     connection.close()
     return found
 
@@ -113,51 +130,96 @@ class TestWhoIsLetIn:
     def test_who_opens_the_address(self, server: LocalServer):
         status, text, headers = asked(server)
         assert status == 200 and "<html" in text and headers["Referrer-Policy"] == "no-referrer"
-        assert asked(server, server.address.rpartition("/")[0].removeprefix(own_origin(server)))[0] == 200  # without the last stroke
+        # without the last stroke
+        assert (
+            asked(server, server.address.rpartition("/")[0].removeprefix(own_origin(server)))[0]
+            == 200
+        )
         assert asked(server, Host=f"localhost:{server.get_port()}")[0] == 200
         with joined(server) as socket_:
             assert len(socket_.recv(timeout=10)) > 0
 
     def test_a_tunnel_with_another_port_here(self, server: LocalServer):
-        assert asked(server, Host="localhost:9000", Origin="http://localhost:9000", **SOCKET)[0] == 101
+        assert (
+            asked(server, Host="localhost:9000", Origin="http://localhost:9000", **SOCKET)[0] == 101
+        )
 
-    @pytest.mark.parametrize("path", ["/", "/index.html", "/AAAAAAAAAAAAAAAAAAAAAA/", "//", "/?websocket=x", "/%FF"])
+    @pytest.mark.parametrize(
+        "path", ["/", "/index.html", "/AAAAAAAAAAAAAAAAAAAAAA/", "//", "/?websocket=x", "/%FF"]
+    )
     @pytest.mark.parametrize("socket_", [{}, SOCKET])
-    def test_nobody_without_the_secret(self, server: LocalServer, path: str, socket_: dict[str, str]):
+    def test_nobody_without_the_secret(
+        self, server: LocalServer, path: str, socket_: dict[str, str]
+    ):
         status, text, _ = asked(server, path, Origin=own_origin(server), **socket_)
         assert status == 403 and "Open the whole address" in text and server.address not in text
 
     def test_nobody_with_a_part_of_the_secret_or_more(self, server: LocalServer):
         path = urlsplit(server.address).path.rstrip("/")
-        assert [asked(server, wrong)[0] for wrong in (path[:-1], f"{path}x", path.swapcase(), f"/x{path}")] == [403] * 4
+        assert [
+            asked(server, wrong)[0]
+            for wrong in (path[:-1], f"{path}x", path.swapcase(), f"/x{path}")
+        ] == [403] * 4
 
-    @pytest.mark.parametrize("host", ["example.com", "127.0.0.1.example.com", "localhost.example.com", "me@127.0.0.1", "0.0.0.0", ""])
+    @pytest.mark.parametrize(
+        "host",
+        [
+            "example.com",
+            "127.0.0.1.example.com",
+            "localhost.example.com",
+            "me@127.0.0.1",
+            "0.0.0.0",
+            "",
+        ],
+    )
     @pytest.mark.parametrize("socket_", [{}, SOCKET])
-    def test_no_other_name_of_this_machine(self, server: LocalServer, host: str, socket_: dict[str, str]):
+    def test_no_other_name_of_this_machine(
+        self, server: LocalServer, host: str, socket_: dict[str, str]
+    ):
         status, text, _ = asked(server, Host=host, Origin=f"http://{host}", **socket_)
         assert status == 403 and "answers only to the names 127.0.0.1 and localhost" in text
 
     @pytest.mark.parametrize(
-        "origin", ["https://example.com", "http://127.0.0.1:1", "http://localhost:PORT", "https://127.0.0.1:PORT", "null"]
+        "origin",
+        [
+            "https://example.com",
+            "http://127.0.0.1:1",
+            "http://localhost:PORT",
+            "https://127.0.0.1:PORT",
+            "null",
+        ],
     )
     @pytest.mark.parametrize("socket_", [{}, SOCKET])
-    def test_no_page_of_another_place(self, server: LocalServer, origin: str, socket_: dict[str, str]):
-        status, text, _ = asked(server, Origin=origin.replace("PORT", str(server.get_port())), **socket_)
+    def test_no_page_of_another_place(
+        self, server: LocalServer, origin: str, socket_: dict[str, str]
+    ):
+        status, text, _ = asked(
+            server, Origin=origin.replace("PORT", str(server.get_port())), **socket_
+        )
         assert status == 403 and "its own pages only" in text
 
     def test_no_socket_without_an_origin(self, server: LocalServer):
-        assert asked(server, **SOCKET)[0] == 403 and asked(server, Origin=own_origin(server), **SOCKET)[0] == 101
+        assert (
+            asked(server, **SOCKET)[0] == 403
+            and asked(server, Origin=own_origin(server), **SOCKET)[0] == 101
+        )
 
-    def test_no_page_of_another_version(self, server: LocalServer, capfd: pytest.CaptureFixture[str]):
+    def test_no_page_of_another_version(
+        self, server: LocalServer, capfd: pytest.CaptureFixture[str]
+    ):
         for protocol in ("viser-v0.0.1", "x"):
-            status, text, _ = asked(server, Origin=own_origin(server), **SOCKET | {"Sec-WebSocket-Protocol": protocol})
+            status, text, _ = asked(
+                server, Origin=own_origin(server), **SOCKET | {"Sec-WebSocket-Protocol": protocol}
+            )
             assert status == 403 and f"pages of viser {viser.__version__} only" in text
         assert capfd.readouterr().out == ""
 
     def test_nobody_on_another_machine(self, server: LocalServer):
         assert server.get_host() == "127.0.0.1" and server.request_share_url() is None
 
-    def test_each_start_has_a_secret_that_no_log_tells(self, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]):
+    def test_each_start_has_a_secret_that_no_log_tells(
+        self, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+    ):
         caplog.set_level("DEBUG")
         servers = [LocalServer(None, "test") for _ in range(2)]
         told = [urlsplit(server.address).path.strip("/") for server in servers]
@@ -168,12 +230,24 @@ class TestWhoIsLetIn:
             server.stop()
         said = capfd.readouterr()
         # the client's own log tells what it sends
-        logs = "".join(record.getMessage() for record in caplog.records if not record.name.startswith("websockets.client"))
-        assert len(set(told)) == 2 and not any(secret in f"{logs}{said.out}{said.err}" for secret in told) and min(map(len, told)) > 20
+        logs = "".join(
+            record.getMessage()
+            for record in caplog.records
+            if not record.name.startswith("websockets.client")
+        )
+        assert (
+            len(set(told)) == 2
+            and not any(secret in f"{logs}{said.out}{said.err}" for secret in told)
+            and min(map(len, told)) > 20
+        )
 
-    def test_a_viser_that_opens_its_server_in_another_way_is_not_used(self, monkeypatch: pytest.MonkeyPatch):
+    def test_a_viser_that_opens_its_server_in_another_way_is_not_used(
+        self, monkeypatch: pytest.MonkeyPatch
+    ):
         monkeypatch.setattr(Gate, "before_next_server", lambda self: contextlib.nullcontext())
-        with pytest.raises(EnvironmentLackError, match="opens its server in a new way; pip install"):
+        with pytest.raises(
+            EnvironmentLackError, match="opens its server in a new way; pip install"
+        ):
             LocalServer(None, "test")
 
 
@@ -189,10 +263,14 @@ class TestMalformedMessages:
             message(type="Nope"),
             message(type="GuiUpdateMessage"),
             message(type="ViewerCameraMessage", wxyz=[1]),
-            message(type="TransformControlsUpdateMessage", name="/gizmo_target", wxyz=[1], position=[0]),
+            message(
+                type="TransformControlsUpdateMessage", name="/gizmo_target", wxyz=[1], position=[0]
+            ),
         ],
     )
-    def test_what_is_no_message_is_told_in_a_line(self, sent: bytes, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]):
+    def test_what_is_no_message_is_told_in_a_line(
+        self, sent: bytes, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+    ):
         server = LocalServer(None, "test")
         with joined(server) as socket_, pytest.raises(ConnectionClosed):
             socket_.send(sent)
@@ -201,39 +279,73 @@ class TestMalformedMessages:
         until(lambda: caplog.records)
         server.stop()
         (record,) = [r for r in caplog.records if r.levelname != "DEBUG"]
-        assert record.getMessage().startswith("a page was disconnected, since it sent a malformed message: ") and not record.exc_info
+        assert (
+            record.getMessage().startswith(
+                "a page was disconnected, since it sent a malformed message: "
+            )
+            and not record.exc_info
+        )
         assert "\n" not in record.getMessage() and "Traceback" not in capfd.readouterr().err
 
     @pytest.mark.parametrize("value", ["abc", [1], None])
     def test_a_wrong_value_is_told_in_a_line_and_changes_nothing(
-        self, app: LiveApp, value: object, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+        self,
+        app: LiveApp,
+        value: object,
+        caplog: pytest.LogCaptureFixture,
+        capfd: pytest.CaptureFixture[str],
     ):
-        sliders = {h.label: h for h in app._server.gui._gui_input_handle_from_uuid.values() if isinstance(h, viser.GuiSliderHandle)}
+        sliders = {
+            h.label: h
+            for h in app._server.gui._gui_input_handle_from_uuid.values()
+            if isinstance(h, viser.GuiSliderHandle)
+        }
         gain = sliders["law.gain"]
         with joined(app._server) as socket_:
-            socket_.send(message(type="GuiUpdateMessage", uuid=gain._impl.uuid, updates={"value": value}))
-            until(lambda: gc.collect() >= 0 and caplog.records)  # asyncio tells what a task raised when the task is freed
+            socket_.send(
+                message(type="GuiUpdateMessage", uuid=gain._impl.uuid, updates={"value": value})
+            )
+            # asyncio tells what a task raised when the task is freed
+            until(lambda: gc.collect() >= 0 and caplog.records)
         assert caplog.records[0].getMessage().startswith("a message of a page is without effect: ")
-        assert "Traceback" not in capfd.readouterr().err and gain.value == app.run.scenario.law.gain.value
+        assert (
+            "Traceback" not in capfd.readouterr().err
+            and gain.value == app.run.scenario.law.gain.value
+        )
 
     def test_a_target_at_no_place_is_refused(self, app: LiveApp):
         with joined(app._server) as socket_:
             socket_.send(CAMERA)
-            nowhere = message(type="TransformControlsUpdateMessage", name="/gizmo_target", wxyz=[1, 0, 0, 0], position=[float("nan")] * 3)
+            nowhere = message(
+                type="TransformControlsUpdateMessage",
+                name="/gizmo_target",
+                wxyz=[1, 0, 0, 0],
+                position=[float("nan")] * 3,
+            )
             socket_.send(nowhere)
             until(lambda: "refused" in app.said)
         assert app.run.by_hand == ()
 
-    def test_what_is_no_request_says_nothing_here(self, app: LiveApp, caplog: pytest.LogCaptureFixture):
-        for raw in (b"rubbish\r\n\r\n", b"\x16\x03\x01", b"POST / HTTP/1.1\r\nContent-Length: 3\r\n\r\nabc"):
-            with socket.create_connection(("127.0.0.1", app._server.get_port()), timeout=10) as stranger:
+    def test_what_is_no_request_says_nothing_here(
+        self, app: LiveApp, caplog: pytest.LogCaptureFixture
+    ):
+        for raw in (
+            b"rubbish\r\n\r\n",
+            b"\x16\x03\x01",
+            b"POST / HTTP/1.1\r\nContent-Length: 3\r\n\r\nabc",
+        ):
+            with socket.create_connection(
+                ("127.0.0.1", app._server.get_port()), timeout=10
+            ) as stranger:
                 stranger.sendall(raw)
                 stranger.shutdown(socket.SHUT_WR)
                 assert b"200" not in stranger.recv(100)
         assert not [r for r in caplog.records if r.levelname != "DEBUG"]
 
 
-def test_a_live_run_goes_on_without_pages_and_after_wrong_orders(capsys: pytest.CaptureFixture[str]):
+def test_a_live_run_goes_on_without_pages_and_after_wrong_orders(
+    capsys: pytest.CaptureFixture[str],
+):
     app = LiveApp(Settings("ibvs_book", {"law.gain": 0.2}))
     thread = threading.Thread(target=app.serve)
     thread.start()
@@ -350,7 +462,10 @@ class TestTheCommand:
             other.bind(("127.0.0.1", 0))
             other.listen()
             ended: Ended = command("live", "ibvs_book", "--port", other.getsockname()[1])
-        assert ended.code == 2 and "--port is taken; give another one, or none for a free one" in ended.err
+        assert (
+            ended.code == 2
+            and "--port is taken; give another one, or none for a free one" in ended.err
+        )
 
     def test_without_viser_it_names_the_extra(self, command, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
@@ -365,18 +480,28 @@ class TestTheCommand:
     @pytest.mark.process
     def test_ctrl_c_ends_it(self, tmp_path: Path):
         words = [sys.executable, "-m", "vstestbed", "live", "ibvs_book", "--no-open"]
-        with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        with subprocess.Popen(
+            words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path
+        ) as process:
             try:
                 assert process.stderr is not None
-                lines = iter(process.stderr.readline, "")  # before the address it may say that there is no OpenGL
-                assert any(re.match(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/   ", line) for line in lines)
+                # before the address it may say that there is no OpenGL
+                lines = iter(process.stderr.readline, "")
+                assert any(
+                    re.match(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/   ", line) for line in lines
+                )
                 time.sleep(1.0)  # the run is under way, not its start, when it is interrupted
                 began = time.monotonic()
                 process.send_signal(signal.SIGINT)
                 out, err = process.communicate(timeout=20)
             finally:
                 process.kill()  # else a failure above would wait for it for ever
-        assert process.returncode == 130 and out == "" and err == "interrupted\n" and time.monotonic() - began < 5.0
+        assert (
+            process.returncode == 130
+            and out == ""
+            and err == "interrupted\n"
+            and time.monotonic() - began < 5.0
+        )
         assert not list(tmp_path.iterdir())
 
 
@@ -393,10 +518,17 @@ class TestPlayback:
     def test_its_samples_are_those_of_the_log(self, folder: Path):
         recorded = Recorded(folder)
         first, last = recorded.sample(0), recorded.sample(len(recorded) - 1)
-        assert len(recorded) == 11 and first.film.t == 0.0 and first.verdict is None and last.verdict is not None
+        assert (
+            len(recorded) == 11
+            and first.film.t == 0.0
+            and first.verdict is None
+            and last.verdict is not None
+        )
         assert [recorded.at(t) for t in (-1.0, 0.0, 0.25, 1.0, 99.0)] == [0, 0, 2, 10, 10]
         run = vs.run(recorded.scenario)
-        np.testing.assert_array_equal([recorded.sample(i).twist[0] for i in range(11)], run["applied_vx"])
+        np.testing.assert_array_equal(
+            [recorded.sample(i).twist[0] for i in range(11)], run["applied_vx"]
+        )
         assert first.judged == run["error_px"][0] and first.unit == "px"
 
     def test_it_plays_to_its_end_and_back_while_a_page_is_open(self, folder: Path):
@@ -416,7 +548,9 @@ class TestPlayback:
         thread.join(10)
         assert not thread.is_alive()
 
-    def test_its_words_and_its_picture_are_of_one_frame(self, folder: Path, monkeypatch: pytest.MonkeyPatch):
+    def test_its_words_and_its_picture_are_of_one_frame(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ):
         sent = told_and_drawn(monkeypatch)
         app = PlaybackApp(folder)
         thread = threading.Thread(target=app.serve)

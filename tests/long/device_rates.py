@@ -1,6 +1,8 @@
-"""Rates of `--executor warp`: pictures a second by size, and runs of arm_ibvs beside those whose rays MuJoCo casts on the processor.
+"""Rates of `--executor warp`: pictures a second by size, and runs of arm_ibvs beside those whose
+rays MuJoCo casts on the processor.
 
-Usage: python -m tests.long.device_rates [--runs 1000] [--jobs 16] [--beside 160]. It needs neither OpenGL nor a screen.
+Usage: python -m tests.long.device_rates [--runs 1000] [--jobs 16] [--beside 160]. It needs neither
+OpenGL nor a screen.
 """
 
 from __future__ import annotations
@@ -52,7 +54,9 @@ def pictures(worlds: int, size: tuple[int, int]) -> float:
 
 
 def fly(given: tuple[str, list[int]]) -> dict[str, Any]:
-    """Runs of these seeds, in a worker: outcomes and times to the goal, frames, seconds of the processor and of the clock, memory [MB]."""
+    """Runs of these seeds, in a worker: outcomes and times to the goal, frames, seconds of the
+    processor and of the clock, memory [MB].
+    """
     kind, seeds = given
     from vstestbed.loop.session import run
 
@@ -145,9 +149,23 @@ def main() -> None:
     both = [seed for seed in by_rays if seed in by_warp]
     same = sum(by_rays[seed][0] == by_warp[seed][0] for seed in both)
     period = scenario().camera.period
-    times = [(by_rays[s][1], by_warp[s][1]) for s in both if by_rays[s][1] is not None and by_warp[s][1] is not None]
+    times = [
+        (by_rays[s][1], by_warp[s][1])
+        for s in both
+        if by_rays[s][1] is not None and by_warp[s][1] is not None
+    ]
     near = sum(abs(a - b) <= period + 1e-9 for a, b in times)
-    print(json.dumps({"seeds": len(both), "same outcome": same, "both reached": len(times), "times within one frame": near}), flush=True)
+    print(
+        json.dumps(
+            {
+                "seeds": len(both),
+                "same outcome": same,
+                "both reached": len(times),
+                "times within one frame": near,
+            }
+        ),
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,14 @@
-"""Would a test notice? `python tests/long/mutation.py [--rooms laws tasks vision] [--tests DIR ...] [--sample N] [--seed N] [--jobs N]`.
+"""Would a test notice?
 
-A mutant is the package with one operator, comparison, sign, truth value or number of one file changed. The tests that run the changed line
-should fail; a mutant under which they all pass has survived. Printed are the survivors and the share of mutants that were noticed
-(mutation score; DeMillo, Lipton & Sayward 1978, doi:10.1109/C-M.1978.218136). Which test runs which line is measured once by
-`coverage` and kept in the file `--map`; measure again (delete it) after tests have changed. A part of a room is files with a plus
-between: `vision/pnp.py+vision/homography.py`.
+    python tests/long/mutation.py [--rooms laws tasks vision] [--tests DIR ...] [--sample N]
+        [--seed N] [--jobs N]
+
+A mutant is the package with one operator, comparison, sign, truth value or number of one file
+changed. The tests that run the changed line should fail; a mutant under which they all pass has
+survived. Printed are the survivors and the share of mutants that were noticed (mutation score;
+DeMillo, Lipton & Sayward 1978, doi:10.1109/C-M.1978.218136). Which test runs which line is measured
+once by `coverage` and kept in the file `--map`; measure again (delete it) after tests have changed.
+A part of a room is files with a plus between: `vision/pnp.py+vision/homography.py`.
 """
 
 from __future__ import annotations
@@ -26,13 +30,24 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-TESTS = ("laws", "tasks", "vision", "features", "catalogue", "loop", "robots/test_failsafe.py", "studies/basin")
+TESTS = (
+    "laws",
+    "tasks",
+    "vision",
+    "features",
+    "catalogue",
+    "loop",
+    "robots/test_failsafe.py",
+    "studies/basin",
+)
 """Tests that may notice; the longest runs and the studies are left out."""
 LONGEST_S = 6.0
 CPU_S = 90
 """Processor time of a mutant: one that hangs has been noticed, too [s]."""
 TINY = 1e-5
-"""Numbers up to this are tolerances: they become a million times larger, since no test should depend on half of one."""
+"""Numbers up to this are tolerances: they become a million times larger, since no test should
+depend on half of one.
+"""
 SWAPS: dict[type, type] = {
     ast.Lt: ast.GtE,
     ast.GtE: ast.Lt,
@@ -90,7 +105,9 @@ def mutated(node: ast.AST) -> ast.AST | None:
 
 
 def walk(node: ast.AST) -> Iterator[tuple[ast.AST, str, int | None, ast.AST]]:
-    """Every node below with its parent, the parent's field and the place there; not strings, nor what is only for type checkers."""
+    """Every node below with its parent, the parent's field and the place there; not strings, nor
+    what is only for type checkers.
+    """
     for field, value in ast.iter_fields(node):
         for i, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
             if not isinstance(child, ast.AST) or isinstance(child, ast.JoinedStr):
@@ -115,28 +132,43 @@ def change(tree: ast.Module, index: int | None) -> list[Mutant]:
             else:
                 value[i] = new
             ast.fix_missing_locations(tree)
-        found.append(Mutant("", len(found), child.lineno, f"{ast.unparse(child)}  ->  {ast.unparse(new)}"))
+        found.append(
+            Mutant("", len(found), child.lineno, f"{ast.unparse(child)}  ->  {ast.unparse(new)}")
+        )
     return found
 
 
 def mutants_of(room: str) -> list[Mutant]:
     places = [REPOSITORY / "vstestbed" / place for place in room.split("+")]
-    files = [file for place in places for file in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
-    return [m._replace(file=str(f.relative_to(REPOSITORY))) for f in files for m in change(ast.parse(f.read_text()), None)]
+    files = [
+        file
+        for place in places
+        for file in ([place] if place.is_file() else sorted(place.rglob("*.py")))
+    ]
+    return [
+        m._replace(file=str(f.relative_to(REPOSITORY)))
+        for f in files
+        for m in change(ast.parse(f.read_text()), None)
+    ]
 
 
 class MutatingFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Imports one module from its changed tree."""
 
     def __init__(self, mutant: Mutant):
-        self.mutant, self.name = mutant, mutant.file.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+        self.mutant, self.name = (
+            mutant,
+            mutant.file.removesuffix(".py").replace("/", ".").removesuffix(".__init__"),
+        )
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> Any:
         if name != self.name:
             return None
         file = REPOSITORY / self.mutant.file
         inside = [str(file.parent)] if file.name == "__init__.py" else None
-        return importlib.util.spec_from_file_location(name, file, loader=self, submodule_search_locations=inside)
+        return importlib.util.spec_from_file_location(
+            name, file, loader=self, submodule_search_locations=inside
+        )
 
     def exec_module(self, module: Any) -> None:
         tree = ast.parse((REPOSITORY / self.mutant.file).read_text())
@@ -159,31 +191,58 @@ class LineMap:
 
 
 def measure_map(tests: list[str]) -> dict[str, Any]:
-    """{"seconds": {test: s}, "tests": {file: {line: [test, ...]}}}; lines run at import have no test."""
+    """{"seconds": {test: s}, "tests": {file: {line: [test, ...]}}}; lines run at import have no
+    test.
+    """
     import coverage
     import pytest
 
     cov = coverage.Coverage(data_file=None, source=[str(REPOSITORY / "vstestbed")], branch=False)
     plugin = LineMap(cov)
     cov.start()
-    pytest.main(["-m", "not study", "-q", "-p", "no:cacheprovider", *(str(REPOSITORY / "tests" / t) for t in tests)], plugins=[plugin])
+    pytest.main(
+        [
+            "-m",
+            "not study",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            *(str(REPOSITORY / "tests" / t) for t in tests),
+        ],
+        plugins=[plugin],
+    )
     cov.stop()
     data = cov.get_data()
-    files = {str(Path(f).relative_to(REPOSITORY)): data.contexts_by_lineno(f) for f in data.measured_files()}
-    found = {f: {str(n): [t for t in contexts if t] for n, contexts in lines.items()} for f, lines in files.items()}
+    files = {
+        str(Path(f).relative_to(REPOSITORY)): data.contexts_by_lineno(f)
+        for f in data.measured_files()
+    }
+    found = {
+        f: {str(n): [t for t in contexts if t] for n, contexts in lines.items()}
+        for f, lines in files.items()
+    }
     return {"seconds": plugin.seconds, "tests": found}
 
 
 def tests_for(mutant: Mutant, lines: dict[str, Any]) -> list[str]:
-    """The tests that run its line, quick ones first; for a line run at import those that run any line of the file."""
+    """The tests that run its line, quick ones first; for a line run at import those that run any
+    line of the file.
+    """
     seconds, by_line = lines["seconds"], lines["tests"].get(mutant.file, {})
-    found = set(by_line.get(str(mutant.line), ())) or {t for tests in by_line.values() for t in tests}
+    found = set(by_line.get(str(mutant.line), ())) or {
+        t for tests in by_line.values() for t in tests
+    }
     own = f"tests/{mutant.file.removeprefix('vstestbed/').rpartition('/')[0]}/"
-    return sorted((t for t in found if seconds[t] < LONGEST_S), key=lambda t: (not t.startswith(own), seconds[t]))
+    return sorted(
+        (t for t in found if seconds[t] < LONGEST_S),
+        key=lambda t: (not t.startswith(own), seconds[t]),
+    )
 
 
 def start(mutant: Mutant, tests: list[str]) -> int:
-    """Run the tests on a mutant in a process of its own, which ends with 0 where they all pass; returns its number."""
+    """Run the tests on a mutant in a process of its own, which ends with 0 where they all pass;
+    returns its number.
+    """
     child = os.fork()
     if child:
         return child
@@ -220,7 +279,9 @@ def main() -> None:
     """Sample mutants, run them, print survivors and scores."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", nargs="+", default=["laws", "tasks", "vision"])
-    parser.add_argument("--tests", nargs="+", default=TESTS, help="folders and files of tests that may notice")
+    parser.add_argument(
+        "--tests", nargs="+", default=TESTS, help="folders and files of tests that may notice"
+    )
     parser.add_argument("--sample", type=int, default=100, help="mutants of each room; 0: all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
@@ -235,7 +296,16 @@ def main() -> None:
             os._exit(0)
         os.waitpid(child, 0)
     lines = json.loads(asked.map.read_text())
-    for heavy in ("cv2", "mujoco", "numpy", "polars", "pydantic", "pytest", "scipy.spatial", "spatialmath"):
+    for heavy in (
+        "cv2",
+        "mujoco",
+        "numpy",
+        "polars",
+        "pydantic",
+        "pytest",
+        "scipy.spatial",
+        "spatialmath",
+    ):
         importlib.import_module(heavy)  # shared by all processes
     for room in asked.rooms:
         every = mutants_of(room)
@@ -245,7 +315,13 @@ def main() -> None:
             count += 1
             print(f"  survived  {mutant.file}:{mutant.line}  {mutant.words}", flush=True)
         share = 100 * (1 - count / len(some))
-        print(f"{room}: {len(some) - count} of {len(some)} noticed ({share:.0f} %), of {len(every)} mutants in all", flush=True)
+        print(
+            (
+                f"{room}: {len(some) - count} of {len(some)} noticed ({share:.0f} %),"
+                f" of {len(every)} mutants in all"
+            ),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
-"""Do two checkouts leave the same numbers? `python tests/long/same_numbers.py OLD NEW [SCENARIO ...]`.
+"""Do two checkouts leave the same numbers?
+`python tests/long/same_numbers.py OLD NEW [SCENARIO ...]`.
 
 For before and after a change of structure.
-Every bundled scenario (or those named) runs once in each checkout, and `compare canonical` after them. Printed for each run is whether
-its `log.parquet` is the same bytes, or the same numbers under other column names (`RENAMED`), and whether its summary is the same.
-The exit code is 1 where anything else differs. Results are kept in the folder `--keep`, so that an old checkout need not run again.
+Every bundled scenario (or those named) runs once in each checkout, and `compare canonical` after
+them. Printed for each run is whether its `log.parquet` is the same bytes, or the same numbers under
+other column names (`RENAMED`), and whether its summary is the same. The exit code is 1 where
+anything else differs. Results are kept in the folder `--keep`, so that an old checkout need not run
+again.
 """
 
 from __future__ import annotations
@@ -43,7 +46,14 @@ recording.frame().write_parquet(out / "log.parquet")
 def python_in(checkout: Path, *arguments: str) -> None:
     """Run this interpreter on a checkout's package."""
     environment = os.environ | {"PYTHONPATH": str(checkout), "MUJOCO_GL": "egl"}
-    done = subprocess.run([sys.executable, *arguments], env=environment, cwd="/", capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        env=environment,
+        cwd="/",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if done.returncode not in (0, 3):
         raise SystemExit(f"{checkout}: {' '.join(arguments)[-80:]}\n{done.stderr[-2000:]}")
 
@@ -61,25 +71,44 @@ def canonical(checkout: Path, keep: Path) -> pl.DataFrame:
     """The table of `compare canonical`."""
     out = keep / "compare_canonical"
     if not (out / "comparison.parquet").exists():
-        python_in(checkout, "-m", "vstestbed", "compare", "canonical", "--jobs", "2", "--quiet", "--out", str(out))
+        python_in(
+            checkout,
+            "-m",
+            "vstestbed",
+            "compare",
+            "canonical",
+            "--jobs",
+            "2",
+            "--quiet",
+            "--out",
+            str(out),
+        )
     return pl.read_parquet(out / "comparison.parquet")
 
 
 def renamed(column: str) -> str:
     """The newer name of a column."""
-    return next((new + column[len(old) :] for old, new in RENAMED.items() if column.startswith(old)), column)
+    return next(
+        (new + column[len(old) :] for old, new in RENAMED.items() if column.startswith(old)), column
+    )
 
 
 def same_table(a: pl.DataFrame, b: pl.DataFrame, columns: list[str]) -> list[str]:
     """Names of columns whose numbers differ (NaN is NaN)."""
     lacking = [c for c in columns if renamed(c) not in b.columns and c not in b.columns]
     both = [(c, c if c in b.columns else renamed(c)) for c in columns if c not in lacking]
-    return lacking + [c for c, d in both if len(a) != len(b) or column_bytes(a[c]) != column_bytes(b[d])]
+    return lacking + [
+        c for c, d in both if len(a) != len(b) or column_bytes(a[c]) != column_bytes(b[d])
+    ]
 
 
 def column_bytes(column: pl.Series) -> bytes:
     """The bits of a column, so that -0 is not 0 and NaN is NaN."""
-    return column.to_numpy().tobytes() if column.dtype.is_numeric() else repr(column.to_list()).encode()
+    return (
+        column.to_numpy().tobytes()
+        if column.dtype.is_numeric()
+        else repr(column.to_list()).encode()
+    )
 
 
 def of_the_run(summary: dict[str, Any]) -> dict[str, Any]:
@@ -96,7 +125,11 @@ def verdict(old: Path, new: Path) -> tuple[bool, str]:
         return not words, "; ".join(["the same bytes", *words])
     x, y = pl.read_parquet(old / "log.parquet"), pl.read_parquet(new / "log.parquet")
     differ = same_table(x, y, x.columns)
-    said = f"columns differ: {', '.join(differ)}" if differ else f"the same {x.height} x {x.width} numbers, columns renamed"
+    said = (
+        f"columns differ: {', '.join(differ)}"
+        if differ
+        else f"the same {x.height} x {x.width} numbers, columns renamed"
+    )
     return not differ and not words, "; ".join([said, *words])
 
 
@@ -113,17 +146,25 @@ def main() -> int:
     good = True
     with ThreadPoolExecutor(2) as pool:
         sides = zip((asked.old, asked.new), keeps, strict=True)
-        made = [[pool.submit(run_once, checkout.resolve(), name, keep) for name in names] for checkout, keep in sides]
+        made = [
+            [pool.submit(run_once, checkout.resolve(), name, keep) for name in names]
+            for checkout, keep in sides
+        ]
         for name, old, new in zip(names, *made, strict=True):
             same, words = verdict(old.result(), new.result())
             good &= same
             print(f"{'same' if same else 'DIFFERENT':10} {name:26} {words}", flush=True)
     if not asked.scenarios:
-        a, b = (canonical(c.resolve(), k) for c, k in zip((asked.old, asked.new), keeps, strict=True))
+        a, b = (
+            canonical(c.resolve(), k) for c, k in zip((asked.old, asked.new), keeps, strict=True)
+        )
         columns = [c for c in a.columns if c.split(".")[0] not in OF_THE_CLOCK]
         differ = same_table(a, b, columns)
         good &= not differ
-        print(f"{'DIFFERENT' if differ else 'same':10} compare canonical, {a.height} runs: {', '.join(differ) or 'the same table'}")
+        print(
+            f"{'DIFFERENT' if differ else 'same':10} compare canonical, {a.height} runs:"
+            f" {', '.join(differ) or 'the same table'}"
+        )
     return 0 if good else 1
 
 

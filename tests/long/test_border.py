@@ -1,4 +1,6 @@
-"""200 random starts near the picture's border: who keeps all markers in view, and how far constraints are broken."""
+"""200 random starts near the picture's border: who keeps all markers in view, and how far
+constraints are broken.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ class Edge:
 
 
 class Kept(NamedTuple):
-    """Of all starts: how many kept all markers in view, how many converged, and the largest violation of the margin [px]."""
+    """Of all starts: how many kept all markers in view, how many converged, and the largest
+    violation of the margin [px].
+    """
 
     in_view: int
     converged: int
@@ -50,12 +54,18 @@ class Kept(NamedTuple):
 
 def flown(law: Any, latency_s: float) -> Kept:
     """All starts with one law; the picture has a border that nothing but the law minds."""
-    view = {"detector": {"kind": "oracle", "field_of_view": "unlimited"}, "camera.rate_hz": 25, "stop.duration_s": 40}
+    view = {
+        "detector": {"kind": "oracle", "field_of_view": "unlimited"},
+        "camera.rate_hz": 25,
+        "stop.duration_s": 40,
+    }
     scenario = vs.load("ibvs_book", view | {"camera.latency_s": latency_s})
     edges, converged = [], 0
     for seed in range(STARTS):
         edge = Edge(scenario)
-        recording = vs.run(replace(started_at(scenario, near_the_border(scenario, seed)), law=law), watch=[edge])
+        recording = vs.run(
+            replace(started_at(scenario, near_the_border(scenario, seed)), law=law), watch=[edge]
+        )
         edges.append(edge.least)
         converged += recording.outcome.success
     return Kept(int(np.sum(np.array(edges) > 0)), converged, max(0.0, MARGIN_PX - min(edges)))

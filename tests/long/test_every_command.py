@@ -1,9 +1,12 @@
-"""Every command on every bundled scenario and comparison, in its smallest form: it ends with an outcome, or with a sentence.
+"""Every command on every bundled scenario and comparison, in its smallest form: it ends with an
+outcome, or with a sentence.
 
-Commands, their arguments and options are those of the command line itself, and what an argument may be is what a shell would offer
-for it: a new command, scenario or kind is covered without a word here. Folders that commands leave are given to those that take one.
+Commands, their arguments and options are those of the command line itself, and what an argument may
+be is what a shell would offer for it: a new command, scenario or kind is covered without a word
+here. Folders that commands leave are given to those that take one.
 
-    python -m pytest -s -m study tests/long/test_every_command.py        # VSTESTBED_CODES=FILE keeps the codes, one a line
+    python -m pytest -s -m study tests/long/test_every_command.py
+        # VSTESTBED_CODES=FILE keeps the codes, one a line
 """
 
 from __future__ import annotations
@@ -57,15 +60,21 @@ SMALLEST = {
 VARIED = "stop.lost_after_s=1,2", "stop.lost_after_m=1,2"
 """Fields of every scenario, for the options `--vary`."""
 ANOTHER = {"replay", "identify", "submit"}
-"""Commands that take a bag, a record or a suite's folder besides: no smallest command leaves one, and they have tests of their own."""
+"""Commands that take a bag, a record or a suite's folder besides: no smallest command leaves one,
+and they have tests of their own.
+"""
 GIVEN = {"name": "mine"}
 """Values of required arguments for which a shell offers none."""
 UNTIL_STOPPED = "Ctrl-C ends it"
 """What a command says of itself that runs until it is interrupted."""
 KNOWN_CACHES = re.compile(r"/mesa_shader_cache[^/]*/|/\.nv/|/matplotlib/fontlist-[^/]*\.json$")
-"""What libraries keep in the user's cache, so that the next process starts sooner: a driver's shaders, Matplotlib's list of fonts."""
+"""What libraries keep in the user's cache, so that the next process starts sooner: a driver's
+shaders, Matplotlib's list of fonts.
+"""
 OF_A_LIBRARY = re.compile(r"\w*Warning: |^Exception ignored|^Traceback|^  File ", re.MULTILINE)
-"""What no user is to read on standard error: a warning with its line of code, and the lines of a traceback."""
+"""What no user is to read on standard error: a warning with its line of code, and the lines of a
+traceback.
+"""
 CODES = {0, 2, 3, 4}
 LONGEST_S = 1800.0
 SHOWN = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
@@ -89,7 +98,9 @@ def forms(experiment: str | None) -> Iterator[Form]:
         if command.hidden:
             continue
         context = command.make_context(name, [], resilient_parsing=True)
-        offered = {p: [item.value for item in p.shell_complete(context, "")] for p in command.params}
+        offered = {
+            p: [item.value for item in p.shell_complete(context, "")] for p in command.params
+        }
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         folder = any("DIR" in (p.metavar or "") for p in arguments)
         takes = any(bundled_scenarios().keys() <= set(offered[p]) for p in arguments)
@@ -97,12 +108,18 @@ def forms(experiment: str | None) -> Iterator[Form]:
         choices = [p for p in command.params if p.required and p not in arguments and offered[p]]
         required = [[(p.opts[0], value) for value in offered[p]] for p in choices]
         every = [*itertools.product(*required)]
-        for options in every[-1:] if experiment in bundled_comparisons() else every:  # of many runs one export
+        # of many runs one export
+        for options in every[-1:] if experiment in bundled_comparisons() else every:
             said = (name, *itertools.chain(*options), *_options(command, experiment))
             of_folder = (name, *itertools.chain(*options), *_options(command, None))
             if experiment is None and not (takes or folder):
-                values = [offered[p] + [""] * (not p.required) or [GIVEN[p.name]] for p in arguments]
-                yield from (Form((*said, *filter(None, chosen)), False, **ends) for chosen in itertools.product(*values))
+                values = [
+                    offered[p] + [""] * (not p.required) or [GIVEN[p.name]] for p in arguments
+                ]
+                yield from (
+                    Form((*said, *filter(None, chosen)), False, **ends)
+                    for chosen in itertools.product(*values)
+                )
             elif experiment is not None and folder:
                 yield Form(of_folder, True, **ends)
             if any(experiment in offered[p] for p in arguments) and takes:
@@ -116,18 +133,26 @@ def _options(command: Any, experiment: str | None) -> list[str]:
         wanted, varied = {option: value for option, value in SMALLEST.items() if not value}, ()
     elif experiment in bundled_comparisons():
         plan = read_comparison(bundled_comparisons()[experiment])
-        varied = tuple(f"{path}={json.dumps(values[0])}" for path, values in plan.axes.items())  # of each axis one value
+        # of each axis one value
+        varied = tuple(f"{path}={json.dumps(values[0])}" for path, values in plan.axes.items())
         if plan.tasks:  # in place of seeds
             del wanted["--seeds"]
             wanted["--limit"] = "1"
-    has = {option for p in command.params if p.param_type_name == "option" for option in (*p.opts, *p.secondary_opts)}
+    has = {
+        option
+        for p in command.params
+        if p.param_type_name == "option"
+        for option in (*p.opts, *p.secondary_opts)
+    }
     given = (*wanted.items(), *(("--vary", axis) for axis in varied))
     return [word for option, value in given if option in has for word in (option, value) if word]
 
 
 @contextmanager
 def _interrupted_at_last() -> Iterator[None]:
-    """Ctrl-C half a second after a command has said that it waits for it; and after LONGEST_S, whatever it does."""
+    """Ctrl-C half a second after a command has said that it waits for it; and after LONGEST_S,
+    whatever it does.
+    """
     echo, patch = typer.echo, pytest.MonkeyPatch()
     timers: list[threading.Timer] = []
 
@@ -155,7 +180,9 @@ def _interrupted_at_last() -> Iterator[None]:
 
 @contextmanager
 def _standard_error_of_workers() -> Iterator[Path]:
-    """A file that holds what other processes, and C code, write to standard error, which Python's own stream does not see."""
+    """A file that holds what other processes, and C code, write to standard error, which Python's
+    own stream does not see.
+    """
     before = os.dup(2)
     with tempfile.NamedTemporaryFile() as taken:
         os.dup2(taken.fileno(), 2)
@@ -169,7 +196,11 @@ def _standard_error_of_workers() -> Iterator[Path]:
 def fault(form: Form, words: tuple[str, ...], command: Command) -> tuple[Ended, str]:
     """How a command ended, and what is wrong with it; "" where nothing is."""
     began = time.process_time()
-    with warnings.catch_warnings(record=True) as raised, _interrupted_at_last(), _standard_error_of_workers() as file_of_workers:
+    with (
+        warnings.catch_warnings(record=True) as raised,
+        _interrupted_at_last(),
+        _standard_error_of_workers() as file_of_workers,
+    ):
         warnings.simplefilter("always")
         ended = command(*words)
         below = file_of_workers.read_text(encoding="utf-8", errors="replace")
@@ -184,15 +215,22 @@ def fault(form: Form, words: tuple[str, ...], command: Command) -> tuple[Ended, 
     ]
     said = ", ".join(filter(None, found))
     sentence = ended.err.strip().splitlines()[-1 if ended.code in (0, 3) else 0 :]
-    line = f"{time.process_time() - began:6.1f} s {ended.code} {' '.join(words)}: {' / '.join(sentence)[-300:]} {said and 'FAULT ' + said}"
+    line = (
+        f"{time.process_time() - began:6.1f} s {ended.code} {' '.join(words)}:"
+        f" {' / '.join(sentence)[-300:]} {said and 'FAULT ' + said}"
+    )
     if file := os.environ.get("VSTESTBED_CODES"):
         with Path(file).open("a", encoding="utf-8") as codes_file:
             codes_file.write(line.rstrip() + "\n")
     return ended, f"{' '.join(words)}: {said}: {ended.err[-2000:]}" if said else ""
 
 
-def carried_out(all_forms: Iterator[Form], command: Command) -> dict[tuple[str, ...], tuple[Ended, str]]:
-    """End and fault of each command; those that take a folder get each that the others have left."""
+def carried_out(
+    all_forms: Iterator[Form], command: Command
+) -> dict[tuple[str, ...], tuple[Ended, str]]:
+    """End and fault of each command; those that take a folder get each
+    that the others have left.
+    """
     every, done = list(all_forms), {}
     for form in every:
         if not form.folder:
@@ -211,12 +249,15 @@ def faults(done: dict[tuple[str, ...], tuple[Ended, str]]) -> list[str]:
 
 
 @pytest.mark.parametrize("experiment", where_installed(EXPERIMENTS))
-def test_an_experiment_ends_with_an_outcome_or_a_sentence(experiment: str, command: Command, request: pytest.FixtureRequest) -> None:
+def test_an_experiment_ends_with_an_outcome_or_a_sentence(
+    experiment: str, command: Command, request: pytest.FixtureRequest
+) -> None:
     if experiment in bundled_scenarios():  # the bundled comparisons draw all figures
         request.getfixturevalue("one_figure")
     done = carried_out(forms(experiment), command)
     assert done and faults(done) == []
-    if experiment == "ibvs_book":  # of which each command is for; with the commands' words, so that none can leave the study
+    # of which each command is for; with the commands' words, so that none can leave the study
+    if experiment == "ibvs_book":
         assert {words[0] for words, (ended, _) in done.items() if ended.code in (0, 3, 130)} >= {
             form.words[0] for form in forms(experiment)
         } - ANOTHER
@@ -230,25 +271,51 @@ def test_commands_without_an_experiment_end_with_a_sentence(
         monkeypatch.chdir(tmp_path_factory.mktemp(form.words[0]))  # none meets the files of another
         done[form.words] = fault(form, form.words, command)
     assert faults(done) == []
-    refused = [ended.err for ended, _ in done.values() if ended.code == 2]  # words for several things, which `describe` names
-    assert all(said.endswith("give one of these names\n") for said in refused) and len(refused) < len(done) / 4
+    # words for several things, which `describe` names
+    refused = [ended.err for ended, _ in done.values() if ended.code == 2]
+    assert (
+        all(said.endswith("give one of these names\n") for said in refused)
+        and len(refused) < len(done) / 4
+    )
 
 
-def test_a_command_leaves_nothing_elsewhere(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
-    """Each command in a process of its own, with a home of its own: what it writes is in the current folder, but for known caches."""
+def test_a_command_leaves_nothing_elsewhere(
+    tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]
+) -> None:
+    """Each command in a process of its own, with a home of its own: what it writes is in the
+    current folder, but for known caches.
+    """
     elsewhere, here = tmp_path / "home", tmp_path / "here"
     homes = {name: str(elsewhere / name) for name in HOMES}
     for folder in (*homes.values(), here):
         Path(folder).mkdir(parents=True)
     (here / "net.onnx").write_bytes(linear(np.zeros((8, 6))))
-    policy = "run", "ibvs_book", "--video", "none", "--set", "stop.duration_s=.2", "--set", "law={kind: policy, file: net.onnx}"
-    each = {form.words[:3] if "--to" in form.words else form.words[0]: form for form in (*forms("ibvs_book"), *forms(None))}
+    policy = (
+        "run",
+        "ibvs_book",
+        "--video",
+        "none",
+        "--set",
+        "stop.duration_s=.2",
+        "--set",
+        "law={kind: policy, file: net.onnx}",
+    )
+    each = {
+        form.words[:3] if "--to" in form.words else form.words[0]: form
+        for form in (*forms("ibvs_book"), *forms(None))
+    }
     done = [Form(policy, False, False), *sorted(each.values(), key=lambda form: form.folder)]
     left: dict[str, set[str]] = {}
     for form in done:
-        words = [*vstestbed_process[0], *form.words, *(["runs/ibvs_book/001"] if form.folder else [])]
+        words = [
+            *vstestbed_process[0],
+            *form.words,
+            *(["runs/ibvs_book/001"] if form.folder else []),
+        ]
         before = files_in(elsewhere)
-        process = subprocess.Popen(words, cwd=here, env=vstestbed_process[1] | homes, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            words, cwd=here, env=vstestbed_process[1] | homes, stderr=subprocess.PIPE, text=True
+        )
         assert process.stderr is not None
         if form.until_stopped:
             while UNTIL_STOPPED not in process.stderr.readline():
@@ -256,7 +323,9 @@ def test_a_command_leaves_nothing_elsewhere(tmp_path: Path, vstestbed_process: t
             process.send_signal(signal.SIGINT)
         said = process.stderr.read()
         assert process.wait() in CODES | {130}, said
-        left[" ".join(form.words)] = {name for name in files_in(elsewhere) - before if not KNOWN_CACHES.search(name)}
+        left[" ".join(form.words)] = {
+            name for name in files_in(elsewhere) - before if not KNOWN_CACHES.search(name)
+        }
     assert len(done) > 15 and {words: names for words, names in left.items() if names} == {}
 
 
@@ -265,5 +334,11 @@ def files_in(folder: Path) -> set[str]:
 
 
 def test_no_command_is_left_out() -> None:
-    every = {name for name, command in typer.main.get_command(program()).commands.items() if not command.hidden}  # type: ignore[attr-defined] - a group
-    assert {form.words[0] for experiment in (None, "arm_ibvs") for form in forms(experiment)} == every
+    every = {
+        name
+        for name, command in typer.main.get_command(program()).commands.items()
+        if not command.hidden
+    }  # type: ignore[attr-defined] - a group
+    assert {
+        form.words[0] for experiment in (None, "arm_ibvs") for form in forms(experiment)
+    } == every

@@ -1,4 +1,5 @@
-"""Ten thousand files and two hundred runs, each under a limit of processor time that also ends a loop in compiled code.
+"""Ten thousand files and two hundred runs, each under a limit of processor time that also ends a
+loop in compiled code.
 
 pytest -m study tests/long/test_fuzz.py -s
 """
@@ -30,7 +31,13 @@ def drawn(count: int) -> list[bytes]:
     found: dict[bytes, None] = {}
 
     @seed(1)
-    @settings(max_examples=count, database=None, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=count,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
     @given(raw=cases)
     def collect(raw: bytes) -> None:
         found[raw] = None
@@ -39,8 +46,12 @@ def drawn(count: int) -> list[bytes]:
     return list(found)
 
 
-def in_children(work: Callable[[bytes, Path], str], files: Sequence[bytes], path: Path, cpu_s: float) -> list[str]:
-    """The finding of each file; a child process that takes more than cpu_s [s] for one is ended by the kernel."""
+def in_children(
+    work: Callable[[bytes, Path], str], files: Sequence[bytes], path: Path, cpu_s: float
+) -> list[str]:
+    """The finding of each file; a child process that takes more than cpu_s [s] for one is ended by
+    the kernel.
+    """
     found: list[str] = []
     while len(found) < len(files):
         reads, writes = os.pipe()
@@ -67,7 +78,9 @@ def in_children(work: Callable[[bytes, Path], str], files: Sequence[bytes], path
 
 def faults(all_messages: Sequence[str], files: Sequence[bytes]) -> dict[str, bytes]:
     """An example of each fault."""
-    return {what: raw for what, raw in zip(all_messages, files, strict=True) if what.startswith(FAULT)}
+    return {
+        what: raw for what, raw in zip(all_messages, files, strict=True) if what.startswith(FAULT)
+    }
 
 
 def test_a_child_that_hangs_is_ended(tmp_path: Path) -> None:
@@ -76,7 +89,11 @@ def test_a_child_that_hangs_is_ended(tmp_path: Path) -> None:
             pass
         return "loads"
 
-    assert in_children(hangs, [b"0", b"1", b"2"], tmp_path, 0.2) == ["loads", f"{FAULT}ended by signal {signal.SIGPROF}", "loads"]
+    assert in_children(hangs, [b"0", b"1", b"2"], tmp_path, 0.2) == [
+        "loads",
+        f"{FAULT}ended by signal {signal.SIGPROF}",
+        "loads",
+    ]
 
 
 def test_ten_thousand_files_and_two_hundred_runs(tmp_path: Path) -> None:

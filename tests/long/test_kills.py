@@ -1,7 +1,9 @@
-"""Kill studies: a run or a comparison ended at random moments, by every signal, on a full disk, in poor environments.
+"""Kill studies: a run or a comparison ended at random moments, by every signal, on a full disk, in
+poor environments.
 
-Each ends with the right exit code and without a traceback, and leaves no file that looks finished and is not.
-VSTESTBED_KILLS limits the number of kills of `run`; four tenths of it are those of `compare`.
+Each ends with the right exit code and without a traceback, and leaves no file that looks finished
+and is not. VSTESTBED_KILLS limits the number of kills of `run`; four tenths of it are those of
+`compare`.
 """
 
 from __future__ import annotations
@@ -29,8 +31,26 @@ KILLS = int(os.environ.get("VSTESTBED_KILLS", "100"))
 LAST_S = 4.0
 """Moments of kills are drawn from 0 to this [s]: start-up, run, log, report."""
 RUN = ("run", "quick.yaml", "--video", "none")
-COMPARE = ("compare", "quick.yaml", "--vary", "law.gain=3.0,6.0", "--seeds", "12", "--no-film", "--jobs", "2", "--quiet")
-ENDLESS = ("--set", "stop.duration_s=1000", "--set", "stop.converged.error_px=1e-9", "--set", "noise.pixel_sigma_px=0.1")
+COMPARE = (
+    "compare",
+    "quick.yaml",
+    "--vary",
+    "law.gain=3.0,6.0",
+    "--seeds",
+    "12",
+    "--no-film",
+    "--jobs",
+    "2",
+    "--quiet",
+)
+ENDLESS = (
+    "--set",
+    "stop.duration_s=1000",
+    "--set",
+    "stop.converged.error_px=1e-9",
+    "--set",
+    "noise.pixel_sigma_px=0.1",
+)
 MOODS = ("time_ms.", "wall_time_s", "real_time_factor", "attempts")
 
 Start = Callable[..., "subprocess.Popen[str]"]
@@ -42,7 +62,16 @@ def start(tmp_path: Path, quick: Path, vstestbed_process: Any) -> Start:
 
     def call(*words: str, **more: Any) -> subprocess.Popen[str]:
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        options = {"cwd": tmp_path, "env": vstestbed_process[1], "text": True, "preexec_fn": _heed_hang_up} | streams | more
+        options = (
+            {
+                "cwd": tmp_path,
+                "env": vstestbed_process[1],
+                "text": True,
+                "preexec_fn": _heed_hang_up,
+            }
+            | streams
+            | more
+        )
         return subprocess.Popen([*vstestbed_process[0], *words], **options)
 
     return call
@@ -56,7 +85,8 @@ def _heed_hang_up() -> None:
 def must_be_sound(folder: Path) -> None:
     """Whatever has the name of a finished file can be read to its end."""
     for path in folder.rglob("*.parquet"):
-        assert pl.read_parquet(path).width or path.name == "comparison.parquet"  # of a comparison without a finished run
+        # of a comparison without a finished run
+        assert pl.read_parquet(path).width or path.name == "comparison.parquet"
     for path in folder.rglob("summary.json"):
         assert json.loads(path.read_text(encoding="utf-8"))["outcome"]
         if ".part" not in str(path) and ".running" not in str(path):
@@ -66,11 +96,19 @@ def must_be_sound(folder: Path) -> None:
 
 
 def lasting(folder: Path) -> dict[str, bytes]:
-    """The content of a comparison apart from its times: logs and scenarios as bytes, tables without what depends on the machine."""
-    kept = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.name in ("log.parquet", "scenario.yaml")}
+    """The content of a comparison apart from its times: logs and scenarios as bytes, tables without
+    what depends on the machine.
+    """
+    kept = {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in folder.rglob("*")
+        if p.name in ("log.parquet", "scenario.yaml")
+    }
     kept["comparison.yaml"] = (folder / "comparison.yaml").read_bytes()
     table = pl.read_parquet(folder / "comparison.parquet")
-    kept["table"] = table.drop([c for c in table.columns if c.startswith(MOODS)]).write_csv().encode()
+    kept["table"] = (
+        table.drop([c for c in table.columns if c.startswith(MOODS)]).write_csv().encode()
+    )
     return kept
 
 
@@ -99,7 +137,8 @@ def test_runs_killed_at_any_moment(start: Start, tmp_path: Path):
             try:
                 log = open_log(folder).frame()
             except RunFolderError as error:
-                assert "before its first line does" in str(error)  # killed before its head was written
+                # killed before its head was written
+                assert "before its first line does" in str(error)
             else:
                 assert log["frame"].to_list() == list(range(log.height))
     assert ended < KILLS
@@ -121,8 +160,16 @@ LEAST_LOSS_S, CONGESTION_S = 0.1, 0.1
 
 
 @pytest.mark.parametrize("pause_s", [0.0, 0.02, 0.04, 0.15])
-def test_a_killed_run_loses_a_tenth_of_a_second_at_most(tmp_path: Path, quick: Path, vstestbed_process: Any, pause_s: float):
-    words = [vstestbed_process[0][0], "-c", PACED, str(pause_s), *(w for w in ENDLESS if w != "--set")]
+def test_a_killed_run_loses_a_tenth_of_a_second_at_most(
+    tmp_path: Path, quick: Path, vstestbed_process: Any, pause_s: float
+):
+    words = [
+        vstestbed_process[0][0],
+        "-c",
+        PACED,
+        str(pause_s),
+        *(w for w in ENDLESS if w != "--set"),
+    ]
     lost, printed = [], tmp_path / "printed"
     for i in range(5):
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
@@ -133,7 +180,11 @@ def test_a_killed_run_loses_a_tenth_of_a_second_at_most(tmp_path: Path, quick: P
             process.kill()
             killed = time.time()
             process.wait()
-        came = [float(line.split()[1]) for line in printed.read_text().splitlines() if line.count(".") == 1]
+        came = [
+            float(line.split()[1])
+            for line in printed.read_text().splitlines()
+            if line.count(".") == 1
+        ]
         kept = open_log(tmp_path / "out").frame()
         assert kept["frame"].to_list() == list(range(kept.height))
         lost.append(killed - came[kept.height] if kept.height < len(came) else 0.0)
@@ -162,7 +213,9 @@ def test_comparisons_killed_and_resumed_equal_one_that_was_not(start: Start, tmp
 
 
 def going_on(out: Path) -> tuple[str, ...]:
-    """The words that begin a comparison, or go on with it; one that was killed before its plan was there begins again."""
+    """The words that begin a comparison, or go on with it; one that was killed before its plan was
+    there begins again.
+    """
     if (out / "comparison.yaml").exists():
         return ("compare", "--resume", "--no-film", "--jobs", "2", "--quiet")
     shutil.rmtree(out, ignore_errors=True)
@@ -171,7 +224,9 @@ def going_on(out: Path) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("words", [RUN, COMPARE])
-def test_signals_interrupt_and_keep_what_was_done(start: Start, tmp_path: Path, number: signal.Signals, words: tuple[str, ...]):
+def test_signals_interrupt_and_keep_what_was_done(
+    start: Start, tmp_path: Path, number: signal.Signals, words: tuple[str, ...]
+):
     if words is RUN:
         process = start(*RUN, *ENDLESS, "--out", "out")
         wait_for(lambda: (tmp_path / "out/log.part").exists())
@@ -191,7 +246,13 @@ def test_signals_interrupt_and_keep_what_was_done(start: Start, tmp_path: Path, 
 
 def test_an_ignored_hang_up_is_ignored(start: Start, tmp_path: Path):
     """As under `nohup`."""
-    process = start(*RUN, "--quiet", "--out", "out", preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    process = start(
+        *RUN,
+        "--quiet",
+        "--out",
+        "out",
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    )
     wait_for(lambda: (tmp_path / "out").exists())
     process.send_signal(signal.SIGHUP)
     assert process.wait() == 0
@@ -199,9 +260,17 @@ def test_an_ignored_hang_up_is_ignored(start: Start, tmp_path: Path):
 
 @pytest.mark.parametrize("words", [RUN, COMPARE])
 @pytest.mark.parametrize("kilobytes", [2, 20, 60])
-def test_files_that_may_not_grow(start: Start, tmp_path: Path, words: tuple[str, ...], kilobytes: int):
+def test_files_that_may_not_grow(
+    start: Start, tmp_path: Path, words: tuple[str, ...], kilobytes: int
+):
     limit = (1000 * kilobytes, 1000 * kilobytes)
-    process = start(*words, *ENDLESS, "--out", "out", preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit))
+    process = start(
+        *words,
+        *ENDLESS,
+        "--out",
+        "out",
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit),
+    )
     _, err = process.communicate(timeout=300)
     assert process.returncode == 4, err
     assert "no space left on the disk; free some, or choose another place" in err
@@ -228,10 +297,13 @@ def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
 
 @pytest.mark.parametrize("words", [RUN, ("run", "quick.yaml"), COMPARE])
 @pytest.mark.parametrize("kilobytes", [8, 48, 52, 64, 400])
-def test_a_full_disk(start: Start, disk: Callable[[int], Path], words: tuple[str, ...], kilobytes: int):
+def test_a_full_disk(
+    start: Start, disk: Callable[[int], Path], words: tuple[str, ...], kilobytes: int
+):
     out = disk(kilobytes) / "out"
     process = start(*words, *ENDLESS, "--out", str(out))
-    _, err = process.communicate(timeout=120)  # at once: not after runs of minutes, done in vain where another disk has space
+    # at once: not after runs of minutes, done in vain where another disk has space
+    _, err = process.communicate(timeout=120)
     assert process.returncode == 4, err
     assert "free some" in err
     assert "Traceback" not in err
@@ -242,16 +314,30 @@ def test_a_full_disk(start: Start, disk: Callable[[int], Path], words: tuple[str
     ("changes", "detector"),
     [
         ({}, "oracle"),  # `env -i`: neither HOME nor a locale
-        ({"HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none", "MPLCONFIGDIR": "/proc/none"}, "oracle"),
+        (
+            {"HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none", "MPLCONFIGDIR": "/proc/none"},
+            "oracle",
+        ),
         ({"LC_ALL": "C", "PYTHONIOENCODING": "ascii"}, "oracle"),
         ({"MUJOCO_GL": "osmesa"}, "blobs"),
         ({"MUJOCO_GL": "glfw"}, "blobs"),
         ({"MUJOCO_GL": "nonsense"}, "blobs"),
     ],
 )
-def test_poor_environments(start: Start, tmp_path: Path, vstestbed_process: Any, changes: dict[str, str], detector: str):
+def test_poor_environments(
+    start: Start, tmp_path: Path, vstestbed_process: Any, changes: dict[str, str], detector: str
+):
     environment = {"PYTHONPATH": vstestbed_process[1]["PYTHONPATH"]} | changes
-    process = start(*RUN, "--set", f"detector={detector}", "--set", "stop.duration_s=0.4", "--out", "out", env=environment)
+    process = start(
+        *RUN,
+        "--set",
+        f"detector={detector}",
+        "--set",
+        "stop.duration_s=0.4",
+        "--out",
+        "out",
+        env=environment,
+    )
     _, err = process.communicate(timeout=300)
     assert process.returncode in (3, 4) and (process.returncode == 3 or detector == "blobs"), err
     assert "Traceback" not in err

@@ -1,4 +1,6 @@
-"""The arm with industrial servos and rendered pictures meets each nuisance of calibration and of time, and arrives."""
+"""The arm with industrial servos and rendered pictures meets each nuisance of calibration and of
+time, and arrives.
+"""
 
 import numpy as np
 import pytest
@@ -8,14 +10,20 @@ import vstestbed as vs
 MOUNTED = {"camera.mount": {"xyz": [0.03, -0.02, 0.08], "rpy_deg": [5, -5, 20]}}
 MET = {
     "a mount that is known": MOUNTED,
-    "a mount known wrong": MOUNTED | {"calibration.mount_error": {"xyz": [0.02, 0, 0.01], "rpy_deg": [5, 5, 15]}},
-    "a focal length known wrong, goal shown": {"calibration": {"focal_error": 0.1, "goal": "shown"}},
+    "a mount known wrong": MOUNTED
+    | {"calibration.mount_error": {"xyz": [0.02, 0, 0.01], "rpy_deg": [5, 5, 15]}},
+    "a focal length known wrong, goal shown": {
+        "calibration": {"focal_error": 0.1, "goal": "shown"}
+    },
     "a distortion not known, goal shown": {
         "camera.distortion": [-0.2, 0.05, 0, 0, 0],
         "calibration": {"ignores_distortion": True, "goal": "shown"},
     },
     "motion blur": {"timing": {"exposure_s": 0.02}},
-    "latency that jitters": {"camera.latency_s": 0.04, "timing": {"latency_jitter_s": 0.02, "jitter": "normal"}},
+    "latency that jitters": {
+        "camera.latency_s": 0.04,
+        "timing": {"latency_jitter_s": 0.02, "jitter": "normal"},
+    },
     "lost pictures": {"timing.drop_probability": 0.3},
     "late commands": {"timing.command_latency_s": 0.06},
     "exposures that jitter": {"timing.exposure_jitter_s": 0.008},
@@ -32,7 +40,8 @@ def test_the_arm_arrives(nuisance):
         f"{1e3 * m['final_position_error_m']:.1f} mm, {m['final_rotation_error_deg']:.2f} deg",
     )
     assert r.outcome is vs.Outcome.converged
-    # .2 px of the stop test is .4 mm along the axis, sideways with tilt three times that (README: 1.26 mm, .09 degrees at worst).
+    # .2 px of the stop test is .4 mm along the axis, sideways with tilt three times that (README:
+    # 1.26 mm, .09 degrees at worst).
     assert r["position_error_m"][-1] < 2e-3 and np.degrees(r["rotation_error_rad"][-1]) < 0.15
 
 
@@ -46,10 +55,11 @@ def test_a_goal_told_in_metres_is_missed_by_the_error_of_the_focal_length():
 @pytest.mark.study
 @pytest.mark.parametrize("seed", range(10))
 def test_decoys_that_wander_before_the_target_steal_nothing(seed):
-    """Six balls of the markers' size and hues, two of them of one hue, wander just before the board for the whole run.
+    """Six balls of the markers' size and hues, two of them of one hue, wander just before the board
+    for the whole run.
 
-    What geometry can rule out: of four markers, one that is elsewhere while the other three are right (3 px, and 3 % of the
-    target's 200 px and more). Three fit a pose wherever they are.
+    What geometry can rule out: of four markers, one that is elsewhere while the other three are
+    right (3 px, and 3 % of the target's 200 px and more). Three fit a pose wherever they are.
     """
     rng = np.random.default_rng(seed)
     decoys = [
@@ -67,11 +77,14 @@ def test_decoys_that_wander_before_the_target_steal_nothing(seed):
         for hue in (0, 90, 180, 270, 0, 180)
     ]
     r = vs.run(vs.load("arm_ibvs", {"world.decoys": decoys}).randomised(seed))
-    off = np.column_stack([np.hypot(r[f"u_{i}"] - r[f"u_true_{i}"], r[f"v_{i}"] - r[f"v_true_{i}"]) for i in range(4)])
+    off = np.column_stack(
+        [np.hypot(r[f"u_{i}"] - r[f"u_true_{i}"], r[f"v_{i}"] - r[f"v_true_{i}"]) for i in range(4)]
+    )
     right = np.count_nonzero(off < 3, axis=1)
     stolen, misled = (off > 10).any(axis=1) & (right == 3), (off > 10).any(axis=1)
     print(
-        f"{seed} {r.outcome.name} {r['t'][-1]:.1f} s, all four {np.mean(np.isfinite(off).all(axis=1)):.2f}, stolen {stolen.sum()},"
+        f"{seed} {r.outcome.name} {r['t'][-1]:.1f} s,"
+        f" all four {np.mean(np.isfinite(off).all(axis=1)):.2f}, stolen {stolen.sum()},"
         f" three or fewer misled {misled.sum()} of {len(off)}"
     )
     assert r.outcome is vs.Outcome.converged

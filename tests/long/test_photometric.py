@@ -1,4 +1,6 @@
-"""How far the photometric law reaches, beside that of points, and what light and an obstacle do to it. With -s it prints the tables."""
+"""How far the photometric law reaches, beside that of points, and what light and an obstacle do to
+it. With -s it prints the tables.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,13 @@ pytestmark = pytest.mark.study
 
 LATERAL_M = (0.0, 0.03, 0.06, 0.09, 0.12)
 TURN_DEG = (0, 10, 20, 30, 45)
-SMALL = {"camera.width": 160, "camera.height": 120, "camera.focal_length_m": 0.00435, "law.margin_px": 5, "stop.duration_s": 12}
+SMALL = {
+    "camera.width": 160,
+    "camera.height": 120,
+    "camera.focal_length_m": 0.00435,
+    "law.margin_px": 5,
+    "stop.duration_s": 12,
+}
 LAWS = {
     "as printed, without blur": SMALL | {"law.smooth_px": 0.0},
     "as printed, blur 1.5 px": SMALL,
@@ -44,22 +52,37 @@ TROUBLES: dict[str, dict[str, object]] = {
 
 
 def _ends(settings: dict[str, object]) -> tuple[bool, float]:
-    """Whether a run reached its goal by its own judgement and by the truth, and its distance from there [m]."""
+    """Whether a run reached its goal by its own judgement and by the truth, and its distance from
+    there [m].
+    """
     r = vs.run(vs.load("camera_photometric", settings))
     far = float(r["position_error_m"][-1])
     return r.outcome.success and far < 5e-3, far
 
 
 def test_basin() -> None:
-    """Lateral displacement (down) and turn about the optical axis (across); smoothing, or the pyramid, reaches farther."""
+    """Lateral displacement (down) and turn about the optical axis (across); smoothing, or the
+    pyramid, reaches farther.
+    """
     share = {}
     for name, settings in LAWS.items():
         reached = [
-            [_ends({**settings, "robot.start.nominal": {"xyz": [x, 0, -1.0], "rpy_deg": [0, 0, turn]}})[0] for turn in TURN_DEG]
+            [
+                _ends(
+                    {
+                        **settings,
+                        "robot.start.nominal": {"xyz": [x, 0, -1.0], "rpy_deg": [0, 0, turn]},
+                    }
+                )[0]
+                for turn in TURN_DEG
+            ]
             for x in LATERAL_M
         ]
         share[name] = float(np.mean(reached))
-        print(f"\n{name}: {share[name]:.0%} of {len(LATERAL_M) * len(TURN_DEG)}; turn {TURN_DEG} deg across")
+        print(
+            f"\n{name}: {share[name]:.0%} of {len(LATERAL_M) * len(TURN_DEG)};"
+            f" turn {TURN_DEG} deg across"
+        )
         for x, row in zip(LATERAL_M, reached, strict=True):
             print(f"  {100 * x:4.0f} cm  {'  '.join('.#'[int(ok)] for ok in row)}")
     assert share["points"] == 1
@@ -68,11 +91,19 @@ def test_basin() -> None:
 
 
 def test_light_and_obstacles() -> None:
-    """Least squares fail under a moving shadow and behind a plate, the M-estimator does not; other light at teaching breaks all."""
+    """Least squares fail under a moving shadow and behind a plate, the M-estimator does not; other
+    light at teaching breaks all.
+    """
     far: dict[str, dict[str, float]] = {}
     for robust in ("none", "huber", "tukey"):
-        far[robust] = {name: _ends({**NEAR, "law.robust": robust, **trouble})[1] for name, trouble in TROUBLES.items()}
-        print(f"\n{robust}: " + ", ".join(f"{name} {1e3 * d:.2f} mm" for name, d in far[robust].items()))
+        far[robust] = {
+            name: _ends({**NEAR, "law.robust": robust, **trouble})[1]
+            for name, trouble in TROUBLES.items()
+        }
+        print(
+            f"\n{robust}: "
+            + ", ".join(f"{name} {1e3 * d:.2f} mm" for name, d in far[robust].items())
+        )
     assert far["none"]["moving shadow"] > 10e-3
     assert far["tukey"]["moving shadow"] < 2e-3
     assert far["none"]["plate before the poster"] > 20e-3

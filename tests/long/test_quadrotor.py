@@ -1,4 +1,6 @@
-"""The quadrotor from 20 random starts each, from rendered pictures and noisy instruments; one line a start (-s shows them)."""
+"""The quadrotor from 20 random starts each, from rendered pictures and noisy instruments; one line
+a start (-s shows them).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ SEEDS = range(20)
 
 
 def fly(name: str, seed: int, **settings: Any) -> tuple[Recording, dict[str, Any]]:
-    """One run, printed in a line; its time is that to converge, of runs that do not the whole one."""
+    """One run, printed in a line; its time is that to converge,
+    of runs that do not the whole one.
+    """
     recording = vs.run(vs.load(name, settings, seed=seed))
     m = recording.summary()
     where = f"{m['final_position_error_m']:.4f} m {m['final_rotation_error_deg']:.3f} deg"
@@ -35,7 +39,12 @@ def fly(name: str, seed: int, **settings: Any) -> tuple[Recording, dict[str, Any
 @pytest.mark.parametrize("name", ["quadrotor_hover", "quadrotor_perspective"])
 def test_it_arrives_and_touches_nothing(name):
     runs = [fly(name, seed)[1] for seed in SEEDS]
-    there = [m["outcome"] == "converged" and m["final_position_error_m"] < 0.05 and m["final_rotation_error_deg"] < 1 for m in runs]
+    there = [
+        m["outcome"] == "converged"
+        and m["final_position_error_m"] < 0.05
+        and m["final_rotation_error_deg"] < 1
+        for m in runs
+    ]
     assert sum(there) >= 19
     assert not any(m["outcome"] == "collided" for m in runs)
 
@@ -51,7 +60,12 @@ def test_it_holds_for_a_minute():
 
 def test_derotation_takes_the_overshoot_away():
     over = {
-        kind: np.array([fly("quadrotor_aggressive", seed, derotation=kind)[1]["feature_overshoot"] for seed in SEEDS])
+        kind: np.array(
+            [
+                fly("quadrotor_aggressive", seed, derotation=kind)[1]["feature_overshoot"]
+                for seed in SEEDS
+            ]
+        )
         for kind in ("none", "exact", "first_order", "as_printed")
     }
     for kind, o in over.items():
@@ -78,5 +92,9 @@ def test_gusts_blow_it_off_and_it_comes_back():
 
 
 def test_it_lands_on_a_car_that_drives_a_circle():
-    runs = [fly("quadrotor_land", seed, **{"target.motion.speed_mps": (0.5, 0.75, 1.0)[seed % 3]})[1] for seed in SEEDS]
-    assert sum(m["outcome"] == "landed" for m in runs) >= 18  # within pad_m = .2 m at under touch_mps = .5 m/s
+    runs = [
+        fly("quadrotor_land", seed, **{"target.motion.speed_mps": (0.5, 0.75, 1.0)[seed % 3]})[1]
+        for seed in SEEDS
+    ]
+    # within pad_m = .2 m at under touch_mps = .5 m/s
+    assert sum(m["outcome"] == "landed" for m in runs) >= 18

@@ -1,8 +1,10 @@
-"""Every bundled scenario by OpenGL and by rays: the same pictures lost, the same outcome, the same time to converge.
+"""Every bundled scenario by OpenGL and by rays: the same pictures lost, the same outcome, the same
+time to converge.
 
-Run with `-m study -s` for one line a scenario. Where the error stays near the stop tolerance, as the noise of single pixels is, the
-time to converge depends on rounding by one renderer alone. There the times of each renderer's runs are taken whose target is moved by
-some micrometres, or whose tolerance is a little larger or smaller, and their ranges must overlap.
+Run with `-m study -s` for one line a scenario. Where the error stays near the stop tolerance, as
+the noise of single pixels is, the time to converge depends on rounding by one renderer alone. There
+the times of each renderer's runs are taken whose target is moved by some micrometres, or whose
+tolerance is a little larger or smaller, and their ranges must overlap.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ def moved(scenario: vs.Scenario, dx: float) -> vs.Scenario:
     """The same with its target moved along x [m]."""
     pose = scenario.target.pose
     x, y, z = pose.xyz
-    target = dataclasses.replace(scenario.target, pose=dataclasses.replace(pose, xyz=(x + dx, y, z)))
+    target = dataclasses.replace(
+        scenario.target, pose=dataclasses.replace(pose, xyz=(x + dx, y, z))
+    )
     return dataclasses.replace(scenario, target=target)
 
 
@@ -37,13 +41,20 @@ def tolerant(scenario: vs.Scenario, factor: float) -> vs.Scenario:
     """The same with another stop tolerance."""
     names = ("error_px", "position_m", "rotation_deg")
     converged = scenario.stop.converged
-    limits = {name: value * factor for name in names if (value := getattr(converged, name)) is not None}
-    return dataclasses.replace(scenario, stop=dataclasses.replace(scenario.stop, converged=dataclasses.replace(converged, **limits)))
+    limits = {
+        name: value * factor for name in names if (value := getattr(converged, name)) is not None
+    }
+    return dataclasses.replace(
+        scenario,
+        stop=dataclasses.replace(scenario.stop, converged=dataclasses.replace(converged, **limits)),
+    )
 
 
 def nearly(scenario: vs.Scenario) -> list[vs.Scenario]:
     """Scenarios that nobody could tell from this one by a picture."""
-    return [moved(scenario, dx) for dx in MOVES_M] + [tolerant(scenario, factor) for factor in TOLERANCES]
+    return [moved(scenario, dx) for dx in MOVES_M] + [
+        tolerant(scenario, factor) for factor in TOLERANCES
+    ]
 
 
 def converged_after(r: vs.Recording) -> float:
@@ -54,7 +65,10 @@ def converged_after(r: vs.Recording) -> float:
 
 def line(renderer: str, r: vs.Recording) -> str:
     s = r.summary()
-    return f"{renderer}: lost {s['frames_lost']} of {s['frames']}, {s['outcome']}, converged after {s['time_to_converge_s']} s"
+    return (
+        f"{renderer}: lost {s['frames_lost']} of {s['frames']}, {s['outcome']},"
+        f" converged after {s['time_to_converge_s']} s"
+    )
 
 
 @pytest.mark.study
@@ -68,8 +82,14 @@ def test_the_renderer_does_not_change_the_experiment(name: str) -> None:
     times = [[converged_after(r)] for r in (by_gl, by_rays)]
     if abs(times[1][0] - times[0][0]) > slack:
         for of, renderer in zip(times, ("gl", "rays"), strict=True):
-            of += [converged_after(vs.run(other)) for other in nearly(vs.load(name, {"camera.renderer": renderer}))]
-            words += f" | {renderer}, target or tolerance changed a little: {np.nanmin(of):.2f} to {np.nanmax(of):.2f} s"
+            of += [
+                converged_after(vs.run(other))
+                for other in nearly(vs.load(name, {"camera.renderer": renderer}))
+            ]
+            words += (
+                f" | {renderer}, target or tolerance changed a little:"
+                f" {np.nanmin(of):.2f} to {np.nanmax(of):.2f} s"
+            )
     print(words, flush=True)
     assert by_gl.outcome is by_rays.outcome
     lost = [r["t"][r["lost"].astype(bool)] for r in (by_gl, by_rays)]

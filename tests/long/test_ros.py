@@ -1,4 +1,6 @@
-"""Nodes in processes of their own: over zenoh and, where its packages are installed, over rclpy; killed, and stopped."""
+"""Nodes in processes of their own: over zenoh and, where its packages are installed, over rclpy;
+killed, and stopped.
+"""
 
 import json
 import signal
@@ -24,8 +26,19 @@ def started(*arguments):
 
 
 def test_two_processes_converge_over_zenoh(tmp_path):
-    law = started("--role", "law", "--start", "--backend", "zenoh", "--listen", "tcp/127.0.0.1:17460")
-    robot = started("--role", "robot", "--backend", "zenoh", "--connect", "tcp/127.0.0.1:17460", "--out", str(tmp_path / "run"))
+    law = started(
+        "--role", "law", "--start", "--backend", "zenoh", "--listen", "tcp/127.0.0.1:17460"
+    )
+    robot = started(
+        "--role",
+        "robot",
+        "--backend",
+        "zenoh",
+        "--connect",
+        "tcp/127.0.0.1:17460",
+        "--out",
+        str(tmp_path / "run"),
+    )
     try:
         words = robot.communicate(timeout=120)[1]
     finally:
@@ -41,7 +54,9 @@ def test_two_processes_converge_over_rclpy(tmp_path):
     law, robot = started("--role", "law", "--start", "--backend", "rclpy"), None
     try:
         time.sleep(5)  # discovery
-        robot = started("--role", "robot", "--backend", "rclpy", "--truth", "--out", str(tmp_path / "run"))
+        robot = started(
+            "--role", "robot", "--backend", "rclpy", "--truth", "--out", str(tmp_path / "run")
+        )
         heard = heard_by_ros(robot)
         words = robot.communicate(timeout=200)[1]
     finally:
@@ -74,7 +89,9 @@ def heard_by_ros(robot):
     def listen(topic, path):
         package, part, name = path.split(".")
         kind = getattr(importlib.import_module(f"{package}.{part}"), name)
-        node.create_subscription(kind, topic, lambda _: heard.update({topic: heard.get(topic, 0) + 1}), 10)
+        node.create_subscription(
+            kind, topic, lambda _: heard.update({topic: heard.get(topic, 0) + 1}), 10
+        )
 
     for topic, path in OF_ROS.items():
         listen(topic, path)
@@ -87,12 +104,35 @@ def heard_by_ros(robot):
 
 @pytest.mark.parametrize("number", range(10))
 def test_a_robot_whose_law_is_killed_stops_within_its_watchdog(number, tmp_path):
-    """The true speed of all joints falls to nothing within the watchdog's time and the quarter second in which the arm stops."""
+    """The true speed of all joints falls to nothing within the watchdog's time and the quarter
+    second in which the arm stops.
+    """
     port = 17470 + number
-    law = started("--role", "law", "--start", "--backend", "zenoh", "--listen", f"tcp/127.0.0.1:{port}")
+    law = started(
+        "--role", "law", "--start", "--backend", "zenoh", "--listen", f"tcp/127.0.0.1:{port}"
+    )
     out = tmp_path / "run"
-    sets = ["--set", "stop.duration_s=4", "--set", "stop.rest_after_s=null", "--watchdog", "0.3", "--pace", "wall"]
-    robot = started("--role", "robot", "--backend", "zenoh", "--connect", f"tcp/127.0.0.1:{port}", "--out", str(out), *sets)
+    sets = [
+        "--set",
+        "stop.duration_s=4",
+        "--set",
+        "stop.rest_after_s=null",
+        "--watchdog",
+        "0.3",
+        "--pace",
+        "wall",
+    ]
+    robot = started(
+        "--role",
+        "robot",
+        "--backend",
+        "zenoh",
+        "--connect",
+        f"tcp/127.0.0.1:{port}",
+        "--out",
+        str(out),
+        *sets,
+    )
     try:
         while not (out / "log.part").exists():
             time.sleep(0.05)
@@ -114,13 +154,26 @@ def test_a_robot_whose_law_is_killed_stops_within_its_watchdog(number, tmp_path)
 def test_a_law_whose_robot_is_killed_sends_zero_within_its_watchdog(number, tmp_path):
     port = 17490 + number
     sets = ["--set", "stop.duration_s=60", "--pace", "wall", "--out", str(tmp_path / "run")]
-    robot = started("--role", "robot", "--backend", "zenoh", "--listen", f"tcp/127.0.0.1:{port}", *sets)
+    robot = started(
+        "--role", "robot", "--backend", "zenoh", "--listen", f"tcp/127.0.0.1:{port}", *sets
+    )
     law, twists = None, []
     try:
         with connected("listener", "zenoh", listen=[f"tcp/127.0.0.1:{port + 100}"]) as link:
-            link.subscribe("/servo_node/delta_twist_cmds", m.TWIST, lambda message: twists.append((time.monotonic(), m.twist_of(message))))
-            ends = ["--connect", f"tcp/127.0.0.1:{port}", "--connect", f"tcp/127.0.0.1:{port + 100}"]
-            law = started("--role", "law", "--start", "--backend", "zenoh", "--watchdog", "0.3", *ends)
+            link.subscribe(
+                "/servo_node/delta_twist_cmds",
+                m.TWIST,
+                lambda message: twists.append((time.monotonic(), m.twist_of(message))),
+            )
+            ends = [
+                "--connect",
+                f"tcp/127.0.0.1:{port}",
+                "--connect",
+                f"tcp/127.0.0.1:{port + 100}",
+            ]
+            law = started(
+                "--role", "law", "--start", "--backend", "zenoh", "--watchdog", "0.3", *ends
+            )
             while len(twists) < 20:
                 time.sleep(0.05)
             robot.kill()
@@ -135,23 +188,41 @@ def test_a_law_whose_robot_is_killed_sends_zero_within_its_watchdog(number, tmp_
 
 
 def test_nothing_moves_after_a_stop_by_the_service(tmp_path):
-    law = started("--role", "law", "--start", "--backend", "zenoh", "--listen", "tcp/127.0.0.1:17455")
+    law = started(
+        "--role", "law", "--start", "--backend", "zenoh", "--listen", "tcp/127.0.0.1:17455"
+    )
     out = tmp_path / "run"
     sets = ["--set", "stop.duration_s=5", "--pace", "wall", "--out", str(out)]
-    robot = started("--role", "robot", "--backend", "zenoh", "--connect", "tcp/127.0.0.1:17455", *sets)
+    robot = started(
+        "--role", "robot", "--backend", "zenoh", "--connect", "tcp/127.0.0.1:17455", *sets
+    )
     try:
         while not (out / "log.part").exists():
             time.sleep(0.05)
         time.sleep(1.5)
         done = subprocess.run(
-            [*VSTESTBED, "--role", "stop", "--backend", "zenoh", "--connect", "tcp/127.0.0.1:17455"], capture_output=True, text=True
+            [
+                *VSTESTBED,
+                "--role",
+                "stop",
+                "--backend",
+                "zenoh",
+                "--connect",
+                "tcp/127.0.0.1:17455",
+            ],
+            capture_output=True,
+            text=True,
         )
         robot.communicate(timeout=60)
     finally:
         law.kill()
         robot.kill()
     assert "vstestbed_law: asked to stop" in done.stdout
-    speed = np.abs(pl.read_parquet(out / "log.parquet").select([f"qd_joint_{i}" for i in range(1, 7)]).to_numpy()).max(axis=1)
+    speed = np.abs(
+        pl.read_parquet(out / "log.parquet")
+        .select([f"qd_joint_{i}" for i in range(1, 7)])
+        .to_numpy()
+    ).max(axis=1)
     assert speed.max() > 0.05 and speed[-25:].max() < 1e-3
 
 
@@ -164,19 +235,30 @@ TRUTHS = {
 
 @pytest.mark.parametrize("robot", TRUTHS)
 def test_known_parameters_are_found_within_their_intervals(robot):
-    """Of 20 robots with drawn parameters, latencies and noise, each parameter is in its 95 % interval in 19 on the mean: in 18 at least."""
+    """Of 20 robots with drawn parameters, latencies and noise, each parameter is in its 95 %
+    interval in 19 on the mean: in 18 at least.
+    """
     base, inside = vs.load(robot), []
     for seed in range(20):
         rng = np.random.default_rng([seed, len(robot)])
         latency = round(float(rng.uniform(0.0, 0.1)) / base.clock[0]) * base.clock[0]
         true = {name: float(rng.uniform(*ends)) for name, ends in TRUTHS[robot].items()}
-        given = {"timing.command_latency_s": latency, "camera.latency_s": float(rng.uniform(0, 0.08)), "noise.pixel_sigma_px": 0.3}
-        given |= {name: [value * v for v in base.robot.servo_kv] if name == "robot.servo_kv" else value for name, value in true.items()}
+        given = {
+            "timing.command_latency_s": latency,
+            "camera.latency_s": float(rng.uniform(0, 0.08)),
+            "noise.pixel_sigma_px": 0.3,
+        }
+        given |= {
+            name: [value * v for v in base.robot.servo_kv] if name == "robot.servo_kv" else value
+            for name, value in true.items()
+        }
         scenario = vs.load(robot, {**given, "detector": "oracle"}).with_seed(seed + 1)
         found = idn.identify(idn.fly(scenario, idn.motion_of(scenario)), base)
         told = zip(found.parameters, found.values, found.half, strict=True)
         true |= {idn.COMMAND_LATENCY: latency}
-        inside.append({p.field: abs(v - true[p.field]) <= half for p, v, half in told if p.field in true})
+        inside.append(
+            {p.field: abs(v - true[p.field]) <= half for p, v, half in told if p.field in true}
+        )
     table = pl.DataFrame(inside)
     counts = {name: int(table[name].sum()) for name in table.columns}
     assert min(counts.values()) >= 18, counts

@@ -1,7 +1,7 @@
 """A run of a day: its memory grows by the rows of its log alone.
 
-`VSTESTBED_SOAK_HOURS=24 python -m pytest -m study -s tests/long/test_soak.py` simulates so many hours (by default one) by rays and
-prints the slope.
+`VSTESTBED_SOAK_HOURS=24 python -m pytest -m study -s tests/long/test_soak.py` simulates so many
+hours (by default one) by rays and prints the slope.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from vstestbed.loop.log_file import open_log
 
 HOURS = float(os.environ.get("VSTESTBED_SOAK_HOURS", "1"))
 MOST_GROWTH_MB = 10.0
-"""An hour of simulated time may cost this much memory: the rows of the log, 18,000 of 62 numbers, are 9 MB."""
+"""An hour of simulated time may cost this much memory: the rows of the log, 18,000 of 62 numbers,
+are 9 MB.
+"""
 SOAK = """
 import sys
 import numpy as np, vstestbed as vs
@@ -52,7 +54,12 @@ print(np.polyfit(t[settled], mb[settled], 1)[0], mb[settled].min(), mb.max())
 
 @pytest.mark.study
 def test_memory_does_not_grow_with_the_time(tmp_path: Path):
-    done = subprocess.run([sys.executable, "-c", SOAK, str(tmp_path / "run"), str(HOURS)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", SOAK, str(tmp_path / "run"), str(HOURS)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     slope, least, most = map(float, done.stdout.split())
     print(f"{HOURS:g} h: {slope:.2f} MB an hour, {least:.0f} to {most:.0f} MB")
     assert len(open_log(tmp_path / "run")) == round(HOURS * 3600 * 5) + 1

@@ -1,4 +1,6 @@
-"""The fence, for every bundled scenario: whatever judge and log are told to be true, the same is seen, asked for and commanded."""
+"""The fence, for every bundled scenario: whatever judge and log are told to be true, the same is
+seen, asked for and commanded.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ OF_PICTURES = "keypoints", "patch", "region", "none"
 
 
 def corrupted(truth: Truth, rng: np.random.Generator) -> Truth:
-    """The same with garbage in every field but the oracle's: poses moved at random, flags turned, numbers drawn anew."""
+    """The same with garbage in every field but the oracle's: poses moved at random, flags turned,
+    numbers drawn anew.
+    """
     garbage: dict[str, object] = {}
     for name, value in truth._asdict().items():
         if name in ("p_camera", "hidden"):  # what the oracle is given
@@ -44,9 +48,20 @@ class Commands:
 
     def frame(self, frame: vs.Frame) -> None:
         o = frame.observation
-        seen = [array.copy() for eye in frame.cameras.values() for array in (eye.uv, eye.depth, eye.goal_uv)]
+        seen = [
+            array.copy()
+            for eye in frame.cameras.values()
+            for array in (eye.uv, eye.depth, eye.goal_uv)
+        ]
         self.kept.append(
-            (frame.command.u.copy(), frame.allocation.setpoint.copy(), o.uv.copy(), o.depth.copy(), frame.goal.uv.copy(), *seen)
+            (
+                frame.command.u.copy(),
+                frame.allocation.setpoint.copy(),
+                o.uv.copy(),
+                o.depth.copy(),
+                frame.goal.uv.copy(),
+                *seen,
+            )
         )
 
 
@@ -55,13 +70,24 @@ class Commands:
 def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, lied_to, rng = Commands(), Commands(), np.random.default_rng(0)
     send, own = CameraClock._send, vs.load(name)
-    # markers by the oracle, which needs no pictures; what is seen without markers by its own detector
-    scenario = own if own.detector.kind in OF_PICTURES else vs.load(name, {"detector": {"kind": "oracle"}})
+    # markers by the oracle, which needs no pictures; what is seen without markers by its own
+    # detector
+    scenario = (
+        own if own.detector.kind in OF_PICTURES else vs.load(name, {"detector": {"kind": "oracle"}})
+    )
     # a judge that believes the lies would end the run at once: here the clock does
-    monkeypatch.setattr(Termination, "verdict", lambda termination, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None)
+    monkeypatch.setattr(
+        Termination,
+        "verdict",
+        lambda termination, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None,
+    )
     vs.run(scenario, watch=[honest])
     # every camera's pictures leave for the controller here, with the truth that stays behind
-    monkeypatch.setattr(CameraClock, "_send", lambda self, at, picture, made: send(self, at, picture, (made[0], corrupted(made[1], rng))))
+    monkeypatch.setattr(
+        CameraClock,
+        "_send",
+        lambda self, at, picture, made: send(self, at, picture, (made[0], corrupted(made[1], rng))),
+    )
     vs.run(scenario, watch=[lied_to])
     assert len(honest.kept) == len(lied_to.kept) > 5
     for told, lied in zip(honest.kept, lied_to.kept, strict=True):

@@ -15,7 +15,11 @@ def arrivals(name: str, position_m: float, rotation_deg: float, **settings: obje
         recording = vs.run(vs.load(name, settings, seed=seed))
         m = recording.summary()
         good = recording.outcome.name == "converged"
-        good = good and m["final_position_error_m"] < position_m and m["final_rotation_error_deg"] < rotation_deg
+        good = (
+            good
+            and m["final_position_error_m"] < position_m
+            and m["final_rotation_error_deg"] < rotation_deg
+        )
         there += bool(good)
         where = f"{m['final_position_error_m']:.4f} m {m['final_rotation_error_deg']:.3f} deg"
         print(name, seed, m["outcome"], f"{m['time_to_converge_s']} s {where}", flush=True)
@@ -34,7 +38,9 @@ def test_the_car_arrives(name):
 
 @pytest.mark.parametrize("name", ["car_pbvs", "car_parking", "car_catadioptric"])
 def test_the_steering_does_not_hunt_at_the_goal(name):
-    """Back and forth over the last 20 cm: 1.5 to 5 rad where each frame's curvature counts by itself."""
+    """Back and forth over the last 20 cm: 1.5 to 5 rad where each frame's curvature counts by
+    itself.
+    """
     for seed in range(1, 11):
         r = vs.run(vs.load(name, seed=seed))
         steering = r["q_steering"][r["position_error_m"] < 0.2]

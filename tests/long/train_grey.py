@@ -1,12 +1,14 @@
-"""Trains `scenarios/policies/grey.npz`: the rest of the way to a goal picture, from small grey pictures of a poster.
+"""Trains `scenarios/policies/grey.npz`: the rest of the way to a goal picture, from small grey
+pictures of a poster.
 
     pip install torch
     python tests/long/train_grey.py [--out FILE.npz] [--seed 0] [--pictures 20000] [--minutes 15]
 
-An ideal camera is put to random poses round the goal of `arm_photometric`, in the arm's world without the arm; half of them are much
-nearer than the farthest, so that the end is learned as well as the start. The light of the pictures varies in training alone: brightness
-and contrast, noise. `grey.csv` keeps the curve: of each minute the loss and, of pictures that were not trained on, the median relative
-error.
+An ideal camera is put to random poses round the goal of `arm_photometric`, in the arm's world
+without the arm; half of them are much nearer than the farthest, so that the end is learned as well
+as the start. The light of the pictures varies in training alone: brightness and contrast, noise.
+`grey.csv` keeps the curve: of each minute the loss and, of pictures that were not trained on, the
+median relative error.
 """
 
 from __future__ import annotations
@@ -27,26 +29,40 @@ from vstestbed.laws.photometric import luminance
 
 POLICY = Path(__file__).parents[2] / "scenarios" / "policies" / "grey.py"
 SIZE = (80, 60)
-FARTHEST = np.array([0.25, 0.25, 0.2]), np.array([15.0, 15.0, 50.0])  # [m], [deg], along and about the axes of the camera at the goal
+# [m], [deg], along and about the axes of the camera at the goal
+FARTHEST = np.array([0.25, 0.25, 0.2]), np.array([15.0, 15.0, 50.0])
 NEAREST = 0.01  # least share of these
 LEAST = 2e-3  # ways under this [m, rad] count by their absolute error
 
 
 def pictures(n, rng):
-    """Grey pictures (n, H, W), the ways to the goal as twists of the camera (n, 6), and the goal's picture (H, W)."""
+    """Grey pictures (n, H, W), the ways to the goal as twists of the camera (n, 6), and the goal's
+    picture (H, W).
+    """
     scenario = vs.load("arm_photometric")
     goal = scenario.target.pose.T @ inverse(scenario.goal_view.T_camera_target)
     start = {"kind": "free", "start": {"nominal": Pose.of(goal).__dict__}}
-    stop = {"duration_s": 80_000, "converged": {"error_grey": 1e-6, "hold_s": 1000}, "lost_after_s": 80_000, "lost_after_m": 1000}
+    stop = {
+        "duration_s": 80_000,
+        "converged": {"error_grey": 1e-6, "hold_s": 1000},
+        "lost_after_s": 80_000,
+        "lost_after_m": 1000,
+    }
     seen, ways = [], []
-    with vs.Session(vs.load("arm_photometric", {"robot": start, "camera.latency_s": 0, "stop": stop})) as session:
+    with vs.Session(
+        vs.load("arm_photometric", {"robot": start, "camera.latency_s": 0, "stop": stop})
+    ) as session:
         frame, T = session.reset(), goal
         first = luminance(scaled(frame.observation.image.image, SIZE))
         for _ in range(n):
-            share = np.exp(rng.uniform(np.log(NEAREST), 0)) if rng.uniform() < 0.5 else rng.uniform()
+            share = (
+                np.exp(rng.uniform(np.log(NEAREST), 0)) if rng.uniform() < 0.5 else rng.uniform()
+            )
             away = np.eye(4)
             away[:3, 3] = share * FARTHEST[0] * rng.uniform(-1, 1, 3)
-            away[:3, :3] = Rotation.from_euler("xyz", share * FARTHEST[1] * rng.uniform(-1, 1, 3), degrees=True).as_matrix()
+            away[:3, :3] = Rotation.from_euler(
+                "xyz", share * FARTHEST[1] * rng.uniform(-1, 1, 3), degrees=True
+            ).as_matrix()
             frame = session.step(log(inverse(T) @ goal @ away) / scenario.camera.period)
             T = frame.truth.T_world_camera
             seen.append(luminance(scaled(frame.observation.image.image, SIZE)))
@@ -94,8 +110,12 @@ def main():
         for group in adam.param_groups:
             group["lr"] = 1e-3 * (0.5 + 0.5 * np.cos(np.pi * spent)) + 1e-7
         pick = torch.from_numpy(rng.integers(kept, size=128))
-        light = torch.from_numpy(rng.uniform((0.8, -20), (1.2, 20), (128, 2)).astype(np.float32))[..., None, None]
-        x = (light[:, 0] * seen[pick] + light[:, 1] + 2 * torch.randn(128, *seen.shape[1:])).clamp(0, 255)
+        light = torch.from_numpy(rng.uniform((0.8, -20), (1.2, 20), (128, 2)).astype(np.float32))[
+            ..., None, None
+        ]
+        x = (light[:, 0] * seen[pick] + light[:, 1] + 2 * torch.randn(128, *seen.shape[1:])).clamp(
+            0, 255
+        )
         wanted = ways[pick]
         error = net(x) - net(first[None]) - wanted
         loss = torch.log1p((error**2).sum(-1) / (wanted.norm(dim=-1) + LEAST) ** 2).mean()
@@ -104,16 +124,36 @@ def main():
         adam.step()
         losses.append(loss.item())
         if spent * options.minutes >= len(rows) + 1 or spent == 0:
-            rows.append((spent * options.minutes, np.mean(losses[-200:]), tested(net, seen[kept:], ways[kept:], first)))
+            rows.append(
+                (
+                    spent * options.minutes,
+                    np.mean(losses[-200:]),
+                    tested(net, seen[kept:], ways[kept:], first),
+                )
+            )
             print("{:.1f} min, loss {:.4f}, relative error {:.3f}".format(*rows[-1]), flush=True)
-    rows.append((options.minutes, np.mean(losses[-200:]), tested(net, seen[kept:], ways[kept:], first)))
+    rows.append(
+        (options.minutes, np.mean(losses[-200:]), tested(net, seen[kept:], ways[kept:], first))
+    )
     print("{:.1f} min, loss {:.4f}, relative error {:.3f}".format(*rows[-1]), flush=True)
     found = {
-        f"{'W' if kind == 'weight' else 'b'}{i}": getattr(layer, kind) for i, layer in enumerate(net.layers) for kind in ("weight", "bias")
+        f"{'W' if kind == 'weight' else 'b'}{i}": getattr(layer, kind)
+        for i, layer in enumerate(net.layers)
+        for kind in ("weight", "bias")
     }
     found |= {"W4": net.hidden.weight, "b4": net.hidden.bias, "W5": net.out.weight}
-    np.savez_compressed(options.out, **{name: value.detach().numpy().astype(np.float16) for name, value in found.items()})
-    np.savetxt(options.out.with_suffix(".csv"), np.array(rows), "%.6g", ",", header="minutes,loss,relative_error", comments="")
+    np.savez_compressed(
+        options.out,
+        **{name: value.detach().numpy().astype(np.float16) for name, value in found.items()},
+    )
+    np.savetxt(
+        options.out.with_suffix(".csv"),
+        np.array(rows),
+        "%.6g",
+        ",",
+        header="minutes,loss,relative_error",
+        comments="",
+    )
 
 
 def tested(net, seen, ways, first):

@@ -1,16 +1,19 @@
-"""Trains `scenarios/policies/arm_policy.npz`: the position-based law of `arm_pbvs` cloned on marker pixels, with DAgger.
+"""Trains `scenarios/policies/arm_policy.npz`: the position-based law of `arm_pbvs` cloned on marker
+pixels, with DAgger.
 
     python tests/long/train_policy.py [--out FILE.npz] [--seed 0]
 
-The expert drives first, disturbed so that it also shows how to come back; then the learner drives, and the expert, which computes its
-command for every frame of a session, says what it would have done (`Frame.command`). Marker pixels come from the oracle detector: no
-picture is rendered. The starts are those of seeds from 10,000 on; comparisons use those from 0 on.
+The expert drives first, disturbed so that it also shows how to come back; then the learner drives,
+and the expert, which computes its command for every frame of a session, says what it would have
+done (`Frame.command`). Marker pixels come from the oracle detector: no picture is rendered. The
+starts are those of seeds from 10,000 on; comparisons use those from 0 on.
 
-With seed 0: 360 episodes, 119,000 frames, 175 s of processor time (two minutes on two cores that are free). From the second round on the
-learner converged from each of its 60 starts; at the end its velocities are 0.3 % off the expert's. On rendered pictures: README, "Learned
-policies".
+With seed 0: 360 episodes, 119,000 frames, 175 s of processor time (two minutes on two cores that
+are free). From the second round on the learner converged from each of its 60 starts; at the end its
+velocities are 0.3 % off the expert's. On rendered pictures: README, "Learned policies".
 
-Reference: Ross, Gordon & Bagnell 2011, "A reduction of imitation learning and structured prediction to no-regret online learning".
+Reference: Ross, Gordon & Bagnell 2011, "A reduction of imitation learning and structured prediction
+to no-regret online learning".
 """
 
 from __future__ import annotations
@@ -32,7 +35,9 @@ FIRST_SEED = 10_000
 ROUNDS, EPISODES, HIDDEN = 6, 60, 64
 STEPS, BATCH = 12_000, 256
 LEAST = 2e-3
-"""Commands under this [m/s, rad/s] count by their absolute error, larger ones by their relative one."""
+"""Commands under this [m/s, rad/s] count by their absolute error, larger ones by their relative
+one.
+"""
 spec = importlib.util.spec_from_file_location("arm_policy", POLICY)
 arm_policy = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(arm_policy)
@@ -41,7 +46,8 @@ spec.loader.exec_module(arm_policy)
 def drive(seeds, weights, noise):
     """Markers (M, 4, 2) and the expert's velocities (M, 6) of episodes.
 
-    weights: of the learner that drives; None: the expert, with commands disturbed by a random walk of relative size `noise`.
+    weights: of the learner that drives; None: the expert, with commands disturbed by a random walk
+    of relative size `noise`.
     """
     seen, asked, outcomes = [], [], []
     scenario = vs.load("arm_pbvs", {"detector": {"kind": "oracle"}})
@@ -55,7 +61,9 @@ def drive(seeds, weights, noise):
                     seen.append(uv)
                     asked.append(expert)
                 wander = 0.9 * wander + noise * np.linalg.norm(expert) * rng.standard_normal(6)
-                frame = session.step(expert + wander if weights is None else learner(weights, uv, frame.goal.uv))
+                frame = session.step(
+                    expert + wander if weights is None else learner(weights, uv, frame.goal.uv)
+                )
             outcomes.append(frame.outcome.name)
     return np.array(seen), np.array(asked), outcomes
 
@@ -71,14 +79,21 @@ def learner(weights, uv, goal):
 def first_weights(rng):
     """Weights before training: outputs of about one."""
     sizes = (8, HIDDEN, HIDDEN, 6)
-    weights = {f"W{i}": rng.standard_normal((a, b)) / np.sqrt(a) for i, (a, b) in enumerate(itertools.pairwise(sizes))}
+    weights = {
+        f"W{i}": rng.standard_normal((a, b)) / np.sqrt(a)
+        for i, (a, b) in enumerate(itertools.pairwise(sizes))
+    }
     return weights | {"b0": np.zeros(HIDDEN), "b1": np.zeros(HIDDEN)}
 
 
 def gradient(weights, uv, goal, wanted, scale):
-    """Mean squared error of (network(uv) - network(goal) - wanted) / scale, and its gradient by back-propagation."""
+    """Mean squared error of (network(uv) - network(goal) - wanted) / scale, and its gradient by
+    back-propagation.
+    """
     m = len(uv)
-    x = ((np.concatenate([uv, goal[None]]) - arm_policy.CENTRE) / arm_policy.SCALE).reshape(m + 1, -1)
+    x = ((np.concatenate([uv, goal[None]]) - arm_policy.CENTRE) / arm_policy.SCALE).reshape(
+        m + 1, -1
+    )
     h0 = np.tanh(x @ weights["W0"] + weights["b0"])
     h1 = np.tanh(h0 @ weights["W1"] + weights["b1"])
     out = h1 @ weights["W2"]
@@ -94,7 +109,9 @@ def gradient(weights, uv, goal, wanted, scale):
 
 
 def train(weights, data, goal, rng, steps=STEPS):
-    """Adam on the relative error of the velocities, at a rate that falls to nothing; returns the weights and the last error."""
+    """Adam on the relative error of the velocities, at a rate that falls to nothing; returns the
+    weights and the last error.
+    """
     uv, wanted = data
     scale = np.linalg.norm(wanted, axis=1) + LEAST
     weights = {k: v.copy() for k, v in weights.items()}
@@ -128,11 +145,19 @@ def main():
             parts += [(uv, u) for uv, u, _ in done]
             ends = [end for _, _, outcomes in done for end in outcomes]
             data = tuple(np.concatenate(a) for a in zip(*parts, strict=True))
-            weights, error = train(weights, data, goal, rng, STEPS * (1 if number < ROUNDS - 1 else 5))
+            weights, error = train(
+                weights, data, goal, rng, STEPS * (1 if number < ROUNDS - 1 else 5)
+            )
             driver = weights
             took = time.perf_counter() - began
             counts = {end: ends.count(end) for end in dict.fromkeys(ends)}
-            print(f"round {number}: {counts}, {len(data[0])} frames, relative error {error:.3f}, {took:.0f} s", flush=True)
+            print(
+                (
+                    f"round {number}: {counts}, {len(data[0])} frames,"
+                    f" relative error {error:.3f}, {took:.0f} s"
+                ),
+                flush=True,
+            )
     np.savez(options.out, **{k: w.astype(np.float32) for k, w in weights.items()})
 
 

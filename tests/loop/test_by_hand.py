@@ -1,4 +1,6 @@
-"""What a person does to a session under way: tune its law, push its robot, move its target, hold a plate."""
+"""What a person does to a session under way: tune its law, push its robot, move its target, hold a
+plate.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ PLATE_M = 0.1
 
 
 def started(name: str, steps: int = 3, **overrides: object) -> vs.Session:
-    session = vs.Session(vs.load(name, {k.replace("__", "."): v for k, v in overrides.items()}), plate_m=PLATE_M)
+    session = vs.Session(
+        vs.load(name, {k.replace("__", "."): v for k, v in overrides.items()}), plate_m=PLATE_M
+    )
     session.reset()
     for _ in range(steps):
         session.step()
@@ -59,12 +63,20 @@ class TestTheLaw:
             # u - u(0) exp(-t / tau): the first command in memory stays that of the old gain
             frame, other = session.step(), twin.step()
             fade = state.u0 * np.exp(-(frame.t - state.t0))
-            np.testing.assert_allclose(frame.command.u, 1.8 * (other.command.u + fade) - fade, rtol=1e-9)
+            np.testing.assert_allclose(
+                frame.command.u, 1.8 * (other.command.u + fade) - fade, rtol=1e-9
+            )
 
     def test_of_another_kind_feature_or_depth_is_refused(self):
-        for setting, field in (({"law": "pbvs"}, "kind"), ({"law.feature": "polar"}, "feature"), ({"law.depth": "goal"}, "depth")):
+        for setting, field in (
+            ({"law": "pbvs"}, "kind"),
+            ({"law.feature": "polar"}, "feature"),
+            ({"law.depth": "goal"}, "depth"),
+        ):
             with started("arm_ibvs", 0) as session:
-                with pytest.raises(ParameterError, match=rf"law\.{field} cannot be changed during a run"):
+                with pytest.raises(
+                    ParameterError, match=rf"law\.{field} cannot be changed during a run"
+                ):
                     session.retune(vs.load("arm_ibvs", setting).law)
                 assert session.recording().scenario == vs.load("arm_ibvs")
 
@@ -72,24 +84,38 @@ class TestTheLaw:
 class TestAPush:
     def test_moves_a_craft_by_its_impulse(self):
         still = {"law__gain": 1e-6}
-        with started("quadrotor_hover", 2, **still) as pushed, started("quadrotor_hover", 2, **still) as twin:
+        with (
+            started("quadrotor_hover", 2, **still) as pushed,
+            started("quadrotor_hover", 2, **still) as twin,
+        ):
             mass = pushed.weight_n / 9.81
             pushed.push(np.array([0.0, 0.5 * pushed.weight_n, 0.0]), 0.08)
             for _ in range(2):
                 frame, other = pushed.step(), twin.step()
-            v, v_other = (f.truth.T_world_camera[:3, :3] @ f.truth.twist[:3] for f in (frame, other))
+            v, v_other = (
+                f.truth.T_world_camera[:3, :3] @ f.truth.twist[:3] for f in (frame, other)
+            )
             gained = 0.5 * pushed.weight_n * 0.08 / mass
-            assert (v - v_other)[1] == pytest.approx(gained, rel=0.35)  # its controller acts against it meanwhile
+            # its controller acts against it meanwhile
+            assert (v - v_other)[1] == pytest.approx(gained, rel=0.35)
             for _ in range(3):
                 frame, other = pushed.step(), twin.step()
             later = (frame.truth.T_world_camera[:3, :3] @ frame.truth.twist[:3])[1]
             assert abs(later) < 2 * gained  # the force has ended
 
     def test_of_no_mass_or_no_numbers_is_refused(self):
-        with started("ibvs_book", 0) as session, pytest.raises(ParameterError, match="needs a robot with a mass"):
+        with (
+            started("ibvs_book", 0) as session,
+            pytest.raises(ParameterError, match="needs a robot with a mass"),
+        ):
             session.push(np.ones(3))
         with started("arm_ibvs", 0) as session:
-            for force, seconds in (([1, 2], 0.1), ([np.nan, 0, 0], 0.1), ([1, 0, 0], 0.0), ([1, 0, 0], np.inf)):
+            for force, seconds in (
+                ([1, 2], 0.1),
+                ([np.nan, 0, 0], 0.1),
+                ([1, 0, 0], 0.0),
+                ([1, 0, 0], np.inf),
+            ):
                 with pytest.raises(ParameterError):
                     session.push(np.array(force), seconds)
             assert session.recording().scenario == vs.load("arm_ibvs")
@@ -115,7 +141,8 @@ class TestTheTarget:
             T[2, 3] += 0.05
             for _ in range(30):  # as a mouse does: every displacement is of the path itself
                 session.move_target(T)
-            moved = [session.step().truth.T_world_target for _ in range(9)][4:]  # pictures in transit show it where it was
+            # pictures in transit show it where it was
+            moved = [session.step().truth.T_world_target for _ in range(9)][4:]
             own = [twin.step().truth.T_world_target for _ in range(9)][4:]
             shift = moved[0] @ np.linalg.inv(own[0])
             for T_moved, T_own in zip(moved, own, strict=True):
@@ -124,7 +151,10 @@ class TestTheTarget:
 
     @pytest.mark.parametrize("name", ["arm_eye_to_hand", "car_pursuit"])
     def test_is_not_moved_where_it_is_carried(self, name: str):
-        with started(name, 0) as session, pytest.raises(ParameterError, match="it goes where its carrier goes"):
+        with (
+            started(name, 0) as session,
+            pytest.raises(ParameterError, match="it goes where its carrier goes"),
+        ):
             session.move_target(np.eye(4))
 
 
@@ -149,13 +179,20 @@ class TestAPlate:
 def test_nothing_can_be_done_to_what_does_not_run():
     session = vs.Session(vs.load("ibvs_book", {"stop.duration_s": 0.2}))
     law = vs.load("ibvs_book").law
-    for act in (lambda: session.push(np.ones(3)), lambda: session.retune(law), lambda: session.move_target(np.eye(4))):
+    for act in (
+        lambda: session.push(np.ones(3)),
+        lambda: session.retune(law),
+        lambda: session.move_target(np.eye(4)),
+    ):
         with pytest.raises(SessionError, match="nothing to step"):
             act()
 
 
 def test_an_arm_that_holds_the_target_is_pushed_at_its_gripper():
-    with started("arm_eye_to_hand", 2, robot__actuation="raw") as pushed, started("arm_eye_to_hand", 2, robot__actuation="raw") as twin:
+    with (
+        started("arm_eye_to_hand", 2, robot__actuation="raw") as pushed,
+        started("arm_eye_to_hand", 2, robot__actuation="raw") as twin,
+    ):
         pushed.push(np.array([0.0, 300.0, 0.0]), 0.2)
         for _ in range(6):
             frame, other = pushed.step(), twin.step()
@@ -190,6 +227,8 @@ def test_what_is_no_pose_and_no_twist_is_refused():
         session.move_target(SE2(1, 2, 3))
     with pytest.raises(ParameterError, match=r"T_world_plate must be one pose: .*, got 2"):
         session.hold_plate(SE3.Rx([0.1, 0.2]))
-    with pytest.raises(ParameterError, match=r"command must be a twist \(Twist3\) or numbers, got an SE3"):
+    with pytest.raises(
+        ParameterError, match=r"command must be a twist \(Twist3\) or numbers, got an SE3"
+    ):
         session.step(SE3())
     session.close()

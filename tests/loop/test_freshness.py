@@ -1,4 +1,6 @@
-"""A robot that must stop: no velocity is ordered by an old picture, whatever stamps say; pictures that do not change are told."""
+"""A robot that must stop: no velocity is ordered by an old picture, whatever stamps say; pictures
+that do not change are told.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,18 @@ from vstestbed.loop.controller import FROZEN
 from vstestbed.loop.inputs import OwnClock
 
 TIMEOUT_S, LOST_S, PERIOD_S = 0.5, 0.2, 0.04
-SETTINGS = {"camera.width": 320, "camera.height": 240, "stop.lost_after_s": LOST_S, "target.marker.radius": 0.06}
+SETTINGS = {
+    "camera.width": 320,
+    "camera.height": 240,
+    "stop.lost_after_s": LOST_S,
+    "target.marker.radius": 0.06,
+}
 
 
 class Message(NamedTuple):
-    """What a camera's driver gives. t: stamp [s]. arrived: as the caller tells it. new: whether the picture has other bytes."""
+    """What a camera's driver gives. t: stamp [s]. arrived: as the caller tells it. new: whether the
+    picture has other bytes.
+    """
 
     t: float
     arrived: float | None = None
@@ -41,7 +50,9 @@ class Clock:
 
 
 class Robot:
-    """A robot by the loop of the guide: each message is one period after the last one, and a picture that is refused is none."""
+    """A robot by the loop of the guide: each message is one period after the last one, and a
+    picture that is refused is none.
+    """
 
     def __init__(self, shown: tuple[vs.Scenario, np.ndarray, vs.Reading], **changes: Any):
         scenario, self.image, self.reading = shown
@@ -67,7 +78,9 @@ class Robot:
         """The order after one more message."""
         self.clock.now += after_s
         try:
-            cycle = self.controller.step(self.picture(message.new), message.t, self.reading, message.arrived)
+            cycle = self.controller.step(
+                self.picture(message.new), message.t, self.reading, message.arrived
+            )
         except ParameterError:
             try:
                 return self.controller.without_picture(max(self.now, self.newest), self.reading)
@@ -76,7 +89,9 @@ class Robot:
         if message.t > self.newest:
             self.newest, self.fresh_at = message.t, self.clock.now
         self.notes = cycle.notes
-        assert cycle.order.stopped == (not cycle.twist.any()) and (not cycle.stopped or not cycle.setpoint.any())
+        assert cycle.order.stopped == (not cycle.twist.any()) and (
+            not cycle.stopped or not cycle.setpoint.any()
+        )
         return cycle.order
 
     @property
@@ -94,7 +109,9 @@ def moves(order: Any) -> bool:
 def shown() -> tuple[vs.Scenario, np.ndarray, vs.Reading]:
     """An arm's scenario, the picture of its start, and its reading there."""
     scenario = vs.load("arm_ibvs", SETTINGS)
-    assert scenario.timing.order_s(scenario.camera) == TIMEOUT_S and scenario.camera.period == PERIOD_S
+    assert (
+        scenario.timing.order_s(scenario.camera) == TIMEOUT_S and scenario.camera.period == PERIOD_S
+    )
     with vs.Session(scenario, pictures=True) as session:
         frame = session.reset()
         assert frame.image is not None
@@ -117,7 +134,9 @@ PATTERNS: dict[str, Callable[[float], Message]] = {
     "zero": lambda now: Message(0.0),
     "zero, arrival told": lambda now: Message(0.0, now),
     "the last two in turn": lambda now: Message(0.2 if round(now / PERIOD_S) % 2 else 0.16),
-    "the last two in turn, arrival told": lambda now: Message(0.2 if round(now / PERIOD_S) % 2 else 0.16, now),
+    "the last two in turn, arrival told": lambda now: Message(
+        0.2 if round(now / PERIOD_S) % 2 else 0.16, now
+    ),
     "backwards": lambda now: Message(0.4 - now),
     "backwards, arrival told": lambda now: Message(0.4 - now, now),
     "before the begin": lambda now: Message(-100.0 + now, now),
@@ -127,7 +146,9 @@ PATTERNS: dict[str, Callable[[float], Message]] = {
     "the largest": lambda now: Message(1e308, now),
     "beyond all floats": lambda now: Message(10**400, now),
     "far future, arrival told": lambda now: Message(1e6, now),
-    "far future once, then right, arrival told": lambda now: Message(1e6 if now < 0.25 else 0.2, now),
+    "far future once, then right, arrival told": lambda now: Message(
+        1e6 if now < 0.25 else 0.2, now
+    ),
     "far future once, then frozen": lambda now: Message(1e6),
     "creeping, arrival told": lambda now: Message(0.2 + 1e-6 * (now - BEGIN), now),
     "an old queue": lambda now: Message(0.2 + 0.01 * (now - BEGIN), now),
@@ -145,7 +166,10 @@ def test_whatever_stamps_say_it_stops_and_stays_stopped(shown: Any, pattern: str
     while robot.clock.now - silent_since < TIMEOUT_S + LOST_S + 4 * PERIOD_S:
         order = robot.hears(PATTERNS[pattern](robot.now + PERIOD_S))
         # a stamp of the far future is a new picture, once, unless the time of arrival is told
-        assert not moves(order) or robot.clock.now - silent_since < TIMEOUT_S + 2 * PERIOD_S, (robot.now, robot.notes)
+        assert not moves(order) or robot.clock.now - silent_since < TIMEOUT_S + 2 * PERIOD_S, (
+            robot.now,
+            robot.notes,
+        )
     assert order is not None and order.stopped and order.latched, order
     right = robot.hears(Message(max(robot.newest, robot.now) + PERIOD_S))
     assert right.stopped and right.latched
@@ -176,7 +200,9 @@ def test_the_example_that_kept_it_moving(shown: Any) -> None:
 
 
 def test_what_the_note_says_is_done(shown: Any) -> None:
-    """A picture that came late and comes again is too old earlier than by the time since its coming."""
+    """A picture that came late and comes again is too old earlier than by the time since its
+    coming.
+    """
     scenario, image, reading = shown
     controller = vs.Controller(scenario)
     assert moves(controller.step(image, 0.0, reading, arrived=0.4).order)
@@ -211,7 +237,9 @@ def test_a_stop_ends_with_a_new_picture_before_the_task_is_given_up(shown: Any) 
 @pytest.mark.parametrize("name", ["car_line", "omni_line", "arm_ibvs"])
 @pytest.mark.parametrize("creeps", ["stamps", "arrivals, too"])
 def test_a_target_that_is_gone_is_lost_by_the_own_clock(name: str, creeps: str) -> None:
-    """Five right pictures, then blank ones whose stamps go on by a microsecond: of another unit, or of a failed driver."""
+    """Five right pictures, then blank ones whose stamps go on by a microsecond: of another unit, or
+    of a failed driver.
+    """
     scenario = vs.load(name)
     with vs.Session(scenario, pictures=True) as session:
         image, reading = session.reset().image, session.episode.plant.reading()
@@ -228,7 +256,8 @@ def test_a_target_that_is_gone_is_lost_by_the_own_clock(name: str, creeps: str) 
         cycle = controller.step(picture, t, reading, arrived)
         blind_s = (k - 4) * PERIOD_S
         if blind_s > scenario.stop.lost_after[0] + 2 * PERIOD_S:
-            assert cycle.order.latched and not cycle.order.twist.any(), blind_s  # a car keeps its steering
+            # a car keeps its steering
+            assert cycle.order.latched and not cycle.order.twist.any(), blind_s
 
 
 def test_times_of_other_units_are_refused_by_name(shown: Any) -> None:
@@ -237,11 +266,14 @@ def test_times_of_other_units_are_refused_by_name(shown: Any) -> None:
     for t in (1.8e18, 1.8e12, np.float32(1.8e18), np.datetime64("2026-01-01")):
         with pytest.raises(ParameterError, match=r"^t .*seconds"):
             robot.controller.step(robot.picture(True), t, robot.reading)
-    cycle = robot.controller.step(robot.picture(True), np.float32(0.5), robot.reading)  # nothing has changed
+    # nothing has changed
+    cycle = robot.controller.step(robot.picture(True), np.float32(0.5), robot.reading)
     assert moves(cycle.order)
 
 
-def test_a_picture_that_comes_again_after_an_error_is_as_old_as_it_was(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_comes_again_after_an_error_is_as_old_as_it_was(
+    shown: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     robot = Robot(shown)
     for k in range(5):
         robot.hears(Message(k * PERIOD_S))
@@ -287,7 +319,9 @@ def test_a_clock_that_is_wrong_once_counts_on_afterwards(shown: Any, once: float
     for k in range(1, 5):
         robot.hears(Message(k * PERIOD_S))
     orders = [robot.hears(Message(4 * PERIOD_S)) for _ in range(40)]
-    assert moves(orders[0]) and orders[-1].latched and not any(moves(order) for order in orders[14:])
+    assert (
+        moves(orders[0]) and orders[-1].latched and not any(moves(order) for order in orders[14:])
+    )
 
 
 @pytest.mark.parametrize("first", [nan, inf, -inf])
@@ -300,7 +334,9 @@ def test_a_clock_that_begins_wrong_counts_from_its_first_time_on(first: float) -
     assert own.s() - begun == 0.25
 
 
-def test_silence_is_counted_by_the_own_clock_where_the_time_that_is_told_stands_still(shown: Any) -> None:
+def test_silence_is_counted_by_the_own_clock_where_the_time_that_is_told_stands_still(
+    shown: Any,
+) -> None:
     robot = Robot(shown)
     for k in range(5):
         robot.hears(Message(k * PERIOD_S))
@@ -327,14 +363,18 @@ def test_a_further_camera_that_is_frozen_is_told_and_ends_the_task() -> None:
         clock.now += PERIOD_S
         picture = own.copy() if k < 5 else np.full_like(own, 90)
         picture[0, 0] = k % 251
-        cycle = controller.step({"camera": picture, "room": room}, k * PERIOD_S, reading, k * PERIOD_S + 0.01)
+        cycle = controller.step(
+            {"camera": picture, "room": room}, k * PERIOD_S, reading, k * PERIOD_S + 0.01
+        )
         notes += cycle.notes
     assert f"room: {FROZEN}" in notes
     assert cycle.latched and "frozen" in cycle.reason
 
 
 class Eyes:
-    """Two cameras: the own one sees the target in its first five pictures, the room's in one at .15 s."""
+    """Two cameras: the own one sees the target in its first five pictures, the room's in one at .15
+    s.
+    """
 
     def __init__(self) -> None:
         scenario = vs.load("arm_two_eyes")
@@ -365,21 +405,33 @@ def eyes() -> Eyes:
 
 
 @pytest.mark.parametrize("creeps", [True, False])
-def test_the_last_picture_of_a_further_camera_grows_old_by_the_own_clock(eyes: Eyes, creeps: bool) -> None:
-    """The room's was the last to see the target; its stamp is ahead, or the own stamps stand nearly still."""
+def test_the_last_picture_of_a_further_camera_grows_old_by_the_own_clock(
+    eyes: Eyes, creeps: bool
+) -> None:
+    """The room's was the last to see the target; its stamp is ahead, or the own stamps stand nearly
+    still.
+    """
     for k in range(5):
         eyes.own_picture(k * PERIOD_S)
     eyes.controller.look("room", eyes.room, 0.15 if creeps else 0.6, eyes.reading)
-    orders = [eyes.own_picture(0.16 + 1e-6 * k if creeps else 0.16 + PERIOD_S * k) for k in range(1, 60)]
-    # as long as an order lasts, two and a half periods of the room's camera, and until the target is lost
-    assert moves(orders[0]) and not any(moves(order) for order in orders[25:]) and orders[-1].latched
+    orders = [
+        eyes.own_picture(0.16 + 1e-6 * k if creeps else 0.16 + PERIOD_S * k) for k in range(1, 60)
+    ]
+    # as long as an order lasts, two and a half periods of the room's camera, and until the target
+    # is lost
+    assert (
+        moves(orders[0]) and not any(moves(order) for order in orders[25:]) and orders[-1].latched
+    )
 
 
 def test_a_stamp_of_the_future_of_a_further_camera_is_refused_by_name(eyes: Eyes) -> None:
     for k in range(5):
         eyes.own_picture(k * PERIOD_S)
     for t in (0.16 + TIMEOUT_S + 0.01, 100.0, 1e6):
-        with pytest.raises(ParameterError, match=r"^t must be at most 0.66 s, .* from now .* all stamps are of one clock"):
+        with pytest.raises(
+            ParameterError,
+            match=r"^t must be at most 0.66 s, .* from now .* all stamps are of one clock",
+        ):
             eyes.controller.look("room", eyes.room, t, eyes.reading)
     eyes.controller.look("room", eyes.room, 0.16, eyes.reading)  # nothing has changed
 
@@ -403,14 +455,18 @@ def test_a_further_cameras_picture_that_counts_for_nothing_is_told(eyes: Eyes) -
 
 @pytest.mark.parametrize("took_s", [0.2, 1.0])
 def test_where_time_is_simulated_the_own_clock_stands(shown: Any, took_s: float) -> None:
-    """Each picture takes so long; the target is hidden for .4 s by the stamps, of 1 s after which it is lost."""
+    """Each picture takes so long; the target is hidden for .4 s by the stamps, of 1 s after which
+    it is lost.
+    """
     robot = Robot(shown, lost_after_s=1.0)
     robot.controller.simulates(True)
     image, orders = robot.image, []
     for k in range(40):
         robot.image = np.full_like(image, 90) if 10 <= k < 20 else image
         orders.append(robot.hears(Message(k * PERIOD_S), took_s))
-    assert not orders[15].latched and orders[15].stopped and all(moves(order) for order in orders[20:])
+    assert (
+        not orders[15].latched and orders[15].stopped and all(moves(order) for order in orders[20:])
+    )
     robot.controller.simulates(False)  # from now on it counts
     assert moves(robot.hears(Message(40 * PERIOD_S)))
     assert not moves(robot.hears(Message(40 * PERIOD_S), TIMEOUT_S + 0.01))
@@ -419,8 +475,13 @@ def test_where_time_is_simulated_the_own_clock_stands(shown: Any, took_s: float)
 def test_pictures_of_one_time_are_taken_all_or_none(eyes: Eyes) -> None:
     both = {"camera": eyes.own, "room": eyes.room}
     eyes.controller.step(both, 0.0, eyes.reading, 0.01)
-    assert eyes.controller.step(both, 0.0, eyes.reading, 0.02).notes == ("the picture of 0 s came again",)
-    for wrong in ({"camera": eyes.own[:10], "room": eyes.room}, {"camera": eyes.own, "room": eyes.room[:10]}):
+    assert eyes.controller.step(both, 0.0, eyes.reading, 0.02).notes == (
+        "the picture of 0 s came again",
+    )
+    for wrong in (
+        {"camera": eyes.own[:10], "room": eyes.room},
+        {"camera": eyes.own, "room": eyes.room[:10]},
+    ):
         with pytest.raises(ParameterError, match="uint8, RGB"):
             eyes.controller.step(wrong, 0.04, eyes.reading, 0.05)
     right = eyes.controller.step(both, 0.04, eyes.reading, 0.05)
@@ -428,7 +489,9 @@ def test_pictures_of_one_time_are_taken_all_or_none(eyes: Eyes) -> None:
     assert eyes.controller.others.perception["room"].before.t == 0.04
 
 
-def test_a_law_that_takes_longer_than_its_command_lasts(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_that_takes_longer_than_its_command_lasts(
+    shown: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where the time of arrival is told. A film, whose caller tells none, has time."""
     robot = Robot(shown)
     step = type(robot.controller.law).step
@@ -440,9 +503,16 @@ def test_a_law_that_takes_longer_than_its_command_lasts(shown: Any, monkeypatch:
     monkeypatch.setattr(type(robot.controller.law), "step", slow)
     for k in range(3):
         order = robot.hears(Message(k, k + 0.02))
-        assert order.stopped and not order.latched and order.reason == "the picture was answered after 0.6 s"
+        assert (
+            order.stopped
+            and not order.latched
+            and order.reason == "the picture was answered after 0.6 s"
+        )
         assert moves(robot.hears(Message(k + 0.5)))
-        assert robot.notes[-1] == "the picture was answered after 0.6 s; with `arrived` the robot is told to stop then"
+        assert (
+            robot.notes[-1]
+            == "the picture was answered after 0.6 s; with `arrived` the robot is told to stop then"
+        )
 
 
 def sequences(rng: np.random.Generator) -> Iterator[tuple[Message, float]]:
@@ -452,7 +522,9 @@ def sequences(rng: np.random.Generator) -> Iterator[tuple[Message, float]]:
         after_s = float(rng.choice([0.001, 0.02, 0.04, 0.04, 0.04, 0.1, 0.3, 0.6, 2.0]))
         now += after_s
         right = float(rng.choice([now, now, now - 0.01, now - 0.3]))
-        wrong = float(rng.choice([0.0, t, t, t - 0.04, t - 10.0, t + 1e-9, now + 5.0, 1e9, nan, inf, -inf]))
+        wrong = float(
+            rng.choice([0.0, t, t, t - 0.04, t - 10.0, t + 1e-9, now + 5.0, 1e9, nan, inf, -inf])
+        )
         stamp = right if rng.random() < 0.4 else wrong
         arrived = [None, now, now, stamp, 0.0, now - 1.0, nan][rng.integers(7)]
         yield Message(stamp, arrived, bool(rng.integers(2))), after_s
@@ -461,7 +533,9 @@ def sequences(rng: np.random.Generator) -> Iterator[tuple[Message, float]]:
 
 
 def invariant(shown: Any, seeds: range) -> tuple[int, int]:
-    """How many orders moved the robot, and how many stopped it; none may move it by an old picture."""
+    """How many orders moved the robot, and how many stopped it;
+    none may move it by an old picture.
+    """
     counts = [0, 0]
     robot = Robot(shown, lost_after_s=None)
     for seed in seeds:
@@ -517,7 +591,10 @@ class TestAFrozenCamera:
     @pytest.mark.parametrize("begin", [-1000.0, -5.0, 1.8e9])
     def test_is_told_whatever_the_stamps_begin_with(self, shown: Any, begin: float) -> None:
         robot = Robot(shown)
-        notes = [FROZEN in (robot.hears(Message(begin + k * PERIOD_S, new=False)) and robot.notes) for k in range(20)]
+        notes = [
+            FROZEN in (robot.hears(Message(begin + k * PERIOD_S, new=False)) and robot.notes)
+            for k in range(20)
+        ]
         assert notes.index(True) in (13, 14)  # as from 0 s on
 
     @pytest.mark.parametrize("told", [60.0, 1.8e9])
@@ -525,27 +602,40 @@ class TestAFrozenCamera:
         """Who watches asked before the first picture had come, by another clock."""
         robot = Robot(shown)
         robot.controller.without_picture(told, robot.reading)
-        notes = [FROZEN in (robot.hears(Message(k * PERIOD_S, new=False)) and robot.notes) for k in range(20)]
+        notes = [
+            FROZEN in (robot.hears(Message(k * PERIOD_S, new=False)) and robot.notes)
+            for k in range(20)
+        ]
         assert notes.index(True) in (13, 14)
 
     def test_is_told_after_a_pause_in_which_stamps_stood_still(self, shown: Any) -> None:
-        """The silence was counted by the own clock, and stopped the robot at a time that the stamps reach much later."""
+        """The silence was counted by the own clock, and stopped the robot at a time that the stamps
+        reach much later.
+        """
         robot = Robot(shown, lost_after_s=None)
         for k in range(5):
             robot.hears(Message(k * PERIOD_S))
         robot.clock.now += 10.0
         assert robot.controller.without_picture(4 * PERIOD_S, robot.reading).stopped
-        notes = [FROZEN in (robot.hears(Message(k * PERIOD_S, new=False)) and robot.notes) for k in range(5, 25)]
+        notes = [
+            FROZEN in (robot.hears(Message(k * PERIOD_S, new=False)) and robot.notes)
+            for k in range(5, 25)
+        ]
         assert notes.index(True) <= 14
 
     @pytest.mark.parametrize("latency_s", [0.02, 0.05])
     def test_is_told_where_stamps_creep_and_commands_are_late(self, latency_s: float) -> None:
         """By its stamps no picture is of a time at which the robot moved."""
-        scenario = vs.load("arm_ibvs", SETTINGS | {"camera.latency_s": latency_s, "timing.command_latency_s": latency_s})
+        scenario = vs.load(
+            "arm_ibvs",
+            SETTINGS | {"camera.latency_s": latency_s, "timing.command_latency_s": latency_s},
+        )
         with vs.Session(scenario, pictures=True) as session:
             image = session.reset().image
             robot = Robot((scenario, np.array(image), session.episode.plant.reading()))
-        notes = [FROZEN in (robot.hears(Message(1e-6 * k, new=False)) and robot.notes) for k in range(24)]
+        notes = [
+            FROZEN in (robot.hears(Message(1e-6 * k, new=False)) and robot.notes) for k in range(24)
+        ]
         assert TIMEOUT_S <= notes.index(True) * PERIOD_S <= TIMEOUT_S + 2 * latency_s + 3 * PERIOD_S
 
     def test_that_writes_into_one_array_and_changes_is_none(self, shown: Any) -> None:
@@ -561,14 +651,20 @@ class TestAFrozenCamera:
         robot = Robot(shown)
         robot.image = np.zeros_like(robot.image)
         for k in range(30):
-            assert not moves(robot.hears(Message(k * PERIOD_S, new=False))) and FROZEN not in robot.notes
+            assert (
+                not moves(robot.hears(Message(k * PERIOD_S, new=False)))
+                and FROZEN not in robot.notes
+            )
 
     def test_ends_the_task_where_the_scenario_says_so(self, shown: Any) -> None:
         robot = Robot(shown, frozen_after_s=0.3)
         orders = [robot.hears(Message(k * PERIOD_S, new=False)) for k in range(20)]
         ended = next(k for k, order in enumerate(orders) if order.latched)
         assert 0.3 <= ended * PERIOD_S <= 0.42 and all(moves(order) for order in orders[:ended])
-        words = "the pictures were the same to the byte for 0.3 s, although a velocity was ordered: the camera is frozen"
+        words = (
+            "the pictures were the same to the byte for 0.3 s, although a velocity was ordered:"
+            " the camera is frozen"
+        )
         assert orders[ended].stopped and orders[ended].reason == words
         assert robot.controller.supervisor.aborted == (Outcome.target_lost, words)
         assert robot.hears(Message(21 * PERIOD_S, new=True)).latched
@@ -578,9 +674,18 @@ class TestAFrozenCamera:
 
 @pytest.mark.parametrize("begin", [-1000.0, -0.3])
 @pytest.mark.parametrize("silence", [None, 60.0])
-def test_what_a_law_knows_of_its_own_motion_depends_on_no_begin_of_the_stamps(begin: float, silence: float | None) -> None:
-    """A law with feedforward is told how far the camera has gone since the exposure, which is by its commands here."""
-    flies = {"robot": {"kind": "free", "start": {"nominal": {"xyz": [0.55, 0.05, 0.7], "rpy_deg": [0, 90, 0]}}}}
+def test_what_a_law_knows_of_its_own_motion_depends_on_no_begin_of_the_stamps(
+    begin: float, silence: float | None
+) -> None:
+    """A law with feedforward is told how far the camera has gone since the exposure, which is by
+    its commands here.
+    """
+    flies = {
+        "robot": {
+            "kind": "free",
+            "start": {"nominal": {"xyz": [0.55, 0.05, 0.7], "rpy_deg": [0, 90, 0]}},
+        }
+    }
     scenario = vs.load("arm_track_circle", flies | {"camera.latency_s": 0.1, "detector": "blobs"})
     with vs.Session(scenario, pictures=True) as session:
         image, reading = session.reset().image, session.episode.plant.reading()
@@ -598,7 +703,8 @@ def test_what_a_law_knows_of_its_own_motion_depends_on_no_begin_of_the_stamps(be
 
     right = told(0.0, None)
     assert len(right) == 8 and np.abs(right[-1]).max() > 1e-3
-    np.testing.assert_allclose(told(begin, silence), right, atol=1e-9)  # times of a thousand seconds end at 1e-13
+    # times of a thousand seconds end at 1e-13
+    np.testing.assert_allclose(told(begin, silence), right, atol=1e-9)
 
 
 @pytest.fixture
@@ -613,7 +719,9 @@ def stuck(own_kinds: None) -> None:
         def begin(self, rng: np.random.Generator) -> list[np.ndarray]:
             return []
 
-        def picture(self, state: list[np.ndarray], image: np.ndarray, t: float, rng: np.random.Generator) -> np.ndarray:
+        def picture(
+            self, state: list[np.ndarray], image: np.ndarray, t: float, rng: np.random.Generator
+        ) -> np.ndarray:
             if t >= 0.2 and not state:
                 state.append(image.copy())
             return state[0].copy() if state else image
@@ -627,23 +735,33 @@ STUCK = {"noise.perturb": [{"kind": "stuck"}], "stop.duration_s": 1.6}
 def test_a_frozen_camera_ends_a_simulated_run_where_the_scenario_says_so(name: str) -> None:
     more = {"stop.frozen_after_s": 0.4, "camera.latency_s": 0.05, "timing.command_latency_s": 0.05}
     with_it = vs.run(vs.load(name, STUCK | more))
-    assert with_it.outcome is Outcome.target_lost and "the same to the byte for 0.4 s" in with_it.reason
+    assert (
+        with_it.outcome is Outcome.target_lost
+        and "the same to the byte for 0.4 s" in with_it.reason
+    )
     stops = with_it["t"][with_it["supervisor"] == 2][0]
-    # the camera stops at .2 s; the first picture that is the same comes a period later, a last one half a period after the limit
+    # the camera stops at .2 s; the first picture that is the same comes a period later, a last one
+    # half a period after the limit
     assert 0.6 <= stops <= 0.2 + 0.4 + 2 * 0.04 + 1e-9
     assert not with_it["applied_vx"][-1] and "frozen" in str(with_it.summary()["reason"])
 
 
 def test_a_run_in_which_nothing_is_frozen_keeps_its_numbers() -> None:
     short = {"stop.duration_s": 0.8}
-    without, with_it = (vs.run(vs.load("arm_ibvs", short | more)) for more in ({}, {"stop.frozen_after_s": 0.1}))
+    without, with_it = (
+        vs.run(vs.load("arm_ibvs", short | more)) for more in ({}, {"stop.frozen_after_s": 0.1})
+    )
     np.testing.assert_array_equal(without.table, with_it.table)
 
 
 @pytest.mark.study
 @pytest.mark.usefixtures("stuck")
-def test_a_craft_whose_camera_is_frozen_does_not_take_the_picture_for_its_target_seen_again() -> None:
-    r = vs.run(vs.load("quadrotor_hover", STUCK | {"stop.frozen_after_s": 0.3, "stop.duration_s": 3.0}))
+def test_a_craft_whose_camera_is_frozen_does_not_take_the_picture_for_its_target_seen_again() -> (
+    None
+):
+    r = vs.run(
+        vs.load("quadrotor_hover", STUCK | {"stop.frozen_after_s": 0.3, "stop.duration_s": 3.0})
+    )
     assert r.outcome is Outcome.target_lost and "the same to the byte" in r.reason
     modes = r["supervisor"].tolist()
     assert 2 in modes and all(mode >= 2 for mode in modes[modes.index(2) :])

@@ -56,7 +56,9 @@ def test_a_law_is_given_the_goals_picture_and_whole_pictures():
     with vs.Session(replace(s, law=IBVS())) as session:
         frame = session.reset()
         assert frame.goal.image is None and frame.observation.image is None
-        np.testing.assert_array_equal(with_pictures, [session.step().command.twist for _ in range(3)])
+        np.testing.assert_array_equal(
+            with_pictures, [session.step().command.twist for _ in range(3)]
+        )
 
 
 def test_a_controller_without_its_pictures_says_what_it_needs():
@@ -75,7 +77,11 @@ def test_points_of_the_goals_picture_lie_in_the_targets_plane():
     np.testing.assert_allclose(points_of(made), on_plane, atol=1e-12)
     some = made.rows(np.array([2, -1, 0]))
     np.testing.assert_allclose(points_of(some)[[0, 2]], on_plane[[2, 0]], atol=1e-12)
-    assert some.counted is not None and some.counted.tolist() == [True, False, True] and np.isnan(some.uv[1]).all()
+    assert (
+        some.counted is not None
+        and some.counted.tolist() == [True, False, True]
+        and np.isnan(some.uv[1]).all()
+    )
     np.testing.assert_array_equal(goal.of(some).uv, some.uv)
 
 
@@ -84,10 +90,13 @@ def test_a_depth_picture_counts_before_the_plane_and_a_hole_does_not():
     depth = np.full((s.camera.height, s.camera.width), 0.7, np.float32)
     depth[:, 320:] = np.nan
     goal = replace(s.goal_view, image=Sight(np.zeros((*depth.shape, 3), np.uint8), depth))
-    made, plane = (goal_of_points(g, np.array([[300.2, 200.0], [340.0, 200.0]])) for g in (goal, s.goal_view))
+    made, plane = (
+        goal_of_points(g, np.array([[300.2, 200.0], [340.0, 200.0]])) for g in (goal, s.goal_view)
+    )
     assert made.depth[0] == np.float32(0.7) and made.depth[1] == plane.depth[1]
     np.testing.assert_array_equal(
-        depth_at(depth, np.array([[-1.0, 3.0], [np.nan, np.nan], [319.4, 0.0]])), [np.nan, np.nan, np.float32(0.7)]
+        depth_at(depth, np.array([[-1.0, 3.0], [np.nan, np.nan], [319.4, 0.0]])),
+        [np.nan, np.nan, np.float32(0.7)],
     )
 
 
@@ -113,7 +122,12 @@ def test_the_targets_picture_changes_after_the_goal_was_taught_and_nothing_else_
     noise = {"image_sigma": 12.75, "perturb": [{"kind": "erasing", "probability": 1}]}
     shown, measured = [], []
     for target in ({}, noise):
-        episode = Episode(scenario("camera_vitvs", **small, **{"noise.target": target, "detector": "oracle"}), True, (), None)
+        episode = Episode(
+            scenario("camera_vitvs", **small, **{"noise.target": target, "detector": "oracle"}),
+            True,
+            (),
+            None,
+        )
         try:
             (taught,) = episode.recording().goal_images
             frames = [episode.advance() for _ in range(3)]

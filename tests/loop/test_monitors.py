@@ -17,11 +17,17 @@ from vstestbed.tasks.stop import Stop
 SETUP = vs.load("arm_ibvs").setup
 
 
-def termination(supervisor: Supervisor | None = None, stop: Stop = SETUP.stop, one_sided: bool = True) -> Termination:
-    """Of a run with a square of markers, which are on its front only, or with landmarks, which have no front."""
+def termination(
+    supervisor: Supervisor | None = None, stop: Stop = SETUP.stop, one_sided: bool = True
+) -> Termination:
+    """Of a run with a square of markers, which are on its front only, or with landmarks, which have
+    no front.
+    """
     supervisor = supervisor or Supervisor()
     target = SETUP.target if one_sided else vs.load("car_pbvs").target
-    return Termination(TaskMonitor(replace(SETUP, stop=stop), 1, supervisor), stop, target, supervisor)
+    return Termination(
+        TaskMonitor(replace(SETUP, stop=stop), 1, supervisor), stop, target, supervisor
+    )
 
 
 def verdicts(ends: Termination, seconds: float, from_s: float = 0.0, **given):
@@ -34,19 +40,29 @@ class TestCollision:
     def test_a_touch_is_one(self):
         ends = termination()
         assert ends.unsafe(frame()) is None
-        assert ends.unsafe(frame(contact="forearm and floor")) == (Outcome.collided, "contact of forearm and floor")
+        assert ends.unsafe(frame(contact="forearm and floor")) == (
+            Outcome.collided,
+            "contact of forearm and floor",
+        )
 
     @pytest.mark.parametrize(("lands", "collides"), [(True, False), (False, True)])
     def test_feet_may_touch_in_a_landing(self, lands, collides):
         ends = termination(Failsafe(lands=lands, lost_after_s=1.0))
         touch = ends.unsafe(frame(feet="left and floor"))
         assert touch == ((Outcome.collided, "contact of left and floor") if collides else None)
-        assert ends.unsafe(frame(feet="left and floor", contact="hub and floor")) == (Outcome.collided, "contact of hub and floor")
+        assert ends.unsafe(frame(feet="left and floor", contact="hub and floor")) == (
+            Outcome.collided,
+            "contact of hub and floor",
+        )
 
     def test_it_says_why_the_task_had_been_given_up(self):
-        failsafe = Failsafe(lands=True, lost_after_s=1.0, aborted=(Outcome.overturned, "tilted at 3.0 s"))
+        failsafe = Failsafe(
+            lands=True, lost_after_s=1.0, aborted=(Outcome.overturned, "tilted at 3.0 s")
+        )
         touch = termination(failsafe).unsafe(frame(contact="forearm and floor"))
-        assert touch is not None and touch[1] == "contact of forearm and floor, after tilted at 3.0 s"
+        assert (
+            touch is not None and touch[1] == "contact of forearm and floor, after tilted at 3.0 s"
+        )
 
 
 class TestDivergence:
@@ -59,17 +75,27 @@ class TestDivergence:
     def test_it_is_the_distance_from_the_target(self):
         """Both far from the world's origin, near each other."""
         far = Pose(xyz=(0, 500, 0)).T
-        assert termination().unsafe(frame(T_world_camera=far @ back_from_target(1.0), T_world_target=far)) is None
+        assert (
+            termination().unsafe(
+                frame(T_world_camera=far @ back_from_target(1.0), T_world_target=far)
+            )
+            is None
+        )
 
 
 class TestPlaneCrossed:
-    @pytest.mark.parametrize(("distance_m", "crossed"), [(0.01, False), (1.0, False), (0.0, True), (-0.01, True)])
+    @pytest.mark.parametrize(
+        ("distance_m", "crossed"), [(0.01, False), (1.0, False), (0.0, True), (-0.01, True)]
+    )
     def test_behind_the_front(self, distance_m, crossed):
         ends = termination()
         assert ends.unsafe(frame(T_world_camera=back_from_target(0.5))) is None
         verdict = ends.unsafe(frame(T_world_camera=back_from_target(distance_m)))
         assert (verdict is not None) is crossed
-        assert verdict is None or verdict == (Outcome.target_lost, "the camera crossed the plane of the target")
+        assert verdict is None or verdict == (
+            Outcome.target_lost,
+            "the camera crossed the plane of the target",
+        )
 
     TURNED = Pose(rpy_deg=(0, 180, 0)).T
 
@@ -88,10 +114,13 @@ class TestPlaneCrossed:
     def test_only_where_a_front_is_lost(self):
         for stop, one_sided, ends_run in (
             (Stop(lost_after_s=None), True, True),
-            (Stop(lost_after_s=None, lost_after_m=None), True, False),  # where no loss ends a run the plane may be crossed
+            # where no loss ends a run the plane may be crossed
+            (Stop(lost_after_s=None, lost_after_m=None), True, False),
             (Stop(), False, False),  # landmarks have no front
         ):
-            crossed = termination(stop=stop, one_sided=one_sided).unsafe(frame(T_world_camera=back_from_target(-0.1)))
+            crossed = termination(stop=stop, one_sided=one_sided).unsafe(
+                frame(T_world_camera=back_from_target(-0.1))
+            )
             assert (crossed is not None) is ends_run
 
 
@@ -102,7 +131,9 @@ class TestLimitReached:
         assert t == pytest.approx(1.0)
         assert verdict == (Outcome[limit], f"for 1 s {Outcome[limit].value}")
 
-    @pytest.mark.parametrize(("limit", "scale"), [("joint_limit", 2 * BLOCKED_SCALE), ("speed", 0.0), ("", 1.0)])
+    @pytest.mark.parametrize(
+        ("limit", "scale"), [("joint_limit", 2 * BLOCKED_SCALE), ("speed", 0.0), ("", 1.0)]
+    )
     def test_what_goes_on_slowly_or_meets_its_speed_limit_is_not_stopped(self, limit, scale):
         assert not verdicts(termination(), 3.0, limit=limit, scale=scale)
 

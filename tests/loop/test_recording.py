@@ -19,12 +19,16 @@ from vstestbed.loop.log_file import Log, LogWriter
 
 
 @pytest.mark.parametrize("interval_s", [0.0003, 0.01, 0.04, 0.099, 0.5])
-def test_no_frame_waits_for_more_than_a_tenth_of_a_second(monkeypatch: pytest.MonkeyPatch, interval_s: float) -> None:
+def test_no_frame_waits_for_more_than_a_tenth_of_a_second(
+    monkeypatch: pytest.MonkeyPatch, interval_s: float
+) -> None:
     """Of frames at a constant rate; a row is as old as the time since its frame came."""
     now = [0.0]
     monkeypatch.setattr(log_file, "kept", lambda t: {"t": t})
     monkeypatch.setattr(log_file.time, "monotonic", lambda: now[0])
-    layout: Any = SimpleNamespace(columns=("t",), rows=lambda frames: np.array([[f["t"]] for f in frames]))
+    layout: Any = SimpleNamespace(
+        columns=("t",), rows=lambda frames: np.array([[f["t"]] for f in frames])
+    )
     writer = LogWriter(layout)
     ages, sizes = [], [0]
     for i in range(2000):
@@ -45,7 +49,9 @@ def test_no_frame_waits_for_more_than_a_tenth_of_a_second(monkeypatch: pytest.Mo
 
 
 def test_a_log_that_was_taken_stays_as_it_is() -> None:
-    layout: Any = SimpleNamespace(columns=("a", "b"), rows=lambda frames: np.zeros((len(frames), 2)))
+    layout: Any = SimpleNamespace(
+        columns=("a", "b"), rows=lambda frames: np.zeros((len(frames), 2))
+    )
     writer = LogWriter(layout)
     before = writer.log()
     assert before.table.shape == (0, 2)
@@ -65,13 +71,24 @@ def test_poses_are_those_of_spatialmath() -> None:
     # the relative pose of the last frame is the goal's, by spatialmath's own inverse and product
     assert np.allclose((camera[-1].inv() * run.target_poses()[-1]).A, goal, atol=1e-2)
     assert np.allclose(Pose.of(start).T, start.A)
-    assert np.allclose(run.camera_twists()[3].S, [run[f"act_{name}"][3] for name in ("vx", "vy", "vz", "wx", "wy", "wz")])
+    assert np.allclose(
+        run.camera_twists()[3].S,
+        [run[f"act_{name}"][3] for name in ("vx", "vy", "vz", "wx", "wy", "wz")],
+    )
 
 
-@pytest.mark.parametrize(("name", "moves"), [("ibvs_book", False), ("quadrotor_path", True), ("arm_track_circle", True)])
+@pytest.mark.parametrize(
+    ("name", "moves"), [("ibvs_book", False), ("quadrotor_path", True), ("arm_track_circle", True)]
+)
 def test_the_goal_pose_is_that_from_which_the_log_counts_errors(name: str, moves: bool) -> None:
     """Of one goal, of a path, behind a target that moves."""
-    run = vs.run(vs.load(name, {"stop.duration_s": 0.6, "detector": "oracle"} | ({"goal.settle_s": 0.1} if moves else {})))
+    run = vs.run(
+        vs.load(
+            name,
+            {"stop.duration_s": 0.6, "detector": "oracle"}
+            | ({"goal.settle_s": 0.1} if moves else {}),
+        )
+    )
     left = [at.inv() * goal for at, goal in zip(run.camera_poses(), run.goal_pose(), strict=True)]
     assert [np.linalg.norm(T.t) for T in left] == pytest.approx(run["position_error_m"], abs=1e-12)
     assert [T.angvec()[0] for T in left] == pytest.approx(run["rotation_error_rad"], abs=1e-6)
@@ -92,7 +109,9 @@ def test_spatialmath_plots_and_animates_the_poses(tmp_path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    poses = vs.run(vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 1})).camera_poses()
+    poses = vs.run(
+        vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 1})
+    ).camera_poses()
     poses.plot(ax=pyplot.figure().add_subplot(projection="3d"), dims=[-1, 2, -1, 2, -3.5, 1])
     lines = pyplot.gca().lines + pyplot.gca().collections  # pyright: ignore[reportOperatorIssue]
     assert len(lines) >= 3 * len(poses)

@@ -1,4 +1,6 @@
-"""The renderer is no part of the experiment: the same markers are found by OpenGL and by rays, in windows and in whole pictures."""
+"""The renderer is no part of the experiment: the same markers are found by OpenGL and by rays, in
+windows and in whole pictures.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,11 @@ NUISANCES: dict[str, dict[str, object]] = {
     "noise": {"noise.image_sigma": 4.0},
     "drift": {"noise.drift": {"brightness": 0.2, "period_s": 1.0}},
     "late": {"camera.latency_s": 0.05},
-    "blurred": {"timing": {"exposure_s": 0.02, "exposure_pictures": 3}, "camera.latency_s": 0.03, "noise.image_sigma": 2.0},
+    "blurred": {
+        "timing": {"exposure_s": 0.02, "exposure_pictures": 3},
+        "camera.latency_s": 0.03,
+        "noise.image_sigma": 2.0,
+    },
 }
 
 SMALL = {"camera.width": 500, "camera.height": 500, "camera.pixel_size_m": 2e-5}
@@ -28,7 +34,10 @@ def seen(r: vs.Recording, markers: int = 4) -> np.ndarray:
 @pytest.mark.parametrize("name", one_quick("polar_book", "ibvs_book"))
 def test_a_quick_start_loses_no_picture_by_either_renderer(name: str):
     # The first move is beyond the windows: the camera was at rest in the picture before.
-    runs = [vs.run(vs.load(name, SMALL | {"camera.renderer": renderer, "stop.duration_s": 1.5})) for renderer in ("gl", "rays")]
+    runs = [
+        vs.run(vs.load(name, SMALL | {"camera.renderer": renderer, "stop.duration_s": 1.5}))
+        for renderer in ("gl", "rays")
+    ]
     for r in runs:
         assert len(r["t"]) == 16 and not r["lost"].any() and seen(r).all()
     # Pictures differ at some edge pixels (facets of OpenGL's circles): .1 px of 75 and more.
@@ -36,8 +45,13 @@ def test_a_quick_start_loses_no_picture_by_either_renderer(name: str):
 
 
 @pytest.mark.parametrize("nuisance", one_quick(*NUISANCES, every=4))
-def test_what_is_found_does_not_depend_on_how_much_was_drawn(nuisance: str, monkeypatch: pytest.MonkeyPatch):
-    s = vs.load("ibvs_book", SMALL | {"camera.renderer": "rays", "stop.duration_s": 0.6} | NUISANCES[nuisance])
+def test_what_is_found_does_not_depend_on_how_much_was_drawn(
+    nuisance: str, monkeypatch: pytest.MonkeyPatch
+):
+    s = vs.load(
+        "ibvs_book",
+        SMALL | {"camera.renderer": "rays", "stop.duration_s": 0.6} | NUISANCES[nuisance],
+    )
     in_windows = vs.run(s)
     monkeypatch.setattr(Controller, "regions_of_interest", lambda self: None)
     np.testing.assert_array_equal(in_windows.table, vs.run(s).table)

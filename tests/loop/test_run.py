@@ -1,4 +1,6 @@
-"""The closed loop as a whole: the arm arrives, delays are true, runs repeat to the byte, truth stays fenced, every end is an outcome."""
+"""The closed loop as a whole: the arm arrives, delays are true, runs repeat to the byte, truth
+stays fenced, every end is an outcome.
+"""
 
 from __future__ import annotations
 
@@ -61,14 +63,20 @@ class TestArm:
 
     def test_depth_comes_from_the_picture(self, arrived: vs.Recording):
         depth = np.array([arrived[f"depth_{i}"][-1] for i in range(4)])
-        # At the goal all markers are 1 m away: 3 mm of position and .3 degrees over .35 m, as above; not to the last digit.
+        # At the goal all markers are 1 m away: 3 mm of position and .3 degrees over .35 m, as
+        # above; not to the last digit.
         assert depth == pytest.approx(1.0, abs=0.005)
         assert np.all(np.abs(depth - 1) > 1e-9)
 
     def test_what_is_ordered_is_made(self, arrived: vs.Recording):
-        commanded, made = (columns(arrived, *(f"{kind}_{n}" for n in TWIST)) for kind in ("cmd", "act"))
-        # Servos rise in 40 ms, one frame: what was commanded a frame before, once the first rush is over (1 s).
-        lag = np.linalg.norm(made[26:] - commanded[25:-1], axis=1) / np.linalg.norm(commanded[25:-1], axis=1)
+        commanded, made = (
+            columns(arrived, *(f"{kind}_{n}" for n in TWIST)) for kind in ("cmd", "act")
+        )
+        # Servos rise in 40 ms, one frame: what was commanded a frame before, once the first rush is
+        # over (1 s).
+        lag = np.linalg.norm(made[26:] - commanded[25:-1], axis=1) / np.linalg.norm(
+            commanded[25:-1], axis=1
+        )
         moving = np.linalg.norm(commanded[25:-1], axis=1) > 0.02
         assert np.median(lag[moving]) < 0.1
 
@@ -82,11 +90,14 @@ class TestArm:
 def test_free_camera_converges_on_rendered_pictures():
     r = vs.run(vs.load("ibvs_book"))
     assert r.outcome is vs.Outcome.converged
-    # .2 px of the stop test at 800 px and 1 m: 1 mm and .1 degrees leave a factor of two for noise of the last frame.
+    # .2 px of the stop test at 800 px and 1 m: 1 mm and .1 degrees leave a factor of two for noise
+    # of the last frame.
     assert r["error_px"][-1] < 0.2
     assert r["position_error_m"][-1] < 2e-3 and np.degrees(r["rotation_error_rad"][-1]) < 0.1
     # No servo between order and motion; true twist of a frame is the order of the one before.
-    np.testing.assert_array_equal(columns(r, *(f"act_{n}" for n in TWIST))[1:], columns(r, *(f"cmd_{n}" for n in TWIST))[:-1])
+    np.testing.assert_array_equal(
+        columns(r, *(f"act_{n}" for n in TWIST))[1:], columns(r, *(f"cmd_{n}" for n in TWIST))[:-1]
+    )
 
 
 class Watched:
@@ -126,9 +137,17 @@ class TestLatency:
 
     @pytest.mark.parametrize("latency", [0.0, 0.05, 0.1, 0.103])
     @pytest.mark.parametrize("name", ["arm_ibvs", "ibvs_book"])
-    def test_first_motion_comes_when_commanded(self, name: str, latency: float, watched: list[Watched]):
-        setting = {"detector": "oracle", "camera.rate_hz": 25, "camera.latency_s": latency, "stop.duration_s": 0.2}
-        if name == "arm_ibvs":  # a servo that pushes at once: integrating ones first wind up against friction
+    def test_first_motion_comes_when_commanded(
+        self, name: str, latency: float, watched: list[Watched]
+    ):
+        setting = {
+            "detector": "oracle",
+            "camera.rate_hz": 25,
+            "camera.latency_s": latency,
+            "stop.duration_s": 0.2,
+        }
+        # a servo that pushes at once: integrating ones first wind up against friction
+        if name == "arm_ibvs":
             setting["robot.actuation"] = "ideal"
         vs.run(vs.load(name, setting))
         poses = np.array(watched[0].poses)
@@ -139,27 +158,47 @@ class TestLatency:
         assert abs(STEP * (int(np.argmax(moved)) - 1) - latency) <= STEP
 
     def test_the_servos_are_told_when_commanded(self, watched: list[Watched]):
-        vs.run(vs.load("arm_ibvs", {"detector": "oracle", "camera.latency_s": 0.1, "stop.duration_s": 0.2}))
+        vs.run(
+            vs.load(
+                "arm_ibvs", {"detector": "oracle", "camera.latency_s": 0.1, "stop.duration_s": 0.2}
+            )
+        )
         told = np.abs(np.array(watched[0].ctrl)).max(axis=1) > 0
         assert STEP * (int(np.argmax(told)) - 1) == pytest.approx(0.1, abs=1e-12)
 
     def test_pictures_arrive_in_order_and_late_ones_are_of_their_time(self):
         setting = {"detector": "oracle", "camera.rate_hz": 25, "stop.duration_s": 1}
-        fast, slow = (vs.run(vs.load("ibvs_book", setting | {"camera.latency_s": latency})) for latency in (0, 0.1))
+        fast, slow = (
+            vs.run(vs.load("ibvs_book", setting | {"camera.latency_s": latency}))
+            for latency in (0, 0.1)
+        )
         np.testing.assert_array_equal(slow["t"], fast["t"])  # the time of exposure
-        # Three pictures are taken before the first order takes effect (at 0, 40 and 80 ms), and all show the start.
+        # Three pictures are taken before the first order takes effect (at 0, 40 and 80 ms), and all
+        # show the start.
         np.testing.assert_array_equal(slow["u_0"][:3], np.full(3, fast["u_0"][0]))
         assert slow["u_0"][3] != fast["u_0"][0]
 
     def test_dead_time_sets_the_limit_of_the_gain(self):
-        # s(k+1) = s(k) - g s(k-d), g = gain dt: stable for g < 2 sin(pi/(2(2d+1))), at d = 3 frames .445. 10 % to both sides.
+        # s(k+1) = s(k) - g s(k-d), g = gain dt: stable for g < 2 sin(pi/(2(2d+1))), at d = 3 frames
+        # .445. 10 % to both sides.
         growth = {}
         for g in (0.40, 0.49):
-            setting = {"detector": {"kind": "oracle", "field_of_view": "unlimited"}, "law.depth": "oracle", "law.interaction": "desired"}
-            setting |= {"camera.rate_hz": 25, "camera.latency_s": 0.12, "law.gain": g * 25, "stop.duration_s": 6}
+            setting = {
+                "detector": {"kind": "oracle", "field_of_view": "unlimited"},
+                "law.depth": "oracle",
+                "law.interaction": "desired",
+            }
+            setting |= {
+                "camera.rate_hz": 25,
+                "camera.latency_s": 0.12,
+                "law.gain": g * 25,
+                "stop.duration_s": 6,
+            }
             setting |= {"stop.converged": {"error_px": 1e-6, "hold_s": 0}}
             # 1 mm from the goal, where the law is linear.
-            r = vs.run(vs.load("ibvs_book", setting | {"robot.start": {"nominal": {"xyz": [0.001, 0, 2]}}}))
+            r = vs.run(
+                vs.load("ibvs_book", setting | {"robot.start": {"nominal": {"xyz": [0.001, 0, 2]}}})
+            )
             error = r["error_px"]
             growth[g] = error[-25:].max() / error[:25].max()
         assert growth[0.40] < 0.2 and growth[0.49] > 5
@@ -167,9 +206,17 @@ class TestLatency:
 
 @pytest.fixture(scope="module")
 def repeated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
-    """One short noisy run four times: twice without films, once with both, once from what it wrote."""
-    noisy = {"noise": {"image_sigma": 2.0, "pixel_sigma_px": 0.1}, "stop.duration_s": 0.3, "law.gain": 2}
-    folders = {name: tmp_path_factory.mktemp(name) for name in ("first", "again", "filmed", "rerun")}
+    """One short noisy run four times: twice without films, once with both,
+    once from what it wrote.
+    """
+    noisy = {
+        "noise": {"image_sigma": 2.0, "pixel_sigma_px": 0.1},
+        "stop.duration_s": 0.3,
+        "law.gain": 2,
+    }
+    folders = {
+        name: tmp_path_factory.mktemp(name) for name in ("first", "again", "filmed", "rerun")
+    }
     for name, films in (("first", "none"), ("again", "none"), ("filmed", "both")):
         run_into(folders[name], vs.load("arm_ibvs", noisy), films)
     run_into(folders["rerun"], vs.load(folders["first"] / "scenario.yaml"), "none")
@@ -180,7 +227,9 @@ class TestRepeats:
     @pytest.mark.parametrize("other", ["again", "filmed", "rerun"])
     def test_the_same_bytes(self, repeated: dict[str, Path], other: str):
         first = repeated["first"]
-        assert (repeated[other] / "log.parquet").read_bytes() == (first / "log.parquet").read_bytes()
+        assert (repeated[other] / "log.parquet").read_bytes() == (
+            first / "log.parquet"
+        ).read_bytes()
         for name in ("scenario.yaml", "resolved.yaml", "model.xml"):
             assert (repeated[other] / name).read_text() == (first / name).read_text()
 
@@ -192,15 +241,25 @@ class TestRepeats:
     def test_folder(self, repeated: dict[str, Path]):
         names = {p.name for p in repeated["filmed"].iterdir()}
         given = {"scenario.yaml", "resolved.yaml", "model.xml"}
-        assert names == given | {"log.parquet", "summary.json", "report.html", "camera.mp4", "overview.mp4"}
+        assert names == given | {
+            "log.parquet",
+            "summary.json",
+            "report.html",
+            "camera.mp4",
+            "overview.mp4",
+        }
         log = open_log(repeated["first"]).frame()
-        assert log.height == 9  # frames at 0, 40 .. 320 ms: the first at or after the duration is the last
+        # frames at 0, 40 .. 320 ms: the first at or after the duration is the last
+        assert log.height == 9
         assert log.schema["frame"] == pl.Int64 and log.schema["lost"] == pl.Boolean
 
 
 class TestHidden:
     def test_target_hidden_for_good_is_lost_with_the_arm_at_rest(self, tmp_path: Path):
-        scenario = vs.load("arm_ibvs", {"world.plates": [PLATE | {"from_s": 1.0}], "law.gain": 2, "stop.lost_after_s": 0.6})
+        scenario = vs.load(
+            "arm_ibvs",
+            {"world.plates": [PLATE | {"from_s": 1.0}], "law.gain": 2, "stop.lost_after_s": 0.6},
+        )
         r = run_into(tmp_path, scenario, "none")
         assert r.outcome is vs.Outcome.target_lost
         t, lost = r["t"], r["lost"].astype(bool)
@@ -216,12 +275,23 @@ class TestHidden:
         # A readable folder, in which what has no value has none.
         assert open_log(tmp_path).frame().height == len(r.table)
         summary = json.loads((tmp_path / "summary.json").read_text())
-        assert (summary["outcome"], summary["success"], summary["final_error_px"]) == ("target_lost", False, None)
+        assert (summary["outcome"], summary["success"], summary["final_error_px"]) == (
+            "target_lost",
+            False,
+            None,
+        )
         assert summary["frames_lost"] == lost.sum()
-        assert (tmp_path / "report.html").stat().st_size > 10_000 and not (tmp_path / "log.part").exists()
+        assert (tmp_path / "report.html").stat().st_size > 10_000 and not (
+            tmp_path / "log.part"
+        ).exists()
 
     def test_recovers_when_the_plate_goes_in_time(self):
-        r = vs.run(vs.load("arm_ibvs", {"world.plates": [PLATE | {"from_s": 1.0, "until_s": 1.6}], "law.gain": 2}))
+        r = vs.run(
+            vs.load(
+                "arm_ibvs",
+                {"world.plates": [PLATE | {"from_s": 1.0, "until_s": 1.6}], "law.gain": 2},
+            )
+        )
         assert r.outcome is vs.Outcome.converged
         assert int(r["lost"].sum()) == 15  # 1.0 to 1.56 s
         assert r["error_px"][-1] < 0.3 and r["position_error_m"][-1] < 0.003
@@ -229,7 +299,9 @@ class TestHidden:
     def test_the_oracle_is_not_told_of_hidden_markers(self):
         setting = {"world.plates": [PLATE | {"from_s": 0.2}], "stop.lost_after_s": 0.2}
         r = vs.run(vs.load("arm_ibvs", setting | {"detector": {"kind": "oracle"}}))
-        assert r.outcome is vs.Outcome.target_lost and r["t"][r["lost"] > 0][0] == pytest.approx(0.2, abs=1e-9)
+        assert r.outcome is vs.Outcome.target_lost and r["t"][r["lost"] > 0][0] == pytest.approx(
+            0.2, abs=1e-9
+        )
 
 
 class TestTruthFence:
@@ -261,13 +333,22 @@ class TestTruthFence:
     def test_no_room_that_sees_or_decides_reads_the_truth(self):
         for file in self.files():
             tree = ast.parse(text := file.read_text())
-            imported = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom) for a in n.names}
+            imported = {
+                a.name
+                for n in ast.walk(tree)
+                if isinstance(n, ast.Import | ast.ImportFrom)
+                for a in n.names
+            }
             modules = {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
             assert "Truth" not in imported, file
-            assert not any(m.startswith(("vstestbed.sim", "vstestbed.loop", "mujoco", "dm_control")) for m in modules | imported), file
+            assert not any(
+                m.startswith(("vstestbed.sim", "vstestbed.loop", "mujoco", "dm_control"))
+                for m in modules | imported
+            ), file
             spoken = self.spoken(tree) if any(word in text for word in self.TRUE) else set()
             assert not spoken & {"Truth", "TruthView", "truth", "hidden", "T_world_camera"}, file
-            if "detect" in file.parts:  # a detector is given the oracle's view, and must not read it
+            # a detector is given the oracle's view, and must not read it
+            if "detect" in file.parts:
                 assert "view" not in spoken, file
             # A lens projects points that it is given; the observer hands on what an oracle found.
             if "camera" not in file.parts and file.name != "observe.py":
@@ -275,16 +356,31 @@ class TestTruthFence:
 
     def readers(self, room: str, *words: str) -> set[str]:
         """Classes of a room that read one of these names or attributes."""
-        files = [f for f in sorted((PACKAGE / room).rglob("*.py")) if any(word in f.read_text() for word in words)]
-        classes = [n for f in files for n in ast.walk(ast.parse(f.read_text())) if isinstance(n, ast.ClassDef)]
+        files = [
+            f
+            for f in sorted((PACKAGE / room).rglob("*.py"))
+            if any(word in f.read_text() for word in words)
+        ]
+        classes = [
+            n
+            for f in files
+            for n in ast.walk(ast.parse(f.read_text()))
+            if isinstance(n, ast.ClassDef)
+        ]
         return {cls.name for cls in classes if self.spoken(cls) & set(words)}
 
     def test_of_a_task_only_what_judges_reads_the_truth(self):
-        """Reference and goal views, which the law is told, are made of an observation and an error in the image."""
-        judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "InsertionMonitor", "KeepOut"}  # `rules.py` reads it in a function
+        """Reference and goal views, which the law is told, are made of an observation and an error
+        in the image.
+        """
+        # `rules.py` reads it in a function
+        judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "InsertionMonitor", "KeepOut"}
         assert self.readers("tasks", "truth", "T_world_camera", "hidden") == judges
         for task in GOALS.members.values():
-            for name, arguments in (("reference", ["self", "state", "seen"]), ("passed", ["self", "state", "error"])):
+            for name, arguments in (
+                ("reference", ["self", "state", "seen"]),
+                ("passed", ["self", "state", "error"]),
+            ):
                 assert list(inspect.signature(getattr(task, name)).parameters) == arguments
 
     def test_of_a_robot_only_its_log_is_given_the_truth(self):
@@ -295,7 +391,9 @@ class TestTruthFence:
         opened = {f.name for f, text in named if "TruthView" in self.spoken(ast.parse(text))}
         # The loop's shutter, and the suite that tests an oracle like another detector.
         assert opened == {"shutter.py", "perception.py"}
-        detectors = [vs.load("arm_ibvs", {"detector": kind}).detector for kind in ("blobs", "oracle")]
+        detectors = [
+            vs.load("arm_ibvs", {"detector": kind}).detector for kind in ("blobs", "oracle")
+        ]
         assert [d.needs_truth for d in detectors] == [False, True]
 
 

@@ -1,4 +1,6 @@
-"""A session: the same bytes as `run`, in any thread, several at once; orders by hand reach the robot; mistakes are told."""
+"""A session: the same bytes as `run`, in any thread, several at once; orders by hand reach the
+robot; mistakes are told.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,16 @@ from vstestbed.core.errors import ParameterError, SessionError
 
 SHORT = {"stop.duration_s": 0.4}
 TWELVE = (
-    *("arm_ibvs", "arm_pbvs", "arm_fisheye", "arm_track_circle", "omni_ibvs", "omni_line", "car_pbvs", "car_line"),
+    *(
+        "arm_ibvs",
+        "arm_pbvs",
+        "arm_fisheye",
+        "arm_track_circle",
+        "omni_ibvs",
+        "omni_line",
+        "car_pbvs",
+        "car_line",
+    ),
     *("quadrotor_hover", "quadrotor_path", "ibvs_book", "spherical_behind"),
 )
 
@@ -48,7 +59,10 @@ def test_its_bytes_are_those_of_a_run_with_and_without_whole_pictures(name: str)
             images.append(frame.image)
         assert same(session.recording(), run)
     camera = scenario.camera
-    assert all(image is not None and image.shape == (camera.height, camera.width, 3) and image.any() for image in images)
+    assert all(
+        image is not None and image.shape == (camera.height, camera.width, 3) and image.any()
+        for image in images
+    )
     assert len({id(image) for image in images}) == len(images) > 3
 
 
@@ -60,8 +74,13 @@ TAKEN = {
 }
 
 
-@pytest.mark.parametrize(("name", "taken"), one_quick(*product(("arm_ibvs", "arm_fisheye", "arm_pbvs", "arm_tags", "car_line"), TAKEN)))
-def test_whole_pictures_beside_those_of_the_detector_change_no_byte_of_a_whole_run(name: str, taken: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "taken"),
+    one_quick(*product(("arm_ibvs", "arm_fisheye", "arm_pbvs", "arm_tags", "car_line"), TAKEN)),
+)
+def test_whole_pictures_beside_those_of_the_detector_change_no_byte_of_a_whole_run(
+    name: str, taken: str
+) -> None:
     """Were the detector shown them, a pixel at an edge would fall otherwise some frames later."""
     scenario = vs.load(name, {"stop.duration_s": 4.0, **TAKEN[taken]})
     assert same(vs.run(scenario, pictures=True), vs.run(scenario))
@@ -73,12 +92,19 @@ def test_several_are_independent_in_threads_and_interleaved() -> None:
     threads, turned_there = [], {}
     for name in names:
         session = vs.Session(vs.load(name, SHORT))
-        threads.append(threading.Thread(target=lambda n=name, s=session: turned_there.update({n: turned(s, seed=3)})))
+        threads.append(
+            threading.Thread(
+                target=lambda n=name, s=session: turned_there.update({n: turned(s, seed=3)})
+            )
+        )
         threads[-1].start()
     sessions = [vs.Session(vs.load(name, SHORT)) for name in names]
     frames = [session.reset(seed=3) for session in sessions]
     while any(frame.outcome is None for frame in frames):
-        frames = [s.step() if frame.outcome is None else frame for s, frame in zip(sessions, frames, strict=True)]
+        frames = [
+            s.step() if frame.outcome is None else frame
+            for s, frame in zip(sessions, frames, strict=True)
+        ]
     for thread in threads:
         thread.join()
     for name, session, run in zip(names, sessions, runs, strict=True):
@@ -88,7 +114,12 @@ def test_several_are_independent_in_threads_and_interleaved() -> None:
 
 @pytest.mark.parametrize("latency_s", [0.0, 0.06])
 def test_a_command_by_hand_moves_the_robot_after_the_scenarios_latency(latency_s: float) -> None:
-    settings = {"timing.command_latency_s": latency_s, "robot.actuation": "ideal", "stop.duration_s": 0.4, "camera.rate_hz": 100}
+    settings = {
+        "timing.command_latency_s": latency_s,
+        "robot.actuation": "ideal",
+        "stop.duration_s": 0.4,
+        "camera.rate_hz": 100,
+    }
     twist = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
     with vs.Session(vs.load("arm_ibvs", settings)) as session:
         frame = session.reset()
@@ -110,11 +141,20 @@ def test_a_command_by_hand_moves_the_robot_after_the_scenarios_latency(latency_s
 
 
 @pytest.mark.parametrize(
-    ("name", "motion"), [("omni_ibvs", [0.1, 0.0, 0.0]), ("car_pbvs", [0.3, 0.0]), ("quadrotor_hover", [0.2, 0.0, 0.0, 0.0])]
+    ("name", "motion"),
+    [
+        ("omni_ibvs", [0.1, 0.0, 0.0]),
+        ("car_pbvs", [0.3, 0.0]),
+        ("quadrotor_hover", [0.2, 0.0, 0.0, 0.0]),
+    ],
 )
-def test_a_robots_own_motions_are_camera_twists_by_its_mount(name: str, motion: list[float]) -> None:
+def test_a_robots_own_motions_are_camera_twists_by_its_mount(
+    name: str, motion: list[float]
+) -> None:
     scenario = vs.load(name, {"detector": "oracle", "stop.duration_s": 1.5})
-    basis = scenario.robot.motion_basis(vs.Mount.of(scenario.camera.mount.T), scenario.robot.start_joints())
+    basis = scenario.robot.motion_basis(
+        vs.Mount.of(scenario.camera.mount.T), scenario.robot.start_joints()
+    )
     twist = basis @ motion
     with vs.Session(scenario) as by_motion, vs.Session(scenario) as by_twist:
         frame = by_motion.reset()
@@ -122,10 +162,14 @@ def test_a_robots_own_motions_are_camera_twists_by_its_mount(name: str, motion: 
         while frame.outcome is None:
             frame = by_motion.step(np.array(motion))
             other = by_twist.step(twist)
-        np.testing.assert_allclose(frame.truth.T_world_camera, other.truth.T_world_camera, atol=1e-9)
+        np.testing.assert_allclose(
+            frame.truth.T_world_camera, other.truth.T_world_camera, atol=1e-9
+        )
     log = by_motion.recording()
     assert 0.5 * motion[0] < np.linalg.norm(np.ptp(log.camera_poses().t, axis=0)) < 1.6 * motion[0]
-    np.testing.assert_allclose([log[f"cmd_{name}"][-1] for name in ("vx", "vy", "vz", "wx", "wy", "wz")], twist)
+    np.testing.assert_allclose(
+        [log[f"cmd_{name}"][-1] for name in ("vx", "vy", "vz", "wx", "wy", "wz")], twist
+    )
 
 
 def test_the_law_still_says_what_it_would_do() -> None:
@@ -147,7 +191,10 @@ def test_a_law_that_took_over_again_drives_to_the_goal() -> None:
             frame = session.step([0.1, 0, 0, 0, 0, 0])
         while frame.outcome is None:
             frame = session.step()
-    assert frame.outcome is vs.Outcome.converged and frame.verdict == (session.recording().outcome, session.recording().reason)
+    assert frame.outcome is vs.Outcome.converged and frame.verdict == (
+        session.recording().outcome,
+        session.recording().reason,
+    )
 
 
 def test_a_seed_draws_the_start_and_none_is_the_scenarios_own() -> None:
@@ -184,7 +231,10 @@ class TestMistakes:
     def test_of_the_commands_shape(self, session: vs.Session, command: object) -> None:
         with session:
             session.reset()
-            with pytest.raises(ParameterError, match=r"must be a camera twist \(6,\), or 3 velocities along the robot's motions"):
+            with pytest.raises(
+                ParameterError,
+                match=r"must be a camera twist \(6,\), or 3 velocities along the robot's motions",
+            ):
                 session.step(command)  # type: ignore[arg-type] - the mistake
             assert session.step([0.1, 0, 0]).t > 0  # nothing was lost
 
@@ -196,7 +246,9 @@ class TestMistakes:
 
     def test_after_the_end_and_after_close(self, session: vs.Session) -> None:
         recording = turned(session)
-        with pytest.raises(SessionError, match=r"the run has ended: 0\.4 s were not enough; call reset"):
+        with pytest.raises(
+            SessionError, match=r"the run has ended: 0\.4 s were not enough; call reset"
+        ):
             session.step()
         session.reset()
         session.close()
@@ -221,7 +273,8 @@ class TestMistakes:
 
 @pytest.mark.parametrize("name", ["ibvs_book", "quadrotor_hover"])
 def test_a_session_that_is_closed_leaves_its_simulation_to_no_garbage_collector(name: str) -> None:
-    # Memory of a model (100 MB with an arm's meshes) is outside Python, whose collector sees no reason to run for it.
+    # Memory of a model (100 MB with an arm's meshes) is outside Python, whose collector sees no
+    # reason to run for it.
     gc.collect()
     gc.disable()
     try:
@@ -237,7 +290,9 @@ def test_a_session_that_is_closed_leaves_its_simulation_to_no_garbage_collector(
 
 def test_a_run_that_ends_without_another_picture_gives_the_last_frame_with_its_outcome() -> None:
     # A target that is lost while the camera is dead: pictures stop after the first second.
-    scenario = vs.load("arm_ibvs", {"timing.drop_probability": 0.97, "stop.duration_s": 4.0, "seed": 1})
+    scenario = vs.load(
+        "arm_ibvs", {"timing.drop_probability": 0.97, "stop.duration_s": 4.0, "seed": 1}
+    )
     run = vs.run(scenario)
     with vs.Session(scenario) as session:
         recording = turned(session)
@@ -254,7 +309,13 @@ def test_who_writes_to_a_frames_goal_is_told_and_later_runs_stay_the_same(what: 
     with vs.Session(scenario) as session:
         frame = session.reset()
         frame = session.step()
-        logged = (frame.observation.uv, frame.command.twist, frame.allocation.setpoint, frame.truth.q, frame.row)
+        logged = (
+            frame.observation.uv,
+            frame.command.twist,
+            frame.allocation.setpoint,
+            frame.truth.q,
+            frame.row,
+        )
         for array in (getattr(frame.goal, what), frame.truth.T_world_target, *logged):
             with pytest.raises(ValueError, match="read-only"):
                 array -= 0.3
@@ -265,7 +326,11 @@ def test_a_session_is_not_pickled_and_says_what_is() -> None:
     session = vs.Session(vs.load("ibvs_book", SHORT))
     for take in (pickle.dumps, copy.copy, copy.deepcopy):
         with pytest.raises(
-            SessionError, match=r"a running simulation and cannot be pickled or copied; take its scenario, or its recording"
+            SessionError,
+            match=(
+                r"a running simulation and cannot be pickled or copied;"
+                r" take its scenario, or its recording"
+            ),
         ):
             take(session)
 

@@ -1,4 +1,6 @@
-"""One order a cycle: in every way to be stopped, twist, setpoint and order agree, and a latched stop ends by `reset` alone."""
+"""One order a cycle: in every way to be stopped, twist, setpoint and order agree, and a latched
+stop ends by `reset` alone.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ class Rig:
     """A controller whose robot stands at its start, with markers that are shown to it or hidden."""
 
     def __init__(self, name: str, changes: dict[str, object] | None = None):
-        self.scenario = s = vs.load(name, {"detector": {"kind": "oracle"}, "stop.lost_after_s": 0.5} | (changes or {}))
+        self.scenario = s = vs.load(
+            name, {"detector": {"kind": "oracle"}, "stop.lost_after_s": 0.5} | (changes or {})
+        )
         self.controller = vs.Controller(s)
         self.q = s.robot.start_joints()
         T = s.robot.flange_pose(s.robot.configuration()) @ s.camera.mount.T
@@ -50,7 +54,9 @@ class Rig:
         if self.scenario.robot.base != "floating":
             return vs.Reading(self.q, np.zeros(len(self.q)))
         estimate = {"rotor_limit_s": 0.0, "overturned": False, "stands": False} | craft
-        made = FlightEstimate(velocity=STILL, rates=STILL, ref_tilt=np.zeros(2), ref_rates=STILL, **estimate)
+        made = FlightEstimate(
+            velocity=STILL, rates=STILL, ref_tilt=np.zeros(2), ref_rates=STILL, **estimate
+        )
         return FlightReading(np.zeros(0), np.zeros(0), tilt=np.zeros(2), range_m=2.0, estimate=made)
 
     def sees(self, there: bool = True, late_s: float = 0.0, **craft: Any) -> vs.Cycle:
@@ -59,9 +65,14 @@ class Rig:
         t, reading = self.frame * self.period, self.reading(**craft)
         view = TruthView(self.p, np.full(len(self.p), not there))
         arrived = t + self.scenario.camera.latency_s + late_s
-        cycle = self.controller.arrive(Exposure(self.frame, t, None, reading, view), arrived, arrived, reading)
+        cycle = self.controller.arrive(
+            Exposure(self.frame, t, None, reading, view), arrived, arrived, reading
+        )
         self.agrees(cycle.order)
-        assert (cycle.twist is cycle.order.twist, cycle.setpoint is cycle.order.setpoint) == (True, True)
+        assert (cycle.twist is cycle.order.twist, cycle.setpoint is cycle.order.setpoint) == (
+            True,
+            True,
+        )
         return cycle
 
     def silent(self, seconds: float) -> Order:
@@ -75,7 +86,8 @@ class Rig:
         """Twist and setpoint are those of one motion, and those of a stop are rest."""
         assert np.isfinite(order.setpoint).all() and np.isfinite(order.twist).all()
         if order.stopped:
-            moving = order.setpoint[:1] if self.scenario.robot.kind == "car" else order.setpoint  # its steering stays as it was
+            # its steering stays as it was
+            moving = order.setpoint[:1] if self.scenario.robot.kind == "car" else order.setpoint
             assert not moving.any() and not order.twist.any() and order.reason
             return
         mount = Mount.of(self.scenario.believed_camera.mount.T)
@@ -127,7 +139,12 @@ def test_out_of_sight_for_too_long(grounded: Rig) -> None:
     assert lost.reason == rig.controller.supervisor.aborted[1]
     for _ in range(50):  # back in sight: the law would move, and the robot must not
         back = rig.sees()
-        assert back.command.twist.any() and back.stopped and back.latched and back.reason == lost.reason
+        assert (
+            back.command.twist.any()
+            and back.stopped
+            and back.latched
+            and back.reason == lost.reason
+        )
     rig.controller.reset()
     assert moves(rig.sees())
 
@@ -138,7 +155,9 @@ def test_a_craft_that_lost_its_target_sinks_and_says_so() -> None:
     orders = [rig.sees(False) for _ in range(40)]
     held, sinks = orders[0], orders[-1]
     assert held.stopped and not held.latched and "in sight" in held.reason
-    assert not sinks.stopped and not sinks.latched and sinks.setpoint.tolist() == [0.0, 0.0, -0.4, 0.0]
+    assert (
+        not sinks.stopped and not sinks.latched and sinks.setpoint.tolist() == [0.0, 0.0, -0.4, 0.0]
+    )
     assert sinks.twist.any() and sinks.reason.endswith(": the craft sinks")
     assert moves(rig.sees())  # seen again, while it is high enough
 
@@ -159,9 +178,16 @@ def test_a_robot_whose_allocation_is_not_finite(rig: Rig, monkeypatch: pytest.Mo
     n = len(rig.sees().setpoint)
     with monkeypatch.context() as patch:
         for method in ("allocate", "allocate_rates"):  # only an arm has the latter
-            patch.setattr(type(rig.scenario.robot), method, raising=False, value=lambda *given: Allocation(np.full(n, np.nan), np.zeros(6)))
+            patch.setattr(
+                type(rig.scenario.robot),
+                method,
+                raising=False,
+                value=lambda *given: Allocation(np.full(n, np.nan), np.zeros(6)),
+            )
         failed = rig.controller.arrive(*shot(rig))
-    assert failed.stopped and failed.latched and "made a setpoint that is not finite" in failed.reason
+    assert (
+        failed.stopped and failed.latched and "made a setpoint that is not finite" in failed.reason
+    )
     rig.agrees(failed.order)
 
 
@@ -176,7 +202,9 @@ def shot(rig: Rig) -> tuple[Exposure, float, float, vs.Reading]:
 def test_a_late_picture(rig: Rig) -> None:
     rig.sees()
     late = rig.sees(late_s=5.0)
-    assert late.stopped and not late.latched and late.command.twist.any() and "s late" in late.reason
+    assert (
+        late.stopped and not late.latched and late.command.twist.any() and "s late" in late.reason
+    )
 
 
 def test_no_picture(grounded: Rig) -> None:
@@ -204,16 +232,29 @@ def test_a_craft_without_pictures_holds_and_sinks() -> None:
     assert not sinks.stopped and sinks.reason.endswith("the craft sinks")
 
 
-@pytest.mark.parametrize(("craft", "words"), [({"overturned": True}, "60 degrees"), ({"rotor_limit_s": 1.5}, "a rotor stood at its limit")])
+@pytest.mark.parametrize(
+    ("craft", "words"),
+    [({"overturned": True}, "60 degrees"), ({"rotor_limit_s": 1.5}, "a rotor stood at its limit")],
+)
 def test_a_craft_in_trouble_holds_sinks_and_switches_off(craft: dict[str, Any], words: str) -> None:
     rig = Rig("quadrotor_hover")
     rig.sees()
     held = rig.sees(**craft)
-    assert held.stopped and held.latched and words in held.reason and held.reason.endswith("the craft holds")
+    assert (
+        held.stopped
+        and held.latched
+        and words in held.reason
+        and held.reason.endswith("the craft holds")
+    )
     sinks = [rig.sees() for _ in range(round(HOLD_S / rig.period) + 2)][-1]
     assert not sinks.stopped and sinks.latched and words in sinks.reason and sinks.twist.any()
     off = rig.sees(stands=True)
-    assert off.order.stop == "off" and off.stopped and off.latched and off.reason.endswith("rotors off")
+    assert (
+        off.order.stop == "off"
+        and off.stopped
+        and off.latched
+        and off.reason.endswith("rotors off")
+    )
     assert rig.sees().order.stop == "off"
     rig.controller.reset()
     assert moves(rig.sees())
@@ -229,7 +270,8 @@ def test_a_joint_at_its_limit_leaves_a_velocity_that_agrees() -> None:
         rig.q = rig.q.copy()
         rig.q[joint] = high if free.setpoint[joint] > 0 else low
         found = [rig.sees() for _ in range(3)][-1]
-        if found.allocation.limit != "joint_limit":  # in another configuration the joint may turn the other way
+        # in another configuration the joint may turn the other way
+        if found.allocation.limit != "joint_limit":
             rig.q[joint] = low if rig.q[joint] == high else high
             found = rig.sees()
         assert found.allocation.limit == "joint_limit" and not found.stopped
@@ -254,12 +296,17 @@ class TestWithPictures:
         scenario, image, reading = shown
         controller, black = vs.Controller(scenario), np.zeros_like(image)
         pictures = [image] * 3 + [black] * 8 + [image] * 3
-        return controller, [controller.step(picture, 0.04 * k, reading) for k, picture in enumerate(pictures)]
+        return controller, [
+            controller.step(picture, 0.04 * k, reading) for k, picture in enumerate(pictures)
+        ]
 
     def test_the_twist_does_not_drive_on(self, shown: Shown) -> None:
         _, cycles = self.lost(shown)
         assert moves(cycles[2]) and cycles[3].stopped
-        assert all(cycle.latched and cycle.stopped and not cycle.twist.any() and not cycle.setpoint.any() for cycle in cycles[-3:])
+        assert all(
+            cycle.latched and cycle.stopped and not cycle.twist.any() and not cycle.setpoint.any()
+            for cycle in cycles[-3:]
+        )
         assert cycles[-1].command.twist.any() and "for 0.2 s" in cycles[-1].reason
 
     def test_after_a_reset_it_is_a_new_controller(self, shown: Shown) -> None:
@@ -268,15 +315,26 @@ class TestWithPictures:
         _, image, reading = shown
         for k in range(3):
             again = controller.step(image, 0.04 * k, reading)
-            assert again.twist.tobytes() == first[k].twist.tobytes() and again.timing == first[k].timing and again.notes == ()
+            assert (
+                again.twist.tobytes() == first[k].twist.tobytes()
+                and again.timing == first[k].timing
+                and again.notes == ()
+            )
 
-    def test_a_picture_that_comes_twice_does_not_bring_an_old_velocity_back(self, shown: Shown) -> None:
+    def test_a_picture_that_comes_twice_does_not_bring_an_old_velocity_back(
+        self, shown: Shown
+    ) -> None:
         scenario, image, reading = shown
         controller = vs.Controller(scenario)
         assert moves(controller.step(image, 0.0, reading))
         assert controller.without_picture(0.3, reading).stopped
         again = controller.step(image, 0.0, reading)
-        assert again.stopped and not again.latched and not again.twist.any() and again.notes == ("the picture of 0 s came again",)
+        assert (
+            again.stopped
+            and not again.latched
+            and not again.twist.any()
+            and again.notes == ("the picture of 0 s came again",)
+        )
         assert controller.without_picture(0.6, reading).latched
         assert controller.step(image, 0.0, reading).latched
         assert controller.step(image, 0.64, reading).latched
@@ -294,7 +352,10 @@ class TestWithPictures:
 
 class TestThreads:
     def test_a_second_thread_is_refused(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        controller, reading = vs.Controller(vs.load("arm_ibvs")), vs.Reading(np.array([0, 0.7, -3, 0, 0.7, 0]), np.zeros(6))
+        controller, reading = (
+            vs.Controller(vs.load("arm_ibvs")),
+            vs.Reading(np.array([0, 0.7, -3, 0, 0.7, 0]), np.zeros(6)),
+        )
         inside, go_on, found = threading.Event(), threading.Event(), []
 
         def slow(*given: Any) -> Any:
@@ -303,7 +364,11 @@ class TestThreads:
             raise RuntimeError("never mind")
 
         monkeypatch.setattr(type(controller.law), "step", slow)
-        thread = threading.Thread(target=lambda: found.append(controller.step(np.zeros((480, 640, 3), np.uint8), 0.0, reading)))
+        thread = threading.Thread(
+            target=lambda: found.append(
+                controller.step(np.zeros((480, 640, 3), np.uint8), 0.0, reading)
+            )
+        )
         thread.start()
         assert inside.wait(10)
         calls: tuple[Callable[[], object], ...] = (
@@ -314,13 +379,18 @@ class TestThreads:
         )
         for call in calls:
             with pytest.raises(
-                SessionError, match="another thread is in a call of this controller, which serves one thread at a time; hold"
+                SessionError,
+                match=(
+                    "another thread is in a call of this controller,"
+                    " which serves one thread at a time; hold"
+                ),
             ):
                 call()
         go_on.set()
         thread.join(10)
         assert found[0].latched and "never mind" in found[0].reason
-        assert controller.without_picture(0.5, reading).stopped  # one after the other, any thread may call it
+        # one after the other, any thread may call it
+        assert controller.without_picture(0.5, reading).stopped
 
     def test_of_a_session_too(self, monkeypatch: pytest.MonkeyPatch) -> None:
         with vs.Session(vs.load("ibvs_book", {"detector": "oracle"})) as session:
@@ -341,23 +411,38 @@ class TestThreads:
                 session.step()
             go_on.set()
             thread.join(10)
-            assert found[0].outcome is None and session.step().timing.number == found[0].timing.number + 1
+            assert (
+                found[0].outcome is None
+                and session.step().timing.number == found[0].timing.number + 1
+            )
 
 
 def test_the_log_of_a_run_whose_target_was_lost_tells_what_was_ordered() -> None:
     """By hand: the supervisor is obeyed first, in twist and setpoint alike."""
-    with vs.Session(vs.load("arm_ibvs", {"detector": "oracle", "robot.actuation": "ideal", "stop.lost_after_s": 0.0})) as session:
+    with vs.Session(
+        vs.load(
+            "arm_ibvs", {"detector": "oracle", "robot.actuation": "ideal", "stop.lost_after_s": 0.0}
+        )
+    ) as session:
         frame = session.reset()
         assert session.episode is not None
         session.episode.controller.supervisor.abort(0.0, Outcome.target_lost, "given up")
         frame = session.step()
         command, allocation, order = session.episode.controller.override(frame, np.full(6, 0.1))
-        assert order.stopped and order.latched and not order.twist.any() and command.twist.any() and allocation.twist.any()
+        assert (
+            order.stopped
+            and order.latched
+            and not order.twist.any()
+            and command.twist.any()
+            and allocation.twist.any()
+        )
 
 
 def test_a_stop_of_a_car_keeps_its_steering() -> None:
     rig = Rig("car_pbvs")
-    moving = next(cycle for cycle in (rig.sees() for _ in range(50)) if abs(cycle.setpoint[1]) > 1e-3)
+    moving = next(
+        cycle for cycle in (rig.sees() for _ in range(50)) if abs(cycle.setpoint[1]) > 1e-3
+    )
     stop = rig.silent(1.0)
     assert stop.setpoint.tolist() == [0.0, moving.setpoint[1]] and not stop.twist.any()
 

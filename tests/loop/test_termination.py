@@ -1,4 +1,6 @@
-"""Termination: each outcome from the frames that call for it, with the reason that a person reads; which of several counts."""
+"""Termination: each outcome from the frames that call for it, with the reason that a person reads;
+which of several counts.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,9 @@ SETUP = vs.load("arm_ibvs").setup
 
 
 def judged(seconds, supervisor=None, stop=STOP, **given):
-    """The verdict (outcome, reason) on the same frame at 25 Hz for so long, and when it fell; None to go on."""
+    """The verdict (outcome, reason) on the same frame at 25 Hz for so long, and when it fell; None
+    to go on.
+    """
     supervisor = supervisor or Supervisor()
     monitor = TaskMonitor(replace(SETUP, stop=stop), 1, supervisor)
     ends = Termination(monitor, stop, SETUP.target, supervisor)
@@ -44,7 +48,11 @@ def test_each_end_has_its_evidence():
     for given, outcome, words in (
         ({"contact": "hub and floor"}, Outcome.collided, "contact of hub and floor"),
         ({"T_world_camera": back_from_target(201.0)}, Outcome.diverged, "200 m"),
-        ({"T_world_camera": back_from_target(-0.1)}, Outcome.target_lost, "starts behind the plane"),
+        (
+            {"T_world_camera": back_from_target(-0.1)},
+            Outcome.target_lost,
+            "starts behind the plane",
+        ),
         ({"limit": "joint_limit", "scale": 0.0}, Outcome.joint_limit, "joint"),
         ({"limit": "singular", "scale": 0.01}, Outcome.singular, "singular"),
         ({"speed_mps": 0.0}, Outcome.local_minimum, "5 px"),
@@ -60,7 +68,9 @@ def test_time_runs_out():
 
 
 class TestOrder:
-    """Of several outcomes in one frame: given up by the supervisor, reached, the safety monitors in their order, missed."""
+    """Of several outcomes in one frame: given up by the supervisor, reached, the safety monitors in
+    their order, missed.
+    """
 
     AT_ONCE = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.0), lost_after_s=0.0)
     LAST = Stop(duration_s=0.04)
@@ -68,10 +78,30 @@ class TestOrder:
     @pytest.mark.parametrize(
         ("stop", "given", "outcome"),
         [
-            (AT_ONCE, {"rms_px": 0.1, "contact": "hub and floor", "T_world_camera": back_from_target(201.0)}, Outcome.converged),
-            (AT_ONCE, {"contact": "hub and floor", "T_world_camera": back_from_target(201.0), "lost": True}, Outcome.collided),
+            (
+                AT_ONCE,
+                {
+                    "rms_px": 0.1,
+                    "contact": "hub and floor",
+                    "T_world_camera": back_from_target(201.0),
+                },
+                Outcome.converged,
+            ),
+            (
+                AT_ONCE,
+                {
+                    "contact": "hub and floor",
+                    "T_world_camera": back_from_target(201.0),
+                    "lost": True,
+                },
+                Outcome.collided,
+            ),
             (AT_ONCE, {"T_world_camera": back_from_target(-201.0), "lost": True}, Outcome.diverged),
-            (AT_ONCE, {"T_world_camera": back_from_target(-0.1), "limit": "singular", "scale": 0.0}, Outcome.target_lost),
+            (
+                AT_ONCE,
+                {"T_world_camera": back_from_target(-0.1), "limit": "singular", "scale": 0.0},
+                Outcome.target_lost,
+            ),
             (LAST, {}, Outcome.timed_out),
         ],
     )
@@ -85,7 +115,11 @@ class TestARobotThatGaveUp:
     def test_the_run_goes_on_until_it_stands(self):
         moving, standing = Supervisor(aborted=self.WHY), Supervisor(aborted=self.WHY, _stands=True)
         assert judged(9.9, supervisor=moving) is None
-        assert judged(1.0, supervisor=standing) == (Outcome.target_lost, f"{self.WHY[1]}; the robot stands", 0.0)
+        assert judged(1.0, supervisor=standing) == (
+            Outcome.target_lost,
+            f"{self.WHY[1]}; the robot stands",
+            0.0,
+        )
 
     def test_out_of_sight_is_said_before_out_of_time(self):
         outcome, reason, t = judged(10.1, supervisor=Supervisor(aborted=self.WHY))
@@ -94,14 +128,28 @@ class TestARobotThatGaveUp:
 
     def test_without_pictures_it_decides_by_the_clock(self):
         supervisor = Supervisor()
-        ends, truth = Termination(TaskMonitor(replace(SETUP, stop=STOP), 1, supervisor), STOP, SETUP.target, supervisor), frame().truth
+        ends, truth = (
+            Termination(
+                TaskMonitor(replace(SETUP, stop=STOP), 1, supervisor),
+                STOP,
+                SETUP.target,
+                supervisor,
+            ),
+            frame().truth,
+        )
         assert ends.without_picture(9.9, truth) is None
         assert ends.without_picture(10.0, truth) == (Outcome.timed_out, "10 s were not enough")
-        assert ends.without_picture(1.0, frame(contact="forearm and floor").truth)[0] is Outcome.collided
+        assert (
+            ends.without_picture(1.0, frame(contact="forearm and floor").truth)[0]
+            is Outcome.collided
+        )
         supervisor.aborted = self.WHY
         assert ends.without_picture(9.9, truth) is None
         supervisor._stands = True
-        assert ends.without_picture(9.9, truth) == (Outcome.target_lost, f"{self.WHY[1]}; the robot stands")
+        assert ends.without_picture(9.9, truth) == (
+            Outcome.target_lost,
+            f"{self.WHY[1]}; the robot stands",
+        )
 
 
 class TestACraftThatGaveUp:
@@ -114,11 +162,15 @@ class TestACraftThatGaveUp:
         assert judged(9.9, supervisor=self.craft()) is None
         outcome, reason, t = judged(9.9, supervisor=self.craft(off_at=5.0, mode=OFF))
         assert outcome is Outcome.overturned and reason == "tilted; the craft set down"
-        assert t == pytest.approx(5.52, abs=0.021)  # half a second with its rotors off, at the next frame
+        # half a second with its rotors off, at the next frame
+        assert t == pytest.approx(5.52, abs=0.021)
 
     def test_not_beyond_the_end_of_the_time(self):
         outcome, reason, t = judged(10.1, supervisor=self.craft())
-        assert outcome is Outcome.overturned and "was still on its way down when the time ran out" in reason
+        assert (
+            outcome is Outcome.overturned
+            and "was still on its way down when the time ran out" in reason
+        )
         assert t == pytest.approx(10.0)
 
     def test_a_touch_ends_it_at_once_with_both_reasons(self):

@@ -6,12 +6,21 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.stability import closed_form, gain_limit, loop_shares, polynomial, roots, swing_frames
+from vstestbed.loop.stability import (
+    closed_form,
+    gain_limit,
+    loop_shares,
+    polynomial,
+    roots,
+    swing_frames,
+)
 from vstestbed.studies.delay import locus
 
 
 def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:
-    """How the loop s(k+1) = s(k) - g sum b_j s(k-d-j) grows in a step, late, from 1 and zeros before."""
+    """How the loop s(k+1) = s(k) - g sum b_j s(k-d-j) grows in a step, late, from 1 and zeros
+    before.
+    """
     s = np.zeros(steps + 1 + d + len(shares))
     s[d + len(shares)] = 1.0
     for k in range(d + len(shares), len(s) - 1):
@@ -40,15 +49,21 @@ def led_form(d: int) -> float:
 def test_to_lead_to_a_command_costs_half_a_period(d: int):
     assert gain_limit(d, (0.5, 0.5)) == pytest.approx(led_form(d), rel=1e-8)
     # Both are (pi / 2) / delay to the first order: of half a frame more.
-    assert math.pi / 2 / led_form(d) - math.pi / 2 / closed_form(d) == pytest.approx(0.5, abs=0.4 / (d + 1))
+    assert math.pi / 2 / led_form(d) - math.pi / 2 / closed_form(d) == pytest.approx(
+        0.5, abs=0.4 / (d + 1)
+    )
 
 
 def test_without_delay_to_lead_costs_no_gain():
     """The loop of held commands alternates at its limit, which the other averages out."""
-    assert led_form(0) == pytest.approx(2) == pytest.approx(closed_form(0)) and gain_limit(0, (0.5, 0.5)) == pytest.approx(2, rel=1e-8)
+    assert led_form(0) == pytest.approx(2) == pytest.approx(closed_form(0)) and gain_limit(
+        0, (0.5, 0.5)
+    ) == pytest.approx(2, rel=1e-8)
 
 
-@pytest.mark.parametrize(("d", "shares"), [(0, (1.0,)), (2, (1.0,)), (1, (0.4, 0.6)), (3, (0.7, 0.2, 0.1))])
+@pytest.mark.parametrize(
+    ("d", "shares"), [(0, (1.0,)), (2, (1.0,)), (1, (0.4, 0.6)), (3, (0.7, 0.2, 0.1))]
+)
 def test_a_loop_iterated_goes_unstable_where_its_poles_say(d, shares):
     limit = gain_limit(d, shares)
     assert iterated(0.99 * limit, d, shares) < 1 < iterated(1.01 * limit, d, shares)
@@ -56,9 +71,14 @@ def test_a_loop_iterated_goes_unstable_where_its_poles_say(d, shares):
 
 @pytest.mark.parametrize(("tau_ms", "higher"), [(1, 0.05), (2, 0.11), (5, 0.33)])
 def test_a_servos_lag_without_delay(tau_ms, higher):
-    # First-order servo, tau much under the period T = 40 ms: b = (1 - tau/T, tau/T), and z = -1 is a pole at g = 2/(1 - 2 tau/T).
+    # First-order servo, tau much under the period T = 40 ms: b = (1 - tau/T, tau/T), and z = -1 is
+    # a pole at g = 2/(1 - 2 tau/T).
     a = tau_ms / 40
-    assert gain_limit(0, (1 - a, a)) == pytest.approx(2 / (1 - 2 * a), rel=1e-8) == pytest.approx(2 * (1 + higher), rel=0.01)
+    assert (
+        gain_limit(0, (1 - a, a))
+        == pytest.approx(2 / (1 - 2 * a), rel=1e-8)
+        == pytest.approx(2 * (1 + higher), rel=0.01)
+    )
 
 
 def test_branches_are_followed():
@@ -67,7 +87,8 @@ def test_branches_are_followed():
     assert ways.shape == (3000, 3)
     for i in (0, 1500, 2999):
         np.testing.assert_allclose(np.poly(ways[i]), polynomial(gains[i], 2), atol=1e-9)
-    # From one gain to the next .0005 apart a pole moves little, but where two meet (square root of the step).
+    # From one gain to the next .0005 apart a pole moves little, but where two meet (square root of
+    # the step).
     assert np.abs(np.diff(ways, axis=0)).max() < 0.05
 
 
@@ -78,7 +99,9 @@ def test_a_servo_that_goes_backwards_is_refused():
 
 @pytest.mark.parametrize("d", [1, 2, 4])
 def test_led_commands_and_late_pictures_shift_the_limit(d: int) -> None:
-    """A ramp is the closed form of led commands; a picture older by a whole frame is one frame of delay; by a part, in between."""
+    """A ramp is the closed form of led commands; a picture older by a whole frame is one frame of
+    delay; by a part, in between.
+    """
     assert gain_limit(d, loop_shares(True, 0.0)) == pytest.approx(led_form(d), abs=1e-6)
     assert gain_limit(d, loop_shares(False, 1.0)) == pytest.approx(closed_form(d + 1), abs=1e-6)
     assert closed_form(d + 1) < gain_limit(d, loop_shares(False, 0.4)) < closed_form(d)

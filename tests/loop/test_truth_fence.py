@@ -1,8 +1,10 @@
-"""The fence round the simulator's truth, by type and by what numbers derive from: no name of a field matters.
+"""The fence round the simulator's truth, by type and by what numbers derive from: no name of a
+field matters.
 
-Three checks, each with a planted leak that it finds: types in signatures and in their fields, objects and tainted numbers in everything
-that a law, a detector, an observer, a task's reference, a supervisor or an onboard controller is given while a run goes on, and commands
-under a corrupted truth.
+Three checks, each with a planted leak that it finds: types in signatures and in their fields,
+objects and tainted numbers in everything that a law, a detector, an observer, a task's reference, a
+supervisor or an onboard controller is given while a run goes on, and commands under a corrupted
+truth.
 """
 
 from __future__ import annotations
@@ -42,7 +44,17 @@ from vstestbed.vision.base import TruthView
 from vstestbed.vision.observe import Observer
 
 ROOMS = ("laws", "robots", "vision", "features", "camera", "targets")
-TRUE = (Truth, TruthView, RobotState, Frame, MujocoPlant, IdealPlant, Scene, mujoco.MjData, mujoco.MjModel)
+TRUE = (
+    Truth,
+    TruthView,
+    RobotState,
+    Frame,
+    MujocoPlant,
+    IdealPlant,
+    Scene,
+    mujoco.MjData,
+    mujoco.MjModel,
+)
 """Types that hold the truth, or the simulator's state."""
 
 
@@ -81,22 +93,42 @@ class TestTypes:
             hints = typing.get_type_hints(function)
         except NameError:  # a name that is imported for the type checker alone
             return set()
-        return {found for hint in hints.values() for found in TestTypes.within(hint, set()) if issubclass(found, TRUE)}
+        return {
+            found
+            for hint in hints.values()
+            for found in TestTypes.within(hint, set())
+            if issubclass(found, TRUE)
+        }
 
     def test_only_detectors_and_a_robots_log_take_the_truth(self):
-        taken = [(cls, f, self.true_arguments(f)) for room in ROOMS for cls, f in self.functions(room)]
+        taken = [
+            (cls, f, self.true_arguments(f)) for room in ROOMS for cls, f in self.functions(room)
+        ]
         assert len(taken) > 600
         for cls, function, found in taken:
             if found == {TruthView} and cls is not None:
-                # Every detector has the argument, by its interface; the loop fills it only for the oracle.
+                # Every detector has the argument, by its interface; the loop fills it only for the
+                # oracle.
                 assert function.__name__ == "detect" or cls is TruthView, function.__qualname__
             elif found:
-                logs = function.__qualname__ == "_slip" if cls is None else issubclass(cls, RobotLog | RobotState)
+                logs = (
+                    function.__qualname__ == "_slip"
+                    if cls is None
+                    else issubclass(cls, RobotLog | RobotState)
+                )
                 assert found == {RobotState} and logs, function.__qualname__
 
     def test_what_a_law_or_a_task_is_given_holds_none(self):
-        given = [typing.get_type_hints(owner.step if owner is Law else owner.reference) for owner in (Law, Task)]
-        reached = {found for hints in given for hint in hints.values() for found in self.within(hint, set())}
+        given = [
+            typing.get_type_hints(owner.step if owner is Law else owner.reference)
+            for owner in (Law, Task)
+        ]
+        reached = {
+            found
+            for hints in given
+            for hint in hints.values()
+            for found in self.within(hint, set())
+        }
         assert Observation in reached and not reached & set(TRUE)
 
     def test_a_planted_field_is_found_whatever_its_name(self):
@@ -118,18 +150,29 @@ class Tainted(np.ndarray):
 
 def tainted(truth: Truth) -> Truth:
     fields = truth._asdict()
-    return truth._replace(**{name: a.view(Tainted) for name, a in fields.items() if isinstance(a, np.ndarray)})
+    return truth._replace(
+        **{name: a.view(Tainted) for name, a in fields.items() if isinstance(a, np.ndarray)}
+    )
 
 
 def leaks(thing: Any, path: str, seen: set[int]) -> Iterator[str]:
-    """Paths to objects of the truth, and to numbers that derive from it, in all that can be reached from a thing."""
-    if id(thing) in seen or isinstance(thing, str | bytes | int | float | type | types.ModuleType | np.random.Generator) or thing is None:
+    """Paths to objects of the truth, and to numbers that derive from it, in all that can be reached
+    from a thing.
+    """
+    if (
+        id(thing) in seen
+        or isinstance(
+            thing, str | bytes | int | float | type | types.ModuleType | np.random.Generator
+        )
+        or thing is None
+    ):
         return
     seen.add(id(thing))
     if isinstance(thing, (*TRUE, Tainted)):
         yield f"{path}: {type(thing).__name__}"
     elif isinstance(thing, Picture):
-        # Its `draw_whole` reaches the renderer, and is called by `Picture.completed` alone (tested below): it gives a picture.
+        # Its `draw_whole` reaches the renderer, and is called by `Picture.completed` alone (tested
+        # below): it gives a picture.
         yield from leaks(thing.images, f"{path}.images", seen)
     elif isinstance(thing, dict):
         for key, value in thing.items():
@@ -150,7 +193,11 @@ def parts_of(thing: Any) -> Iterator[tuple[str, Any]]:
     yield from getattr(thing, "__dict__", {}).items()
     for cls in type(thing).__mro__:
         slots = vars(cls).get("__slots__", ())
-        yield from ((s, getattr(thing, s)) for s in ((slots,) if isinstance(slots, str) else slots) if hasattr(thing, s) and s[:2] != "__")
+        yield from (
+            (s, getattr(thing, s))
+            for s in ((slots,) if isinstance(slots, str) else slots)
+            if hasattr(thing, s) and s[:2] != "__"
+        )
     for name in ("__self__", "__defaults__", "func", "args", "keywords"):
         if callable(thing) and (value := getattr(thing, name, None)) is not None:
             yield name, value
@@ -172,7 +219,10 @@ def watched(monkeypatch: pytest.MonkeyPatch, scenario: vs.Scenario, every: int =
         (Observer, ("observe",)),
         (type(scenario.goal), ("reference", "passed")),
         (supervisor, ("filter",)),
-        (type(scenario.robot), tuple(name for name in OF_ROBOTS if hasattr(type(scenario.robot), name))),
+        (
+            type(scenario.robot),
+            tuple(name for name in OF_ROBOTS if hasattr(type(scenario.robot), name)),
+        ),
     )
 
     def spy(cls: type, name: str) -> None:
@@ -210,19 +260,34 @@ RUNS = {
     "quadrotor_land": {},
     "arm_keypoints": SMALL,
 }
-CORRUPTED = ("arm_ibvs", "arm_depth", "arm_patch", "arm_region", "car_pbvs", "quadrotor_path", "arm_keypoints", "arm_photometric")
+CORRUPTED = (
+    "arm_ibvs",
+    "arm_depth",
+    "arm_patch",
+    "arm_region",
+    "car_pbvs",
+    "quadrotor_path",
+    "arm_keypoints",
+    "arm_photometric",
+)
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_nothing_that_decides_is_given_the_truth_or_what_derives_from_it(name: str, monkeypatch: pytest.MonkeyPatch):
+def test_nothing_that_decides_is_given_the_truth_or_what_derives_from_it(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
     scenario = vs.load(name, RUNS[name] | {"stop.duration_s": 0.12})
     found = watched(monkeypatch, scenario, every=7 if scenario.robot.onboard else 1)
     r = vs.run(scenario)
     assert len(r.table) >= 3 and not found
 
 
-def planted(monkeypatch: pytest.MonkeyPatch, leak: Callable[[Truth, Observation], Observation]) -> None:
-    """A leak: the controller, which is given no truth, gets hold of that of its picture's exposure."""
+def planted(
+    monkeypatch: pytest.MonkeyPatch, leak: Callable[[Truth, Observation], Observation]
+) -> None:
+    """A leak: the controller, which is given no truth,
+    gets hold of that of its picture's exposure.
+    """
     shot_of, observe, truths = CameraClock._shot, Controller._observe, {}
 
     def overheard(self: CameraClock, step: int, truth: Truth) -> Exposed:
@@ -239,7 +304,9 @@ def planted(monkeypatch: pytest.MonkeyPatch, leak: Callable[[Truth, Observation]
 
 def leak_into_observation(truth: Truth, seen: Observation) -> Observation:
     """Numbers computed from the truth, under the name of an honest field."""
-    return dataclasses.replace(seen, place=np.array([2.0, 1.0, 0.5]) * truth.T_world_camera[:3, 3] + 1)
+    return dataclasses.replace(
+        seen, place=np.array([2.0, 1.0, 0.5]) * truth.T_world_camera[:3, 3] + 1
+    )
 
 
 def leak_object(truth: Truth, seen: Observation) -> Observation:
@@ -252,7 +319,9 @@ def leak_closure(truth: Truth, seen: Observation) -> Observation:
 
 @pytest.mark.parametrize("leak", [leak_into_observation, leak_object, leak_closure])
 @pytest.mark.parametrize("name", ["arm_ibvs", "ibvs_book"])
-def test_a_planted_leak_is_found(name: str, leak: Callable[..., Observation], monkeypatch: pytest.MonkeyPatch):
+def test_a_planted_leak_is_found(
+    name: str, leak: Callable[..., Observation], monkeypatch: pytest.MonkeyPatch
+):
     planted(monkeypatch, leak)
     scenario = vs.load(name, {"stop.duration_s": 0.1})
     found = watched(monkeypatch, scenario)
@@ -262,7 +331,9 @@ def test_a_planted_leak_is_found(name: str, leak: Callable[..., Observation], mo
 
 
 class TestCorruptedTruth:
-    """Numbers that lose their class on the way, as plain floats do: commands must not change with the truth."""
+    """Numbers that lose their class on the way, as plain floats do: commands must not change with
+    the truth.
+    """
 
     @staticmethod
     def commands(scenario: vs.Scenario) -> Array:
@@ -270,7 +341,8 @@ class TestCorruptedTruth:
         names = [
             n
             for n in r.columns
-            if n.startswith(("cmd_", "applied_", "depth_", "u_goal", "v_goal")) or n in ("scale", "error_px", "error_grey", "supervisor")
+            if n.startswith(("cmd_", "applied_", "depth_", "u_goal", "v_goal"))
+            or n in ("scale", "error_px", "error_grey", "supervisor")
         ]
         return np.column_stack([r[n] for n in names])
 
@@ -279,7 +351,11 @@ class TestCorruptedTruth:
         rng = np.random.default_rng(0)
         # Termination, which believes the lies, would end the run at once: here the clock does.
         monkeypatch.setattr(
-            Termination, "verdict", lambda termination, frame: (vs.Outcome.timed_out, "") if frame.t >= 0.2 - 1e-9 else None
+            Termination,
+            "verdict",
+            lambda termination, frame: (
+                (vs.Outcome.timed_out, "") if frame.t >= 0.2 - 1e-9 else None
+            ),
         )
         for plant in (MujocoPlant, IdealPlant):
             true = plant.truth
@@ -288,7 +364,10 @@ class TestCorruptedTruth:
                 truth = true(self)
                 T = truth.T_world_camera.copy()
                 T[:3, 3] += rng.normal(size=3)
-                garbage = {n: rng.normal(size=np.shape(getattr(truth, n))) for n in ("p_camera", "twist", "q", "qd", "ctrl", "act", "wind")}
+                garbage = {
+                    n: rng.normal(size=np.shape(getattr(truth, n)))
+                    for n in ("p_camera", "twist", "q", "qd", "ctrl", "act", "wind")
+                }
                 return truth._replace(T_world_camera=T, hidden=~truth.hidden, **garbage)
 
             monkeypatch.setattr(plant, "truth", lie)
@@ -302,7 +381,12 @@ class TestCorruptedTruth:
         np.testing.assert_array_equal(self.commands(scenario), honest)
 
     def test_a_planted_number_is_found(self, monkeypatch: pytest.MonkeyPatch):
-        planted(monkeypatch, lambda truth, seen: dataclasses.replace(seen, depth=seen.depth + 1e-3 * float(truth.twist[0])))
+        planted(
+            monkeypatch,
+            lambda truth, seen: dataclasses.replace(
+                seen, depth=seen.depth + 1e-3 * float(truth.twist[0])
+            ),
+        )
         scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.2})
         honest = self.commands(scenario)
         self.corrupt(monkeypatch)
@@ -323,10 +407,17 @@ def test_a_picture_alone_draws_itself_whole():
 
 def test_robots_sensors_are_such_as_robots_have():
     """MuJoCo also has sensors of places and velocities in the world."""
-    real = {mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_VELOCIMETER}
-    real |= {mujoco.mjtSensor.mjSENS_RANGEFINDER, mujoco.mjtSensor.mjSENS_FRAMEXAXIS}  # the last is the compass
+    real = {
+        mujoco.mjtSensor.mjSENS_GYRO,
+        mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+        mujoco.mjtSensor.mjSENS_VELOCIMETER,
+    }
+    # the last is the compass
+    real |= {mujoco.mjtSensor.mjSENS_RANGEFINDER, mujoco.mjtSensor.mjSENS_FRAMEXAXIS}
     for name in ("arm_ibvs", "car_pbvs", "omni_ibvs", "quadrotor_path"):
         robot = vs.load(name).robot
         model = mujoco.MjModel.from_xml_path(str(model_path(robot.body.file)))
-        assert {model.sensor(sensor).type[0] for sensor in robot.body.sensors} <= {int(s) for s in real}
+        assert {model.sensor(sensor).type[0] for sensor in robot.body.sensors} <= {
+            int(s) for s in real
+        }
         assert not any(joint.startswith("root") for joint in robot.joints)

@@ -1,4 +1,6 @@
-"""What lags, delays and wrong radii of vehicles do to their closed loops, against the roots of the linear ones."""
+"""What lags, delays and wrong radii of vehicles do to their closed loops, against the roots of the
+linear ones.
+"""
 
 from __future__ import annotations
 
@@ -24,21 +26,37 @@ BASE = ORACLE | {
     "law": {"kind": "pbvs", "gain": 1},
     "stop": {"duration_s": 6.5},
 }
-CAR = ORACLE | {"robot.start.nominal": {"x": 5, "y": 3, "heading_deg": 90}, "robot.compass.sigma_deg": 0, "stop.duration_s": 4.4}
+CAR = ORACLE | {
+    "robot.start.nominal": {"x": 5, "y": 3, "heading_deg": 90},
+    "robot.compass.sigma_deg": 0,
+    "stop.duration_s": 4.4,
+}
 FRAME_S, WHEELS_S, MOTOR_S = 0.04, 0.04, 0.03
-"""Period of the camera; lags of the base's own wheel loop (models/omni.xml) and of the car's motor (robots/car.py)."""
+"""Period of the camera; lags of the base's own wheel loop (models/omni.xml) and of the car's motor
+(robots/car.py).
+"""
 
 
 def decay(gain: float, delay_s: float, passed: Callable[[float], float]) -> float:
-    """The slowest s > 0 [1/s] of errors e^-st: s = gain e^(s delay) G(-s), with `passed` s -> G(-s) of what the loop does to a command."""
+    """The slowest s > 0 [1/s] of errors e^-st: s = gain e^(s delay) G(-s), with `passed` s -> G(-s)
+    of what the loop does to a command.
+    """
     s = gain
     for _ in range(200):
         s = gain * math.exp(s * delay_s) * passed(s)
     return s
 
 
-def base_alone(gain: float = 1.0, lags_s: tuple[float, ...] = (), ramp: bool = False, from_m: float = 2.52, to_m: float = 0.01) -> float:
-    """When a base on a line comes under a distance [s]: v = min(1, g x), a frame late and held, or led to by a ramp, behind lags."""
+def base_alone(
+    gain: float = 1.0,
+    lags_s: tuple[float, ...] = (),
+    ramp: bool = False,
+    from_m: float = 2.52,
+    to_m: float = 0.01,
+) -> float:
+    """When a base on a line comes under a distance [s]: v = min(1, g x), a frame late and held, or
+    led to by a ramp, behind lags.
+    """
     x, dt, passed, orders, way = from_m, 0.001, [0.0] * (1 + len(lags_s)), [0.0, 0.0], 0
     frame = round(FRAME_S / dt)
     while x > to_m:
@@ -54,12 +72,20 @@ def base_alone(gain: float = 1.0, lags_s: tuple[float, ...] = (), ramp: bool = F
 
 @cache
 def measured(**changes: object) -> tuple[float, float]:
-    """When the base comes under 1 cm from its goal [s], and the rate of its distance under 0.5 m [1/s]."""
-    rows = vs.run(vs.load("omni_ibvs", BASE | {name.replace("__", "."): value for name, value in changes.items()})).rows
+    """When the base comes under 1 cm from its goal [s], and the rate of its distance under 0.5 m
+    [1/s].
+    """
+    rows = vs.run(
+        vs.load(
+            "omni_ibvs", BASE | {name.replace("__", "."): value for name, value in changes.items()}
+        )
+    ).rows
     t, x, y = (rows[name] for name in ("t", "base_x", "base_y"))
     distance = np.hypot(x + 2, y)
     late = distance < 0.1
-    return float(np.interp(-0.01, -distance, t)), -float(np.polyfit(t[late], np.log(distance[late]), 1)[0])
+    return float(np.interp(-0.01, -distance, t)), -float(
+        np.polyfit(t[late], np.log(distance[late]), 1)[0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -75,28 +101,45 @@ def measured(**changes: object) -> tuple[float, float]:
 def test_the_base_comes_as_fast_as_its_lags_let_it(
     changes: dict[str, object], gain: float, earlier_s: float, lags_s: tuple[float, ...]
 ) -> None:
-    """s (1 - s T_wheels) (1 - s T_drive) = g e^(s tau), tau: latency, half a period for which a command is held, as much for a ramp.
+    """s (1 - s T_wheels) (1 - s T_drive) = g e^(s tau), tau: latency, half a period for which a
+    command is held, as much for a ramp.
 
-    A radius that is believed too large by c makes all motions smaller by 1 + c: the gain. So the times of a comparison change.
+    A radius that is believed too large by c makes all motions smaller by 1 + c: the gain. So the
+    times of a comparison change.
     """
     found_s, rate = measured(**changes)
     tau = 0.04 + FRAME_S / 2 - earlier_s
-    assert rate == pytest.approx(decay(gain, tau, lambda s: 1 / math.prod(1 - s * lag_s for lag_s in (WHEELS_S, *lags_s))), rel=0.01)
+    assert rate == pytest.approx(
+        decay(gain, tau, lambda s: 1 / math.prod(1 - s * lag_s for lag_s in (WHEELS_S, *lags_s))),
+        rel=0.01,
+    )
     ramp = "timing__interpolation" in changes
-    assert found_s - measured()[0] == pytest.approx(base_alone(gain, lags_s, ramp) - base_alone(), abs=0.04)
+    assert found_s - measured()[0] == pytest.approx(
+        base_alone(gain, lags_s, ramp) - base_alone(), abs=0.04
+    )
 
 
 def test_on_a_slippery_floor_rollers_hold_less_than_wheels() -> None:
-    """A roller at 45 degrees turns away from all but a force along its axis: mu m g / sqrt 2 ahead, and a little by their bearings."""
-    start = {"robot.wheels": "rollers", "robot.start.nominal": {"x": -5, "y": 0, "heading_deg": 0}, "stop.duration_s": 0.8}
+    """A roller at 45 degrees turns away from all but a force along its axis: mu m g / sqrt 2 ahead,
+    and a little by their bearings.
+    """
+    start = {
+        "robot.wheels": "rollers",
+        "robot.start.nominal": {"x": -5, "y": 0, "heading_deg": 0},
+        "stop.duration_s": 0.8,
+    }
     rows = vs.run(vs.load("omni_ibvs", BASE | start | {"world.floor_friction": 0.1})).rows
     t, x = (rows.table[:, rows.columns.index(name)] for name in ("t", "base_x"))
     late = t > 0.2
-    assert 2 * np.polyfit(t[late], x[late], 2)[0] == pytest.approx(0.1 * GRAVITY / math.sqrt(2), rel=0.08)
+    assert 2 * np.polyfit(t[late], x[late], 2)[0] == pytest.approx(
+        0.1 * GRAVITY / math.sqrt(2), rel=0.08
+    )
 
 
 def straight(lag_s: float, from_m: float = 2.0, to_m: float = 0.05) -> float:
-    """When a car on a line comes under a distance, by its servo alone: v = min(1, rho), a frame late and held; motors of one lag [s]."""
+    """When a car on a line comes under a distance, by its servo alone: v = min(1, rho), a frame
+    late and held; motors of one lag [s].
+    """
     car, dt, x, wheels = Car(drive_lag_s=lag_s), 0.01, from_m, 0.0
     state, orders, way = car.begin(), [0.0], [x]
     keep = math.exp(-dt / MOTOR_S)
@@ -114,35 +157,56 @@ def straight(lag_s: float, from_m: float = 2.0, to_m: float = 0.05) -> float:
 @cache
 def arrival(**changes: object) -> float:
     """The same of the simulated car, which drives straight to its goal [s]."""
-    rows = vs.run(vs.load("car_pbvs", CAR | {name.replace("__", "."): value for name, value in changes.items()})).rows
+    rows = vs.run(
+        vs.load(
+            "car_pbvs", CAR | {name.replace("__", "."): value for name, value in changes.items()}
+        )
+    ).rows
     t, y = (rows.table[:, rows.columns.index(name)] for name in ("t", "base_y"))
     return float(np.interp(-0.05, y - 5, t))
 
 
 def test_a_lag_of_its_drive_makes_the_car_later() -> None:
-    """The integral of its speed servo takes the lag of a drive away, and rings: no error that decays faster, as the base's does."""
+    """The integral of its speed servo takes the lag of a drive away, and rings: no error that
+    decays faster, as the base's does.
+    """
     assert arrival() == pytest.approx(straight(0.0), abs=0.025)
-    assert arrival(robot__drive_lag_s=0.2) - arrival() == pytest.approx(straight(0.2) - straight(0.0), abs=0.015)
+    assert arrival(robot__drive_lag_s=0.2) - arrival() == pytest.approx(
+        straight(0.2) - straight(0.0), abs=0.015
+    )
 
 
-@pytest.mark.parametrize("field", one_quick("robot__wheel_radius_error", "robot__wheel_spread__errors"))
+@pytest.mark.parametrize(
+    "field", one_quick("robot__wheel_radius_error", "robot__wheel_spread__errors")
+)
 def test_a_radius_that_is_wrong_stretches_the_time(field: str) -> None:
-    """All speeds, their limit too, are smaller by the share by which the rear wheels are smaller than believed; the gains with them."""
+    """All speeds, their limit too, are smaller by the share by which the rear wheels are smaller
+    than believed; the gains with them.
+    """
     value = 0.02 if field.endswith("error") else (0.0, 0.0, -0.02, -0.02)
     assert arrival(**{field: value}) - arrival() == pytest.approx(0.02 * arrival(), abs=0.02)
 
 
 @pytest.mark.parametrize(("alpha", "beta"), one_quick((4.0, -2.5), (5.0, -2.0)))
-def test_a_compass_that_points_wrongly_turns_the_car_by_more_than_its_bias(alpha: float, beta: float) -> None:
-    """Its true heading ends at e + (delta + e) k_alpha / |k_beta| off the goal's, with e = k_rho tau delta.
+def test_a_compass_that_points_wrongly_turns_the_car_by_more_than_its_bias(
+    alpha: float, beta: float
+) -> None:
+    """Its true heading ends at e + (delta + e) k_alpha / |k_beta| off the goal's, with e = k_rho
+    tau delta.
 
-    The car goes where it points, delta off where it believes, so that alpha = -delta where the bearing rests, and w = 0 there. Odometry
-    along the believed heading drifts aside by v delta, which landmarks take away with tau: the goal's bearing is e off besides.
+    The car goes where it points, delta off where it believes, so that alpha = -delta where the
+    bearing rests, and w = 0 there. Odometry along the believed heading drifts aside by v delta,
+    which landmarks take away with tau: the goal's bearing is e off besides.
     """
     bias, rho = 2.0, 1.0
     law = {"law.k_rho": rho, "law.k_alpha": alpha, "law.k_beta": beta, "law.average_m": 0}
-    start = {"robot.start.nominal": {"x": 5, "y": 3.5, "heading_deg": 90}, "robot.compass": {"sigma_deg": 0, "bias_deg": bias}}
+    start = {
+        "robot.start.nominal": {"x": 5, "y": 3.5, "heading_deg": 90},
+        "robot.compass": {"sigma_deg": 0, "bias_deg": bias},
+    }
     rows = vs.run(vs.load("car_pbvs", CAR | law | start | {"stop.duration_s": 5.5})).rows
     e = rho * LANDMARKS_S * bias
     expected = e + (bias + e) * alpha / -beta
-    assert math.degrees(rows.table[-1, rows.columns.index("base_heading")]) - 90 == pytest.approx(expected, rel=0.12)
+    assert math.degrees(rows.table[-1, rows.columns.index("base_heading")]) - 90 == pytest.approx(
+        expected, rel=0.12
+    )

@@ -1,4 +1,6 @@
-"""Closed loops through lenses that see sideways and behind: from rendered pixels to the goal, with log and films."""
+"""Closed loops through lenses that see sideways and behind: from rendered pixels to the goal, with
+log and films.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,10 @@ from vstestbed.tasks.frame import Frame
 
 def test_markers_behind_the_camera_come_to_the_goal_view():
     scenario = vs.load("spherical_behind", {"law.gain": 1.0, "camera.rate_hz": 10})
-    T_camera_target = np.linalg.inv(scenario.robot.flange_pose(scenario.robot.configuration())) @ scenario.target.pose.T
+    T_camera_target = (
+        np.linalg.inv(scenario.robot.flange_pose(scenario.robot.configuration()))
+        @ scenario.target.pose.T
+    )
     assert (scenario.target.points @ T_camera_target[2, :3] + T_camera_target[2, 3] < 0).all()
     images: list[object] = []
 
@@ -89,33 +94,53 @@ def test_the_arm_with_a_fisheye():
 
 
 def test_the_same_run_has_the_same_bytes():
-    tables = [vs.run(vs.load("spherical_behind", {"stop.duration_s": 0.5})).table.tobytes() for _ in range(2)]
+    tables = [
+        vs.run(vs.load("spherical_behind", {"stop.duration_s": 0.5})).table.tobytes()
+        for _ in range(2)
+    ]
     assert tables[0] == tables[1]
 
 
 def test_goals_that_a_lens_or_a_law_cannot_have():
     behind = {"goal.T_camera_target.xyz": [0, 0, -2]}
     assert vs.load("spherical_book", behind).goal_view.uv.shape == (4, 2)
-    with pytest.raises(VstestbedError, match="behind the camera, where law ibvs has no image plane to work in"):
+    with pytest.raises(
+        VstestbedError, match="behind the camera, where law ibvs has no image plane to work in"
+    ):
         vs.load("spherical_book", {**behind, "law.feature": "point"})
     with pytest.raises(VstestbedError, match="outside the 640 x 640 picture"):
-        vs.load("spherical_book", {**behind, "camera": {"kind": "fisheye", "width": 640, "height": 640}})
+        vs.load(
+            "spherical_book", {**behind, "camera": {"kind": "fisheye", "width": 640, "height": 640}}
+        )
     sideways = {"goal.T_camera_target.xyz": [2, 0, 0.2], "target.side": 0.3}
-    assert vs.load("spherical_book", {**sideways, "camera": {"kind": "fisheye", "width": 640, "height": 640}})
+    assert vs.load(
+        "spherical_book", {**sideways, "camera": {"kind": "fisheye", "width": 640, "height": 640}}
+    )
 
 
 def test_random_starts_have_the_target_in_view_all_around():
     for seed in range(5):
         s = vs.load("spherical_book").randomised(seed)
         p = np.linalg.inv(s.robot.flange_pose(s.robot.configuration())) @ s.target.pose.T
-        assert s.camera.whole(s.target.points @ p[:3, :3].T + p[:3, 3], s.target.marker.radius).all()
+        assert s.camera.whole(
+            s.target.points @ p[:3, :3].T + p[:3, 3], s.target.marker.radius
+        ).all()
 
 
 @pytest.mark.study
 def test_films_and_a_film_again(command: Callable[..., Ended], tmp_path: Path):
     import av
 
-    ended = command("run", "spherical_behind", "--set", "stop.duration_s=0.2", "--video", "both", "--out", tmp_path / "r")
+    ended = command(
+        "run",
+        "spherical_behind",
+        "--set",
+        "stop.duration_s=0.2",
+        "--video",
+        "both",
+        "--out",
+        tmp_path / "r",
+    )
     assert ended.code == 3
     log = pl.read_parquet(tmp_path / "r" / "log.parquet")
     assert {"theta_3", "phi_3"} <= set(log.columns)
@@ -125,8 +150,10 @@ def test_films_and_a_film_again(command: Callable[..., Ended], tmp_path: Path):
     for film in (tmp_path / "r" / "camera.mp4", tmp_path / "again.mp4"):
         with av.open(film) as container:
             frames.append([f.to_ndarray(format="rgb24") for f in container.decode(video=0)])
-    pictures = -(-len(log) // 2) + 1 + 12  # every second one, the last one, and a second for the end
+    # every second one, the last one, and a second for the end
+    pictures = -(-len(log) // 2) + 1 + 12
     assert [len(f) for f in frames] == [pictures] * 2
     assert frames[0][0].shape == (680, 640, 3)  # the picture, and the line of numbers
     np.testing.assert_array_equal(frames[0], frames[1])
-    assert frames[0][0][320, 320].min() > 60  # drawn ahead too, where no marker is and the detector did not look
+    # drawn ahead too, where no marker is and the detector did not look
+    assert frames[0][0][320, 320].min() > 60

@@ -1,4 +1,6 @@
-"""models/car.xml on the floor of world.xml: weight, springs, Ackermann angles, turning circles, servos, ice."""
+"""models/car.xml on the floor of world.xml: weight, springs, Ackermann angles, turning circles,
+servos, ice.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -22,11 +24,17 @@ STEP = 0.002
 
 
 def compose(friction: float | None = None, timestep: float = STEP) -> mujoco.MjModel:
-    """The car in the world, on a floor and with wheels of at most a friction; sim/scene does the same."""
+    """The car in the world, on a floor and with wheels of at most a friction; sim/scene does the
+    same.
+    """
     world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
     car = mujoco.MjSpec.from_file(str(MODELS / "car.xml"))
     car.option.timestep = timestep
-    world.option.timestep, world.option.cone, world.option.impratio = timestep, mujoco.mjtCone.mjCONE_ELLIPTIC, 10
+    world.option.timestep, world.option.cone, world.option.impratio = (
+        timestep,
+        mujoco.mjtCone.mjCONE_ELLIPTIC,
+        10,
+    )
     world.attach(car, prefix="robot/", frame=world.worldbody.add_frame())
     for geom in world.geoms:
         if friction is not None:
@@ -61,19 +69,27 @@ class Driver:
     def joint(self, name: str) -> float:
         return float(self.data.joint(f"robot/{name}").qpos[0])
 
-    def go(self, duration: float, setpoint: Callable[[float], tuple[float, float]]) -> Iterator[float]:
+    def go(
+        self, duration: float, setpoint: Callable[[float], tuple[float, float]]
+    ) -> Iterator[float]:
         """Drive, one control period after the other; yields the time since the call."""
         period = self.car.control_period_s
         assert period is not None
         for k in range(round(duration / period)):
             order = np.array(setpoint(k * period))
-            self.state, self.data.ctrl[:] = self.car.actuate(self.state, order, self.reading, period)
+            self.state, self.data.ctrl[:] = self.car.actuate(
+                self.state, order, self.reading, period
+            )
             mujoco.mj_step(self.model, self.data, nstep=round(period / self.model.opt.timestep))
             yield (k + 1) * period
 
     def drive(self, duration: float, speed: float, steering: float) -> np.ndarray:
-        """Drive at one setpoint; true places (T, 3), headings unwrapped, at each control period from the first."""
-        places = np.array([self.place, *(self.place for _ in self.go(duration, lambda _: (speed, steering)))])
+        """Drive at one setpoint; true places (T, 3), headings unwrapped, at each control period
+        from the first.
+        """
+        places = np.array(
+            [self.place, *(self.place for _ in self.go(duration, lambda _: (speed, steering)))]
+        )
         places[:, 2] = np.unwrap(places[:, 2])
         return places
 
@@ -88,12 +104,17 @@ class Driver:
 
 
 def ackermann(steering: float) -> np.ndarray:
-    """Angles of the left and the right front wheel: each at right angles to its line to the centre of the turn."""
+    """Angles of the left and the right front wheel: each at right angles to its line to the centre
+    of the turn.
+    """
     if steering == 0:
         return np.zeros(2)
     radius = BUGGY.wheelbase_m / np.tan(steering)
     return np.array(
-        [np.arctan(BUGGY.wheelbase_m / (radius - BUGGY.track_m / 2)), np.arctan(BUGGY.wheelbase_m / (radius + BUGGY.track_m / 2))]
+        [
+            np.arctan(BUGGY.wheelbase_m / (radius - BUGGY.track_m / 2)),
+            np.arctan(BUGGY.wheelbase_m / (radius + BUGGY.track_m / 2)),
+        ]
     )
 
 
@@ -120,8 +141,13 @@ class TestFigures:
             [0, -half, BUGGY.wheel_radius_m],
         ]
         np.testing.assert_allclose(at, places, atol=1e-12)
-        np.testing.assert_allclose([rubber.geom(f"robot/{name}_contact").size[[0, 2]] for name in WHEELS], BUGGY.wheel_radius_m)
-        assert [rubber.actuator(i).name for i in range(rubber.nu)] == [f"robot/{name}" for name in Car().body.actuators]
+        np.testing.assert_allclose(
+            [rubber.geom(f"robot/{name}_contact").size[[0, 2]] for name in WHEELS],
+            BUGGY.wheel_radius_m,
+        )
+        assert [rubber.actuator(i).name for i in range(rubber.nu)] == [
+            f"robot/{name}" for name in Car().body.actuators
+        ]
 
     def test_sixty_kilograms(self, rubber):
         assert rubber.body("robot/base").subtreemass[0] == pytest.approx(60, abs=1e-9)
@@ -136,29 +162,40 @@ class TestFigures:
         hit = np.zeros(1, dtype=np.int32)
         for x in np.linspace(-0.17, 0.77, 20):
             for y in np.linspace(-0.27, 0.27, 12):
-                down = mujoco.mj_ray(rubber, data, np.array([x, y, 2.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
+                down = mujoco.mj_ray(
+                    rubber, data, np.array([x, y, 2.0]), np.array([0, 0, -1.0]), None, 1, -1, hit
+                )
                 assert 2.0 - down == pytest.approx(0.40, abs=1e-3)
 
     @pytest.mark.parametrize("steering", [0.0, 1.0, -1.0])
     def test_a_camera_under_the_belly_sees_the_floor(self, rubber, steering):
         driver = Driver(rubber)
         driver.data.joint("robot/steering").qpos = steering
-        driver.data.joint("robot/front_left_steer").qpos, driver.data.joint("robot/front_right_steer").qpos = ackermann(steering)
+        (
+            driver.data.joint("robot/front_left_steer").qpos,
+            driver.data.joint("robot/front_right_steer").qpos,
+        ) = ackermann(steering)
         mujoco.mj_kinematics(rubber, driver.data)
         hit, eye = np.zeros(1, dtype=np.int32), np.array([0.5, 0, 0.3])
         for tilt in np.radians(np.arange(0, 46, 5)):  # a picture of 90 degrees across the middle
             for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
-                ray = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)])
+                ray = np.array(
+                    [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)]
+                )
                 mujoco.mj_ray(rubber, driver.data, eye, ray, None, 1, -1, hit)
                 assert rubber.geom(int(hit[0])).name == "floor"
 
     def test_a_camera_ahead_looks_over_the_bonnet(self, rubber):
-        """From .1 above the deck: nothing of the car down to 8.5 degrees below the horizon, over 120 degrees."""
+        """From .1 above the deck: nothing of the car down to 8.5 degrees below the horizon, over
+        120 degrees.
+        """
         driver = Driver(rubber)
         hit, eye = np.zeros(1, dtype=np.int32), np.array([0.2, 0, 0.5])
         for down in np.radians([-60, -30, 0, 5, 8.5]):
             for aside in np.radians(np.linspace(-60, 60, 25)):
-                ray = np.array([np.cos(aside) * np.cos(down), np.sin(aside) * np.cos(down), -np.sin(down)])
+                ray = np.array(
+                    [np.cos(aside) * np.cos(down), np.sin(aside) * np.cos(down), -np.sin(down)]
+                )
                 mujoco.mj_ray(rubber, driver.data, eye, ray, None, 1, -1, hit)
                 assert hit[0] < 0 or rubber.geom(int(hit[0])).name == "floor"
 
@@ -198,14 +235,20 @@ class TestAtRest:
 
 
 class TestSteering:
-    @pytest.mark.parametrize("steering", one_quick(-1.0, -0.7, -0.25, -0.1, 0.1, 0.25, 0.5, 0.8, 1.0, every=4))
+    @pytest.mark.parametrize(
+        "steering", one_quick(-1.0, -0.7, -0.25, -0.1, 0.1, 0.25, 0.5, 0.8, 1.0, every=4)
+    )
     def test_front_wheels_stand_at_ackermann_angles(self, rubber, steering):
         driver = Driver(rubber)
         driver.drive(1.5, 0.3, steering)
         now = driver.joint("steering")
         assert now == pytest.approx(steering, abs=1e-3)  # the servo's droop under the tyres' torque
         # The fit is within .12 mrad; 1 mrad is what matters (a toe of 1 mrad costs .03 % of speed).
-        np.testing.assert_allclose([driver.joint("front_left_steer"), driver.joint("front_right_steer")], ackermann(now), atol=3e-4)
+        np.testing.assert_allclose(
+            [driver.joint("front_left_steer"), driver.joint("front_right_steer")],
+            ackermann(now),
+            atol=3e-4,
+        )
 
     def test_they_keep_them_on_the_way(self, rubber):
         driver, worst = Driver(rubber), 0.0
@@ -216,7 +259,8 @@ class TestSteering:
 
     @pytest.mark.parametrize(
         ("speed", "steering", "within"),
-        # Slow: the kinematic circle. At 1 m/s on the tightest one (1.6 m/s^2) the body leans and the tyres slip by .4 %.
+        # Slow: the kinematic circle. At 1 m/s on the tightest one (1.6 m/s^2) the body leans and
+        # the tyres slip by .4 %.
         one_quick(
             (0.3, 0.1, 0.002),
             (0.3, 0.25, 0.002),
@@ -234,10 +278,14 @@ class TestSteering:
         places = driver.drive(4.0, speed, steering)
         way = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1).sum()
         radius = way / (places[-1, 2] - places[0, 2])
-        assert radius * np.sign(speed) == pytest.approx(BUGGY.wheelbase_m / np.tan(steering), rel=within)
+        assert radius * np.sign(speed) == pytest.approx(
+            BUGGY.wheelbase_m / np.tan(steering), rel=within
+        )
         # An open differential: each rear wheel rolls on its own circle.
         left, right = driver.reading.qd[3:5]
-        inner = (BUGGY.wheelbase_m / np.tan(steering) - BUGGY.track_m / 2) / (BUGGY.wheelbase_m / np.tan(steering) + BUGGY.track_m / 2)
+        inner = (BUGGY.wheelbase_m / np.tan(steering) - BUGGY.track_m / 2) / (
+            BUGGY.wheelbase_m / np.tan(steering) + BUGGY.track_m / 2
+        )
         assert left / right == pytest.approx(inner, rel=0.01)
 
     def test_straight_stays_straight(self, rubber):
@@ -262,10 +310,13 @@ class TestServos:
             speeds.append(driver.reading.qd[3:5].mean() * BUGGY.wheel_radius_m)
             angles.append(driver.joint("steering"))
         slope, rate = np.diff(speeds) / 0.01, np.diff(angles) / 0.01
-        # A servo behind a ramp follows with its slope; it may pass it by a little while it catches up.
+        # A servo behind a ramp follows with its slope; it may pass it by a little while it catches
+        # up.
         assert np.max(slope) < 1.2 and np.mean(slope[20:80]) == pytest.approx(1.0, abs=0.05)
         assert np.max(rate) < 0.55 and np.mean(rate[20:150]) == pytest.approx(0.5, abs=0.01)
-        assert speeds[-1] == pytest.approx(1.0, abs=0.01) and angles[-1] == pytest.approx(1.0, abs=2e-3)
+        assert speeds[-1] == pytest.approx(1.0, abs=0.01) and angles[-1] == pytest.approx(
+            1.0, abs=2e-3
+        )
 
     def test_it_brakes_to_a_stand(self, rubber):
         driver = Driver(rubber)
@@ -326,7 +377,9 @@ def test_at_three_metres_a_second_it_slides_and_does_not_tip(rubber):
 
 
 @pytest.mark.parametrize(
-    ("start", "way"), one_quick(((2, 2, 0.35), 1), ((7, 8.5, 2.2), -1)), ids=["the book's start, forward", "a park in reverse"]
+    ("start", "way"),
+    one_quick(((2, 2, 0.35), 1), ((7, 8.5, 2.2), -1)),
+    ids=["the book's start, forward", "a park in reverse"],
 )
 def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
     """The law knows the true place, at 25 Hz; what differs is lag, tyres and springs."""
@@ -340,25 +393,42 @@ def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
             u = np.array(polar_law(driver.place, goal, np.array(way), gains, 1.0))
             order[:] = driver.car.allocate(basis @ u, driver.reading, mount, 0.04).setpoint
         places.append(driver.place)
-    ideal = drive(lambda p: polar_law(p, goal, np.array(way), gains, 1.0), np.array(start), BUGGY.wheelbase_m, limits, 12.0, 0.04)
+    ideal = drive(
+        lambda p: polar_law(p, goal, np.array(way), gains, 1.0),
+        np.array(start),
+        BUGGY.wheelbase_m,
+        limits,
+        12.0,
+        0.04,
+    )
     apart = np.linalg.norm(np.array(places)[::5, None, :2] - ideal.place[:, :2], axis=2).min(axis=1)
     assert apart.max() < 0.04  # measured .008 and .018: less than a servo's lag of .05 s at 1 m/s
-    assert np.linalg.norm(places[-1][:2] - goal[:2]) < 0.03 and abs(places[-1][2] - goal[2]) < np.radians(1)
+    assert np.linalg.norm(places[-1][:2] - goal[:2]) < 0.03 and abs(
+        places[-1][2] - goal[2]
+    ) < np.radians(1)
 
 
 def test_its_ends_and_its_tightest_circle_are_what_scenarios_are_checked_against():
-    """The bumpers' ends by the compiled boxes round all geoms; the circle is that of the turning tests at the steering's limit."""
+    """The bumpers' ends by the compiled boxes round all geoms; the circle is that of the turning
+    tests at the steering's limit.
+    """
     model = compose()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     ends = ends_of(model, data)
     assert ends == pytest.approx(Car().ends_m, abs=1e-3)
-    assert Car().turning_radius_m == pytest.approx(BUGGY.wheelbase_m / np.tan(1.0)) == pytest.approx(0.642, abs=1e-3)
+    assert (
+        Car().turning_radius_m
+        == pytest.approx(BUGGY.wheelbase_m / np.tan(1.0))
+        == pytest.approx(0.642, abs=1e-3)
+    )
 
 
 def ends_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, float]:
     """Least and largest x of a vehicle's geoms [m]."""
     own = np.flatnonzero(model.geom_bodyid > 0)
-    middle = np.array([data.geom_xpos[g] + data.geom_xmat[g].reshape(3, 3) @ model.geom_aabb[g, :3] for g in own])
+    middle = np.array(
+        [data.geom_xpos[g] + data.geom_xmat[g].reshape(3, 3) @ model.geom_aabb[g, :3] for g in own]
+    )
     half = np.array([np.abs(data.geom_xmat[g].reshape(3, 3)) @ model.geom_aabb[g, 3:] for g in own])
     return float((middle - half)[:, 0].min()), float((middle + half)[:, 0].max())

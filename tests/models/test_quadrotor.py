@@ -1,4 +1,6 @@
-"""models/quadrotor.xml: rotors, drag, wind, feet and sensors against closed forms, the loops left out."""
+"""models/quadrotor.xml: rotors, drag, wind, feet and sensors against closed forms, the loops left
+out.
+"""
 
 from pathlib import Path
 
@@ -20,7 +22,11 @@ def compose(density: float = AIR, timestep: float = 0.001, gravity: float = G) -
     world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
     craft = mujoco.MjSpec.from_file(str(MODELS / "quadrotor.xml"))
     for spec in (world, craft):
-        spec.option.timestep, spec.option.density, spec.option.gravity = timestep, density, [0, 0, -gravity]
+        spec.option.timestep, spec.option.density, spec.option.gravity = (
+            timestep,
+            density,
+            [0, 0, -gravity],
+        )
     world.attach(craft, prefix="robot/", frame=world.worldbody.add_frame())
     return world.compile()
 
@@ -59,10 +65,14 @@ class TestFigures:
         np.testing.assert_allclose(air.actuator_dynprm[:, 0], X4.rotor_lag_s, rtol=1e-12)
         np.testing.assert_allclose(air.actuator_ctrlrange, [[0, X4.limit]] * 4, rtol=1e-12)
         np.testing.assert_allclose(air.actuator_gear[:, 2], X4.thrust_coefficient, rtol=1e-12)
-        np.testing.assert_allclose(air.actuator_gear[:, 5], np.array([-1, 1, -1, 1]) * X4.drag_coefficient, rtol=1e-12)
+        np.testing.assert_allclose(
+            air.actuator_gear[:, 5], np.array([-1, 1, -1, 1]) * X4.drag_coefficient, rtol=1e-12
+        )
         assert [air.actuator(i).name for i in range(air.nu)] == [f"robot/{name}" for name in NAMES]
         places = [air.site(f"robot/{name}").pos[:2] for name in NAMES]
-        np.testing.assert_allclose(places, X4.arm_m * np.array([[1, 0], [0, -1], [-1, 0], [0, 1]]), atol=1e-12)
+        np.testing.assert_allclose(
+            places, X4.arm_m * np.array([[1, 0], [0, -1], [-1, 0], [0, 1]]), atol=1e-12
+        )
 
     def test_the_lag_is_that_of_a_motor_with_efficiency_point_8(self):
         k_w0 = X4.drag_coefficient * 861
@@ -82,13 +92,16 @@ class TestFigures:
         assert air.vis.rgba.rangefinder[3] == 0  # by default it is yellow, as a marker may be
 
     def test_nothing_but_legs_stands_below_the_lens(self, air):
-        # A ray every 2 degrees of azimuth and colatitude, up to 80 degrees off the downward axis, on the craft's own geoms.
+        # A ray every 2 degrees of azimuth and colatitude, up to 80 degrees off the downward axis,
+        # on the craft's own geoms.
         data = at(air, 50.0)
         groups = np.array([0, 0, 1, 0, 0, 0], dtype=np.uint8)
         hit, geom = set(), np.array([-1], dtype=np.int32)
         for theta in np.radians(np.arange(0, 80, 2)):
             for phi in np.radians(np.arange(0, 360, 2)):
-                ray = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)])
+                ray = np.array(
+                    [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)]
+                )
                 mujoco.mj_ray(air, data, data.qpos[:3], ray, groups, 0, -1, geom)
                 if geom[0] >= 0:
                     hit.add(air.geom(int(geom[0])).name.split("/")[1].split("_")[0])
@@ -119,7 +132,8 @@ class TestRotors:
         x, y = [(0.315, 0), (0, -0.315), (-0.315, 0), (0, 0.315)][i]
         np.testing.assert_allclose(torque[:2], [y * thrust, -x * thrust], atol=1e-9)
         assert abs(torque[2]) / thrust == pytest.approx(8.08e-3, abs=5e-6)  # three digits
-        assert np.sign(torque[2]) == (-1, 1, -1, 1)[i]  # front and back spin anticlockwise and push the body clockwise
+        # front and back spin anticlockwise and push the body clockwise
+        assert np.sign(torque[2]) == (-1, 1, -1, 1)[i]
 
     @pytest.mark.parametrize("timestep", STEPS)
     def test_lag_is_of_first_order_at_any_step(self, timestep):
@@ -146,11 +160,14 @@ class TestMotorsOff:
         run(vacuum, data, 1.5)
         # Semi-implicit Euler: g t dt / 2 low, 7.4 mm.
         assert data.qpos[2] - 100 == pytest.approx(-G * 1.5 * (1.5 + 0.001) / 2, abs=1e-9)
-        np.testing.assert_allclose(data.sensor("robot/accelerometer").data, 0, atol=1e-9)  # falling feels nothing
+        # falling feels nothing
+        np.testing.assert_allclose(data.sensor("robot/accelerometer").data, 0, atol=1e-9)
 
     @pytest.mark.parametrize("timestep", STEPS)
     def test_a_tumble_keeps_momentum_and_energy(self, timestep):
-        """No gravity, no air: momentum exactly; spin and its energy but for the integrator, whose error is of first order in the step."""
+        """No gravity, no air: momentum exactly; spin and its energy but for the integrator, whose
+        error is of first order in the step.
+        """
         model = compose(density=0, timestep=timestep, gravity=0)
         data, J = at(model, 100.0), np.array([0.082, 0.082, 0.149])
         data.qvel[:] = [1, -2, 0.5, 3, 0.2, 2]
@@ -187,7 +204,8 @@ class TestAir:
         data = at(air, 1000.0)
         run(air, data, 15.0)
         terminal = np.sqrt(2 * 4 * G / (AIR * DRAG_AREA))
-        assert data.qvel[2] == pytest.approx(-terminal * np.tanh(G * 15 / terminal), rel=0.002)  # Cd A is written to 3 digits
+        # Cd A is written to 3 digits
+        assert data.qvel[2] == pytest.approx(-terminal * np.tanh(G * 15 / terminal), rel=0.002)
 
     @pytest.mark.parametrize("wind", [(5, 0, 0), (-3, 4, 0), (0, 0, 6), (1, 2, 2)])
     def test_wind_pushes_as_drag_says(self, wind):
@@ -197,7 +215,8 @@ class TestAir:
         speed = np.linalg.norm(wind)
         force = 0.5 * AIR * DRAG_AREA * speed * np.array(wind)
         np.testing.assert_allclose(data.qfrc_passive[:3], force, rtol=0.002, atol=1e-6)
-        np.testing.assert_allclose(data.qfrc_passive[3:], 0, atol=1e-6)  # at the centre of mass: it does not turn the craft
+        # at the centre of mass: it does not turn the craft
+        np.testing.assert_allclose(data.qfrc_passive[3:], 0, atol=1e-6)
         np.testing.assert_allclose(data.qacc[:3], force / 4, rtol=0.002, atol=1e-6)
 
     def test_five_metres_per_second_ask_for_two_degrees(self):
@@ -226,7 +245,10 @@ class TestGround:
         assert max(heights[low:]) < heights[-1] + 1e-4
         assert heights[-1] == pytest.approx(STANDING_M, abs=0.0005)
         touching = {air.geom(int(g)).name for contact in data.contact for g in contact.geom}
-        assert touching == {"floor", *(f"robot/foot_{side}" for side in ("front", "right", "back", "left"))}
+        assert touching == {
+            "floor",
+            *(f"robot/foot_{side}" for side in ("front", "right", "back", "left")),
+        }
         assert np.abs(data.qvel).max() < 1e-4
 
     def test_it_slides_no_farther_than_friction_lets_it(self, air):
@@ -242,13 +264,20 @@ class TestGround:
         data.qpos[3:7] = [np.cos(1.2), np.sin(1.2), 0, 0]
         run(air, data, 2.0)
         assert data.qpos[2] == pytest.approx(0.08, abs=0.002)
-        assert {air.geom(int(g)).name for contact in data.contact for g in contact.geom} == {"floor", "robot/battery"}
+        assert {air.geom(int(g)).name for contact in data.contact for g in contact.geom} == {
+            "floor",
+            "robot/battery",
+        }
 
     def test_rotors_touch_a_wall(self, air):
         data = at(air, 0.30)
-        data.qpos[3:7] = [np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0]  # on edge, .315 + .165 m of rotor below the centre
+        # on edge, .315 + .165 m of rotor below the centre
+        data.qpos[3:7] = [np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0]
         mujoco.mj_forward(air, data)
-        assert {air.geom(int(g)).name for contact in data.contact for g in contact.geom} >= {"floor", "robot/disc_right"}
+        assert {air.geom(int(g)).name for contact in data.contact for g in contact.geom} >= {
+            "floor",
+            "robot/disc_right",
+        }
 
 
 class TestSensors:
@@ -256,13 +285,16 @@ class TestSensors:
         data = at(vacuum, 2.0, X4.hover)
         np.testing.assert_allclose(data.sensor("robot/accelerometer").data, [0, 0, G], atol=1e-6)
         np.testing.assert_allclose(data.sensor("robot/gyro").data, 0, atol=1e-12)
-        assert data.sensor("robot/range").data[0] == pytest.approx(2.0, abs=1e-9)  # its own legs are left out
+        # its own legs are left out
+        assert data.sensor("robot/range").data[0] == pytest.approx(2.0, abs=1e-9)
 
     def test_in_body_axes(self, vacuum):
         data = at(vacuum, 3.0)
         data.qpos[3:7] = [np.cos(0.2), np.sin(0.2), 0, 0]
         data.qvel[:] = [0, 0, -1, 0.3, -0.2, 0.1]
         mujoco.mj_forward(vacuum, data)
-        np.testing.assert_allclose(data.sensor("robot/velocity").data, [0, -np.sin(0.4), -np.cos(0.4)], atol=1e-12)
+        np.testing.assert_allclose(
+            data.sensor("robot/velocity").data, [0, -np.sin(0.4), -np.cos(0.4)], atol=1e-12
+        )
         np.testing.assert_allclose(data.sensor("robot/gyro").data, [0.3, -0.2, 0.1], atol=1e-12)
         assert data.sensor("robot/range").data[0] == pytest.approx(3.0 / np.cos(0.4), abs=1e-9)

@@ -7,7 +7,9 @@ from html.parser import HTMLParser
 
 
 class Reader(HTMLParser):
-    """Collects what a page holds: references, identifiers, figures, text outside of styles and scripts."""
+    """Collects what a page holds: references, identifiers, figures, text outside of styles and
+    scripts.
+    """
 
     VOID = frozenset({"meta", "link", "br", "hr", "img", "input"})
 
@@ -50,7 +52,9 @@ class Reader(HTMLParser):
 
 
 def checked(page: str) -> Reader:
-    """The page, read; it is well formed, refers to nothing outside, and no identifier stands twice or dangles."""
+    """The page, read; it is well formed, refers to nothing outside, and no identifier stands twice
+    or dangles.
+    """
     reader = Reader(page)
     assert reader.open == []
     assert [r[:40] for r in reader.references if not r.startswith(("data:", "#"))] == []
@@ -58,6 +62,8 @@ def checked(page: str) -> Reader:
     without_names = re.sub(r'xmlns(:\w+)?="[^"]*"', "", page)
     assert re.findall(r"https?://[^\"<\s]{0,60}", without_names) == []
     assert len(set(reader.ids)) == len(reader.ids)
-    pointed = {r[1:] for r in reader.references if r.startswith("#")} | set(re.findall(r"url\(#([^)]+)\)", page))
+    pointed = {r[1:] for r in reader.references if r.startswith("#")} | set(
+        re.findall(r"url\(#([^)]+)\)", page)
+    )
     assert pointed <= set(reader.ids)
     return reader

@@ -15,7 +15,10 @@ from vstestbed.report.chart import Chart, log_ticks, numerals, ticks
 def paths(chart: Chart) -> list[list[Array]]:
     """The pieces of each curve in the first panel, each (n, 2) in tenths of a point."""
     body = re.findall(r"<svg x=.*?</svg>", chart.svg("Chart"))[0]
-    return [[np.cumsum(_pairs(piece), axis=0) for piece in d.split("M")[1:]] for d in re.findall(r'<path d="([^"]*)"', body)]
+    return [
+        [np.cumsum(_pairs(piece), axis=0) for piece in d.split("M")[1:]]
+        for d in re.findall(r'<path d="([^"]*)"', body)
+    ]
 
 
 def _pairs(piece: str) -> Array:
@@ -24,7 +27,9 @@ def _pairs(piece: str) -> Array:
 
 def box(chart: Chart) -> tuple[float, float]:
     """Width and height of the first panel [pt]."""
-    width, height = re.findall(r'<svg x="[\d.]+" y="[\d.]+" width="([\d.]+)" height="([\d.]+)"', chart.svg("Chart"))[0]
+    width, height = re.findall(
+        r'<svg x="[\d.]+" y="[\d.]+" width="([\d.]+)" height="([\d.]+)"', chart.svg("Chart")
+    )[0]
     return float(width), float(height)
 
 
@@ -35,7 +40,9 @@ def test_a_curve_lies_where_its_values_are() -> None:
     panel.plot([0, 1, 2], [-1, 0.5, 1])
     width, height = box(chart)
     ((line,),) = paths(chart)
-    np.testing.assert_allclose(line, [[0, 10 * height], [5 * width, 2.5 * height], [10 * width, 0]], atol=1.5)
+    np.testing.assert_allclose(
+        line, [[0, 10 * height], [5 * width, 2.5 * height], [10 * width, 0]], atol=1.5
+    )
 
 
 def test_gaps_stay_and_a_single_value_is_a_dot() -> None:
@@ -54,7 +61,8 @@ def test_many_points_are_few_where_the_line_is_straight_and_no_peak_is_lost() ->
     chart.panels[0].plot(np.arange(40_000.0), y)
     ((line,),) = paths(chart)
     assert len(line) < 8
-    assert np.ptp(line[:, 1]) == pytest.approx(10 * box(chart)[1] / 1.1, abs=2)  # margins of a twentieth to each side
+    # margins of a twentieth to each side
+    assert np.ptp(line[:, 1]) == pytest.approx(10 * box(chart)[1] / 1.1, abs=2)
 
 
 def test_an_infinite_coordinate_is_the_border() -> None:
@@ -109,14 +117,21 @@ def test_numbers_along_an_axis() -> None:
 
 @pytest.mark.parametrize(
     ("low", "high", "at"),
-    [(0.05, 200, [0.1, 1, 10, 100]), (1e-9, 1, [1e-9, 1e-6, 1e-3, 1]), (3, 30, [5, 10, 20]), (1.15, 1.4, [1.2, 1.3, 1.4])],
+    [
+        (0.05, 200, [0.1, 1, 10, 100]),
+        (1e-9, 1, [1e-9, 1e-6, 1e-3, 1]),
+        (3, 30, [5, 10, 20]),
+        (1.15, 1.4, [1.2, 1.3, 1.4]),
+    ],
 )
 def test_numbers_along_a_logarithmic_axis(low: float, high: float, at: list[float]) -> None:
     np.testing.assert_allclose(log_ticks(low, high, 3), at)
 
 
 @pytest.mark.parametrize("log", [False, True])
-@pytest.mark.parametrize("values", [[1.0, 1e308, -1e308], [1e-320, 1.0, 1e308], [np.nan, np.inf, 1e308]])
+@pytest.mark.parametrize(
+    "values", [[1.0, 1e308, -1e308], [1e-320, 1.0, 1e308], [np.nan, np.inf, 1e308]]
+)
 def test_numbers_of_a_damaged_log_are_drawn(values: list[float], log: bool):
     chart = Chart(2.0)
     (panel,) = chart.panels

@@ -1,4 +1,6 @@
-"""The picture of the optical flow on the sphere: what lies on the far side is left out, nothing leaves the picture."""
+"""The picture of the optical flow on the sphere: what lies on the far side is left out, nothing
+leaves the picture.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,19 @@ def test_flow_on_the_sphere() -> None:
     for axes in figure.axes:
         assert [word.get_text() for word in axes.texts] == ["z", "x", "y"]
         viewer = drawn(towards_viewer(axes))
-        on_ball = [np.array(line.get_data_3d()) for line in axes.lines if line.get_color() in (RULE, INK) and len(line.get_xdata()) > 2]
+        on_ball = [
+            np.array(line.get_data_3d())
+            for line in axes.lines
+            if line.get_color() in (RULE, INK) and len(line.get_xdata()) > 2
+        ]
         for p in on_ball:
             np.testing.assert_allclose(np.linalg.norm(p, axis=0)[np.isfinite(p[0])], 1, atol=1e-9)
             assert np.nanmin(viewer @ p, initial=1) >= 0
         for line in axes.lines:
             box = line.get_window_extent(renderer)
-            assert picture.x0 <= box.x0 and box.x1 <= picture.x1 and picture.y0 <= box.y0 and box.y1 <= picture.y1
+            assert (
+                picture.x0 <= box.x0
+                and box.x1 <= picture.x1
+                and picture.y0 <= box.y0
+                and box.y1 <= picture.y1
+            )

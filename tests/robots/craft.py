@@ -1,4 +1,6 @@
-"""A quadrotor with imperfections in its scene, as a run has it: the plant, and MuJoCo's state beneath it."""
+"""A quadrotor with imperfections in its scene, as a run has it: the plant, and MuJoCo's state
+beneath it.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ class Craft:
     """A craft at rest at a height [m] over the floor.
 
     Args:
-        robot: with its blocks. xyz, yaw_deg: where it hovers at the start [m], and its heading. pad_at: centre of a pad .9 m wide [m];
-            None: nothing but the floor.
+        robot: with its blocks. xyz, yaw_deg: where it hovers at the start [m], and its heading.
+            pad_at: centre of a pad .9 m wide [m]; None: nothing but the floor.
     """
 
     def __init__(
@@ -41,7 +43,9 @@ class Craft:
         # The target is put aside: what is below the craft is the floor, or the pad.
         pose = replace(scenario.target.pose, xyz=pad_at or (0.0, 50.0, 0.13))
         target = replace(scenario.target, pose=pose, pad=Pad(side=0.9) if pad_at else None)
-        self.stage = Scene(SceneDescription(self.robot, scenario.camera, target, scenario.world, 0.001))
+        self.stage = Scene(
+            SceneDescription(self.robot, scenario.camera, target, scenario.world, 0.001)
+        )
         self.plant = MujocoPlant(self.stage, 40, None, False, np.random.default_rng(3))
         self.data, self.model = self.stage.data, self.stage.model
 
@@ -52,11 +56,15 @@ class Craft:
 
     @property
     def up(self) -> float:
-        """What the rotors lift [N], with the mass and MuJoCo's own acceleration of the craft, which is level."""
+        """What the rotors lift [N], with the mass and MuJoCo's own acceleration of the craft, which
+        is level.
+        """
         mujoco.mj_forward(self.model, self.data)
         return X4.mass_kg * (9.81 + float(self.data.qacc[2]))
 
-    def fly(self, seconds: float, setpoint: Array = HOLD, each: Callable[[], object] | None = None) -> list[object]:
+    def fly(
+        self, seconds: float, setpoint: Array = HOLD, each: Callable[[], object] | None = None
+    ) -> list[object]:
         """Fly under a setpoint; what `each` gives, every millisecond."""
         self.plant.apply(setpoint)
         found = []

@@ -1,4 +1,6 @@
-"""The quadrotor in the world, flown by its own stack: MuJoCo round `Quadrotor`, as a plant does it."""
+"""The quadrotor in the world, flown by its own stack:
+MuJoCo round `Quadrotor`, as a plant does it.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Quadroto
 MODELS = Path(__file__).parents[2] / "models"
 AIR = 1.184
 DT = 0.001
-QUIET = Imu(gyro_sigma_radps=0, gyro_bias_radps=(0, 0, 0), accel_sigma_mps2=0, accel_bias_mps2=(0, 0, 0))
+QUIET = Imu(
+    gyro_sigma_radps=0, gyro_bias_radps=(0, 0, 0), accel_sigma_mps2=0, accel_bias_mps2=(0, 0, 0)
+)
 
 
 def perfect(height: float = 10.0, **given: object) -> Quadrotor:
@@ -29,8 +33,9 @@ def perfect(height: float = 10.0, **given: object) -> Quadrotor:
 
 @dataclass(frozen=True)
 class Log:
-    """The truth, one row a control step: t (n,); position, velocity (world), level velocity, body rates, roll-pitch-yaw (n, 3);
-    ctrl (n, 4); and the memory on board."""
+    """The truth, one row a control step: t (n,); position, velocity (world), level velocity, body
+    rates, roll-pitch-yaw (n, 3); ctrl (n, 4); and the memory on board.
+    """
 
     t: Array
     position: Array
@@ -51,7 +56,12 @@ class Flown:
     """A craft in flight; `fly` goes on from where it is."""
 
     def __init__(self, robot: Quadrotor, seed: int = 0):
-        self.robot, self.body, self.sense, self.state = robot, robot.body, robot.instruments(np.random.default_rng(seed)), robot.begin()
+        self.robot, self.body, self.sense, self.state = (
+            robot,
+            robot.body,
+            robot.instruments(np.random.default_rng(seed)),
+            robot.begin(),
+        )
         world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
         world.option.timestep, world.option.density = DT, AIR
         craft = mujoco.MjSpec.from_file(str(MODELS / robot.body.file))
@@ -71,7 +81,9 @@ class Flown:
 
     def reading(self) -> Instruments:
         """What the craft measures now."""
-        sensors = {name: self.data.sensor(f"robot/{name}").data.tolist() for name in self.body.sensors}
+        sensors = {
+            name: self.data.sensor(f"robot/{name}").data.tolist() for name in self.body.sensors
+        }
         return self.sense(np.zeros(0), np.zeros(0), sensors)
 
     def tilt(self, roll: float, pitch: float = 0.0) -> None:
@@ -80,25 +92,40 @@ class Flown:
         R = np.array([[cp, sp * s, sp * c], [0, c, -s], [-sp, cp * s, cp * c]])
         mujoco.mju_mat2Quat(self.data.qpos[3:7], R.ravel())
         mujoco.mj_forward(self.model, self.data)
-        self.state = self.state._replace(attitude=self.state.attitude._replace(up=tuple(R[2].tolist())))
+        self.state = self.state._replace(
+            attitude=self.state.attitude._replace(up=tuple(R[2].tolist()))
+        )
 
     def step(self) -> None:
         """One physics step, sensors of the new instant."""
         mujoco.mj_step2(self.model, self.data)
         mujoco.mj_step1(self.model, self.data)
 
-    def fly(self, order: object, duration: float, wind: Callable[[float], object] | None = None) -> Log:
+    def fly(
+        self, order: object, duration: float, wind: Callable[[float], object] | None = None
+    ) -> Log:
         """Fly for a time [s] under a setpoint (4,); wind (3,) [m/s] as a function of time."""
         setpoint, rows, state = np.asarray(order, dtype=float), [], []
         for k in range(round(duration / DT)):
             if wind is not None:
                 self.model.opt.wind[:] = wind(k * DT)
-            self.state, self.data.ctrl[:] = self.robot.actuate(self.state, setpoint, self.reading(), DT)
+            self.state, self.data.ctrl[:] = self.robot.actuate(
+                self.state, setpoint, self.reading(), DT
+            )
             self.step()
             rows.append(self._row())
             state.append(self.state)
         a = np.array(rows)
-        return Log(np.arange(1, len(a) + 1) * DT, a[:, :3], a[:, 3:6], a[:, 6:9], a[:, 9:12], a[:, 12:15], a[:, 15:], state)
+        return Log(
+            np.arange(1, len(a) + 1) * DT,
+            a[:, :3],
+            a[:, 3:6],
+            a[:, 6:9],
+            a[:, 9:12],
+            a[:, 12:15],
+            a[:, 15:],
+            state,
+        )
 
     def _row(self) -> list[float]:
         R, (vx, vy, vz) = self.R, self.data.qvel[:3].tolist()
@@ -111,7 +138,9 @@ class Flown:
 
 @dataclass(frozen=True)
 class Response:
-    """A step response: 10 to 90 % rise [s], overshoot and final error as parts of the step, time to stay within 5 % [s]."""
+    """A step response: 10 to 90 % rise [s], overshoot and final error as parts of the step, time to
+    stay within 5 % [s].
+    """
 
     rise: float
     overshoot: float
@@ -124,4 +153,9 @@ class Response:
         y = y / step
         outside = np.nonzero(np.abs(y - 1) > 0.05)[0]
         rise = float(t[np.argmax(y > 0.9)] - t[np.argmax(y > 0.1)])
-        return cls(rise, float(y.max() - 1), float(y[-1] - 1), float(t[outside[-1]]) if len(outside) else 0.0)
+        return cls(
+            rise,
+            float(y.max() - 1),
+            float(y[-1] - 1),
+            float(t[outside[-1]]) if len(outside) else 0.0,
+        )

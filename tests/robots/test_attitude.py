@@ -15,24 +15,40 @@ STILL = (0.0, 0.0, 0.0)
 def rotation(roll: float, pitch: float) -> np.ndarray:
     """R_level_body = Ry(pitch) Rx(roll)."""
     c, s, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    return np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]) @ np.array(
+        [[1, 0, 0], [0, c, -s], [0, s, c]]
+    )
 
 
 def angle(state: Attitude, up: np.ndarray) -> float:
     """Degrees between the estimated and the true up."""
-    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(state.up, up))), float(np.dot(state.up, up))))
+    return math.degrees(
+        math.atan2(float(np.linalg.norm(np.cross(state.up, up))), float(np.dot(state.up, up)))
+    )
 
 
-def still(state: Attitude, up: np.ndarray, duration: float, filter: Filter, gyro=(0, 0, 0), bias=(0, 0, 0), rng=None) -> Attitude:
+def still(
+    state: Attitude,
+    up: np.ndarray,
+    duration: float,
+    filter: Filter,
+    gyro=(0, 0, 0),
+    bias=(0, 0, 0),
+    rng=None,
+) -> Attitude:
     """The filter on a body at rest."""
     for _ in range(round(duration / DT)):
         n = rng.standard_normal(6) * [0.002, 0.002, 0.002, 0.09, 0.09, 0.09] if rng else np.zeros(6)
-        state = step(state, tuple(np.add(gyro, n[:3])), tuple(GRAVITY * up + bias + n[3:]), STILL, filter, DT)
+        state = step(
+            state, tuple(np.add(gyro, n[:3])), tuple(GRAVITY * up + bias + n[3:]), STILL, filter, DT
+        )
     return state
 
 
 class TestGeometry:
-    @pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (0.3, -0.2), (-1.2, 0.9), (2.8, 0.1), (0.1, 1.5)])
+    @pytest.mark.parametrize(
+        ("roll", "pitch"), [(0, 0), (0.3, -0.2), (-1.2, 0.9), (2.8, 0.1), (0.1, 1.5)]
+    )
     def test_level_frame(self, roll, pitch):
         R = rotation(roll, pitch)
         attitude = Attitude(up=tuple(R[2].tolist()))
@@ -50,16 +66,25 @@ class TestGeometry:
         w, h, R = np.array([0.4, -0.7, 0.9]), 1e-6, rotation(roll, pitch)
         S = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
         after, before = R @ (np.eye(3) + h * S), R @ (np.eye(3) - h * S)
-        rate = (math.atan2(after[1, 0], after[0, 0]) - math.atan2(before[1, 0], before[0, 0])) / (2 * h)
-        assert heading_rate(level(tuple(R[2].tolist())), tuple(w.tolist())) == pytest.approx(rate, abs=1e-8)  # h^2 and rounding
+        rate = (math.atan2(after[1, 0], after[0, 0]) - math.atan2(before[1, 0], before[0, 0])) / (
+            2 * h
+        )
+        # h^2 and rounding
+        assert heading_rate(level(tuple(R[2].tolist())), tuple(w.tolist())) == pytest.approx(
+            rate, abs=1e-8
+        )
 
     def test_nose_straight_up_is_finite(self):
-        np.testing.assert_allclose(np.reshape(level((-1.0, 0.0, 0.0)), (3, 3)), rotation(0, math.pi / 2), atol=1e-12)
+        np.testing.assert_allclose(
+            np.reshape(level((-1.0, 0.0, 0.0)), (3, 3)), rotation(0, math.pi / 2), atol=1e-12
+        )
 
 
 class TestFilter:
     def test_gyro_alone_follows_a_tumble(self):
-        """An accelerometer in free fall says nothing: up turns as -w x up, here a cone whose end is known."""
+        """An accelerometer in free fall says nothing: up turns as -w x up, here a cone whose end is
+        known.
+        """
         w, up = np.array([1.0, -2.0, 0.7]), rotation(0.4, -0.3)[2]
         state = Attitude(up=tuple(up.tolist()))
         for _ in range(2000):
@@ -94,7 +119,14 @@ class TestFilter:
         """Level, 3 m/s^2 forward for 2 s: unknown it is taken for a nose-up of up to 17 degrees."""
         state = Attitude()
         for _ in range(2000):
-            state = step(state, STILL, (3.0, 0.0, GRAVITY), (3.0, 0.0, 0.0) if known else STILL, Filter(bias_gain=0.0), DT)
+            state = step(
+                state,
+                STILL,
+                (3.0, 0.0, GRAVITY),
+                (3.0, 0.0, 0.0) if known else STILL,
+                Filter(bias_gain=0.0),
+                DT,
+            )
         off = abs(math.degrees(state.pitch))
         assert off <= most
         if not known:

@@ -20,12 +20,24 @@ from vstestbed.scenario.checks import check_metres
 
 GROUND = GroundStart(nominal=GroundPose(x=1, y=2, heading_deg=30), random=GroundBox(x=1, y=1))
 ROBOTS = {
-    "free": Free(start=FreeStart(nominal=Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)), random=Box(xyz=(0.1, 0, 0)))),
-    "puma560": Puma560(start=PumaStart(nominal=Positions(q_deg=(5, 45, -180, 10, 45, -45)), random=PositionBox(q_deg=1.0))),
+    "free": Free(
+        start=FreeStart(
+            nominal=Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)), random=Box(xyz=(0.1, 0, 0))
+        )
+    ),
+    "puma560": Puma560(
+        start=PumaStart(
+            nominal=Positions(q_deg=(5, 45, -180, 10, 45, -45)), random=PositionBox(q_deg=1.0)
+        )
+    ),
     "car": Car(start=GROUND),
     "omni": Omni(start=GROUND),
     "omni, planar wheels": Omni(start=GROUND, wheels="planar"),
-    "quadrotor": Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(1, 2, 3), yaw_deg=40), random=FlightBox(xyz=(1, 1, 1)))),
+    "quadrotor": Quadrotor(
+        start=FlightStart(
+            nominal=FlightPose(xyz=(1, 2, 3), yaw_deg=40), random=FlightBox(xyz=(1, 1, 1))
+        )
+    ),
 }
 ELSEWHERE = {
     "free": (Pose(xyz=(1, 2, 3)).T @ exp(np.array([0.2, -0.1, 0.3, 0.4, -0.2, 1.0]))).ravel(),
@@ -49,12 +61,20 @@ def test_started_elsewhere_it_stands_there_and_is_the_same_robot_otherwise(name)
     np.testing.assert_allclose(moved.configuration(), ELSEWHERE[name], atol=1e-12)
     assert moved.start.random == robot.start.random and type(moved) is type(robot)
     back = moved.started_at(robot.configuration())
-    assert rigid_error(back.flange_pose(back.configuration()), robot.flange_pose(robot.configuration())) == pytest.approx((0, 0), abs=1e-7)
+    assert rigid_error(
+        back.flange_pose(back.configuration()), robot.flange_pose(robot.configuration())
+    ) == pytest.approx((0, 0), abs=1e-7)
 
 
 def test_a_start_elsewhere_keeps_all_other_parameters():
-    assert Omni(wheels="planar", wheel_radius_error=0.01).started_at(np.ones(3)).wheel_radius_error == 0.01
-    assert Puma560(actuation="industrial", avoid_limits=2.0).started_at(ELSEWHERE["puma560"]).actuation == "industrial"
+    assert (
+        Omni(wheels="planar", wheel_radius_error=0.01).started_at(np.ones(3)).wheel_radius_error
+        == 0.01
+    )
+    assert (
+        Puma560(actuation="industrial", avoid_limits=2.0).started_at(ELSEWHERE["puma560"]).actuation
+        == "industrial"
+    )
     assert Quadrotor(max_speed_mps=3.0).started_at(ELSEWHERE["quadrotor"]).max_speed_mps == 3.0
 
 
@@ -74,7 +94,11 @@ def test_an_arm_is_idealised_with_all_else_kept():
 
 
 def test_bases():
-    for base, names in (("fixed", {"free", "puma560"}), ("planar", {"car", "omni", "omni, planar wheels"}), ("floating", {"quadrotor"})):
+    for base, names in (
+        ("fixed", {"free", "puma560"}),
+        ("planar", {"car", "omni", "omni, planar wheels"}),
+        ("floating", {"quadrotor"}),
+    ):
         assert {name for name, robot in ROBOTS.items() if robot.base == base} == names
 
 
@@ -90,22 +114,36 @@ class TestMount:
             with pytest.raises(ParameterError) as told:
                 check_metres(robot, under, target)
             assert told.value.field == "camera.mount.xyz"
-            assert "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it" in str(told.value)
+            assert (
+                "must have z > 0: the vehicle's frame lies on the floor,"
+                " and the camera would be under it" in str(told.value)
+            )
 
     def test_the_motion_basis_spans_what_is_allocated(self, name):
         """A small twist within the basis is made exactly, one beside it is not made."""
         robot = ROBOTS[name]
-        mount, q = Mount.of(Pose(xyz=(0.1, 0.05, 0.2), rpy_deg=(20, -30, 100)).T), robot.start_joints()
+        mount, q = (
+            Mount.of(Pose(xyz=(0.1, 0.05, 0.2), rpy_deg=(20, -30, 100)).T),
+            robot.start_joints(),
+        )
         basis, reading = robot.motion_basis(mount, q), Reading(q, np.zeros(len(q)))
-        assert basis.shape == (6, {"fixed": 6, "planar": 3, "floating": 4}[robot.base] - (name == "car"))
+        assert basis.shape == (
+            6,
+            {"fixed": 6, "planar": 3, "floating": 4}[robot.base] - (name == "car"),
+        )
         twist = basis @ np.full(basis.shape[1], 0.01)
-        np.testing.assert_allclose(robot.allocate(twist, reading, mount, 0.04).twist, twist, atol=1e-9)
+        np.testing.assert_allclose(
+            robot.allocate(twist, reading, mount, 0.04).twist, twist, atol=1e-9
+        )
 
 
 class TestSupervisorAndLog:
     def test_only_a_craft_that_flies_has_a_failsafe_and_a_setpoint_that_holds(self, name):
         robot = ROBOTS[name]
-        supervisor, hold = robot.supervisor(True, 0.7, 3.0), robot.onboard and robot.onboard.first_setpoint
+        supervisor, hold = (
+            robot.supervisor(True, 0.7, 3.0),
+            robot.onboard and robot.onboard.first_setpoint,
+        )
         assert (supervisor.lost_after_s, supervisor.lost_after_m) == (0.7, 3.0)
         if robot.base == "floating":
             assert isinstance(supervisor, Failsafe) and supervisor.lands
@@ -128,10 +166,13 @@ class TestStopping:
 
     def test_what_it_ends_at_is_rest(self, name):
         robot = ROBOTS[name]
-        setpoint = robot.allocate(np.full(6, 0.1), Reading(robot.start_joints(), np.zeros(6)), Mount.of(np.eye(4)), 0.04).setpoint
+        setpoint = robot.allocate(
+            np.full(6, 0.1), Reading(robot.start_joints(), np.zeros(6)), Mount.of(np.eye(4)), 0.04
+        ).setpoint
         end = robot.stopping(setpoint, 10.0)
         assert end.shape == setpoint.shape
-        assert not end[:1].any() if name == "car" else not end.any()  # a car keeps its wheels in the bend
+        # a car keeps its wheels in the bend
+        assert not end[:1].any() if name == "car" else not end.any()
 
     def test_velocities_fall_together_and_steadily(self, name):
         robot = ROBOTS[name]

@@ -31,7 +31,9 @@ def test_an_arc_is_the_differential_equations():
         dt = 2.0 / n
         half = end[2] + v * np.tan(steering) / L * dt / 2
         end = end + dt * np.array([v * np.cos(half), v * np.sin(half), v * np.tan(steering) / L])
-    np.testing.assert_allclose(rolled(place, np.array(v), np.array(steering), L, 2.0), end, atol=1e-8)
+    np.testing.assert_allclose(
+        rolled(place, np.array(v), np.array(steering), L, 2.0), end, atol=1e-8
+    )
 
 
 def test_limits_keep_the_arc_or_its_side():
@@ -42,23 +44,42 @@ def test_limits_keep_the_arc_or_its_side():
 
 
 def test_a_drive_is_made_of_arcs():
-    course = drive(lambda p: (np.full(p.shape[:-1], 0.5), np.full(p.shape[:-1], 0.2)), np.array([[0, 0, 0], [1.0, 2, 3]]), L, FREE, 3.0)
+    course = drive(
+        lambda p: (np.full(p.shape[:-1], 0.5), np.full(p.shape[:-1], 0.2)),
+        np.array([[0, 0, 0], [1.0, 2, 3]]),
+        L,
+        FREE,
+        3.0,
+    )
     assert course.place.shape == (301, 2, 3) and course.t[-1] == pytest.approx(3.0)
     np.testing.assert_allclose(course.steering, np.arctan(0.4))
     # 300 arcs are one: rounding.
-    np.testing.assert_allclose(course.place[-1, 1], rolled(np.array([1.0, 2, 3]), np.array(0.5), np.arctan(0.4), L, 3.0), atol=1e-10)
+    np.testing.assert_allclose(
+        course.place[-1, 1],
+        rolled(np.array([1.0, 2, 3]), np.array(0.5), np.arctan(0.4), L, 3.0),
+        atol=1e-10,
+    )
 
 
 def test_rates_are_limited_from_rest():
     limits = BicycleLimits(1.0, 1.0, acceleration_mps2=2.0, steering_rate_radps=0.5)
     course = drive(lambda p: (np.array(5.0), np.array(50.0)), np.zeros(3), L, limits, 3.0)
-    assert np.diff(course.v, prepend=0).max() <= 0.02 + 1e-12 and np.diff(course.steering, prepend=0).max() <= 0.005 + 1e-12
+    assert (
+        np.diff(course.v, prepend=0).max() <= 0.02 + 1e-12
+        and np.diff(course.steering, prepend=0).max() <= 0.005 + 1e-12
+    )
     assert (course.v[-1], course.steering[-1]) == (pytest.approx(1.0), pytest.approx(1.0))
     assert course.t[np.argmax(course.v > 1 - 1e-9)] == pytest.approx(0.5, abs=0.011)
     assert course.t[np.argmax(course.steering > 1 - 1e-9)] == pytest.approx(2.0, abs=0.011)
 
 
 def test_wheels_stay_where_they_are_at_a_stand():
-    course = drive(lambda p: (np.where(p[..., 0] < 0.5, 0.5, 0.0), np.where(p[..., 0] < 0.5, 0.1, 0.3)), np.zeros(3), L, FREE, 4.0)
+    course = drive(
+        lambda p: (np.where(p[..., 0] < 0.5, 0.5, 0.0), np.where(p[..., 0] < 0.5, 0.1, 0.3)),
+        np.zeros(3),
+        L,
+        FREE,
+        4.0,
+    )
     assert course.v[-1] == 0
     np.testing.assert_allclose(course.steering, np.arctan(0.2))

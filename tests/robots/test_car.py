@@ -1,4 +1,6 @@
-"""The car as a robot: kinematics both ways, limits, what its instruments tell, its onboard servos. Its body has its own tests."""
+"""The car as a robot: kinematics both ways, limits, what its instruments tell, its onboard servos.
+Its body has its own tests.
+"""
 
 import math
 
@@ -31,32 +33,46 @@ def camera_twist(v: float, w: float) -> np.ndarray:
 class TestKinematics:
     def test_the_mount_looks_ahead(self):
         np.testing.assert_allclose(MOUNT.T_flange_camera[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-12)
-        np.testing.assert_allclose(MOUNT.T_flange_camera[:3, :3] @ [0, 1, 0], [0, 0, -1], atol=1e-12)
+        np.testing.assert_allclose(
+            MOUNT.T_flange_camera[:3, :3] @ [0, 1, 0], [0, 0, -1], atol=1e-12
+        )
 
     def test_basis_is_the_cameras_motion_along_an_arc(self):
         rng, dt = np.random.default_rng(0), 1e-6
         for _ in range(5):
-            mount = Mount.of(Pose(xyz=tuple(rng.uniform(-1, 1, 3)), rpy_deg=tuple(rng.uniform(-180, 180, 3))).T)
+            mount = Mount.of(
+                Pose(xyz=tuple(rng.uniform(-1, 1, 3)), rpy_deg=tuple(rng.uniform(-180, 180, 3))).T
+            )
             v, w = rng.uniform(-1, 1, 2)
             place = rng.uniform(-3, 3, 3)
-            T0, T1 = (pose_on_ground(moved(place, np.array([v, 0, w]), t)) @ mount.T_flange_camera for t in (0.0, dt))
+            T0, T1 = (
+                pose_on_ground(moved(place, np.array([v, 0, w]), t)) @ mount.T_flange_camera
+                for t in (0.0, dt)
+            )
             step = inverse(T0) @ T1 / dt
             twist = [*step[:3, 3], step[2, 1], step[0, 2], step[1, 0]]
             np.testing.assert_allclose(
                 CAR.motion_basis(mount, CAR.start_joints()) @ [v, w], twist, atol=1e-5
             )  # first order in dt, and rounding over dt
 
-    @pytest.mark.parametrize(("v", "w"), [(0.5, 0.2), (0.5, -0.2), (-0.5, 0.2), (-0.5, -0.2), (0.7, 0.0)])
+    @pytest.mark.parametrize(
+        ("v", "w"), [(0.5, 0.2), (0.5, -0.2), (-0.5, 0.2), (-0.5, -0.2), (0.7, 0.0)]
+    )
     def test_an_order_within_its_limits_is_made_as_it_is(self, v, w):
         made = CAR.allocate(camera_twist(v, w), reading(), MOUNT, PERIOD)
         speed, steering = made.setpoint
-        assert (speed, speed * np.tan(steering) / BUGGY.wheelbase_m) == (pytest.approx(v), pytest.approx(w))
+        assert (speed, speed * np.tan(steering) / BUGGY.wheelbase_m) == (
+            pytest.approx(v),
+            pytest.approx(w),
+        )
         np.testing.assert_allclose(made.twist, camera_twist(v, w), atol=1e-12)
         assert (made.scale, made.limit) == (pytest.approx(1.0), "")
 
     def test_in_reverse_the_wheels_point_the_other_way(self):
         """Backwards and turning left: the nose swings left, so the front wheels point right."""
-        assert CAR.allocate(camera_twist(-0.5, 0.2), reading(), MOUNT, PERIOD).setpoint[1] == pytest.approx(-np.arctan(0.4))
+        assert CAR.allocate(camera_twist(-0.5, 0.2), reading(), MOUNT, PERIOD).setpoint[
+            1
+        ] == pytest.approx(-np.arctan(0.4))
 
     def test_what_a_car_cannot_do_is_left_out(self):
         aside = MOUNT.to_camera @ np.array([0.4, 0.3, -0.2, 0.1, 0.5, 0.1])
@@ -71,7 +87,9 @@ class TestLimits:
         np.testing.assert_allclose(made.twist, camera_twist(-1.0, 0.5), atol=1e-12)
         assert (made.scale, made.limit) == (pytest.approx(0.25), "speed")
 
-    @pytest.mark.parametrize(("v", "w", "sign"), [(0.2, 1.0, 1), (0.2, -1.0, -1), (-0.2, 1.0, -1), (-0.2, -1.0, 1)])
+    @pytest.mark.parametrize(
+        ("v", "w", "sign"), [(0.2, 1.0, 1), (0.2, -1.0, -1), (-0.2, 1.0, -1), (-0.2, -1.0, 1)]
+    )
     def test_too_tight_becomes_the_tightest_to_the_same_side(self, v, w, sign):
         made = CAR.allocate(camera_twist(v, w), reading(), MOUNT, PERIOD)
         np.testing.assert_allclose(made.setpoint, [v, sign * 1.0])
@@ -91,8 +109,13 @@ class TestLimits:
 
     def test_other_limits(self):
         fast = Car(limits=CarLimits(speed_mps=3, steering_rad=0.5))
-        np.testing.assert_allclose(fast.allocate(camera_twist(2.5, 0.5), reading(), MOUNT, PERIOD).setpoint, [2.5, np.arctan(0.2)])
-        np.testing.assert_allclose(fast.allocate(camera_twist(0.5, 1.0), reading(), MOUNT, PERIOD).setpoint, [0.5, 0.5])
+        np.testing.assert_allclose(
+            fast.allocate(camera_twist(2.5, 0.5), reading(), MOUNT, PERIOD).setpoint,
+            [2.5, np.arctan(0.2)],
+        )
+        np.testing.assert_allclose(
+            fast.allocate(camera_twist(0.5, 1.0), reading(), MOUNT, PERIOD).setpoint, [0.5, 0.5]
+        )
         with pytest.raises(ParameterError, match="speed_mps"):
             CarLimits(speed_mps=4)
         with pytest.raises(ParameterError, match="steering_rad"):
@@ -107,7 +130,9 @@ class TestCompass:
         return np.array([sense(np.zeros(7), np.zeros(7), sensors).heading for _ in range(n)])
 
     def test_noise_and_bias(self):
-        told = np.degrees(self.readings(Car(compass=Compass(bias_deg=5, sigma_deg=0.5)), np.radians(40), 4000))
+        told = np.degrees(
+            self.readings(Car(compass=Compass(bias_deg=5, sigma_deg=0.5)), np.radians(40), 4000)
+        )
         # Standard errors of 4000 readings: .008 deg of the mean, .0056 of the spread; four of each.
         assert told.mean() == pytest.approx(45, abs=0.032)
         assert told.std() == pytest.approx(0.5, abs=0.023)
@@ -120,7 +145,8 @@ class TestCompass:
     def test_the_truth_does_not_pass(self):
         q, sensors = np.arange(7.0), {"heading": [1.0, 0.0, 0.0]}
         measured = CAR.instruments(np.random.default_rng(0))(q, np.zeros(7), sensors)
-        assert type(measured) is Reading and measured.tilt is None and measured.heading != 0.0  # nothing but encoders and compass
+        # nothing but encoders and compass
+        assert type(measured) is Reading and measured.tilt is None and measured.heading != 0.0
         np.testing.assert_array_equal(measured.q, q)
 
     def test_same_seed_same_readings(self):
@@ -130,18 +156,32 @@ class TestCompass:
 class TestOdometry:
     def test_an_arc_from_its_wheels(self):
         v, w = 0.6, -0.4
-        left, right = ((v + side * w * BUGGY.track_m / 2) / BUGGY.wheel_radius_m * PERIOD for side in (-1, 1))
+        left, right = (
+            (v + side * w * BUGGY.track_m / 2) / BUGGY.wheel_radius_m * PERIOD for side in (-1, 1)
+        )
         before, now = reading(left=3, right=7), reading(left=3 + left, right=7 + right)
         np.testing.assert_allclose(CAR.odometry(before, now, PERIOD), [v, 0, w], atol=1e-12)
-        np.testing.assert_allclose(CAR.measured_twist(before, now, PERIOD, np.zeros(6), MOUNT), camera_twist(v, w), atol=1e-12)
-        np.testing.assert_allclose(Car(wheel_radius_error=0.02).odometry(before, now, PERIOD), [1.02 * v, 0, 1.02 * w], atol=1e-12)
+        np.testing.assert_allclose(
+            CAR.measured_twist(before, now, PERIOD, np.zeros(6), MOUNT),
+            camera_twist(v, w),
+            atol=1e-12,
+        )
+        np.testing.assert_allclose(
+            Car(wheel_radius_error=0.02).odometry(before, now, PERIOD),
+            [1.02 * v, 0, 1.02 * w],
+            atol=1e-12,
+        )
 
     def test_no_time_no_motion(self):
-        np.testing.assert_array_equal(CAR.measured_twist(reading(), reading(left=1), 0.0, np.ones(6), MOUNT), np.zeros(6))
+        np.testing.assert_array_equal(
+            CAR.measured_twist(reading(), reading(left=1), 0.0, np.ones(6), MOUNT), np.zeros(6)
+        )
 
 
 class TestServos:
-    def run(self, car: Car, setpoint: list[float], periods: int, speed_share: float = 1.0) -> np.ndarray:
+    def run(
+        self, car: Car, setpoint: list[float], periods: int, speed_share: float = 1.0
+    ) -> np.ndarray:
         """Controls (periods, 2) when the wheels follow at once, at a share of the speed told."""
         state, ctrl, out = car.begin(), np.zeros(2), []
         for _ in range(periods):
@@ -151,7 +191,9 @@ class TestServos:
         return np.array(out)
 
     def test_setpoints_are_approached_at_their_rates(self):
-        out = self.run(Car(limits=CarLimits(acceleration_mps2=1.0, steering_rate_radps=0.5)), [1.0, -0.4], 120)
+        out = self.run(
+            Car(limits=CarLimits(acceleration_mps2=1.0, steering_rate_radps=0.5)), [1.0, -0.4], 120
+        )
         np.testing.assert_allclose(np.diff(out[:79, 1]), -0.005, atol=1e-12)
         assert out[-1, 1] == -0.4
         # The integral adds to the ramp what the wheels are behind; at its end nothing is left.
@@ -171,18 +213,30 @@ class TestServos:
         assert out[-1, 0] == pytest.approx(1.0 / BUGGY.wheel_radius_m + 1.0)
 
     def test_it_turns_its_wheels_by_the_radius_that_it_believes_in(self):
-        assert self.run(Car(wheel_radius_error=0.02), [1.0, 0.0], 400)[-1, 0] == pytest.approx(1 / (1.02 * BUGGY.wheel_radius_m), rel=1e-3)
+        assert self.run(Car(wheel_radius_error=0.02), [1.0, 0.0], 400)[-1, 0] == pytest.approx(
+            1 / (1.02 * BUGGY.wheel_radius_m), rel=1e-3
+        )
 
     def test_at_rest_the_motor_holds(self):
         np.testing.assert_array_equal(self.run(CAR, [0.0, 0.0], 10, speed_share=0.5), 0)
 
 
 def test_starts():
-    car = Car(start=GroundStart(nominal=GroundPose(x=2, y=3, heading_deg=90), random=GroundBox(x=0.5, heading_deg=10)))
+    car = Car(
+        start=GroundStart(
+            nominal=GroundPose(x=2, y=3, heading_deg=90), random=GroundBox(x=0.5, heading_deg=10)
+        )
+    )
     np.testing.assert_allclose(car.configuration(), [2, 3, np.pi / 2])
-    np.testing.assert_allclose(car.flange_pose(car.configuration())[:3, [0, 3]].T, [[0, 1, 0], [2, 3, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        car.flange_pose(car.configuration())[:3, [0, 3]].T, [[0, 1, 0], [2, 3, 0]], atol=1e-12
+    )
     drawn = car.randomised(np.random.default_rng(0))
-    assert drawn.start.nominal.x != 2 and abs(drawn.start.nominal.x - 2) <= 0.5 and drawn.start.nominal.y == 3
+    assert (
+        drawn.start.nominal.x != 2
+        and abs(drawn.start.nominal.x - 2) <= 0.5
+        and drawn.start.nominal.y == 3
+    )
     assert drawn.limits == car.limits
     with pytest.raises(ParameterError, match=r"robot\.start\.random is missing"):
         CAR.randomised(np.random.default_rng(0))

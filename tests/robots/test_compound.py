@@ -1,4 +1,6 @@
-"""A mobile manipulator: its chain against MuJoCo's poses, how platform and arm share a motion, and what it refuses."""
+"""A mobile manipulator: its chain against MuJoCo's poses, how platform and arm share a motion, and
+what it refuses.
+"""
 
 from __future__ import annotations
 
@@ -30,15 +32,29 @@ def robot(scenario: vs.Scenario) -> Compound:
     return scenario.robot
 
 
-def test_its_own_kinematics_are_those_of_the_model_of_both(scenario: vs.Scenario, robot: Compound) -> None:
+def test_its_own_kinematics_are_those_of_the_model_of_both(
+    scenario: vs.Scenario, robot: Compound
+) -> None:
     rng = np.random.default_rng(0)
     with closing(plant_of(scenario, False, 0.0)[0]) as plant:
         assert isinstance(plant, MujocoPlant)
         stage = plant._stage
         for _ in range(5):
-            q = robot.configuration() + rng.uniform(-1, 1, 9) * [2, 2, 3, 0.5, 0.5, 0.3, 0.5, 0.5, 0.5]
+            q = robot.configuration() + rng.uniform(-1, 1, 9) * [
+                2,
+                2,
+                3,
+                0.5,
+                0.5,
+                0.3,
+                0.5,
+                0.5,
+                0.5,
+            ]
             stage.place(0.0, stage.target_pose(), q)
-            assert robot.flange_pose(q) == pytest.approx(stage.camera_pose() @ stage.mount_inverse, abs=1e-6)
+            assert robot.flange_pose(q) == pytest.approx(
+                stage.camera_pose() @ stage.mount_inverse, abs=1e-6
+            )
 
 
 def test_its_jacobian_is_the_derivative(robot: Compound) -> None:
@@ -49,7 +65,9 @@ def test_its_jacobian_is_the_derivative(robot: Compound) -> None:
         assert step == pytest.approx(J[:, i], abs=1e-5)
 
 
-def test_the_camera_gets_its_twist_and_the_arm_is_drawn_to_its_middle_in_what_is_left(robot: Compound) -> None:
+def test_the_camera_gets_its_twist_and_the_arm_is_drawn_to_its_middle_in_what_is_left(
+    robot: Compound,
+) -> None:
     q = robot.configuration() + np.array([1.0, -0.5, 0.4, 0.3, -0.2, 0.2, 0.1, 0.2, -0.1])
     twist = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
     made = robot.allocate(twist, vs.Reading(q, np.zeros(9)), STILL, 0.04)
@@ -57,15 +75,20 @@ def test_the_camera_gets_its_twist_and_the_arm_is_drawn_to_its_middle_in_what_is
     rest = robot.allocate(np.zeros(6), vs.Reading(q, np.zeros(9)), STILL, 0.04)
     assert rest.twist == pytest.approx(np.zeros(6), abs=1e-9)
     away = (q - robot.configuration())[3:]
-    assert rest.setpoint[3:] @ away < 0 and np.abs(rest.setpoint[:3]).max() > 0  # the platform makes room for it
+    # the platform makes room for it
+    assert rest.setpoint[3:] @ away < 0 and np.abs(rest.setpoint[:3]).max() > 0
 
 
-def test_the_platform_goes_where_the_arm_does_not_reach(scenario: vs.Scenario, robot: Compound) -> None:
+def test_the_platform_goes_where_the_arm_does_not_reach(
+    scenario: vs.Scenario, robot: Compound
+) -> None:
     run = vs.run(scenario)
     assert run.outcome is vs.Outcome.converged
     moved = np.array([run[f"q_{name}"][-1] - run[f"q_{name}"][0] for name in robot.joints])
     assert moved[0] > 1.5 and np.abs(moved[3:]).max() < 0.4
-    alone = vs.load("arm_ibvs", {"detector": "oracle", "target": scenario.target, "stop": scenario.stop})
+    alone = vs.load(
+        "arm_ibvs", {"detector": "oracle", "target": scenario.target, "stop": scenario.stop}
+    )
     assert not vs.run(alone).outcome.success
 
 
@@ -91,7 +114,11 @@ def test_forces_and_speeds_of_the_platform_are_those_of_its_wheels(robot: Compou
 def test_it_starts_and_stops_as_other_arms_do_with_inner_loops(scenario: vs.Scenario) -> None:
     for loop in ("computed_torque", "impedance"):
         run = vs.run(
-            replace(scenario, robot=replace(scenario.robot, controller={"kind": loop}), stop=replace(scenario.stop, duration_s=6.0))
+            replace(
+                scenario,
+                robot=replace(scenario.robot, controller={"kind": loop}),
+                stop=replace(scenario.stop, duration_s=6.0),
+            )
         )
         assert run["position_error_m"][-1] < 0.15 * run["position_error_m"][0]
 
@@ -99,9 +126,13 @@ def test_it_starts_and_stops_as_other_arms_do_with_inner_loops(scenario: vs.Scen
 def test_an_arm_of_ones_own_may_be_on_it(robot: Compound) -> None:
     reach = robot.flange_pose(robot.configuration())
     other = vs.load("arm_jaco").robot
-    made = replace(robot, arm=other, start={"nominal": {"q_deg": [0, 0, 0, *other.start.nominal.q_deg]}})
+    made = replace(
+        robot, arm=other, start={"nominal": {"q_deg": [0, 0, 0, *other.start.nominal.q_deg]}}
+    )
     up = exp(np.array([0, 0, 0.119, 0, 0, 0]))
-    assert made.flange_pose(made.configuration()) == pytest.approx(up @ other.flange_pose(other.configuration()), abs=1e-9)
+    assert made.flange_pose(made.configuration()) == pytest.approx(
+        up @ other.flange_pose(other.configuration()), abs=1e-9
+    )
     assert len(made.joints) == 3 + len(other.joints) and reach.shape == (4, 4)
 
 

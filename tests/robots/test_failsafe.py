@@ -5,25 +5,43 @@ import numpy as np
 from vstestbed.core.outcome import Outcome
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.base import FOLLOWS, HOLDS
-from vstestbed.robots.flight import DOWN_S, HOLD, HOLD_S, OFF, SINKS, Failsafe, FlightEstimate, FlightReading, descend
+from vstestbed.robots.flight import (
+    DOWN_S,
+    HOLD,
+    HOLD_S,
+    OFF,
+    SINKS,
+    Failsafe,
+    FlightEstimate,
+    FlightReading,
+    descend,
+)
 
 SETPOINT = np.array([0.5, 0.1, -0.2, 0.3])
 BASIS = np.eye(6)[:, [0, 1, 2, 5]]
 LAWS, AT_REST = Order(SETPOINT, BASIS @ SETPOINT), Order(HOLD, np.zeros(6))
 
 
-def reading(range_m: float = 3.0, overturned: bool = False, rotor_limit_s: float = 0.0, stands: bool = False) -> FlightReading:
+def reading(
+    range_m: float = 3.0, overturned: bool = False, rotor_limit_s: float = 0.0, stands: bool = False
+) -> FlightReading:
     """What the craft measures and estimates: by default it hovers 3 m over the ground."""
     still, no_joints = np.zeros(3), np.zeros(0)
     estimate = FlightEstimate(still, still, np.zeros(2), still, rotor_limit_s, overturned, stands)
     return FlightReading(no_joints, no_joints, tilt=np.zeros(2), range_m=range_m, estimate=estimate)
 
 
-def flown(failsafe: Failsafe, until: float, since: float = 0.0, lost: str = "", **given: float) -> np.ndarray | str:
-    """The last order of a stretch of frames at 25 Hz: its setpoint, which its twist agrees with, or how it stops the craft."""
+def flown(
+    failsafe: Failsafe, until: float, since: float = 0.0, lost: str = "", **given: float
+) -> np.ndarray | str:
+    """The last order of a stretch of frames at 25 Hz: its setpoint, which its twist agrees with, or
+    how it stops the craft.
+    """
     order = LAWS
     for t in np.arange(since, until, 0.04):
-        order = failsafe.filter(float(t), lost, reading(**given), AT_REST.halted(lost) if lost else LAWS, BASIS)
+        order = failsafe.filter(
+            float(t), lost, reading(**given), AT_REST.halted(lost) if lost else LAWS, BASIS
+        )
         np.testing.assert_array_equal(order.twist, BASIS @ order.setpoint)
         assert (order is LAWS) is not bool(order.reason)
         assert order.setpoint.any() is not order.stopped
@@ -77,7 +95,9 @@ def test_a_rotor_at_its_limit_for_too_long():
 
 def test_only_a_landing_ends_with_rotors_off_in_sight_of_its_target():
     assert flown(Failsafe(lands=True, lost_after_s=1.0), 1.0, stands=True) == "off"
-    np.testing.assert_array_equal(flown(Failsafe(lands=False, lost_after_s=1.0), 1.0, stands=True), SETPOINT)
+    np.testing.assert_array_equal(
+        flown(Failsafe(lands=False, lost_after_s=1.0), 1.0, stands=True), SETPOINT
+    )
 
 
 def test_down_is_half_a_second_with_rotors_off():
@@ -101,7 +121,8 @@ def test_a_law_that_failed_ends_the_task_for_good():
     failsafe = Failsafe(lands=False, lost_after_s=1.0)
     failsafe.abort(0.0, Outcome.law_failed, "law mine raised ValueError")
     assert flown(failsafe, HOLD_S - 0.1) == "stop"
-    np.testing.assert_array_equal(flown(failsafe, HOLD_S + 1.0, HOLD_S), descend(0.4))  # although the target is in sight
+    # although the target is in sight
+    np.testing.assert_array_equal(flown(failsafe, HOLD_S + 1.0, HOLD_S), descend(0.4))
     assert failsafe.aborted == (Outcome.law_failed, "law mine raised ValueError at 0.0 s")
 
 
@@ -110,4 +131,7 @@ def test_too_far_without_sight_is_too_long():
     for k in range(6):
         order = failsafe.filter(0.04 * k, "coasting", reading(), LAWS, BASIS, moved_m=0.3)
         assert (order is LAWS) is (k < 4)  # .3 m after each but the first
-    assert failsafe.aborted is not None and failsafe.aborted[1] == "coasting for 1 m of the way at 0.2 s"
+    assert (
+        failsafe.aborted is not None
+        and failsafe.aborted[1] == "coasting for 1 m of the way at 0.2 s"
+    )

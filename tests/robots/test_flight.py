@@ -1,4 +1,6 @@
-"""The loops in closed loop with MuJoCo: step responses of rates, attitude and velocity, tilt limit, levelling."""
+"""The loops in closed loop with MuJoCo: step responses of rates, attitude and velocity, tilt limit,
+levelling.
+"""
 
 import math
 
@@ -14,8 +16,11 @@ from vstestbed.robots.flight import HOLD, MAX_TILT_RATE, Gains, aim, attitude_lo
 from vstestbed.robots.rotors import X4, mix, speed_control
 
 
-def inner(duration: float, rates: tuple[float, float, float] | None = None, lean: float = 0.0) -> tuple[Array, Array, Array]:
-    """Rate loop, mixer and rotors alone under an order of rates, or with the attitude loop under a lean [rad]; true attitude and rates.
+def inner(
+    duration: float, rates: tuple[float, float, float] | None = None, lean: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Rate loop, mixer and rotors alone under an order of rates, or with the attitude loop under a
+    lean [rad]; true attitude and rates.
 
     Returns:
         t (n,), body rates (n, 3), angle of the craft's z forward of the vertical (n,).
@@ -23,9 +28,16 @@ def inner(duration: float, rates: tuple[float, float, float] | None = None, lean
     craft, gains, W, trim, rows = Flown(perfect()), Gains(), (X4.hover,) * 4, (0.0, 0.0), []
     for _ in range(round(duration / DT)):
         R = level(tuple(craft.R[2].tolist()))
-        wanted = rates or (*attitude_loop(to_body(R, (math.sin(lean), 0.0, math.cos(lean))), gains), 0.0)
-        trim, torque = rate_loop(trim, wanted, tuple(craft.data.sensor("robot/gyro").data.tolist()), gains, X4, DT)
-        W, craft.data.ctrl[:] = speed_control(W, mix(X4.mass_kg * GRAVITY, torque, X4)[0], gains.rotor_s, DT, X4)
+        wanted = rates or (
+            *attitude_loop(to_body(R, (math.sin(lean), 0.0, math.cos(lean))), gains),
+            0.0,
+        )
+        trim, torque = rate_loop(
+            trim, wanted, tuple(craft.data.sensor("robot/gyro").data.tolist()), gains, X4, DT
+        )
+        W, craft.data.ctrl[:] = speed_control(
+            W, mix(X4.mass_kg * GRAVITY, torque, X4)[0], gains.rotor_s, DT, X4
+        )
         craft.step()
         rows.append([*craft.data.qvel[3:], math.atan2(craft.R[0, 2], craft.R[2, 2])])
     a = np.array(rows)
@@ -44,7 +56,8 @@ class TestSteps:
         assert 0.09 < found.rise < 0.14
         assert found.overshoot < 0.06
         assert abs(found.error) < 0.03  # the integral unwinds in seconds
-        # Where the lead reaches full voltage one rotor of a pair is slower up than the other down: some drag torque is left over.
+        # Where the lead reaches full voltage one rotor of a pair is slower up than the other down:
+        # some drag torque is left over.
         assert np.abs(np.delete(rates, axis, axis=1)).max() < 1e-3 * order
 
     def test_yaw_rate(self):
@@ -118,7 +131,9 @@ class TestSteps:
     @pytest.mark.study
     def test_forward_while_turning_is_a_circle(self):
         log = Flown(perfect()).fly([1.0, 0, 0, 0.8], 4.0 + 2.5 * math.pi)
-        np.testing.assert_allclose(log.level[4000:], np.tile([1.0, 0, 0], (len(log.t) - 4000, 1)), atol=0.05)
+        np.testing.assert_allclose(
+            log.level[4000:], np.tile([1.0, 0, 0], (len(log.t) - 4000, 1)), atol=0.05
+        )
         circle = log.position[-int(2500 * math.pi) :, :2]
         # v / r = 1.25 m of radius; drag and lag leave 4 %.
         assert np.ptp(circle, axis=0) == pytest.approx([2.5, 2.5], rel=0.04)
@@ -130,12 +145,16 @@ class TestTilt:
         assert np.degrees(log.tilt).max() == pytest.approx(20, abs=1.0)
         assert np.abs(log.position[:, 2] - 10).max() < 0.15
 
-    @pytest.mark.parametrize(("degrees", "seconds", "sinks"), one_quick((30, 0.3, 0.15), (70, 1.3, 1.2), (120, 1.5, 6.0), (179, 1.5, 14.0)))
+    @pytest.mark.parametrize(
+        ("degrees", "seconds", "sinks"),
+        one_quick((30, 0.3, 0.15), (70, 1.3, 1.2), (120, 1.5, 6.0), (179, 1.5, 14.0)),
+    )
     def test_it_levels_from_any_tilt(self, degrees, seconds, sinks):
         craft = Flown(perfect(height=40.0))
         craft.tilt(roll=math.radians(degrees))
         log = craft.fly(HOLD, 8.0)
-        # To 15 degrees for good: what it leans to stop its own drift is in it. Then .35 g is all that stops the fall.
+        # To 15 degrees for good: what it leans to stop its own drift is in it. Then .35 g is all
+        # that stops the fall.
         assert log.t[np.nonzero(np.degrees(log.tilt) > 15)[0][-1]] < seconds
         assert 40 - log.position[:, 2].min() < sinks
         assert np.linalg.norm(log.velocity[-1]) < 0.3
@@ -146,17 +165,20 @@ class TestTilt:
     def test_aim(self):
         force, thrust = aim((0.0, 0.0, 0.0), 1.0, Gains(), X4.mass_kg)
         assert force == (0.0, 0.0, 1.0)
-        assert thrust == pytest.approx(X4.mass_kg * GRAVITY, rel=1e-12)  # the true weight, no round 40 N
+        # the true weight, no round 40 N
+        assert thrust == pytest.approx(X4.mass_kg * GRAVITY, rel=1e-12)
         force, _ = aim((100.0, 0.0, 0.0), 1.0, Gains(), X4.mass_kg)
         assert math.degrees(math.atan2(force[0], force[2])) == pytest.approx(30)
-        assert aim((0.0, 0.0, 0.0), math.cos(0.5), Gains(), X4.mass_kg)[1] * math.cos(0.5) == pytest.approx(
-            X4.mass_kg * GRAVITY
-        )  # the vertical part is kept
+        assert aim((0.0, 0.0, 0.0), math.cos(0.5), Gains(), X4.mass_kg)[1] * math.cos(
+            0.5
+        ) == pytest.approx(X4.mass_kg * GRAVITY)  # the vertical part is kept
 
     def test_attitude_loop_turns_z_to_the_force(self):
         gains = Gains()
-        wx, wy = attitude_loop((math.sin(0.1), 0.0, math.cos(0.1)), gains)  # force forward: nose down, +y
+        # force forward: nose down, +y
+        wx, wy = attitude_loop((math.sin(0.1), 0.0, math.cos(0.1)), gains)
         assert (wx, wy) == pytest.approx((0.0, 0.1 * gains.attitude))
-        wx, wy = attitude_loop((0.0, math.sin(0.1), math.cos(0.1)), gains)  # force left: left side down, -x
+        # force left: left side down, -x
+        wx, wy = attitude_loop((0.0, math.sin(0.1), math.cos(0.1)), gains)
         assert (wx, wy) == pytest.approx((-0.1 * gains.attitude, 0.0))
         assert math.hypot(*attitude_loop((0.0, 0.0, -1.0), gains)) == MAX_TILT_RATE

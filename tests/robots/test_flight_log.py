@@ -24,17 +24,30 @@ def test_estimates_references_wind_rotors_and_the_failsafe():
         stands=False,
     )
     none, still = np.zeros(0), np.zeros(3)
-    reading = FlightReading(none, none, tilt=np.array([roll, pitch]), range_m=2.0, estimate=estimate)
+    reading = FlightReading(
+        none, none, tilt=np.array([roll, pitch]), range_m=2.0, estimate=estimate
+    )
     act = np.array([100.0, 400.0, 900.0, -1e-9])  # squared speeds; the last a rounding below rest
     log = robot.log(failsafe)
-    row = log.row(RobotState(0.0, np.eye(4), still, still, reading, act, np.array([5.0, 0.0, -1.0])))
+    row = log.row(
+        RobotState(0.0, np.eye(4), still, still, reading, act, np.array([5.0, 0.0, -1.0]))
+    )
     found = dict(zip(log.columns, row, strict=True))
     assert (found["est_roll"], found["est_pitch"]) == (roll, pitch)
-    assert [found[f"est_v{a}"] for a in "xyz"] == pytest.approx(level_velocity)  # turned out of body axes into the level frame
+    # turned out of body axes into the level frame
+    assert [found[f"est_v{a}"] for a in "xyz"] == pytest.approx(level_velocity)
     assert [found[f"est_w{a}"] for a in "xyz"] == [0.1, 0.2, 0.3]
-    assert [found[f"ref_{n}"] for n in ("roll", "pitch", "wx", "wy", "wz")] == [0.4, 0.5, 0.6, 0.7, 0.8]
+    assert [found[f"ref_{n}"] for n in ("roll", "pitch", "wx", "wy", "wz")] == [
+        0.4,
+        0.5,
+        0.6,
+        0.7,
+        0.8,
+    ]
     assert [found[f"wind_{a}"] for a in "xyz"] == [5.0, 0.0, -1.0]
-    assert [found[f"speed_{name}"] for name in robot.body.actuators] == pytest.approx([10, 20, 30, 0])
+    assert [found[f"speed_{name}"] for name in robot.body.actuators] == pytest.approx(
+        [10, 20, 30, 0]
+    )
     assert found["supervisor"] == SINKS
 
 

@@ -45,5 +45,7 @@ def test_a_craft_of_the_field_flies_and_logs_its_voltage():
 @pytest.mark.study
 @pytest.mark.parametrize("level", ["lab", "field"])
 def test_it_still_lands_on_a_car(level):
-    run = vs.run(vs.load("quadrotor_land", {"detector": ORACLE["detector"], "robot.realism": level}))
+    run = vs.run(
+        vs.load("quadrotor_land", {"detector": ORACLE["detector"], "robot.realism": level})
+    )
     assert run.outcome.name == "landed", run.reason

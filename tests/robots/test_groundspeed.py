@@ -13,11 +13,19 @@ FLAT = level((0.0, 0.0, 1.0))
 
 
 def run(source, velocity, force, duration, R=FLAT, yaw_rate=0.0, rng=None, state=None):
-    """Estimates (n, 3) for a velocity of time, a constant reading of the accelerometer; both in body axes."""
+    """Estimates (n, 3) for a velocity of time, a constant reading of the accelerometer; both in
+    body axes.
+    """
     state, rows = state or AT_REST, []
     for k in range(round(duration / DT)):
-        noise = rng.standard_normal(3) * source.sigma_mps * np.sqrt(READING_S / DT) if rng else np.zeros(3)
-        state = step(state, R, tuple(np.add(velocity((k + 1) * DT), noise)), force, yaw_rate, source, DT)
+        noise = (
+            rng.standard_normal(3) * source.sigma_mps * np.sqrt(READING_S / DT)
+            if rng
+            else np.zeros(3)
+        )
+        state = step(
+            state, R, tuple(np.add(velocity((k + 1) * DT), noise)), force, yaw_rate, source, DT
+        )
         rows.append(state[0])
     return np.array(rows), state
 
@@ -50,7 +58,14 @@ def test_flow_learns_a_wrong_accelerometer():
 def test_a_turning_level_frame():
     """A world-fixed velocity seen from a frame that turns at .8 rad/s."""
     r = 0.8
-    rows, _ = run(Flow(), lambda t: (np.cos(r * t), -np.sin(r * t), 0), (0, 0, GRAVITY), 6.0, yaw_rate=r, state=((1.0, 0, 0), *AT_REST[1:]))
+    rows, _ = run(
+        Flow(),
+        lambda t: (np.cos(r * t), -np.sin(r * t), 0),
+        (0, 0, GRAVITY),
+        6.0,
+        yaw_rate=r,
+        state=((1.0, 0, 0), *AT_REST[1:]),
+    )
     t = np.arange(1, len(rows) + 1) * DT
     # Forward Euler: r^2 dt / (4 w) or so.
     np.testing.assert_allclose(rows[:, 0], np.cos(r * t), atol=1e-3)
@@ -59,7 +74,9 @@ def test_a_turning_level_frame():
 def test_tilted_readings_are_levelled():
     up = (-0.2, 0.3, np.sqrt(1 - 0.13))
     R = level(up)
-    rows, _ = run(Flow(), lambda t: to_body(R, (1.0, 0.5, -0.2)), tuple(GRAVITY * np.array(up)), 8.0, R=R)
+    rows, _ = run(
+        Flow(), lambda t: to_body(R, (1.0, 0.5, -0.2)), tuple(GRAVITY * np.array(up)), 8.0, R=R
+    )
     np.testing.assert_allclose(rows[-1], [1.0, 0.5, -0.2], atol=1e-4)
 
 

@@ -1,4 +1,6 @@
-"""Inner loops of arms against theory: poles, static displacement, a wanted wrench; what they do with wrong models and limits."""
+"""Inner loops of arms against theory: poles, static displacement, a wanted wrench; what they do
+with wrong models and limits.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +37,22 @@ def plant(scenario: vs.Scenario) -> Plant:
 class TestComputedTorque:
     @pytest.mark.parametrize("zeta", [1.0, 0.5])
     def test_errors_decay_with_the_poles_that_are_asked_for(self, zeta: float) -> None:
-        # A step of the ordered speeds by v: e'' + 2 zeta w e' + w^2 e = 0 from e = 0, e' = v, in each joint alike.
+        # A step of the ordered speeds by v: e'' + 2 zeta w e' + w^2 e = 0 from e = 0, e' = v, in
+        # each joint alike.
         w = 20.0
-        with closing(plant(arm(**{"robot.controller": {"kind": "computed_torque", "bandwidth_radps": w, "damping": zeta}}))) as made:
+        with closing(
+            plant(
+                arm(
+                    **{
+                        "robot.controller": {
+                            "kind": "computed_torque",
+                            "bandwidth_radps": w,
+                            "damping": zeta,
+                        }
+                    }
+                )
+            )
+        ) as made:
             start = made.reading().q.copy()
             made.apply(SPEEDS)
             t, errors = [], []
@@ -48,7 +63,8 @@ class TestComputedTorque:
         times, e = np.array(t), np.array(errors) / SPEEDS
         wd = w * np.sqrt(max(1 - zeta**2, 1e-12))
         theory = np.exp(-zeta * w * times) * (np.sin(wd * times) / wd)
-        assert np.abs(e - theory[:, None]).max() < 0.05 * theory.max()  # the torque holds for a millisecond, w h = 2 % of a radian
+        # the torque holds for a millisecond, w h = 2 % of a radian
+        assert np.abs(e - theory[:, None]).max() < 0.05 * theory.max()
         assert np.ptp(e, axis=1).max() < 1e-3 * theory.max()  # all joints alike
         h, q, speed, ref, sampled = 1e-3, 0.0, 0.0, 0.0, []
         for k in range(300):  # the same loop as it is sampled, by MuJoCo's semi-implicit step
@@ -63,9 +79,19 @@ class TestComputedTorque:
             made.advance(500)
             assert np.abs(made.reading().q - start).max() < 1e-6
 
-    @pytest.mark.parametrize(("payload", "sags"), [({"mass_kg": 2.0}, False), ({"mass_kg": 2.0, "declared": False}, True)])
-    def test_a_payload_that_is_not_declared_makes_it_sag_by_gravity_over_stiffness(self, payload: dict[str, Any], sags: bool) -> None:
-        scenario = arm(**{"robot.controller": {"kind": "computed_torque", "bandwidth_radps": 20}, "robot.payload": payload})
+    @pytest.mark.parametrize(
+        ("payload", "sags"),
+        [({"mass_kg": 2.0}, False), ({"mass_kg": 2.0, "declared": False}, True)],
+    )
+    def test_a_payload_that_is_not_declared_makes_it_sag_by_gravity_over_stiffness(
+        self, payload: dict[str, Any], sags: bool
+    ) -> None:
+        scenario = arm(
+            **{
+                "robot.controller": {"kind": "computed_torque", "bandwidth_radps": 20},
+                "robot.payload": payload,
+            }
+        )
         robot = scenario.robot
         assert isinstance(robot, Arm)
         with closing(plant(scenario)) as made:
@@ -81,17 +107,26 @@ class TestComputedTorque:
         whole = reader().dynamics(robot.file, robot.flange, names, (2.0, 0.0, 0.0, 0.1, 0.1))
         q, still = start + off, np.zeros(6)
         missing = whole.inverse(q, still, still) - known.inverse(q, still, still)
-        assert off == pytest.approx(-np.linalg.solve(known.mass(q), missing) / 20**2, rel=0.02, abs=1e-5)
+        assert off == pytest.approx(
+            -np.linalg.solve(known.mass(q), missing) / 20**2, rel=0.02, abs=1e-5
+        )
 
     def test_it_reaches_the_goal_with_friction_and_with_drives_that_lag(self) -> None:
-        for changes in ({"robot.actuation": "industrial"}, {"robot.actuation": "industrial", "robot.drives": {"bandwidth_hz": 200}}):
-            run = vs.run(arm(**changes, **{"robot.controller": "computed_torque", "stop.duration_s": 12}))
+        for changes in (
+            {"robot.actuation": "industrial"},
+            {"robot.actuation": "industrial", "robot.drives": {"bandwidth_hz": 200}},
+        ):
+            run = vs.run(
+                arm(**changes, **{"robot.controller": "computed_torque", "stop.duration_s": 12})
+            )
             assert run["position_error_m"][-1] < 0.01 * run["position_error_m"][0]
 
 
 class TestImpedance:
     def pushed(self, force: Array, **given: Any) -> tuple[Array, Array]:
-        """Displacement (6,) of the impedance's frame by a static push on the flange's body [m, rad], and the wrench in that frame."""
+        """Displacement (6,) of the impedance's frame by a static push on the flange's body [m,
+        rad], and the wrench in that frame.
+        """
         scenario = arm(**{"robot.controller": {"kind": "impedance"} | given})
         robot, at = scenario.robot, vs.Pose(**given.get("at", {})).T
         with closing(plant(scenario)) as made:
@@ -105,10 +140,16 @@ class TestImpedance:
         moment = np.cross(centre - after[:3, 3], force)
         return log(inverse(before) @ after), np.concatenate([R.T @ force, R.T @ moment])
 
-    @pytest.mark.parametrize("at", one_quick({"xyz": [0.0, 0.05, 0.15], "rpy_deg": [20, 0, 0]}, {}))  # at the tip, at the flange
+    # at the tip, at the flange
+    @pytest.mark.parametrize("at", one_quick({"xyz": [0.0, 0.05, 0.15], "rpy_deg": [20, 0, 0]}, {}))
     def test_a_static_push_displaces_it_by_force_over_stiffness(self, at: dict[str, Any]) -> None:
         stiff = [800.0, 1500.0, 3000.0]
-        moved, wrench = self.pushed(np.array([10.0, -5.0, 8.0]), at=at, stiffness_npm=stiff, stiffness_nmprad=[200, 200, 200])
+        moved, wrench = self.pushed(
+            np.array([10.0, -5.0, 8.0]),
+            at=at,
+            stiffness_npm=stiff,
+            stiffness_nmprad=[200, 200, 200],
+        )
         assert moved[:3] == pytest.approx(wrench[:3] / stiff, rel=0.01, abs=2e-5)
         assert moved[3:] == pytest.approx(wrench[3:] / 200, rel=0.02, abs=2e-5)
 
@@ -117,7 +158,9 @@ class TestImpedance:
         A = rng.normal(size=(6, 6))
         mass, K, zeta = A @ A.T + np.eye(6), np.diag(rng.uniform(10, 1000, 6)), 0.7
         D = damping_of(mass, K, zeta)
-        block = np.block([[np.zeros((6, 6)), np.eye(6)], [-np.linalg.solve(mass, K), -np.linalg.solve(mass, D)]])
+        block = np.block(
+            [[np.zeros((6, 6)), np.eye(6)], [-np.linalg.solve(mass, K), -np.linalg.solve(mass, D)]]
+        )
         poles = np.linalg.eigvals(block)
         assert -poles.real / np.abs(poles) == pytest.approx(np.full(12, zeta), abs=1e-8)
         assert pytest.approx(D.T) == D
@@ -133,8 +176,12 @@ class Press(vs.LawBase):
     kind = "press"
     inputs = ("xy", "depth")
 
-    def step(self, state: Any, observation: vs.Observation, goal: vs.Goal, basis: Array) -> tuple[Any, vs.Command]:
-        return state, vs.Command(np.zeros(6), np.zeros(6), wrench=np.array([12.0, 0, 0, 0, 0, 0]), free=())
+    def step(
+        self, state: Any, observation: vs.Observation, goal: vs.Goal, basis: Array
+    ) -> tuple[Any, vs.Command]:
+        return state, vs.Command(
+            np.zeros(6), np.zeros(6), wrench=np.array([12.0, 0, 0, 0, 0, 0]), free=()
+        )
 
 
 class TestWantedWrench:
@@ -155,12 +202,27 @@ class TestWantedWrench:
         assert moved[:3] == pytest.approx([0.012, 0, 0], abs=1.2e-4)  # 12 N over 1000 N/m
 
     def test_a_wrench_in_the_cameras_frame_has_the_same_power_in_the_impedances(self) -> None:
-        scenario = arm(**{"robot.controller": {"kind": "impedance", "at": {"xyz": [0.02, 0, 0.2], "rpy_deg": [10, 20, 0]}}})
-        robot, mount = scenario.robot, vs.Mount.of(vs.Pose(xyz=(0, -0.1, 0.03), rpy_deg=(-30, 0, 5)).T)
+        scenario = arm(
+            **{
+                "robot.controller": {
+                    "kind": "impedance",
+                    "at": {"xyz": [0.02, 0, 0.2], "rpy_deg": [10, 20, 0]},
+                }
+            }
+        )
+        robot, mount = (
+            scenario.robot,
+            vs.Mount.of(vs.Pose(xyz=(0, -0.1, 0.03), rpy_deg=(-30, 0, 5)).T),
+        )
         assert isinstance(robot, Arm)
         reading = vs.Reading(robot.start_joints(), np.zeros(6))
-        wrench, twist = np.array([1.0, -2, 3, 0.4, 0.5, -0.6]), np.array([0.1, 0.2, -0.1, 0.3, -0.2, 0.1])
-        ordered = robot.pressed(robot.allocate(np.zeros(6), reading, mount, 0.04), wrench, mount).setpoint[-6:]
+        wrench, twist = (
+            np.array([1.0, -2, 3, 0.4, 0.5, -0.6]),
+            np.array([0.1, 0.2, -0.1, 0.3, -0.2, 0.1]),
+        )
+        ordered = robot.pressed(
+            robot.allocate(np.zeros(6), reading, mount, 0.04), wrench, mount
+        ).setpoint[-6:]
         of_frame = adjoint(inverse(robot.controller.at.T)) @ mount.to_flange @ twist  # type: ignore[attr-defined] - an impedance
         assert ordered @ of_frame == pytest.approx(wrench @ twist)
 
@@ -168,14 +230,26 @@ class TestWantedWrench:
         scenario = arm()
         object.__setattr__(scenario, "law", vs.spec(Press)())  # not registered: a law of one's own
         run = vs.run(scenario)
-        assert run.outcome is vs.Outcome.law_failed and "needs an arm with `controller: impedance`" in run.reason
+        assert (
+            run.outcome is vs.Outcome.law_failed
+            and "needs an arm with `controller: impedance`" in run.reason
+        )
 
 
 def test_torques_stay_within_the_motors_limits_and_are_in_the_log() -> None:
-    run = vs.run(arm(**{"robot.actuation": "industrial", "robot.controller": "impedance", "stop.duration_s": 1}))
+    run = vs.run(
+        arm(
+            **{
+                "robot.actuation": "industrial",
+                "robot.controller": "impedance",
+                "stop.duration_s": 1,
+            }
+        )
+    )
     most = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])
     tau = np.column_stack([run[f"tau_joint_{i}"] for i in range(1, 7)])
-    assert (np.abs(tau) <= most + 1e-9).all() and np.abs(tau[1:, 1]).min() > 5  # joint 2 carries the arm
+    # joint 2 carries the arm
+    assert (np.abs(tau) <= most + 1e-9).all() and np.abs(tau[1:, 1]).min() > 5
 
 
 def test_a_model_of_servos_has_no_place_beside_a_model_of_masses() -> None:

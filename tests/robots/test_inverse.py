@@ -1,4 +1,6 @@
-"""Inverse kinematics: the joints that put a flange somewhere, by the kinematics themselves; and what is out of reach."""
+"""Inverse kinematics: the joints that put a flange somewhere, by the kinematics themselves; and
+what is out of reach.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +19,27 @@ def arm(name: str) -> Robot:
     return ROBOTS.members["mjcf"](**{k: v for k, v in block(name).items() if k != "kind"})
 
 
-@pytest.mark.parametrize("robot", [vs.load("arm_ibvs").robot, vs.load("arm_jaco").robot, *map(arm, BLOCKS)], ids=["puma", "jaco", *BLOCKS])
+@pytest.mark.parametrize(
+    "robot",
+    [vs.load("arm_ibvs").robot, vs.load("arm_jaco").robot, *map(arm, BLOCKS)],
+    ids=["puma", "jaco", *BLOCKS],
+)
 def test_the_joints_found_put_the_flange_there(robot: Robot) -> None:
     rng, near = np.random.default_rng(0), robot.configuration()
     for _ in range(10):
         T = robot.flange_pose(near + rng.uniform(-0.08, 0.08, len(near)))
         q = robot.configuration_at(T, near)
-        assert max(rigid_error(robot.flange_pose(q), T)) < NEAR_M + 1e-5  # joints are rounded to 1e-4 deg
+        # joints are rounded to 1e-4 deg
+        assert max(rigid_error(robot.flange_pose(q), T)) < NEAR_M + 1e-5
         assert robot.started_at(q).configuration() == pytest.approx(q)
 
 
 def test_what_is_out_of_reach_is_told_with_how_near_it_comes() -> None:
     robot = vs.load("arm_ibvs").robot
     T = robot.flange_pose(robot.configuration()) @ Pose(xyz=(0, 0, 2)).T
-    with pytest.raises(UnreachableError, match=r"out of its reach: it stays \d+ mm and \d+\.\d deg away"):
+    with pytest.raises(
+        UnreachableError, match=r"out of its reach: it stays \d+ mm and \d+\.\d deg away"
+    ):
         robot.configuration_at(T, robot.configuration())
 
 

@@ -1,4 +1,6 @@
-"""Any arm by its file: kinematics as MuJoCo has them, convergence from rendered pictures by YAML alone, and sentences for mistakes."""
+"""Any arm by its file: kinematics as MuJoCo has them, convergence from rendered pictures by YAML
+alone, and sentences for mistakes.
+"""
 
 from __future__ import annotations
 
@@ -33,23 +35,49 @@ def arm(name: str, **more: Any) -> Mjcf:
     return ROBOTS.members["mjcf"](**{k: v for k, v in block(name, **more).items() if k != "kind"})
 
 
-def written(folder: Path, name: str, robot: dict[str, Any], target: dict[str, Any], goal: dict[str, Any], **more: Any) -> vs.Scenario:
+def written(
+    folder: Path,
+    name: str,
+    robot: dict[str, Any],
+    target: dict[str, Any],
+    goal: dict[str, Any],
+    **more: Any,
+) -> vs.Scenario:
     """A scenario file, as its user writes it, loaded."""
     import yaml
 
-    blocks = {"robot": robot, "target": target, "goal": {"T_camera_target": goal}, "law": {"kind": "ibvs", "gain": 0.8}}
+    blocks = {
+        "robot": robot,
+        "target": target,
+        "goal": {"T_camera_target": goal},
+        "law": {"kind": "ibvs", "gain": 0.8},
+    }
     blocks["camera"] = {"kind": "perspective", "fovy_deg": 60, "mount": more.pop("mount", HAND)}
     blocks["stop"] = {"duration_s": 20, "converged": {"error_px": 0.3}}
     (folder / f"{name}.yaml").write_text(yaml.safe_dump(blocks | more))
     return vs.load(folder / f"{name}.yaml")
 
 
-def square_before(robot: Mjcf, xyz: tuple[float, ...], rpy_deg: tuple[float, ...]) -> dict[str, Any]:
+def square_before(
+    robot: Mjcf, xyz: tuple[float, ...], rpy_deg: tuple[float, ...]
+) -> dict[str, Any]:
     """A square in front of the camera at the start, turned and shifted."""
     x, y, z = HAND["xyz"]
-    T = robot.flange_pose(robot.configuration()) @ Pose(xyz=(x, y, z)).T @ Pose(xyz=xyz, rpy_deg=rpy_deg).T
-    pose = {"xyz": T[:3, 3].tolist(), "rpy_deg": SE3(T, check=False).rpy(unit="deg", order="zyx").tolist()}
-    return {"kind": "square", "side": 0.25, "pose": pose, "marker": {"kind": "disc", "radius": 0.012}}
+    T = (
+        robot.flange_pose(robot.configuration())
+        @ Pose(xyz=(x, y, z)).T
+        @ Pose(xyz=xyz, rpy_deg=rpy_deg).T
+    )
+    pose = {
+        "xyz": T[:3, 3].tolist(),
+        "rpy_deg": SE3(T, check=False).rpy(unit="deg", order="zyx").tolist(),
+    }
+    return {
+        "kind": "square",
+        "side": 0.25,
+        "pose": pose,
+        "marker": {"kind": "disc", "radius": 0.012},
+    }
 
 
 @pytest.mark.parametrize("name", BLOCKS)
@@ -69,7 +97,11 @@ def test_its_kinematics_are_mujocos_and_their_own_differences(name: str) -> None
         mujoco.mj_forward(model, data)
         site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, robot.flange)
         body = model.body(robot.flange if site < 0 else int(model.site_bodyid[site])).id
-        place, turn = (data.xpos[body], data.xmat[body]) if site < 0 else (data.site_xpos[site], data.site_xmat[site])
+        place, turn = (
+            (data.xpos[body], data.xmat[body])
+            if site < 0
+            else (data.site_xpos[site], data.site_xmat[site])
+        )
         np.testing.assert_allclose(T[:3, 3], place, atol=1e-12)
         np.testing.assert_allclose(T[:3, :3].ravel(), turn, atol=1e-12)
         h, differences = 1e-6, np.empty((6, n))
@@ -80,20 +112,42 @@ def test_its_kinematics_are_mujocos_and_their_own_differences(name: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("name", "actuation", "seen"), one_quick(("seven", "file", "square"), ("seven", "velocity", "square"), ("scara", "velocity", "flat"))
+    ("name", "actuation", "seen"),
+    one_quick(
+        ("seven", "file", "square"), ("seven", "velocity", "square"), ("scara", "velocity", "flat")
+    ),
 )
-def test_it_converges_from_rendered_pictures_by_yaml_alone(name: str, actuation: str, seen: str, tmp_path: Path) -> None:
+def test_it_converges_from_rendered_pictures_by_yaml_alone(
+    name: str, actuation: str, seen: str, tmp_path: Path
+) -> None:
     robot = arm(name)
-    scenario = written(tmp_path, name, block(name, actuation=actuation), square_before(robot, *SEEN[seen]), {"xyz": [0, 0, 0.6]})
+    scenario = written(
+        tmp_path,
+        name,
+        block(name, actuation=actuation),
+        square_before(robot, *SEEN[seen]),
+        {"xyz": [0, 0, 0.6]},
+    )
     summary: dict[str, Any] = vs.run(scenario).summary()
     assert summary["outcome"] == "converged", summary["reason"]
-    assert summary["final_error_px"] < 0.3 and summary["final_position_error_m"] < 0.003 and summary["final_rotation_error_deg"] < 0.3
+    assert (
+        summary["final_error_px"] < 0.3
+        and summary["final_position_error_m"] < 0.003
+        and summary["final_rotation_error_deg"] < 0.3
+    )
 
 
 def test_a_camera_in_the_room_guides_its_hand(tmp_path: Path) -> None:
     robot = arm("seven")
-    T = robot.flange_pose(robot.configuration()) @ Pose(xyz=(0, 0, 0.05), rpy_deg=(180, 0, 0)).T @ Pose(xyz=(-0.06, 0.05, -0.75)).T
-    camera = {"xyz": T[:3, 3].tolist(), "rpy_deg": SE3(T, check=False).rpy(unit="deg", order="zyx").tolist()}
+    T = (
+        robot.flange_pose(robot.configuration())
+        @ Pose(xyz=(0, 0, 0.05), rpy_deg=(180, 0, 0)).T
+        @ Pose(xyz=(-0.06, 0.05, -0.75)).T
+    )
+    camera = {
+        "xyz": T[:3, 3].tolist(),
+        "rpy_deg": SE3(T, check=False).rpy(unit="deg", order="zyx").tolist(),
+    }
     marker = {"kind": "disc", "radius": 0.01}
     held = {
         "kind": "square",
@@ -103,18 +157,32 @@ def test_a_camera_in_the_room_guides_its_hand(tmp_path: Path) -> None:
         "motion": {"kind": "held"},
     }
     goal = {"xyz": [0, 0, 0.65], "rpy_deg": [5, -5, 10]}
-    scenario = written(tmp_path, "room", block("seven", actuation="velocity"), held, goal, mount=camera)
+    scenario = written(
+        tmp_path, "room", block("seven", actuation="velocity"), held, goal, mount=camera
+    )
     recording = vs.run(scenario)
     summary: dict[str, Any] = recording.summary()
     assert summary["outcome"] == "converged", summary["reason"]
-    assert summary["final_error_px"] < 0.3 and summary["final_position_error_m"] < 0.003 and summary["final_rotation_error_deg"] < 0.3
-    assert np.ptp(recording["cam_x"]) == 0 and np.ptp(recording["q_j1"]) > 0.02  # the camera stands, the arm moves
+    assert (
+        summary["final_error_px"] < 0.3
+        and summary["final_position_error_m"] < 0.003
+        and summary["final_rotation_error_deg"] < 0.3
+    )
+    # the camera stands, the arm moves
+    assert np.ptp(recording["cam_x"]) == 0 and np.ptp(recording["q_j1"]) > 0.02
 
 
 def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
     near = square_before(arm("scara"), (0.0, 0.0, 0.6), (0, 0, 1))
     for actuation in ("velocity", "ideal"):
-        scenario = written(tmp_path, actuation, block("scara", actuation=actuation), near, {"xyz": [0, 0, 0.6]}, detector="oracle")
+        scenario = written(
+            tmp_path,
+            actuation,
+            block("scara", actuation=actuation),
+            near,
+            {"xyz": [0, 0, 0.6]},
+            detector="oracle",
+        )
         summary: dict[str, Any] = vs.run(scenario).summary()
         servos = {servo.joint: servo for servo in scenario.robot.body.actuation.servos}
         assert summary["servo_kp"] == {name: servo.kp for name, servo in servos.items()}
@@ -126,7 +194,10 @@ def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
             scenario.displaced(Pose(xyz=(0.02, 0, 0)), "camera"),
         ):
             assert started.robot.configuration() != pytest.approx(scenario.robot.configuration())
-            assert started.robot.body.actuation.gains() == scenario.robot.body.actuation.gains() or actuation == "ideal"
+            assert (
+                started.robot.body.actuation.gains() == scenario.robot.body.actuation.gains()
+                or actuation == "ideal"
+            )
     assert arm("seven", actuation="file").body.actuation.gains() == {}
 
 
@@ -138,17 +209,29 @@ def test_two_links_see_one_marker_come_to_the_middle(tmp_path: Path) -> None:
         "pose": {"xyz": [0.45, 0.45, 0.1], "rpy_deg": [180, 0, 0]},
         "marker": {"kind": "disc", "radius": 0.02},
     }
-    scenario = written(tmp_path, "two", block("two_link"), target, {"xyz": [0, 0, 0.84]}, mount=down, law={"kind": "ibvs", "depth": "goal"})
+    scenario = written(
+        tmp_path,
+        "two",
+        block("two_link"),
+        target,
+        {"xyz": [0, 0, 0.84]},
+        mount=down,
+        law={"kind": "ibvs", "depth": "goal"},
+    )
     recording = vs.run(scenario)
     assert recording.outcome is vs.Outcome.converged, recording.reason
-    tip = scenario.robot.flange_pose(np.array([recording["q_shoulder"][-1], recording["q_elbow"][-1]]))
+    tip = scenario.robot.flange_pose(
+        np.array([recording["q_shoulder"][-1], recording["q_elbow"][-1]])
+    )
     assert tip[:2, 3] == pytest.approx([0.45, 0.45], abs=3e-3)
 
 
 def test_the_file_is_found_beside_the_scenario_and_remembered_whole(tmp_path: Path) -> None:
     (tmp_path / "mine.xml").write_text((HERE / "scara.xml").read_text())
     target = square_before(arm("scara"), *SEEN["flat"])
-    scenario = written(tmp_path, "beside", block("scara") | {"file": "mine.xml"}, target, {"xyz": [0, 0, 0.6]})
+    scenario = written(
+        tmp_path, "beside", block("scara") | {"file": "mine.xml"}, target, {"xyz": [0, 0, 0.6]}
+    )
     assert scenario.robot.body.file == str(tmp_path / "mine.xml")
     (tmp_path / "again.yaml").write_text(dump(scenario, defaults=True))
     assert vs.load(tmp_path / "again.yaml", {"name": scenario.name}) == scenario
@@ -164,7 +247,9 @@ def test_jaco_from_an_installed_package_takes_its_meshes_along(tmp_path: Path) -
     }
     jaco = ROBOTS.members["mjcf"](**{k: v for k, v in robot.items() if k != "kind"})
     s = written(tmp_path, "jaco", robot, square_before(jaco, *SEEN["square"]), {"xyz": [0, 0, 0.6]})
-    assert np.isinf(s.robot.body.limits[0]).all() and s.robot.body.limits[1] == pytest.approx([0.820305, 5.462881])
+    assert np.isinf(s.robot.body.limits[0]).all() and s.robot.body.limits[1] == pytest.approx(
+        [0.820305, 5.462881]
+    )
     xml, assets = scene_files(s.scene)
     assert sum(name.endswith(".stl") for name in assets) == 5
     for name, content in assets.items():
@@ -178,30 +263,49 @@ def test_servos_follow_a_step_of_speed_with_the_files_torque() -> None:
     # As the Puma's: 40 ms of rise, a small overshoot. The slide has 200 N by its file.
     robot = arm("scara")
     servos = {servo.joint: servo for servo in robot.body.actuation.servos}
-    assert servos["lift"].torque == 200 and np.isinf(servos["shoulder"].torque or 0) and servos["lift"].speed == 0.4
-    assert servos["lift"].kp == pytest.approx(4500 * (0.8 + 0.3 + 0.1), rel=1e-6)  # quill, wrist, armature
+    assert (
+        servos["lift"].torque == 200
+        and np.isinf(servos["shoulder"].torque or 0)
+        and servos["lift"].speed == 0.4
+    )
+    # quill, wrist, armature
+    assert servos["lift"].kp == pytest.approx(4500 * (0.8 + 0.3 + 0.1), rel=1e-6)
     assert servos["shoulder"].kv == pytest.approx(servos["shoulder"].kp / 40, rel=1e-3)
     assert [s.torque for s in arm("seven", actuation="file").body.actuation.servos] == [None] * 7
-    given = arm("scara", torque_limits=[9, 9, 90, 1], servo_kp=[800, 400, 6000, 40]).body.actuation.servos
-    assert [(s.torque, s.kp, s.kv) for s in given] == [(9, 800, 20), (9, 400, 10), (90, 6000, 150), (1, 40, 1)]
+    given = arm(
+        "scara", torque_limits=[9, 9, 90, 1], servo_kp=[800, 400, 6000, 40]
+    ).body.actuation.servos
+    assert [(s.torque, s.kp, s.kv) for s in given] == [
+        (9, 800, 20),
+        (9, 400, 10),
+        (90, 6000, 150),
+        (1, 40, 1),
+    ]
 
 
 @pytest.mark.parametrize("step", [0.002, 0.04])
 def test_the_servo_of_a_joint_with_friction_and_hardly_any_inertia_is_stable(step: float) -> None:
     """The bound of `servo_gains`, h^2 kp < 4 M + 2 h kv, from both sides."""
     kp, kv = servo_gains(1e-6, 1.21, False)
-    assert np.degrees(1.21 / kp) == pytest.approx(0.5, rel=1e-3) and servo_gains(0.01, 0.0, False)[0] == 45
+    assert (
+        np.degrees(1.21 / kp) == pytest.approx(0.5, rel=1e-3)
+        and servo_gains(0.01, 0.0, False)[0] == 45
+    )
     assert servo_gains(1e-6, 20.0, True)[0] == 20 / 1e-3
     assert swing(kp, kv, step) <= 0.1 < 1 < swing(kp, 0.45 * step * kp, step)
 
 
 def swing(kp: float, kv: float, step: float) -> float:
-    """How far a hinge of 1e-6 kg m^2 gets within 40 steps after it was let go 0.1 rad from its servo's position [rad]."""
+    """How far a hinge of 1e-6 kg m^2 gets within 40 steps after it was let go 0.1 rad from its
+    servo's position [rad].
+    """
     spec = mujoco.MjSpec()
     spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, step
     body = spec.worldbody.add_body(mass=1, inertia=[1e-6] * 3, explicitinertial=True)
     body.add_joint(name="j")
-    spec.add_actuator(target="j", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_intvelocity(kp=kp, kv=kv)
+    spec.add_actuator(target="j", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_intvelocity(
+        kp=kp, kv=kv
+    )
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[0] = 0.1
@@ -214,16 +318,32 @@ def swing(kp: float, kv: float, step: float) -> float:
 
 def test_one_number_holds_for_all_joints(tmp_path: Path) -> None:
     robot = block("scara") | {"speed_limits": 2, "torque_limits": 50, "servo_kp": [400]}
-    made = written(tmp_path, "one", robot, {"kind": "square", "side": 0.25, "pose": {"xyz": [0.5, 0.5, 0.1]}}, {"xyz": [0, 0, 0.6]}).robot
+    made = written(
+        tmp_path,
+        "one",
+        robot,
+        {"kind": "square", "side": 0.25, "pose": {"xyz": [0.5, 0.5, 0.1]}},
+        {"xyz": [0, 0, 0.6]},
+    ).robot
     assert isinstance(made, Mjcf)
-    assert (made.speed_limits, made.torque_limits, made.servo_kp) == ((2.0,) * 4, (50.0,) * 4, (400.0,) * 4)
+    assert (made.speed_limits, made.torque_limits, made.servo_kp) == (
+        (2.0,) * 4,
+        (50.0,) * 4,
+        (400.0,) * 4,
+    )
 
 
 class TestMistakes:
     def refused(self, tmp_path: Path, **more: Any) -> str:
         robot = block("scara") | more
         with pytest.raises(ScenarioError) as error:
-            written(tmp_path, "wrong", robot, {"kind": "square", "side": 0.25, "pose": {"xyz": [0.5, 0.5, 0.1]}}, {"xyz": [0, 0, 0.6]})
+            written(
+                tmp_path,
+                "wrong",
+                robot,
+                {"kind": "square", "side": 0.25, "pose": {"xyz": [0.5, 0.5, 0.1]}},
+                {"xyz": [0, 0, 0.6]},
+            )
         return str(error.value)
 
     @pytest.mark.parametrize(
@@ -231,18 +351,39 @@ class TestMistakes:
         [
             ({"flange": "tol"}, "flange: is no site and no body of the file; its sites: tool"),
             ({"file": "none.xml"}, "file: is not there"),
-            ({"file": "package:no_such_package/arm.xml"}, "names the package no_such_package, which is not installed"),
+            (
+                {"file": "package:no_such_package/arm.xml"},
+                "names the package no_such_package, which is not installed",
+            ),
             (
                 {"joints": ["shoulder", "lift"]},
-                "must be those between the root and tool, in their order: shoulder, elbow, lift, roll",
+                (
+                    "must be those between the root and tool, in their order:"
+                    " shoulder, elbow, lift, roll"
+                ),
             ),
-            ({"speed_limits": [1, 1, 1]}, "speed_limits: must be 4 speeds, of shoulder, elbow, lift, roll"),
-            ({"torque_limits": [1, 1, 1]}, "torque_limits: must be 4 torques, of shoulder, elbow, lift, roll"),
+            (
+                {"speed_limits": [1, 1, 1]},
+                "speed_limits: must be 4 speeds, of shoulder, elbow, lift, roll",
+            ),
+            (
+                {"torque_limits": [1, 1, 1]},
+                "torque_limits: must be 4 torques, of shoulder, elbow, lift, roll",
+            ),
             ({"servo_kv": [1, 1, 1]}, "servo_kv: must be 4 gains, of shoulder, elbow, lift, roll"),
             ({"start": {"nominal": {"q_deg": [0, 0, 0]}}}, "must be 4 positions"),
-            ({"start": {"nominal": {"q_deg": [0, 0, 0.2, 0]}}}, "must be within lift's range, -0.3 to 0.1 m"),
-            ({"start": {"nominal": {"q_deg": [170, 0, 0, 0]}}}, "must be within shoulder's range, -150 to 150 deg"),
-            ({"actuation": "file"}, "shoulder has no actuator there, which follows no speed; works: velocity"),
+            (
+                {"start": {"nominal": {"q_deg": [0, 0, 0.2, 0]}}},
+                "must be within lift's range, -0.3 to 0.1 m",
+            ),
+            (
+                {"start": {"nominal": {"q_deg": [170, 0, 0, 0]}}},
+                "must be within shoulder's range, -150 to 150 deg",
+            ),
+            (
+                {"actuation": "file"},
+                "shoulder has no actuator there, which follows no speed; works: velocity",
+            ),
         ],
     )
     def test_of_the_block(self, more: dict[str, Any], words: str, tmp_path: Path) -> None:
@@ -251,11 +392,31 @@ class TestMistakes:
     @pytest.mark.parametrize(
         ("old", "new", "words"),
         [
-            ('<joint name="shoulder" range="-150 150"/>', "<freejoint/>", "must be hinges and slides"),
-            ('<joint name="elbow" range="-140 140"/>', '<joint name="elbow" type="ball"/>', "elbow is a ball joint"),
-            ('<joint name="elbow" range="-140 140"/>', '<joint range="-140 140"/>', "must name each joint before tool; joint 2"),
-            ('range="-140 140"', 'range="140 -140"', "must give elbow a range from its lower to its upper end, got 140 to -140"),
-            ('range="-140 140"', 'range="-140 140" frictionloss="-1"', "must give elbow frictionloss of 0 or more, got -1"),
+            (
+                '<joint name="shoulder" range="-150 150"/>',
+                "<freejoint/>",
+                "must be hinges and slides",
+            ),
+            (
+                '<joint name="elbow" range="-140 140"/>',
+                '<joint name="elbow" type="ball"/>',
+                "elbow is a ball joint",
+            ),
+            (
+                '<joint name="elbow" range="-140 140"/>',
+                '<joint range="-140 140"/>',
+                "must name each joint before tool; joint 2",
+            ),
+            (
+                'range="-140 140"',
+                'range="140 -140"',
+                "must give elbow a range from its lower to its upper end, got 140 to -140",
+            ),
+            (
+                'range="-140 140"',
+                'range="-140 140" frictionloss="-1"',
+                "must give elbow frictionloss of 0 or more, got -1",
+            ),
             ("<worldbody>", "<wordbody>", "wrong.xml:8: it is not well-formed XML"),
             ("</mujoco>", "", "wrong.xml:29: it is not well-formed XML"),
         ],
@@ -268,10 +429,20 @@ class TestMistakes:
 
     def test_a_motor_follows_no_speed(self, tmp_path: Path) -> None:
         text = (HERE / "scara.xml").read_text()
-        motors = "".join(f'<motor name="m_{j}" joint="{j}" gear="2" ctrlrange="-7 7"/>' for j in ("shoulder", "elbow", "lift", "roll"))
-        (tmp_path / "motors.xml").write_text(text.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
-        assert "shoulder has a motor actuator there" in self.refused(tmp_path, file="motors.xml", actuation="file")
-        assert "shoulder: hinge, -150 to 150 deg, at most 14 Nm [a motor actuator, line 11]" in told_of(tmp_path / "motors.xml")["joint"]
+        motors = "".join(
+            f'<motor name="m_{j}" joint="{j}" gear="2" ctrlrange="-7 7"/>'
+            for j in ("shoulder", "elbow", "lift", "roll")
+        )
+        (tmp_path / "motors.xml").write_text(
+            text.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>")
+        )
+        assert "shoulder has a motor actuator there" in self.refused(
+            tmp_path, file="motors.xml", actuation="file"
+        )
+        assert (
+            "shoulder: hinge, -150 to 150 deg, at most 14 Nm [a motor actuator, line 11]"
+            in told_of(tmp_path / "motors.xml")["joint"]
+        )
 
 
 def told_of(file: str | Path) -> dict[str, list[str]]:
@@ -283,101 +454,184 @@ def told_of(file: str | Path) -> dict[str, list[str]]:
 
 
 class TestUrdf:
-    """A URDF shows its `visual` shapes, has its fixed links as flanges, and finds the meshes of its package."""
+    """A URDF shows its `visual` shapes, has its fixed links as flanges, and finds the meshes of its
+    package.
+    """
 
-    LINK = '<inertial><mass value="1"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    LINK = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
     SHAPE = '<{0}><origin xyz="0 0 0.15"/><geometry>{1}</geometry></{0}>'
     JOINT = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>{4}</joint>'
-    HINGE = '<origin xyz="0 0 .3"/><axis xyz="0 {} {}"/><limit lower="-2" upper="2" effort="60" velocity="0.7"/>'
+    HINGE = (
+        '<origin xyz="0 0 .3"/><axis xyz="0 {} {}"/>'
+        '<limit lower="-2" upper="2" effort="60" velocity="0.7"/>'
+    )
 
     def written(self, folder: Path, mesh: str) -> Path:
-        """Two links, the first to be seen by a box and a mesh, and to be touched by a cylinder; a tool on a fixed joint."""
-        shapes = ("visual", '<box size=".1 .1 .3"/>'), ("visual", f'<mesh filename="{mesh}"/>'), ("collision", '<sphere radius=".1"/>')
+        """Two links, the first to be seen by a box and a mesh, and to be touched by a cylinder; a
+        tool on a fixed joint.
+        """
+        shapes = (
+            ("visual", '<box size=".1 .1 .3"/>'),
+            ("visual", f'<mesh filename="{mesh}"/>'),
+            ("collision", '<sphere radius=".1"/>'),
+        )
         links = ["base", "one", "two", "tool0"]
-        text = ["<link name='base'/>", f"<link name='one'>{self.LINK}{''.join(self.SHAPE.format(*shape) for shape in shapes)}</link>"]
+        drawn = "".join(self.SHAPE.format(*shape) for shape in shapes)
+        text = ["<link name='base'/>", f"<link name='one'>{self.LINK}{drawn}</link>"]
         round_end = self.SHAPE.format("collision", '<sphere radius=".05"/>')
         text += [f"<link name='two'>{self.LINK}{round_end}</link>", "<link name='tool0'/>"]
         ends = self.HINGE.format(0, 1), self.HINGE.format(1, 0), '<origin xyz="0 0 .2"/>'
-        for name, kind, parent, child, more in zip("abc", ("revolute", "revolute", "fixed"), links, links[1:], ends, strict=False):
+        for name, kind, parent, child, more in zip(
+            "abc", ("revolute", "revolute", "fixed"), links, links[1:], ends, strict=False
+        ):
             text.append(self.JOINT.format(name, kind, parent, child, more))
         (folder / "my_arm" / "urdf").mkdir(parents=True)
-        (folder / "my_arm" / "urdf" / "arm.urdf").write_text("\n".join(['<robot name="arm">', *text, "</robot>"]))
+        (folder / "my_arm" / "urdf" / "arm.urdf").write_text(
+            "\n".join(['<robot name="arm">', *text, "</robot>"])
+        )
         return folder / "my_arm" / "urdf" / "arm.urdf"
 
     def test_what_is_seen_and_where_it_ends(self, tmp_path: Path) -> None:
         file = self.written(tmp_path, "package://my_arm/meshes/one.obj")
-        absent = r"names the mesh package://my_arm/meshes/one\.obj, and no folder my_arm with it is beside the file or above it"
+        absent = (
+            r"names the mesh package://my_arm/meshes/one\.obj,"
+            r" and no folder my_arm with it is beside the file or above it"
+        )
         with pytest.raises(ParameterError, match=absent):
             compiled(str(file))
         (tmp_path / "my_arm" / "meshes").mkdir()
-        (tmp_path / "my_arm" / "meshes" / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
-        assert told_of(file)["as an arm"] == ["robot: {kind: mjcf}, for instance with flange: tool0"]
+        (tmp_path / "my_arm" / "meshes" / "one.obj").write_text(
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+        )
+        assert told_of(file)["as an arm"] == [
+            "robot: {kind: mjcf}, for instance with flange: tool0"
+        ]
         assert "speed_limits: [0.7, 0.7]" in told_of(file)["scenario"][0]
         model = compiled(str(file))
         seen = {"one": [1, 1, 3], "two": [0]}  # shapes for contacts alone are in group 3
-        assert {name: sorted(model.geom_group[model.geom_bodyid == model.body(name).id].tolist()) for name in seen} == seen
-        robot = ROBOTS.members["mjcf"](file=str(file), flange="tool0", speed_limits=[1, 1], start={"nominal": {"q_deg": [0, 30]}})
-        np.testing.assert_allclose(robot.flange_pose(robot.configuration())[:3, 3], [0.1, 0, 0.6 + 0.2 * np.sqrt(0.75)], atol=1e-12)
+        assert {
+            name: sorted(model.geom_group[model.geom_bodyid == model.body(name).id].tolist())
+            for name in seen
+        } == seen
+        robot = ROBOTS.members["mjcf"](
+            file=str(file),
+            flange="tool0",
+            speed_limits=[1, 1],
+            start={"nominal": {"q_deg": [0, 30]}},
+        )
+        np.testing.assert_allclose(
+            robot.flange_pose(robot.configuration())[:3, 3],
+            [0.1, 0, 0.6 + 0.2 * np.sqrt(0.75)],
+            atol=1e-12,
+        )
 
-    def test_a_mesh_that_cannot_be_read_is_not_seen_and_a_xacro_is_none(self, tmp_path: Path) -> None:
+    def test_a_mesh_that_cannot_be_read_is_not_seen_and_a_xacro_is_none(
+        self, tmp_path: Path
+    ) -> None:
         file = self.written(tmp_path, "one.dae")
         model = compiled(str(file))
         assert (model.nmesh, model.ngeom) == (0, 3)
-        file.with_name("x.urdf").write_text('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="b"/></robot>')
-        with pytest.raises(ParameterError, match=r"is a xacro, and no URDF yet; `xacro x\.urdf > arm\.urdf` writes one"):
+        file.with_name("x.urdf").write_text(
+            '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="b"/></robot>'
+        )
+        with pytest.raises(
+            ParameterError,
+            match=r"is a xacro, and no URDF yet; `xacro x\.urdf > arm\.urdf` writes one",
+        ):
             compiled(str(file.with_name("x.urdf")))
 
     def test_names_with_a_prefix_and_a_xacro_in_a_comment_are_read(self, tmp_path: Path) -> None:
         """The first was a traceback of the report, the second refused as a xacro."""
         file = self.written(tmp_path, "one.dae")
-        text = file.read_text().replace("</robot>", '<!-- <xacro:gripper/> --><drake:joint_limits drake:a="1"/></robot>')
+        text = file.read_text().replace(
+            "</robot>", '<!-- <xacro:gripper/> --><drake:joint_limits drake:a="1"/></robot>'
+        )
         file.write_text(text)
         assert joint_chain(str(file), "tool0", ()).names == ("a", "b")
         assert speeds_in(file) == {"a": 0.7, "b": 0.7}
         file.write_text(text.replace('velocity="0.7"', 'velocity="${fast}"'))
-        with pytest.raises(ParameterError, match=r"arm\.urdf cannot be read .*fast.*a URDF whose limits are numbers"):
+        with pytest.raises(
+            ParameterError,
+            match=r"arm\.urdf cannot be read .*fast.*a URDF whose limits are numbers",
+        ):
             speeds_in(file)
 
     def test_what_stands_on_a_body_has_not_the_material_of_its_class(self, tmp_path: Path) -> None:
-        """A class of the file with a material gave it to the camera's shape, whose material MuJoCo then did not find."""
+        """A class of the file with a material gave it to the camera's shape, whose material MuJoCo
+        then did not find.
+        """
         text = (HERE / "two_link.xml").read_text()
         assert "<worldbody>" in text
-        classed = '<default><default class="arm"><geom material="white"/></default></default><asset><material name="white"/></asset>'
+        classed = (
+            '<default><default class="arm"><geom material="white"/></default></default><asset>'
+            '<material name="white"/></asset>'
+        )
         (tmp_path / "arm.xml").write_text(
-            text.replace("<worldbody>", f"{classed}<worldbody>").replace("<body ", '<body childclass="arm" ', 1)
+            text.replace("<worldbody>", f"{classed}<worldbody>").replace(
+                "<body ", '<body childclass="arm" ', 1
+            )
         )
         robot = block("two_link", file=str(tmp_path / "arm.xml"))
         target = square_before(arm("two_link"), *SEEN["flat"])
-        with vs.Session(written(tmp_path, "classed", robot, target, {"xyz": [0, 0, 0.7]})) as session:
+        with vs.Session(
+            written(tmp_path, "classed", robot, target, {"xyz": [0, 0, 0.7]})
+        ) as session:
             assert session.reset().truth is not None
 
 
 class TestCoupledJoints:
-    """Joints that the file couples were taken as free: the law's twists did not come about. A gripper's beyond the arm stay."""
+    """Joints that the file couples were taken as free: the law's twists did not come about. A
+    gripper's beyond the arm stay.
+    """
 
-    ARM = """<mujoco><worldbody>{world}<body name="one"><joint name="a" range="-90 90"/><geom size=".1" mass="1"/>
-        <body name="two" pos="0 0 .3"><joint name="b" axis="0 1 0" range="-90 90"/><geom size=".1" mass="1"/>
-        <body name="three" pos="0 0 .3"><joint name="c" axis="0 1 0" range="-90 90"/><geom size=".1" mass="1"/><site name="hand"/>
+    ARM = """<mujoco><worldbody>{world}
+        <body name="one"><joint name="a" range="-90 90"/><geom size=".1" mass="1"/>
+        <body name="two" pos="0 0 .3"><joint name="b" axis="0 1 0" range="-90 90"/>
+        <geom size=".1" mass="1"/>
+        <body name="three" pos="0 0 .3"><joint name="c" axis="0 1 0" range="-90 90"/>
+        <geom size=".1" mass="1"/><site name="hand"/>
         <body name="left"><joint name="l" type="slide"/><geom size=".1" mass="1"/></body>
         <body name="right"><joint name="r" type="slide"/><geom size=".1" mass="1"/></body>
-        </body></body></body></worldbody><tendon><fixed name="t"><joint joint="b" coef="1"/><joint joint="c" coef="1"/></fixed></tendon>
+        </body></body></body></worldbody>
+        <tendon><fixed name="t">
+        <joint joint="b" coef="1"/><joint joint="c" coef="1"/></fixed></tendon>
         <equality>{equality}</equality></mujoco>"""
 
     @pytest.mark.parametrize(
         ("equality", "coupled"),
         [
-            ('<joint joint1="c" joint2="b" polycoef="0 -1 0 0 0"/>', "couples c (equality joint, such as a URDF's <mimic>)"),
+            (
+                '<joint joint1="c" joint2="b" polycoef="0 -1 0 0 0"/>',
+                "couples c (equality joint, such as a URDF's <mimic>)",
+            ),
             ('<joint joint1="b"/>', "couples b (equality joint"),
             ('<tendon tendon1="t"/>', "couples b, c (equality tendon)"),
-            ('<connect body1="three" body2="one" anchor="0 0 0"/>', "couples b, c (equality connect)"),
+            (
+                '<connect body1="three" body2="one" anchor="0 0 0"/>',
+                "couples b, c (equality connect)",
+            ),
             ('<weld body1="free" body2="three"/>', "couples a, b, c (equality weld)"),
             ('<joint joint1="c" joint2="b" active="false"/>', ""),
-            ('<joint joint1="r" joint2="l"/><connect body1="left" body2="right" anchor="0 0 0"/>', ""),
-            ('<joint joint1="r" joint2="c"/>', ""),  # a finger that follows the wrist leaves it free
+            (
+                (
+                    '<joint joint1="r" joint2="l"/>'
+                    '<connect body1="left" body2="right" anchor="0 0 0"/>'
+                ),
+                "",
+            ),
+            # a finger that follows the wrist leaves it free
+            ('<joint joint1="r" joint2="c"/>', ""),
         ],
     )
-    def test_those_of_the_chain_are_refused_by_name(self, tmp_path: Path, equality: str, coupled: str) -> None:
-        (tmp_path / "arm.xml").write_text(self.ARM.format(equality=equality, world='<body name="free" mocap="true"/>'))
+    def test_those_of_the_chain_are_refused_by_name(
+        self, tmp_path: Path, equality: str, coupled: str
+    ) -> None:
+        (tmp_path / "arm.xml").write_text(
+            self.ARM.format(equality=equality, world='<body name="free" mocap="true"/>')
+        )
         if not coupled:
             assert joint_chain(str(tmp_path / "arm.xml"), "hand", ()).names == ("a", "b", "c")
             return
@@ -388,13 +642,25 @@ class TestCoupledJoints:
     def test_a_mimic_joint_of_a_urdf_is_one(self, tmp_path: Path) -> None:
         file = TestUrdf().written(tmp_path, "one.dae")
         head, second, rest = file.read_text().partition('<joint name="b"')
-        file.write_text(head + second + rest.replace("</joint>", '<mimic joint="a" multiplier="-1"/></joint>', 1))
-        with pytest.raises(ParameterError, match=r"couples b \(equality joint, such as a URDF's <mimic>\).*a flange before these joints"):
+        file.write_text(
+            head
+            + second
+            + rest.replace("</joint>", '<mimic joint="a" multiplier="-1"/></joint>', 1)
+        )
+        with pytest.raises(
+            ParameterError,
+            match=(
+                r"couples b \(equality joint,"
+                r" such as a URDF's <mimic>\).*a flange before these joints"
+            ),
+        ):
             joint_chain(str(file), "tool0", ())
 
 
 class TestDoctor:
-    """`doctor FILE.xml` says what of a file can be used, and for what; the scenario that it prints runs."""
+    """`doctor FILE.xml` says what of a file can be used, and for what; the scenario that it prints
+    runs.
+    """
 
     @pytest.mark.parametrize(
         ("file", "flange"),
@@ -403,39 +669,65 @@ class TestDoctor:
             (str(HERE / "scara.xml"), "tool"),
             (str(HERE / "seven.xml"), "hand"),
             (JACO, "wristsite"),
-            pytest.param("package:dm_robotics.panda/assets/panda/panda.xml", "wrist_site", marks=NEEDS_PANDA),
+            pytest.param(
+                "package:dm_robotics.panda/assets/panda/panda.xml", "wrist_site", marks=NEEDS_PANDA
+            ),
         ),
     )
-    def test_the_scenario_that_it_prints_converges(self, file: str, flange: str, tmp_path: Path) -> None:
+    def test_the_scenario_that_it_prints_converges(
+        self, file: str, flange: str, tmp_path: Path
+    ) -> None:
         (tmp_path / "first.yaml").write_text(told_of(file)["scenario"][0].partition("\n")[2])
         scenario = vs.load(tmp_path / "first.yaml", {"detector": "oracle"})
-        assert scenario.robot.flange == flange and np.isfinite([s.torque for s in scenario.robot.body.actuation.servos]).all()
+        assert (
+            scenario.robot.flange == flange
+            and np.isfinite([s.torque for s in scenario.robot.body.actuation.servos]).all()
+        )
         recording = vs.run(scenario)
         assert recording.outcome is vs.Outcome.converged, recording.reason
-        assert seeded(scenario, 1).resolved.robot != scenario.robot  # and its random starts have the target in view
+        # and its random starts have the target in view
+        assert seeded(scenario, 1).resolved.robot != scenario.robot
 
     def test_a_sound_file(self, command: Any, tmp_path: Path) -> None:
         told = command("doctor", str(HERE / "scara.xml"))
         assert told.code == 0 and "tool: shoulder, elbow, lift, roll" in told.out
         assert "lift: slide, -0.3 to 0.1 m, at most 200 N [no actuator, line 17]" in told.out
-        assert "shoulder: hinge, -150 to 150 deg [no torque limit (actuatorfrcrange); no actuator, line 11]" in told.out
+        assert (
+            "shoulder: hinge, -150 to 150 deg [no torque limit (actuatorfrcrange);"
+            " no actuator, line 11]" in told.out
+        )
         assert "lift: kp 5400 N/m, kv 135 N s/m, added by actuation: velocity" in told.out
-        assert "as scenery   no: has the joint shoulder (line 11), and scenery stands still" in told.out
+        assert (
+            "as scenery   no: has the joint shoulder (line 11), and scenery stands still"
+            in told.out
+        )
 
     def test_friction_that_winds_servos_up(self, tmp_path: Path) -> None:
         text = (HERE / "seven.xml").read_text().replace('name="j7"', 'name="j7" frictionloss="70"')
         (tmp_path / "rough.xml").write_text(text.replace('name="j6"', 'name="j6" frictionloss="0"'))
-        own, added = (line for line in reversed(told_of(tmp_path / "rough.xml")["servo"]) if line.startswith("j7"))
+        own, added = (
+            line
+            for line in reversed(told_of(tmp_path / "rough.xml")["servo"])
+            if line.startswith("j7")
+        )
         assert "winds it up by 0.5 deg, added" in added
         assert "friction of 70 Nm winds it up by 1 deg (WARNING: over 0.5 deg" in own
-        assert not any("j6" in line and "winds" in line for line in told_of(tmp_path / "rough.xml")["servo"])
+        assert not any(
+            "j6" in line and "winds" in line for line in told_of(tmp_path / "rough.xml")["servo"]
+        )
 
     def test_a_gripper_is_no_part_of_the_arm(self, tmp_path: Path) -> None:
-        finger = '<body name="{0}"><joint name="{0}" type="slide" range="0 .04"/><geom size=".01" mass=".05"/></body>'
+        finger = (
+            '<body name="{0}"><joint name="{0}" type="slide" range="0 .04"/>'
+            '<geom size=".01" mass=".05"/></body>'
+        )
         text = (
             (HERE / "scara.xml")
             .read_text()
-            .replace('<site name="tool"', finger.format("left") + finger.format("right") + '<site name="tool"')
+            .replace(
+                '<site name="tool"',
+                finger.format("left") + finger.format("right") + '<site name="tool"',
+            )
         )
         (tmp_path / "hand.xml").write_text(text)
         told = told_of(tmp_path / "hand.xml")
@@ -446,20 +738,38 @@ class TestDoctor:
         text = (HERE / "two_link.xml").read_text().replace('contype="0" conaffinity="0"', "")
         assert "contact" not in told_of(HERE / "two_link.xml")
         (tmp_path / "touching.xml").write_text(
-            text.replace('size=".05"/>', 'size=".05"/><geom type="box" pos=".25 0 1" size=".02 .02 .02"/>')
+            text.replace(
+                'size=".05"/>', 'size=".05"/><geom type="box" pos=".25 0 1" size=".02 .02 .02"/>'
+            )
         )
-        assert told_of(tmp_path / "touching.xml")["contact"] == ["world and upper touch, in the best of 100 postures, too"]
+        assert told_of(tmp_path / "touching.xml")["contact"] == [
+            "world and upper touch, in the best of 100 postures, too"
+        ]
 
     def test_scenery_with_a_door_is_no_arm(self, command: Any, tmp_path: Path) -> None:
         door = '<body name="door"><joint name="hinge"/><geom type="box" size=".4 .02 1"/></body>'
-        (tmp_path / "room.xml").write_text(f"<mujoco><worldbody><geom type='box' size='1 1 .1'/>\n{door}</worldbody></mujoco>")
+        (tmp_path / "room.xml").write_text(
+            f"<mujoco><worldbody><geom type='box' size='1 1 .1'/>\n{door}</worldbody></mujoco>"
+        )
         told = command("doctor", str(tmp_path / "room.xml"))
         assert told.code == 2 and "1 joint, 0 actuators, 0 sites, 2 geoms" in told.out
-        assert "missing  as an arm    door: flange must be after 2 to 7 joints, and door is after 1" in told.out
-        assert "missing  as scenery   has the joint hinge (line 2), and scenery stands still" in told.out and "-> remove it" in told.out
+        assert (
+            "missing  as an arm    door: flange must be after 2 to 7 joints, and door is after 1"
+            in told.out
+        )
+        assert (
+            "missing  as scenery   has the joint hinge (line 2), and scenery stands still"
+            in told.out
+            and "-> remove it" in told.out
+        )
 
     def test_files_that_are_no_arms(self, command: Any, tmp_path: Path) -> None:
-        told = command("doctor", "models/quadrotor.xml" if Path("models").is_dir() else str(HERE.parents[2] / "models/quadrotor.xml"))
+        told = command(
+            "doctor",
+            "models/quadrotor.xml"
+            if Path("models").is_dir()
+            else str(HERE.parents[2] / "models/quadrotor.xml"),
+        )
         assert told.code == 2 and "root is a free joint" in told.out
         (tmp_path / "broken.xml").write_text("<mujoco>\n<wordbody/>\n</mujoco>")
         told = command("doctor", str(tmp_path / "broken.xml"))

@@ -1,4 +1,6 @@
-"""Whatever makes a robot's twist another one than was commanded has a name: in the allocation, in the order, in the log."""
+"""Whatever makes a robot's twist another one than was commanded has a name: in the allocation, in
+the order, in the log.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,16 @@ from vstestbed.robots.allocation import LIMITS, Order
 from vstestbed.robots.base import Reading
 from vstestbed.robots.puma560 import Puma560
 
-NAMES = "ibvs_book", "arm_wrist", "arm_panda", "arm_jaco", "mobile_ibvs", "omni_ibvs", "car_pbvs", "quadrotor_hover"
+NAMES = (
+    "ibvs_book",
+    "arm_wrist",
+    "arm_panda",
+    "arm_jaco",
+    "mobile_ibvs",
+    "omni_ibvs",
+    "car_pbvs",
+    "quadrotor_hover",
+)
 PERIOD, DRAWS = 0.04, 150
 SAME = 1e-5  # ten times what counts as rounding, relative
 
@@ -23,7 +34,9 @@ def robot_of(name: str):
 
 
 def joints_of(robot, rng, k: int):
-    """Anywhere within the limits; every second time with a joint at zero, where wrists and elbows are aligned."""
+    """Anywhere within the limits; every second time with a joint at zero, where wrists and elbows
+    are aligned.
+    """
     chain = getattr(robot, "chain", None)
     if chain is None:
         return robot.start_joints() + rng.normal(0, 0.1, len(robot.joints))
@@ -40,24 +53,34 @@ def test_each_kind_of_robot_is_among_them():
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "omni_ibvs"])
 def test_rates_that_make_another_twist_than_their_law_says_are_named(name):
-    """A law of others that orders velocities of joints or wheels, with a twist that they do not make."""
+    """A law of others that orders velocities of joints or wheels, with a twist that they do not
+    make.
+    """
     controller = vs.Controller(vs.load(name))
     robot = controller.scenario.robot
-    q = np.array([0.3, 0.9, -2.8, 0.2, 0.9, -0.5]) if robot.base == "fixed" else robot.start_joints()
+    q = (
+        np.array([0.3, 0.9, -2.8, 0.2, 0.9, -0.5])
+        if robot.base == "fixed"
+        else robot.start_joints()
+    )
     reading, named = Reading(q, np.zeros_like(q), 0.1), []
     mount = controller._mount_at(q)
     model = robot.own_model(reading, mount)
     for off in (0.0, 0.05):
         rates = np.full(len(model.names), 0.01)
         twist = model.J @ rates
-        made = controller._allocate(Command(twist, twist + off * np.eye(6)[3], rates=rates), reading, mount)
+        made = controller._allocate(
+            Command(twist, twist + off * np.eye(6)[3], rates=rates), reading, mount
+        )
         named.append(Order.of(made).reason)
     assert named[0] == "" and "it moves another way than was commanded" in named[1]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_twist_that_is_not_the_commanded_one_names_its_limit(name):
-    """Orders from 1 mm/s to 10 m/s along the robot's motions, at 150 configurations: the robot itself says why it differs."""
+    """Orders from 1 mm/s to 10 m/s along the robot's motions, at 150 configurations: the robot
+    itself says why it differs.
+    """
     (robot, mount), rng = robot_of(name), np.random.default_rng(0)
     limited = 0
     for k in range(DRAWS):
@@ -84,11 +107,16 @@ def test_a_motion_that_the_robot_has_not_is_named(name):
     for _ in range(20):
         twist = rng.normal(0, 0.01, 6)  # in all six directions
         order = Order.of(robot.allocate(twist, Reading(q, 0 * q), mount, PERIOD).told(twist))
-        assert order.reason.startswith((LIMITS["motion"], LIMITS["joint_limit"])) and "another way" in order.reason
+        assert (
+            order.reason.startswith((LIMITS["motion"], LIMITS["joint_limit"]))
+            and "another way" in order.reason
+        )
 
 
 def test_an_aligned_wrist_that_turns_the_motion_says_so():
-    """Joint 5 at zero: of 300 poses, many get another direction at a scale near .6, where no name was given."""
+    """Joint 5 at zero: of 300 poses, many get another direction at a scale near .6, where no name
+    was given.
+    """
     robot, mount, rng, turned = Puma560(), Mount.of(np.eye(4)), np.random.default_rng(0), []
     for k in range(300):
         q = joints_of(robot, rng, 0)

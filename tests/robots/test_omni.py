@@ -1,4 +1,6 @@
-"""The mecanum base as a robot: wheel kinematics both ways, limits, motion basis, odometry; no physics."""
+"""The mecanum base as a robot: wheel kinematics both ways, limits, motion basis, odometry; no
+physics.
+"""
 
 import numpy as np
 import pytest
@@ -34,18 +36,26 @@ def mount(request) -> Mount:
 
 class TestKinematics:
     def test_of_print(self):
-        # Taheri, Qiao & Ghaeminezhad 2015, wheels front left, front right, rear left, rear right; y to the left.
+        # Taheri, Qiao & Ghaeminezhad 2015, wheels front left, front right, rear left, rear right; y
+        # to the left.
         k = PLATFORM.wheelbase_m / 2 + PLATFORM.track_m / 2
-        printed = np.array([[1, -1, -k], [1, 1, k], [1, 1, -k], [1, -1, k]]) / PLATFORM.wheel_radius_m
+        printed = (
+            np.array([[1, -1, -k], [1, 1, k], [1, 1, -k], [1, -1, k]]) / PLATFORM.wheel_radius_m
+        )
         np.testing.assert_allclose(PLATFORM.wheel_matrix(rollers=np.inf), printed, rtol=1e-12)
 
     def test_nine_rollers_carry_it_two_percent_less_far_sideways(self):
         phi = (np.arange(100_000) + 0.5) / 100_000 * np.pi / 9
-        kappa = np.cos(phi).mean()  # the mean over half a roller's turn, by the midpoint rule: 1e-11
+        # the mean over half a roller's turn, by the midpoint rule: 1e-11
+        kappa = np.cos(phi).mean()
         np.testing.assert_allclose(PLATFORM.W[:, 0], 1 / PLATFORM.wheel_radius_m, rtol=1e-12)
-        np.testing.assert_allclose(np.abs(PLATFORM.W[:, 1]), 1 / PLATFORM.wheel_radius_m / kappa, rtol=1e-9)
         np.testing.assert_allclose(
-            np.abs(PLATFORM.W[:, 2]), (PLATFORM.wheelbase_m / 2 / kappa + PLATFORM.track_m / 2) / PLATFORM.wheel_radius_m, rtol=1e-9
+            np.abs(PLATFORM.W[:, 1]), 1 / PLATFORM.wheel_radius_m / kappa, rtol=1e-9
+        )
+        np.testing.assert_allclose(
+            np.abs(PLATFORM.W[:, 2]),
+            (PLATFORM.wheelbase_m / 2 / kappa + PLATFORM.track_m / 2) / PLATFORM.wheel_radius_m,
+            rtol=1e-9,
         )
 
     def test_both_ways(self):
@@ -58,7 +68,11 @@ class TestKinematics:
 
 class TestMotionBasis:
     def test_is_the_cameras_twist_by_finite_differences(self, mount):
-        basis, at, dt = BASE.motion_basis(mount, BASE.start_joints()), np.array([1.0, -2.0, 0.7]), 1e-6
+        basis, at, dt = (
+            BASE.motion_basis(mount, BASE.start_joints()),
+            np.array([1.0, -2.0, 0.7]),
+            1e-6,
+        )
         for column in range(3):
             motion = np.eye(3)[column]
             ends = [pose_on_ground(moved(at, motion, t)) @ mount.T_flange_camera for t in (-dt, dt)]
@@ -68,7 +82,8 @@ class TestMotionBasis:
             np.testing.assert_allclose(basis[:, column], twist, atol=3e-6)
 
     def test_a_camera_aside_is_carried_sideways_by_yaw(self):
-        # What a reduced Jacobian of three columns leaves out: .2 m ahead and .1 m left, turning at 1 rad/s, it moves by (-.1, .2).
+        # What a reduced Jacobian of three columns leaves out: .2 m ahead and .1 m left, turning at
+        # 1 rad/s, it moves by (-.1, .2).
         aside = BASE.motion_basis(Mount.of(MOUNTS["straight up"].T), BASE.start_joints())
         np.testing.assert_allclose(aside[:, 2], [-0.1, 0.2, 0, 0, 0, 1], atol=1e-15)
 
@@ -88,19 +103,25 @@ class TestAllocation:
         made = BASE.allocate(twist, readings(np.zeros(4)), mount, PERIOD)
         assert made.limit == "speed" and 0 < made.scale < 1
         assert np.abs(made.setpoint).max() == pytest.approx(PLATFORM.wheel_speed_radps)
-        np.testing.assert_allclose(made.twist, twist * made.scale, atol=1e-12)  # the direction is kept
+        # the direction is kept
+        np.testing.assert_allclose(made.twist, twist * made.scale, atol=1e-12)
 
     def test_what_no_wheel_can_make_is_left_out(self):
         mount = Mount.of(np.eye(4))
-        made = BASE.allocate(np.array([0.1, 0.2, 5.0, 5.0, 5.0, 0.3]), readings(np.zeros(4)), mount, PERIOD)
+        made = BASE.allocate(
+            np.array([0.1, 0.2, 5.0, 5.0, 5.0, 0.3]), readings(np.zeros(4)), mount, PERIOD
+        )
         np.testing.assert_allclose(made.twist, [0.1, 0.2, 0, 0, 0, 0.3], atol=1e-12)
         assert made.scale == 1.0
 
     def test_who_believes_in_larger_wheels_turns_them_slower(self):
         mount, twist = Mount.of(np.eye(4)), np.array([0.2, 0.1, 0, 0, 0, 0.3])
         wrong = Omni(wheel_radius_error=0.02).allocate(twist, readings(np.zeros(4)), mount, PERIOD)
-        np.testing.assert_allclose(PLATFORM.W_inverse @ wrong.setpoint, np.array([0.2, 0.1, 0.3]) / 1.02, atol=1e-12)
-        np.testing.assert_allclose(wrong.twist, twist, atol=1e-12)  # what it stands for is what the robot believes
+        np.testing.assert_allclose(
+            PLATFORM.W_inverse @ wrong.setpoint, np.array([0.2, 0.1, 0.3]) / 1.02, atol=1e-12
+        )
+        # what it stands for is what the robot believes
+        np.testing.assert_allclose(wrong.twist, twist, atol=1e-12)
 
 
 class TestOdometry:
@@ -108,20 +129,26 @@ class TestOdometry:
     def test_an_arc_from_the_wheels(self, mount, motion):
         before = np.array([1.0, 2.0, 3.0, 4.0])
         now = before + PLATFORM.W @ motion * PERIOD
-        twist = BASE.measured_twist(readings(before), readings(now), PERIOD, np.full(6, np.nan), mount)
+        twist = BASE.measured_twist(
+            readings(before), readings(now), PERIOD, np.full(6, np.nan), mount
+        )
         self.leads_along_the_arc(twist, motion, mount)
 
     @pytest.mark.parametrize("motion", MOTIONS)
     def test_an_arc_in_the_plane(self, mount, motion):
         before = np.array([3.0, -1.0, 2.5])
         now = moved(before, motion, PERIOD)
-        twist = Omni(wheels="planar").measured_twist(readings(before), readings(now), PERIOD, np.full(6, np.nan), mount)
+        twist = Omni(wheels="planar").measured_twist(
+            readings(before), readings(now), PERIOD, np.full(6, np.nan), mount
+        )
         self.leads_along_the_arc(twist, motion, mount)
 
     @staticmethod
     def leads_along_the_arc(twist, motion, mount):
         at = np.array([0.5, 0.2, 1.0])
-        start, end = (pose_on_ground(at_t) @ mount.T_flange_camera for at_t in (at, moved(at, motion, PERIOD)))
+        start, end = (
+            pose_on_ground(at_t) @ mount.T_flange_camera for at_t in (at, moved(at, motion, PERIOD))
+        )
         np.testing.assert_allclose(start @ exp(twist * PERIOD), end, atol=1e-12)
 
     def test_a_circle_closes(self):
@@ -137,7 +164,11 @@ class TestOdometry:
     @pytest.mark.parametrize("wheels", ["rollers", "planar"])
     def test_larger_wheels_believed_are_a_longer_way_told(self, wheels):
         motion = np.array([0.2, 0.1, 0.3])
-        now = PLATFORM.W @ motion * PERIOD if wheels == "rollers" else moved(np.zeros(3), motion, PERIOD)
+        now = (
+            PLATFORM.W @ motion * PERIOD
+            if wheels == "rollers"
+            else moved(np.zeros(3), motion, PERIOD)
+        )
         robot = Omni(wheels=wheels, wheel_radius_error=0.02)
         told = robot.odometry(readings(np.zeros(len(now))), readings(now), PERIOD)
         np.testing.assert_allclose(told, 1.02 * motion, atol=1e-12)
@@ -146,23 +177,36 @@ class TestOdometry:
     def test_no_time_no_motion(self, wheels):
         robot = Omni(wheels=wheels)
         at = readings(np.ones(len(robot.joints)))
-        np.testing.assert_array_equal(robot.measured_twist(at, at, 0.0, np.ones(6), Mount.of(np.eye(4))), np.zeros(6))
+        np.testing.assert_array_equal(
+            robot.measured_twist(at, at, 0.0, np.ones(6), Mount.of(np.eye(4))), np.zeros(6)
+        )
 
 
 class TestSpec:
     def test_models_and_joints(self):
         assert (BASE.body.file, BASE.joints) == ("omni.xml", WHEELS)
         planar = Omni(wheels="planar")
-        assert (planar.body.file, planar.joints) == ("omni_planar.xml", ("root_x", "root_y", "root_yaw"))
+        assert (planar.body.file, planar.joints) == (
+            "omni_planar.xml",
+            ("root_x", "root_y", "root_yaw"),
+        )
 
     def test_it_starts_where_it_is_told(self):
         start = GroundStart(nominal=GroundPose(x=-6, y=2, heading_deg=30))
         np.testing.assert_allclose(Omni(start=start).configuration(), [-6, 2, np.pi / 6])
 
     def test_a_random_start_keeps_the_rest(self):
-        robot = Omni(wheels="planar", start=GroundStart(random=GroundBox(x=1, y=1, heading_deg=10)), wheel_radius_error=0.01)
+        robot = Omni(
+            wheels="planar",
+            start=GroundStart(random=GroundBox(x=1, y=1, heading_deg=10)),
+            wheel_radius_error=0.01,
+        )
         drawn = robot.randomised(np.random.default_rng(0))
-        assert (drawn.wheels, drawn.wheel_radius_error, drawn.start.random) == ("planar", 0.01, robot.start.random)
+        assert (drawn.wheels, drawn.wheel_radius_error, drawn.start.random) == (
+            "planar",
+            0.01,
+            robot.start.random,
+        )
         assert drawn.start.nominal != robot.start.nominal
 
     def test_random_starts_need_a_box(self):

@@ -1,4 +1,6 @@
-"""What a law may know of its robot: J against poses, displacements against the log, limits against the robot's own."""
+"""What a law may know of its robot: J against poses, displacements against the log, limits against
+the robot's own.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def models_of(name: str, changes: dict[str, Any]) -> tuple[list[OwnModel], list[
     scenario, watch = vs.load(name, LIMITS | changes), Asks()
     law = Asking(**{f.name: getattr(scenario.law, f.name) for f in fields(IBVS)})
     vs.run(replace(scenario, law=law), watch=[watch])
-    return [model for frame in watch.frames if (model := frame.observation.robot) is not None], watch.frames
+    return [
+        model for frame in watch.frames if (model := frame.observation.robot) is not None
+    ], watch.frames
 
 
 @pytest.mark.parametrize("name", where_installed(["arm_ibvs", "arm_jaco", "arm_eye_to_hand"]))
@@ -52,7 +56,8 @@ def test_the_jacobian_is_the_derivative_of_the_cameras_pose(name: str) -> None:
     q, n = robot.start_joints(), len(robot.joints)
     model = robot.own_model(vs.Reading(q, np.zeros(n)), controller._mount_at(q))
 
-    def seen(at: np.ndarray) -> np.ndarray:  # the target in the camera, or the flange in a camera that stands in the room
+    def seen(at: np.ndarray) -> np.ndarray:
+        # the target in the camera, or the flange in a camera that stands in the room
         T = robot.flange_pose(at)
         if scenario.target.on_gripper:
             return inverse(scenario.camera.mount.T) @ T
@@ -60,19 +65,25 @@ def test_the_jacobian_is_the_derivative_of_the_cameras_pose(name: str) -> None:
 
     for i in range(n):
         step = 1e-6 * np.eye(n)[i]
-        twist = log(seen(q - step) @ inverse(seen(q + step))) / 2e-6  # T_camera_target <- exp(-v dt) T
+        # T_camera_target <- exp(-v dt) T
+        twist = log(seen(q - step) @ inverse(seen(q + step))) / 2e-6
         np.testing.assert_allclose(model.J[:, i], twist, atol=1e-7)
     np.testing.assert_array_equal(model.jacobian(q), model.J)
     assert (model.low < q).all() and (q < model.high).all()
 
 
 def test_displacements_are_those_of_the_joints_in_the_log() -> None:
-    models, frames = models_of("arm_ibvs", {"camera": {"latency_s": 0.06}, "timing": {"command_latency_s": 0.02}})
+    models, frames = models_of(
+        "arm_ibvs", {"camera": {"latency_s": 0.06}, "timing": {"command_latency_s": 0.02}}
+    )
     q = np.array([frame.truth.q for frame in frames])
     for k in range(1, len(models)):
         np.testing.assert_allclose(models[k].moved, q[k] - q[k - 1], atol=1e-12)
-        assert models[k].since_s == pytest.approx(0.04) and models[k].underway_s == pytest.approx(0.08)
-    # two frames later the joints are where the model expected them when its command took effect, but for the servos' lag
+        assert models[k].since_s == pytest.approx(0.04) and models[k].underway_s == pytest.approx(
+            0.08
+        )
+    # two frames later the joints are where the model expected them when its command took effect,
+    # but for the servos' lag
     ahead = np.array([model.underway for model in models[4:-2]])
     np.testing.assert_allclose(ahead, q[6 : 4 + len(ahead) + 2] - q[4 : 4 + len(ahead)], atol=2e-3)
     assert np.abs(ahead).max() > 0.01
@@ -81,7 +92,9 @@ def test_displacements_are_those_of_the_joints_in_the_log() -> None:
 
 
 def test_a_camera_without_sensors_knows_its_way_by_its_orders() -> None:
-    models, frames = models_of("ibvs_book", {"camera.latency_s": 0.04, "camera.rate_hz": 25, "law.gain": 0.2})
+    models, frames = models_of(
+        "ibvs_book", {"camera.latency_s": 0.04, "camera.rate_hz": 25, "law.gain": 0.2}
+    )
     T = [frame.truth.T_world_camera for frame in frames]
     for k in range(4, len(models)):
         np.testing.assert_allclose(models[k].moved, log(inverse(T[k - 1]) @ T[k]), atol=2e-4)
@@ -95,8 +108,13 @@ def test_the_joints_ordered_are_those_of_the_last_command() -> None:
         np.testing.assert_array_equal(model.ordered, before.allocation.setpoint)
 
 
-@pytest.mark.parametrize(("name", "names"), [("omni_ibvs", ("vx", "vy", "wz")), ("car_pbvs", ("v", "w")), ("ibvs_book", None)])
-def test_other_robots_have_the_motions_of_their_basis(name: str, names: tuple[str, ...] | None) -> None:
+@pytest.mark.parametrize(
+    ("name", "names"),
+    [("omni_ibvs", ("vx", "vy", "wz")), ("car_pbvs", ("v", "w")), ("ibvs_book", None)],
+)
+def test_other_robots_have_the_motions_of_their_basis(
+    name: str, names: tuple[str, ...] | None
+) -> None:
     robot, mount = (s := vs.load(name)).robot, Mount.of(s.camera.mount.T)
     at = robot.start_joints()
     model = robot.own_model(vs.Reading(at, at), mount)
@@ -132,6 +150,7 @@ def test_joint_speeds_ordered_directly_keep_the_limits_of_the_arm() -> None:
     assert fast.limit == "speed" and fast.scale == pytest.approx(1 / 3)
     np.testing.assert_allclose(fast.twist, model.J @ fast.setpoint)
     near = q.copy()
-    near[0] = model.high[0] - np.radians(2.0)  # a degree from the margin at which it comes to rest: 4 degrees a second
+    # a degree from the margin at which it comes to rest: 4 degrees a second
+    near[0] = model.high[0] - np.radians(2.0)
     slow = robot.allocate_rates(np.eye(6)[0], vs.Reading(near, q), mount, 0.04)
     assert slow.limit == "joint_limit" and slow.setpoint[0] == pytest.approx(np.radians(1.0) / 0.25)

@@ -1,4 +1,6 @@
-"""The Franka Panda against the Robotics Toolbox: pose and Jacobian, by the links that it prints and by the bundled scenario's file."""
+"""The Franka Panda against the Robotics Toolbox: pose and Jacobian, by the links that it prints and
+by the bundled scenario's file.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from tests.robots.arms import NEEDS_PANDA
 from vstestbed.core.geometry import Array, Pose, adjoint, inverse
 from vstestbed.robots.chain import JointChain, reader
 
-# github.com/petercorke/robotics-toolbox-python, README.md: the links' table, its pose qr, and the pose of the hand there.
+# github.com/petercorke/robotics-toolbox-python, README.md: the links' table, its pose qr, and the
+# pose of the hand there.
 LINKS = [
     ("0 0 .333", "0 0 0"),
     ("0 0 0", "-90 0 0"),
@@ -24,9 +27,15 @@ LINKS = [
 ]
 QR = np.array([0, -0.3, 0, -2.2, 0, 2, np.pi / 4])
 HAND_AT_QR = [[0.995, 0, 0.09983, 0.484], [0, -1, 0, 0], [0.09983, 0, -0.995, 0.4126], [0, 0, 0, 1]]
-# tests/test_DHRobot.py: flange pose, and the Jacobian of the hand in its own axes, at 1, 2, ..., 7 rad.
+# tests/test_DHRobot.py: flange pose, and the Jacobian of the hand in its own axes, at 1, 2, ..., 7
+# rad.
 SEVEN = np.arange(1.0, 8.0)
-FLANGE_AT_SEVEN = [[-0.5236, 0.6902, 0.4994, 0.08575], [0.8287, 0.5487, 0.1106, 0.3132], [-0.1977, 0.4718, -0.8593, 0.5321], [0, 0, 0, 1]]
+FLANGE_AT_SEVEN = [
+    [-0.5236, 0.6902, 0.4994, 0.08575],
+    [0.8287, 0.5487, 0.1106, 0.3132],
+    [-0.1977, 0.4718, -0.8593, 0.5321],
+    [0, 0, 0, 1],
+]
 HANDS_JACOBIAN = [
     [0.3058, 0.1315, -0.2364, -0.0323, 0.0018, 0.2095, 0],
     [0.0954, 0.0303, -0.0721, 0.1494, -0.0258, 0.0144, 0],
@@ -38,7 +47,9 @@ HANDS_JACOBIAN = [
 
 
 def hand(z: float) -> Array:
-    """T_flange_hand: turned by -45 degrees, and so far along z [m]; the toolbox has 103.4 mm in its URDF and 103 mm in its table."""
+    """T_flange_hand: turned by -45 degrees, and so far along z [m]; the toolbox has 103.4 mm in its
+    URDF and 103 mm in its table.
+    """
     return Pose(xyz=(0, 0, z), rpy_deg=(0, 0, -45)).T
 
 
@@ -47,7 +58,10 @@ def by_the_printed_links(folder: Path) -> JointChain:
     for i in reversed(range(7)):
         place, turn = LINKS[i]
         inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
-        text = f'<body pos="{place}" euler="{turn}">{inertia}<joint name="q{i}" axis="0 0 1"/>{text}</body>'
+        text = (
+            f'<body pos="{place}" euler="{turn}">{inertia}'
+            f'<joint name="q{i}" axis="0 0 1"/>{text}</body>'
+        )
     file = folder / "panda.xml"
     file.write_text(f'<mujoco><compiler angle="degree"/><worldbody>{text}</worldbody></mujoco>')
     return reader().joint_chain(str(file), "flange", ())
@@ -57,7 +71,9 @@ def by_the_scenarios_file(_: Path) -> JointChain:
     return vs.load("arm_panda").robot.chain  # pyright: ignore[reportAttributeAccessIssue]
 
 
-@pytest.mark.parametrize("chain", [by_the_printed_links, pytest.param(by_the_scenarios_file, marks=NEEDS_PANDA)])
+@pytest.mark.parametrize(
+    "chain", [by_the_printed_links, pytest.param(by_the_scenarios_file, marks=NEEDS_PANDA)]
+)
 def test_pose_and_jacobian_are_printed(chain, tmp_path: Path):
     panda = chain(tmp_path)
     # Half of the fourth decimal, the last one that is printed.

@@ -1,4 +1,6 @@
-"""The Puma as a robot: commands become joint speeds within limits, as a whole; what it measures of its own motion."""
+"""The Puma as a robot: commands become joint speeds within limits, as a whole; what it measures of
+its own motion.
+"""
 
 import numpy as np
 import pytest
@@ -54,13 +56,15 @@ def test_a_joint_slows_towards_its_limit_and_stops_before_it():
         assert made.setpoint[5] == pytest.approx(min(1.0, room / LIMIT_HORIZON_S))
     q[5] = JOINT_LIMITS[5, 1]
     assert ARM.allocate(twist, at_rest(q), mount, PERIOD).scale == 0.0
-    assert ARM.allocate(-twist, at_rest(q), mount, PERIOD).scale == pytest.approx(1.0)  # away from it: free
+    # away from it: free
+    assert ARM.allocate(-twist, at_rest(q), mount, PERIOD).scale == pytest.approx(1.0)
 
 
 def test_a_motion_that_a_singular_arm_cannot_make_is_named():
     q = Q0.copy()
     q[4] = 0.0  # axes of joints 4 and 6 in line
-    # The twist that no joint speeds make: the last left singular vector of the Jacobian, lengths in units of the reach.
+    # The twist that no joint speeds make: the last left singular vector of the Jacobian, lengths in
+    # units of the reach.
     unit = np.array([UPPER_ARM] * 3 + [1.0] * 3)
     lost = np.linalg.svd(jacobian(q) / unit[:, None])[0][:, -1] * unit
     made = ARM.allocate(lost, at_rest(q), Mount.of(np.eye(4)), PERIOD)
@@ -77,7 +81,9 @@ def test_its_encoders_tell_the_cameras_motion():
     moved = inverse(ends[0]) @ ends[1]
     # The middle of the way against its chord: they differ in the third order of .01 rad.
     np.testing.assert_allclose(twist[:3], (moved[:3, 3] / PERIOD), atol=2e-3)
-    np.testing.assert_array_equal(ARM.measured_twist(before, before, 0.0, np.ones(6), MOUNT), np.zeros(6))
+    np.testing.assert_array_equal(
+        ARM.measured_twist(before, before, 0.0, np.ones(6), MOUNT), np.zeros(6)
+    )
 
 
 def test_a_start_outside_the_limits_is_refused():

@@ -1,4 +1,6 @@
-"""The numpy kinematics of the Puma 560 against differences, the book's pose, and the singularities they must survive."""
+"""The numpy kinematics of the Puma 560 against differences, the book's pose, and the singularities
+they must survive.
+"""
 
 import numpy as np
 import pytest
@@ -34,18 +36,28 @@ def test_start_pose_looks_along_x():
 
 
 def test_zero_pose_is_the_sum_of_the_lengths():
-    # At q = 0 the arm lies along x and the forearm stands up: (a2 + a3, -d3, d1 + d4), axes parallel to the base's.
-    np.testing.assert_allclose(forward(np.zeros(6)), [[1, 0, 0, 0.4521], [0, 1, 0, -0.15005], [0, 0, 1, 1.10363], [0, 0, 0, 1]], atol=1e-15)
+    # At q = 0 the arm lies along x and the forearm stands up: (a2 + a3, -d3, d1 + d4), axes
+    # parallel to the base's.
+    np.testing.assert_allclose(
+        forward(np.zeros(6)),
+        [[1, 0, 0, 0.4521], [0, 1, 0, -0.15005], [0, 0, 1, 1.10363], [0, 0, 0, 1]],
+        atol=1e-15,
+    )
 
 
 def test_the_chain_is_the_denavit_hartenberg_table():
-    """Pose by the product of the table's frames; Jacobian column by column from the axis and the origin of the frame before each joint."""
+    """Pose by the product of the table's frames; Jacobian column by column from the axis and the
+    origin of the frame before each joint.
+    """
     rng = np.random.default_rng(4)
     for q in (np.zeros(6), Q0, *(random_q(rng) for _ in range(50))):
         T, J = CHAIN.kinematics(q)
         by_table = frames(q)
         R, o = by_table[6, :3, :3], by_table[6, :3, 3]
-        twists = [np.concatenate([R.T @ np.cross(A[:3, 2], o - A[:3, 3]), R.T @ A[:3, 2]]) for A in by_table[:6]]
+        twists = [
+            np.concatenate([R.T @ np.cross(A[:3, 2], o - A[:3, 3]), R.T @ A[:3, 2]])
+            for A in by_table[:6]
+        ]
         # Rounding of products of six matrices with entries of about 1.
         np.testing.assert_allclose(T, by_table[6], atol=1e-14)
         np.testing.assert_allclose(J, np.array(twists).T, atol=1e-14)
@@ -70,14 +82,16 @@ def test_jacobian_is_the_derivative_of_forward():
             step = h * np.eye(6)[i]
             D = inverse(forward(q)) @ (forward(q + step) - forward(q - step))
             differences[:, i] = np.array([*D[:3, 3], D[2, 1], D[0, 2], D[1, 0]]) / (2 * h)
-        # Central differences: h^2 = 1e-12 of truncation, 1e-16 / h = 1e-10 of rounding, with a margin of 10.
+        # Central differences: h^2 = 1e-12 of truncation, 1e-16 / h = 1e-10 of rounding, with a
+        # margin of 10.
         np.testing.assert_allclose(differences, J, atol=1e-9)
 
 
 def test_a_small_resolved_step_makes_the_twist():
     twist, dt = np.array([0.05, -0.02, 0.03, 0.1, 0.05, -0.1]), 1e-4
     reached = forward(Q0 + dt * resolved_rate(jacobian(Q0), twist, UPPER_ARM))
-    # The chain bends by |dq dt|^2, about 1e-9 per step; the wish is that small against the motion (5e-6 and more).
+    # The chain bends by |dq dt|^2, about 1e-9 per step; the wish is that small against the motion
+    # (5e-6 and more).
     np.testing.assert_allclose(reached, forward(Q0) @ exp(twist * dt), atol=5e-9)
 
 
@@ -108,18 +122,22 @@ def test_resolved_rate_is_bounded_at_and_around_singularities():
             for _ in range(20):
                 twist = rng.normal(size=6)
                 dq = resolved_rate(jacobian(q + size * rng.normal(size=6)), twist, UPPER_ARM)
-                # |dq| <= |scaled twist| / threshold everywhere, as the docstring proves; 1e-9 for rounding.
+                # |dq| <= |scaled twist| / threshold everywhere, as the docstring proves; 1e-9 for
+                # rounding.
                 assert np.linalg.norm(dq) <= np.linalg.norm(twist * SCALE) / 0.05 * (1 + 1e-9)
 
 
 def test_damping_sets_in_without_a_step():
     twist = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
     angles = np.radians(np.linspace(-20, 20, 4001))
-    rates = np.array([resolved_rate(jacobian(np.array([*Q0[:4], a, Q0[5]])), twist, UPPER_ARM) for a in angles])
+    rates = np.array(
+        [resolved_rate(jacobian(np.array([*Q0[:4], a, Q0[5]])), twist, UPPER_ARM) for a in angles]
+    )
     smallest = np.array([weakest(jacobian(np.array([*Q0[:4], a, Q0[5]]))) for a in angles])
     assert smallest.min() < 0.05 < smallest.max()
-    # Neighbours are 1.7e-4 rad apart and the gain's slope is at most 1 / threshold^2 = 400 per unit of s_min (which moves
-    # as the angle, at most 1 : 1), twice with the turning of U and V, times |ts| = .44: .06 rad/s, where a step would be rads.
+    # Neighbours are 1.7e-4 rad apart and the gain's slope is at most 1 / threshold^2 = 400 per unit
+    # of s_min (which moves as the angle, at most 1 : 1), twice with the turning of U and V, times
+    # |ts| = .44: .06 rad/s, where a step would be rads.
     assert np.abs(np.diff(rates, axis=0)).max() < 0.06
 
 
@@ -131,10 +149,15 @@ def test_speed_limits_keep_the_direction():
     twist = np.array([2.0, 1.0, -3.0, 1.0, 0.0, 2.0])
     free, limited = resolved_rate(jacobian(Q0), twist, UPPER_ARM), allocated(twist)
     # Division's rounding.
-    assert np.max(np.abs(limited.setpoint) / SPEED_LIMITS) == pytest.approx(1.0, abs=1e-12) and limited.limit == "speed"
+    assert (
+        np.max(np.abs(limited.setpoint) / SPEED_LIMITS) == pytest.approx(1.0, abs=1e-12)
+        and limited.limit == "speed"
+    )
     np.testing.assert_allclose(limited.setpoint, free * (limited.setpoint[0] / free[0]), rtol=1e-12)
 
 
 def test_slow_twists_are_not_scaled():
     twist = np.full(6, 1e-3)
-    np.testing.assert_array_equal(allocated(twist).setpoint, resolved_rate(jacobian(Q0), twist, UPPER_ARM))
+    np.testing.assert_array_equal(
+        allocated(twist).setpoint, resolved_rate(jacobian(Q0), twist, UPPER_ARM)
+    )

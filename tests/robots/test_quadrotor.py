@@ -1,4 +1,6 @@
-"""The quadrotor as a robot: its block, its instruments, setpoints, and flights with noise, bias, wind and ground."""
+"""The quadrotor as a robot: its block, its instruments, setpoints, and flights with noise, bias,
+wind and ground.
+"""
 
 import math
 
@@ -12,11 +14,23 @@ from vstestbed.robots.allocation import Mount
 from vstestbed.robots.attitude import Imu
 from vstestbed.robots.flight import HOLD, Instruments, descend
 from vstestbed.robots.flight_sensors import Filtered, Flow
-from vstestbed.robots.quadrotor import LOWEST_M, STANDING_M, FlightBox, FlightPose, FlightStart, Quadrotor
+from vstestbed.robots.quadrotor import (
+    LOWEST_M,
+    STANDING_M,
+    FlightBox,
+    FlightPose,
+    FlightStart,
+    Quadrotor,
+)
 from vstestbed.robots.rotors import X4
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
-SENSORS = {"gyro": [0.0] * 3, "accelerometer": [0.0, 0.0, 9.81], "velocity": [0.0] * 3, "range": [2.0]}
+SENSORS = {
+    "gyro": [0.0] * 3,
+    "accelerometer": [0.0, 0.0, 9.81],
+    "velocity": [0.0] * 3,
+    "range": [2.0],
+}
 NO_JOINTS = np.zeros(0)
 
 
@@ -37,10 +51,15 @@ class TestBlock:
 
     def test_a_start_in_the_ground_is_refused(self):
         with pytest.raises(ParameterError, match=r"start\.nominal\.xyz\.2"):
-            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, STANDING_M))))  # on its feet it does not hover
+            # on its feet it does not hover
+            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, STANDING_M))))
 
     def test_random_starts_fill_their_box_and_stay_above_the_ground(self):
-        robot = Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 2.0)), random=FlightBox(xyz=(2, 1, 3), yaw_deg=180)))
+        robot = Quadrotor(
+            start=FlightStart(
+                nominal=FlightPose(xyz=(0, 0, 2.0)), random=FlightBox(xyz=(2, 1, 3), yaw_deg=180)
+            )
+        )
         rng = np.random.default_rng(0)
         q = np.array([robot.randomised(rng).configuration() for _ in range(300)])
         assert np.all(np.abs(q) <= [2, 1, 5, math.pi])
@@ -61,11 +80,19 @@ class TestBlock:
 class TestInstruments:
     def test_noise_bias_and_scale_are_as_told(self):
         robot = Quadrotor(
-            imu=Imu(gyro_sigma_radps=0.01, gyro_bias_radps=(0.1, 0.2, 0.3), accel_sigma_mps2=0.5, accel_bias_mps2=(1, 2, 3)),
+            imu=Imu(
+                gyro_sigma_radps=0.01,
+                gyro_bias_radps=(0.1, 0.2, 0.3),
+                accel_sigma_mps2=0.5,
+                accel_bias_mps2=(1, 2, 3),
+            ),
             velocity=Flow(sigma_mps=0.1, scale_error=0.5),
             range_sigma_m=0.2,
         )
-        sense, sensors = robot.instruments(np.random.default_rng(0)), SENSORS | {"velocity": [1.0, 2.0, 0.0]}
+        sense, sensors = (
+            robot.instruments(np.random.default_rng(0)),
+            SENSORS | {"velocity": [1.0, 2.0, 0.0]},
+        )
         rows = [sense(NO_JOINTS, NO_JOINTS, sensors) for _ in range(4000)]
         expected = {
             "gyro": ([0.1, 0.2, 0.3], 0.01),
@@ -81,7 +108,11 @@ class TestInstruments:
 
     def test_without_noise_they_are_exact(self):
         reading = read(perfect(range_sigma_m=0.0))
-        for field, sensor in (("gyro", "gyro"), ("force", "accelerometer"), ("velocity", "velocity")):
+        for field, sensor in (
+            ("gyro", "gyro"),
+            ("force", "accelerometer"),
+            ("velocity", "velocity"),
+        ):
             np.testing.assert_array_equal(getattr(reading, field), SENSORS[sensor])
         assert reading.range_m == 2.0
 
@@ -91,11 +122,16 @@ class TestInstruments:
         assert read(Quadrotor(), sensors).range_m == math.inf
 
     def test_noise_is_drawn_ahead_as_one_reading_at_a_time_would(self):
-        sense, rng = perfect(imu=Imu()).instruments(np.random.default_rng(1)), np.random.default_rng(1)
+        sense, rng = (
+            perfect(imu=Imu()).instruments(np.random.default_rng(1)),
+            np.random.default_rng(1),
+        )
         imu, still = Imu(), SENSORS | {"gyro": [0.0, 0.0, 0.0]}
         for _ in range(150):
             gyro = np.array(sense(NO_JOINTS, NO_JOINTS, still).gyro)
-            np.testing.assert_array_equal(gyro, imu.gyro_sigma_radps * rng.standard_normal(10)[:3] + imu.gyro_bias_radps)
+            np.testing.assert_array_equal(
+                gyro, imu.gyro_sigma_radps * rng.standard_normal(10)[:3] + imu.gyro_bias_radps
+            )
 
     def test_one_seed_one_noise(self):
         logs = [Flown(Quadrotor(), seed=5).fly([0.5, 0, 0, 0.2], 0.5) for _ in range(2)]
@@ -107,7 +143,11 @@ class TestSetpoints:
         basis = Quadrotor().motion_basis(DOWN, NO_JOINTS)
         assert basis.shape == (6, 4)
         u = np.array([0.3, -0.2, 0.1, 0.4])
-        np.testing.assert_allclose(basis @ u, adjoint(inverse(DOWN.T_flange_camera)) @ [0.3, -0.2, 0.1, 0, 0, 0.4], atol=1e-12)
+        np.testing.assert_allclose(
+            basis @ u,
+            adjoint(inverse(DOWN.T_flange_camera)) @ [0.3, -0.2, 0.1, 0, 0, 0.4],
+            atol=1e-12,
+        )
 
     def test_a_twist_within_limits_is_kept(self):
         robot, u = Quadrotor(), np.array([0.3, -0.2, 0.1, 0.4])
@@ -115,17 +155,26 @@ class TestSetpoints:
         np.testing.assert_allclose(found.setpoint, u, atol=1e-12)
         assert (found.scale, found.limit) == (1.0, "")
 
-    @pytest.mark.parametrize(("u", "scale"), [((4, 3, 0, 0), 0.4), ((0, 0, -2, 0), 0.5), ((0.1, 0, 0, 1.6), 0.5), ((4, 0, 4, 0), 0.25)])
+    @pytest.mark.parametrize(
+        ("u", "scale"),
+        [((4, 3, 0, 0), 0.4), ((0, 0, -2, 0), 0.5), ((0.1, 0, 0, 1.6), 0.5), ((4, 0, 4, 0), 0.25)],
+    )
     def test_beyond_them_it_is_scaled_as_a_whole(self, u, scale):
         robot = Quadrotor()
-        found = robot.allocate(robot.motion_basis(DOWN, NO_JOINTS) @ np.array(u, dtype=float), RAW, DOWN, 0.04)
+        found = robot.allocate(
+            robot.motion_basis(DOWN, NO_JOINTS) @ np.array(u, dtype=float), RAW, DOWN, 0.04
+        )
         np.testing.assert_allclose(found.setpoint, scale * np.array(u), atol=1e-12)
         assert found.scale == pytest.approx(scale)
         assert found.limit == "speed"
-        np.testing.assert_allclose(found.twist, robot.motion_basis(DOWN, NO_JOINTS) @ found.setpoint, atol=1e-12)
+        np.testing.assert_allclose(
+            found.twist, robot.motion_basis(DOWN, NO_JOINTS) @ found.setpoint, atol=1e-12
+        )
 
     def test_roll_and_pitch_rates_are_dropped(self):
-        found = Quadrotor().allocate(DOWN.to_camera @ np.array([0.1, 0, 0, 0.7, -0.7, 0]), RAW, DOWN, 0.04)
+        found = Quadrotor().allocate(
+            DOWN.to_camera @ np.array([0.1, 0, 0, 0.7, -0.7, 0]), RAW, DOWN, 0.04
+        )
         np.testing.assert_allclose(found.setpoint, [0.1, 0, 0, 0], atol=1e-12)
 
     def test_measured_twist_is_that_of_the_camera(self):
@@ -133,9 +182,12 @@ class TestSetpoints:
         craft = Flown(Quadrotor())
         craft.fly([0.8, -0.3, 0.2, 0.4], 3.0)
         before = craft.robot.reported(craft.state, craft.reading())
-        true = DOWN.to_camera @ np.concatenate([craft.R.T @ craft.data.qvel[:3], craft.data.qvel[3:]])
+        true = DOWN.to_camera @ np.concatenate(
+            [craft.R.T @ craft.data.qvel[:3], craft.data.qvel[3:]]
+        )
         found = craft.robot.measured_twist(before, before, 0.04, np.zeros(6), DOWN)
-        # The estimate's noise: 2 cm/s, and a gyro reading's .002 rad/s and what is left of its bias.
+        # The estimate's noise: 2 cm/s, and a gyro reading's .002 rad/s and what is left of its
+        # bias.
         np.testing.assert_allclose(found, true, atol=0.03)
 
     def test_an_order_that_is_no_number_holds(self):
@@ -164,7 +216,8 @@ class TestHover:
         """By velocity alone, no place known, with the default noise and bias of all instruments."""
         log = Flown(Quadrotor(velocity=velocity), seed=2).fly(HOLD, duration)
         away = np.abs(log.position - [0, 0, 2.0]).max(axis=0)
-        # 10 s to learn bias and trim; then a walk by the flow's noise, .03 m/s in 20 ms: 4 mm per root second, 3 cm in 60 s.
+        # 10 s to learn bias and trim; then a walk by the flow's noise, .03 m/s in 20 ms: 4 mm per
+        # root second, 3 cm in 60 s.
         assert away.max() < 0.25
         late = log.velocity[10000:]
         assert np.abs(late.mean(axis=0)).max() < 0.006
@@ -178,23 +231,30 @@ class TestHover:
         assert not any(m.limited_s for m in log.state)
 
     def test_a_gust_of_five_metres_per_second(self):
-        log = Flown(Quadrotor(), seed=1).fly(HOLD, 10.0, lambda t: (5, 0, 0) if 1 <= t < 5 else (0, 0, 0))
-        # 1.5 N on 4 kg; the integral needs a second or two to lean 2.2 degrees into it. Measured: .18 m/s, .37 m.
+        log = Flown(Quadrotor(), seed=1).fly(
+            HOLD, 10.0, lambda t: (5, 0, 0) if 1 <= t < 5 else (0, 0, 0)
+        )
+        # 1.5 N on 4 kg; the integral needs a second or two to lean 2.2 degrees into it. Measured:
+        # .18 m/s, .37 m.
         assert 0.12 < log.velocity[:, 0].max() < 0.25
         assert 0.2 < np.abs(log.position[:, 0]).max() < 0.5
-        assert np.degrees(log.rpy[4000:5000, 1]).mean() == pytest.approx(-2.2, abs=0.4)  # nose up: thrust against the wind
+        # nose up: thrust against the wind
+        assert np.degrees(log.rpy[4000:5000, 1]).mean() == pytest.approx(-2.2, abs=0.4)
         assert np.abs(log.velocity[-1000:]).max() < 0.03
         assert np.abs(log.position[:, 2] - 2.0).max() < 0.1
 
 
 def test_overturned_is_told_until_it_is_level_again():
-    """A tilt beyond 60 degrees may be over before the next picture; that it happened is told until it takes orders again."""
+    """A tilt beyond 60 degrees may be over before the next picture; that it happened is told until
+    it takes orders again.
+    """
     craft = Flown(perfect(height=40.0))
     craft.tilt(roll=math.radians(62))
     log = craft.fly(HOLD, 2.0)
     told = np.array([m.overturned for m in log.state])
     degrees = np.degrees(log.tilt)
-    level = int(np.argmax(degrees < 14.5))  # from 15 degrees on, half a degree for what its estimate is off
+    # from 15 degrees on, half a degree for what its estimate is off
+    level = int(np.argmax(degrees < 14.5))
     assert told[: level - 50].all() and not told[level:].any()
     assert np.ptp(degrees[told]) > 40
 
@@ -218,15 +278,22 @@ class TestDown:
 
     @pytest.mark.parametrize("speed", [0.2, 0.4])
     def test_it_knows_at_once_that_it_stands(self, speed):
-        """On a deck that moves, in wind, a craft that is light on its feet slides off: it must not wait for its climb loop."""
-        craft, told, touched = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.4)))), seed=4), [], []
+        """On a deck that moves, in wind, a craft that is light on its feet slides off: it must not
+        wait for its climb loop.
+        """
+        craft, told, touched = (
+            Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.4)))), seed=4),
+            [],
+            [],
+        )
         for _ in range(200):
             craft.fly(descend(speed), 0.01, lambda t: (6, 0, 0))
             told.append(craft.robot.stands(craft.state, craft.reading()))
             touched.append(craft.data.ncon > 0)
         first = touched.index(True)
         assert not any(told[:first])  # 5 cm before, still sinking as told
-        assert told.index(True) - first < 12  # hundredths of a second; by its rotors alone .5 s and more
+        # hundredths of a second; by its rotors alone .5 s and more
+        assert told.index(True) - first < 12
 
     def test_hovering_low_is_not_standing(self):
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.2)))))
@@ -235,7 +302,8 @@ class TestDown:
 
     def test_a_rotor_at_its_limit_is_told(self):
         craft = Flown(perfect())
-        log = craft.fly([0, 0, 3.0, 0], 0.5)  # 7.5 m/s^2 up: 1.76 times the weight, rotors give 1.35
+        # 7.5 m/s^2 up: 1.76 times the weight, rotors give 1.35
+        log = craft.fly([0, 0, 3.0, 0], 0.5)
         assert log.state[99].limited_s == pytest.approx(0.1, abs=0.02)
         assert craft.robot.reported(craft.state, craft.reading()).estimate.rotor_limit_s > 0.0
         log = craft.fly(HOLD, 1.0)

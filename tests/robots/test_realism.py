@@ -1,4 +1,6 @@
-"""A preset of imperfections fills what is not given, and nothing else; another one replaces what it has filled, and nothing else."""
+"""A preset of imperfections fills what is not given, and nothing else; another one replaces what it
+has filled, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,10 @@ class Cart(Realistic):
     play: Play | None = None
     lag_of_drive_s: float | None = None
     name: str = ""
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": {"play": LAB}, "field": {"play": FIELD, "lag_of_drive_s": 0.2}}
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {
+        "lab": {"play": LAB},
+        "field": {"play": FIELD, "lag_of_drive_s": 0.2},
+    }
 
 
 def made(**given: Any) -> Cart:
@@ -57,22 +62,31 @@ def made(**given: Any) -> Cart:
     return Cart(**given)
 
 
-@pytest.mark.parametrize(("level", "play", "lag"), [("none", None, None), ("lab", LAB, None), ("field", FIELD, 0.2)])
-def test_a_preset_fills_what_is_not_given(level: Level, play: Play | None, lag: float | None) -> None:
+@pytest.mark.parametrize(
+    ("level", "play", "lag"), [("none", None, None), ("lab", LAB, None), ("field", FIELD, 0.2)]
+)
+def test_a_preset_fills_what_is_not_given(
+    level: Level, play: Play | None, lag: float | None
+) -> None:
     cart = Cart(realism=level)
     assert (cart.play, cart.lag_of_drive_s, cart.realism) == (play, lag, level)
 
 
 def test_what_is_given_stays_also_where_it_is_nothing() -> None:
     assert Cart(realism="field", play=None).play is None
-    assert Cart(realism="field", lag_of_drive_s=None) == replace(Cart(realism="field"), lag_of_drive_s=None)
+    assert Cart(realism="field", lag_of_drive_s=None) == replace(
+        Cart(realism="field"), lag_of_drive_s=None
+    )
     assert Cart(realism="field", lag_of_drive_s=0.0).lag_of_drive_s == 0.0
 
 
 def test_some_fields_of_a_block_have_the_others_from_the_preset() -> None:
-    assert made(realism="field", play={"stiffness_npm": 7.0}).play == Play(width_m=1e-2, stiffness_npm=7.0)
+    assert made(realism="field", play={"stiffness_npm": 7.0}).play == Play(
+        width_m=1e-2, stiffness_npm=7.0
+    )
     assert made(play={"stiffness_npm": 7.0}).play == Play(stiffness_npm=7.0)
-    assert Cart(realism="field", play=Play(stiffness_npm=7.0)).play == Play(stiffness_npm=7.0)  # a whole one
+    # a whole one
+    assert Cart(realism="field", play=Play(stiffness_npm=7.0)).play == Play(stiffness_npm=7.0)
 
 
 def test_a_copy_is_the_same() -> None:
@@ -95,12 +109,18 @@ def test_another_level_replaces_what_the_former_has_filled_alone() -> None:
         before = made(realism=former, **given)
         assert before.at_level(now) == made(realism=now, **given)
         if now != former and not given:
-            with pytest.raises(ParameterError, match=f"realism fills nothing here, where every effect is given as at {former}"):
+            with pytest.raises(
+                ParameterError,
+                match=f"realism fills nothing here, where every effect is given as at {former}",
+            ):
                 replace(before, realism=now)
 
 
 def test_off_stays_off_at_another_level() -> None:
-    assert all(made(realism="field", **given | {"play": None}).at_level("lab").play is None for given in GIVEN)
+    assert all(
+        made(realism="field", **given | {"play": None}).at_level("lab").play is None
+        for given in GIVEN
+    )
 
 
 def test_its_short_text_has_what_the_preset_has_not() -> None:
@@ -109,11 +129,17 @@ def test_its_short_text_has_what_the_preset_has_not() -> None:
         brief = brief_mapping(cart)
         assert made(**brief) == cart
         assert brief == {"kind": "cart"} | ({} if level == "none" else {"realism": level}) | given
-    assert brief_mapping(Cart(realism="field", play=None)) == {"kind": "cart", "realism": "field", "play": None}
+    assert brief_mapping(Cart(realism="field", play=None)) == {
+        "kind": "cart",
+        "realism": "field",
+        "play": None,
+    }
 
 
 def test_no_other_level() -> None:
-    with pytest.raises(ParameterError, match=r"Cart.realism must be one of 'none', 'lab' or 'field', got 'labb'"):
+    with pytest.raises(
+        ParameterError, match=r"Cart.realism must be one of 'none', 'lab' or 'field', got 'labb'"
+    ):
         made(realism="labb")
 
 
@@ -121,7 +147,9 @@ def test_the_arm_has_it_in_python_as_in_a_file() -> None:
     arm = vs.robots.Puma560(realism="lab", gears=None)
     assert arm.gears is None
     assert arm.drives == CurrentLoops(bandwidth_hz=500.0)
-    assert vs.robots.Puma560(realism="field", drives={"delay_s": 0.002}).drives == CurrentLoops(bandwidth_hz=200.0, delay_s=0.002)  # pyright: ignore[reportArgumentType] - a block as YAML has it
+    assert vs.robots.Puma560(realism="field", drives={"delay_s": 0.002}).drives == CurrentLoops(
+        bandwidth_hz=200.0, delay_s=0.002
+    )  # pyright: ignore[reportArgumentType] - a block as YAML has it
     ideal = replace(vs.robots.Puma560(realism="lab"), payload={"mass_kg": 1}).idealised()
     assert (ideal.realism, ideal.gears) == ("none", None)
     assert ideal.geometry_error == arm.geometry_error

@@ -12,7 +12,11 @@ def made(W) -> tuple[float, np.ndarray]:
     """Thrust [N] and torque [Nm] from forces at the rotors' places and their drag torques."""
     places = X4.arm_m * np.array([[1, 0, 0], [0, -1, 0], [-1, 0, 0], [0, 1, 0]])
     forces = np.array([[0, 0, X4.thrust_coefficient * w] for w in W])
-    torque = np.cross(places, forces).sum(axis=0) + [0, 0, X4.drag_coefficient * (-W[0] + W[1] - W[2] + W[3])]
+    torque = np.cross(places, forces).sum(axis=0) + [
+        0,
+        0,
+        X4.drag_coefficient * (-W[0] + W[1] - W[2] + W[3]),
+    ]
     return float(forces[:, 2].sum()), torque
 
 
@@ -44,7 +48,10 @@ def test_at_the_limits_attitude_comes_before_thrust_and_thrust_before_yaw():
         # Thrust: the nearest that leaves room for them.
         widest = np.abs(got[:2]).max() / (2 * X4.arm_m * X4.thrust_coefficient)
         assert got_thrust == pytest.approx(
-            4 * X4.thrust_coefficient * np.clip(thrust / (4 * X4.thrust_coefficient), widest, X4.limit - widest), abs=1e-9
+            4
+            * X4.thrust_coefficient
+            * np.clip(thrust / (4 * X4.thrust_coefficient), widest, X4.limit - widest),
+            abs=1e-9,
         )
         # Yaw: never more than asked, never against it.
         assert abs(got[2]) <= abs(torque[2]) + 1e-12 and got[2] * torque[2] >= -1e-12
@@ -68,13 +75,16 @@ def test_yaw_share_leaves_room_for_attitude():
 
 
 def test_speed_control_makes_the_rotor_as_quick_as_told():
-    """Against the lag itself, solved exactly: a small step has the time constant .03 s, not .117."""
+    """Against the lag itself, solved exactly:
+    a small step has the time constant .03 s, not .117.
+    """
     W, plant, wanted = (X4.hover,) * 4, X4.hover, (X4.hover * 1.02,) * 4
     for k in range(1, 100):
         W, u = speed_control(W, wanted, 0.03, 0.001, X4)
         plant = u[0] + (plant - u[0]) * np.exp(-0.001 / X4.rotor_lag_s)
         share = (plant - X4.hover) / (0.02 * X4.hover)
-        assert share == pytest.approx(1 - np.exp(-k * 0.001 / 0.03), abs=0.01)  # orders are held for 1 ms
+        # orders are held for 1 ms
+        assert share == pytest.approx(1 - np.exp(-k * 0.001 / 0.03), abs=0.01)
     assert W[0] == pytest.approx(plant, rel=1e-6)  # what it believes its rotor to turn at
 
 

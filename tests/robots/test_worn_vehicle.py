@@ -1,4 +1,6 @@
-"""Imperfections of vehicles as their robots have them: drawn wheels and floors, lag, presets, what cannot be combined."""
+"""Imperfections of vehicles as their robots have them: drawn wheels and floors, lag, presets, what
+cannot be combined.
+"""
 
 from __future__ import annotations
 
@@ -43,22 +45,36 @@ class TestWheelSpread:
 
 @pytest.mark.parametrize("kind", [Car, Omni])
 class TestDrawn:
-    WORN: ClassVar[dict[str, object]] = {"wheel_spread": WheelSpread(sigma=0.01), "uneven_floor": UnevenFloor(rms_m=0.001)}
+    WORN: ClassVar[dict[str, object]] = {
+        "wheel_spread": WheelSpread(sigma=0.01),
+        "uneven_floor": UnevenFloor(rms_m=0.001),
+    }
 
     def test_a_start_draws_the_start_alone(self, kind: type[Car | Omni]) -> None:
         worn = kind(start=BOX, **self.WORN)
-        plain, with_wear = kind(start=BOX).randomised(np.random.default_rng(3)), worn.randomised(np.random.default_rng(3))
+        plain, with_wear = (
+            kind(start=BOX).randomised(np.random.default_rng(3)),
+            worn.randomised(np.random.default_rng(3)),
+        )
         assert plain.start == with_wear.start
-        assert (with_wear.wheel_spread, with_wear.uneven_floor) == (worn.wheel_spread, worn.uneven_floor)
+        assert (with_wear.wheel_spread, with_wear.uneven_floor) == (
+            worn.wheel_spread,
+            worn.uneven_floor,
+        )
 
     def test_each_seed_has_its_wheels_and_its_floor(self, kind: type[Car | Omni]) -> None:
-        one, again, other = (kind(**self.WORN).drawn(np.random.default_rng(seed)) for seed in (1, 1, 2))
+        one, again, other = (
+            kind(**self.WORN).drawn(np.random.default_rng(seed)) for seed in (1, 1, 2)
+        )
         assert one == again
         assert one.wheel_spread != other.wheel_spread and one.uneven_floor != other.uneven_floor
 
     @pytest.mark.parametrize("name", ["wheel_spread", "uneven_floor"])
     def test_each_is_the_same_without_the_other(self, name: str, kind: type[Car | Omni]) -> None:
-        both, alone = (kind(**blocks).drawn(np.random.default_rng(1)) for blocks in (self.WORN, {name: self.WORN[name]}))
+        both, alone = (
+            kind(**blocks).drawn(np.random.default_rng(1))
+            for blocks in (self.WORN, {name: self.WORN[name]})
+        )
         assert getattr(both, name) == getattr(alone, name)
 
     def test_a_seed_that_is_given_stays(self, kind: type[Car | Omni]) -> None:
@@ -83,14 +99,22 @@ class TestDriveLag:
         np.testing.assert_allclose(ctrl, setpoint * (1 - math.exp(-1)), rtol=1e-9)
 
     def test_a_ramp_is_followed_behind_by_the_time_constant(self) -> None:
-        """The car's order rises by its acceleration; of a drive with lag it is late by drive_lag_s: a tau / r at the wheels."""
+        """The car's order rises by its acceleration; of a drive with lag it is late by drive_lag_s:
+        a tau / r at the wheels.
+        """
         car = Car(drive_lag_s=0.08, limits=CarLimits(speed_mps=3.0, acceleration_mps2=1.0))
         state, dt = car.begin(), 0.01
         for k in range(100):  # wheels that are as told: nothing for the integral
             told = min(3.0, (k + 1) * dt) / 0.15
-            state, ctrl = car.actuate(state, np.array([3.0, 0.0]), Reading(np.zeros(7), np.array([0, 0, 0, told, told, 0, 0])), dt)
+            state, ctrl = car.actuate(
+                state,
+                np.array([3.0, 0.0]),
+                Reading(np.zeros(7), np.array([0, 0, 0, told, told, 0, 0])),
+                dt,
+            )
         behind = state[0] / 0.15 - ctrl[0]
-        # The lag acts from the period on in which it is told: half a period less than in continuous time.
+        # The lag acts from the period on in which it is told: half a period less than in continuous
+        # time.
         assert behind == pytest.approx(1.0 / 0.15 * (0.08 - dt / 2), rel=0.01)
 
     def test_without_it_the_setpoint_is_the_control(self) -> None:
@@ -104,8 +128,13 @@ class TestChanges:
 
     def test_rolling_resistance_is_a_share_of_the_weight(self) -> None:
         """The torques at the radius brake by c m g in all."""
-        for robot, mass, radius in ((Car(rolling_resistance=0.02), 60.0, 0.15), (Omni(rolling_resistance=0.02), 8.0, 0.05)):
-            torques = [value for _, _, _, field, value in robot.body.changes if field == "frictionloss"]
+        for robot, mass, radius in (
+            (Car(rolling_resistance=0.02), 60.0, 0.15),
+            (Omni(rolling_resistance=0.02), 8.0, 0.05),
+        ):
+            torques = [
+                value for _, _, _, field, value in robot.body.changes if field == "frictionloss"
+            ]
             assert len(torques) == 4
             assert sum(torques) / radius == pytest.approx(0.02 * mass * 9.81)
 
@@ -114,7 +143,9 @@ class TestChanges:
         assert change == (loosen, "steering", math.radians(2.0))
 
     def test_tyres_that_slip_take_the_friction_of_the_contacts(self) -> None:
-        assert Car(tyres=Tyres()).body.changes == tuple((put, "geom", f"{name}_contact", "condim", 1) for name in WHEELS)
+        assert Car(tyres=Tyres()).body.changes == tuple(
+            (put, "geom", f"{name}_contact", "condim", 1) for name in WHEELS
+        )
 
 
 @pytest.mark.parametrize("level", ["lab", "field"])
@@ -127,12 +158,18 @@ def test_presets_fill_all_imperfections(level: Level) -> None:
 
 
 def test_odometry_goes_by_the_nominal_wheels() -> None:
-    before, now = Reading(np.zeros(7), np.zeros(7)), Reading(np.array([0, 0, 0, 1.0, 1.2, 0, 0]), np.zeros(7))
+    before, now = (
+        Reading(np.zeros(7), np.zeros(7)),
+        Reading(np.array([0, 0, 0, 1.0, 1.2, 0, 0]), np.zeros(7)),
+    )
     worn = Car(wheel_spread=WheelSpread(errors=(0.0, 0.0, 0.01, -0.01)))
     np.testing.assert_array_equal(worn.odometry(before, now, 0.1), Car().odometry(before, now, 0.1))
 
 
-@pytest.mark.parametrize("wrong", [{"realism": "lab"}, {"rolling_resistance": 0.02}, {"uneven_floor": UnevenFloor(rms_m=0.001)}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"realism": "lab"}, {"rolling_resistance": 0.02}, {"uneven_floor": UnevenFloor(rms_m=0.001)}],
+)
 def test_planar_wheels_have_nothing_of_the_floor(wrong: dict[str, object]) -> None:
     with pytest.raises(ParameterError, match="must be rollers with"):
         Omni(wheels="planar", **wrong)
@@ -145,9 +182,17 @@ def test_a_motor_too_weak_for_the_rolling_resistance_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("wheel_spread", WheelSpread(sigma=0.01)), ("rolling_resistance", 0.02), ("drive_lag_s", 0.1), ("realism", "lab")]
+    ("field", "value"),
+    [
+        ("wheel_spread", WheelSpread(sigma=0.01)),
+        ("rolling_resistance", 0.02),
+        ("drive_lag_s", 0.1),
+        ("realism", "lab"),
+    ],
 )
-def test_a_vehicle_whose_class_has_no_imperfect_wheels_refuses_them(field: str, value: object) -> None:
+def test_a_vehicle_whose_class_has_no_imperfect_wheels_refuses_them(
+    field: str, value: object
+) -> None:
     @spec
     class Kart(Vehicle):
         """A vehicle whose model knows no imperfection of its wheels."""

@@ -51,13 +51,23 @@ def flown() -> list[Taken]:
 
 
 def header(t: float, frame: str = "x") -> Any:
-    return KINDS["std_msgs/msg/Header"](stamp=KINDS["builtin_interfaces/msg/Time"](sec=int(t), nanosec=round(t % 1 * 1e9)), frame_id=frame)
+    return KINDS["std_msgs/msg/Header"](
+        stamp=KINDS["builtin_interfaces/msg/Time"](sec=int(t), nanosec=round(t % 1 * 1e9)),
+        frame_id=frame,
+    )
 
 
 def image(t: float, picture: Any, **other: Any) -> Any:
     h, w = picture.shape[:2]
     data = np.ascontiguousarray(picture[..., ::-1]).reshape(-1)
-    told = {"height": h, "width": w, "encoding": "bgr8", "is_bigendian": 0, "step": 3 * w, "data": data}
+    told = {
+        "height": h,
+        "width": w,
+        "encoding": "bgr8",
+        "is_bigendian": 0,
+        "step": 3 * w,
+        "data": data,
+    }
     return KINDS["sensor_msgs/msg/Image"](header=header(t), **{**told, **other})
 
 
@@ -68,13 +78,20 @@ def compressed(t: float, picture: Any, **other: Any) -> Any:
 
 
 def joints(t: float, q: Any, **other: Any) -> Any:
-    told = {"name": NAMES, "position": np.array([9.0, *q[::-1]]), "velocity": np.zeros(0), "effort": np.zeros(0)}
+    told = {
+        "name": NAMES,
+        "position": np.array([9.0, *q[::-1]]),
+        "velocity": np.zeros(0),
+        "effort": np.zeros(0),
+    }
     return KINDS["sensor_msgs/msg/JointState"](header=header(t), **{**told, **other})
 
 
 def twist(t: float, v: Any) -> Any:
     vector = KINDS["geometry_msgs/msg/Vector3"]
-    told = KINDS["geometry_msgs/msg/Twist"](linear=vector(*map(float, v[:3])), angular=vector(*map(float, v[3:])))
+    told = KINDS["geometry_msgs/msg/Twist"](
+        linear=vector(*map(float, v[:3])), angular=vector(*map(float, v[3:]))
+    )
     return KINDS["geometry_msgs/msg/TwistStamped"](header=header(t), twist=told)
 
 
@@ -82,7 +99,9 @@ Put = tuple[str, float, Any]  # topic, time of receipt [s], message
 
 
 def usual(taken: list[Taken], pictures: Callable[..., Any] = image) -> list[Put]:
-    """The messages of a flight: three readings about each picture, the picture, and the twist that answers it."""
+    """The messages of a flight: three readings about each picture, the picture, and the twist that
+    answers it.
+    """
     put: list[Put] = []
     for one in taken:
         t = BEGAN + one.t
@@ -91,8 +110,15 @@ def usual(taken: list[Taken], pictures: Callable[..., Any] = image) -> list[Put]
     return put
 
 
-def written(path: Path, put: list[Put], plugin: StoragePlugin = StoragePlugin.MCAP, mode: CompressionMode = CompressionMode.NONE) -> Path:
-    """A bag of messages by rosbags' own writer. Raw bytes are taken as they are, as (kind, bytes)."""
+def written(
+    path: Path,
+    put: list[Put],
+    plugin: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
+) -> Path:
+    """A bag of messages by rosbags' own writer.
+    Raw bytes are taken as they are, as (kind, bytes).
+    """
     with_mode = Writer(path, version=9, storage_plugin=plugin)
     if mode is not CompressionMode.NONE:
         with_mode.set_compression(mode, CompressionFormat.ZSTD)
@@ -167,7 +193,21 @@ def double(rng: np.random.Generator, bag: Path) -> None:
     file.write_bytes(raw[:end] + raw[at:])
 
 
-STRANGE = [None, -1, 2**70, "", "x", [], {}, 1e308, float("nan"), True, "../../etc/passwd", ["a"], {"nanoseconds": -5}]
+STRANGE = [
+    None,
+    -1,
+    2**70,
+    "",
+    "x",
+    [],
+    {},
+    1e308,
+    float("nan"),
+    True,
+    "../../etc/passwd",
+    ["a"],
+    {"nanoseconds": -5},
+]
 
 
 def metadata(rng: np.random.Generator, bag: Path) -> None:
@@ -179,7 +219,13 @@ def metadata(rng: np.random.Generator, bag: Path) -> None:
     places: list[tuple[Any, Any]] = []
 
     def walk(node: Any) -> None:
-        for key, value in node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ():
+        for key, value in (
+            node.items()
+            if isinstance(node, dict)
+            else enumerate(node)
+            if isinstance(node, list)
+            else ()
+        ):
             places.append((node, key))
             walk(value)
 
@@ -195,7 +241,12 @@ def metadata(rng: np.random.Generator, bag: Path) -> None:
 
 def swap_types(rng: np.random.Generator, bag: Path) -> None:
     """Topics are said to be of another type, in metadata and in the file."""
-    names = [b"sensor_msgs/msg/Image", b"sensor_msgs/msg/JointState", b"geometry_msgs/msg/TwistStamped", b"no_such_msgs/msg/A"]
+    names = [
+        b"sensor_msgs/msg/Image",
+        b"sensor_msgs/msg/JointState",
+        b"geometry_msgs/msg/TwistStamped",
+        b"no_such_msgs/msg/A",
+    ]
     a, b = (names[i] for i in rng.choice(len(names), 2, replace=False))
     for file in bag.iterdir():
         raw = file.read_bytes()
@@ -250,7 +301,18 @@ def rows(rng: np.random.Generator, bag: Path) -> None:
     return None
 
 
-BREAKS: list[Break] = [flip, flip_near_the_ends, lengthen, cut, cut_out, double, metadata, swap_types, other_kind, rows]
+BREAKS: list[Break] = [
+    flip,
+    flip_near_the_ends,
+    lengthen,
+    cut,
+    cut_out,
+    double,
+    metadata,
+    swap_types,
+    other_kind,
+    rows,
+]
 
 
 def broken_message(rng: np.random.Generator, put: list[Put]) -> list[Put]:
@@ -259,7 +321,11 @@ def broken_message(rng: np.random.Generator, put: list[Put]) -> list[Put]:
     topics = ["/cam/color", "/joint_states", "/cmd"]
     topic = topics[rng.integers(3)]
     every = [i for i, one in enumerate(put) if one[0] == topic]
-    those = every if rng.random() < 0.3 else [every[i] for i in rng.integers(len(every), size=rng.integers(1, 4))]
+    those = (
+        every
+        if rng.random() < 0.3
+        else [every[i] for i in rng.integers(len(every), size=rng.integers(1, 4))]
+    )
     how = rng.integers(8)
     for i in dict.fromkeys(those):
         _, t, message = put[i]
@@ -282,17 +348,25 @@ def broken_message(rng: np.random.Generator, put: list[Put]) -> list[Put]:
         elif how == 5:
             t = float(rng.choice([0.0, t - 5, t + 1e6]))
         elif how == 6 and topic == "/joint_states":
-            message.position = np.array([np.nan] * 7) if rng.random() < 0.5 else np.zeros(rng.integers(7))
+            message.position = (
+                np.array([np.nan] * 7) if rng.random() < 0.5 else np.zeros(rng.integers(7))
+            )
             raw = STORE.serialize_cdr(message, kind)
         elif how == 6 and topic == "/cam/color":
-            name, value = [("encoding", "bayer_rggb8"), ("encoding", "16UC1"), ("step", 1), ("height", 100_000), ("width", 0)][
-                rng.integers(5)
-            ]
+            name, value = [
+                ("encoding", "bayer_rggb8"),
+                ("encoding", "16UC1"),
+                ("step", 1),
+                ("height", 100_000),
+                ("width", 0),
+            ][rng.integers(5)]
             if hasattr(message, name):
                 setattr(message, name, value)
             raw = STORE.serialize_cdr(message, kind)
         else:
-            raw = bytearray(rng.integers(256, size=int(rng.integers(3000)), dtype=np.uint8).tobytes())
+            raw = bytearray(
+                rng.integers(256, size=int(rng.integers(3000)), dtype=np.uint8).tobytes()
+            )
         put[i] = (topic, t, (kind, bytes(raw)))
     return put
 

@@ -1,4 +1,6 @@
-"""Bags: written for other readers, replayed to the last digit, also those that somebody else has written."""
+"""Bags: written for other readers, replayed to the last digit, also those that somebody else has
+written.
+"""
 
 from pathlib import Path
 
@@ -38,15 +40,29 @@ def test_two_independent_readers_open_it(run, bag):
     with AnyReader([bag]) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections}
         counts = {c.topic: c.msgcount for c in reader.connections}
-    assert kinds["/vstestbed_robot/image_raw"] == "sensor_msgs/msg/Image" and kinds["/tf"] == "tf2_msgs/msg/TFMessage"
-    assert counts["/vstestbed_robot/image_raw"] == counts["/servo_node/delta_twist_cmds"] == counts["/truth/camera_pose"] == len(log)
+    assert (
+        kinds["/vstestbed_robot/image_raw"] == "sensor_msgs/msg/Image"
+        and kinds["/tf"] == "tf2_msgs/msg/TFMessage"
+    )
+    assert (
+        counts["/vstestbed_robot/image_raw"]
+        == counts["/servo_node/delta_twist_cmds"]
+        == counts["/truth/camera_pose"]
+        == len(log)
+    )
     found = {}
     for message in read_ros2_messages(bag / "bag.mcap"):
         found.setdefault(message.channel.topic, []).append(message.ros_msg)
     assert {topic: len(messages) for topic, messages in found.items()} == counts
-    q = np.array([one.position for one in found["/joint_states"]])[::2]  # at the exposure, and at the arrival
-    np.testing.assert_allclose(q, log.select([f"q_joint_{i}" for i in range(1, 7)]).to_numpy(), atol=1e-12)
-    true = [[one.pose.position.x, one.pose.position.y, one.pose.position.z] for one in found["/truth/camera_pose"]]
+    # at the exposure, and at the arrival
+    q = np.array([one.position for one in found["/joint_states"]])[::2]
+    np.testing.assert_allclose(
+        q, log.select([f"q_joint_{i}" for i in range(1, 7)]).to_numpy(), atol=1e-12
+    )
+    true = [
+        [one.pose.position.x, one.pose.position.y, one.pose.position.z]
+        for one in found["/truth/camera_pose"]
+    ]
     np.testing.assert_allclose(true, log.select("cam_x", "cam_y", "cam_z").to_numpy(), atol=1e-12)
     twists = [one.twist.linear.x for one in found["/servo_node/delta_twist_cmds"]]
     np.testing.assert_allclose(twists[:-1], log["applied_vx"][:-1].to_numpy(), atol=1e-12)
@@ -60,18 +76,25 @@ def test_replayed_its_twists_are_the_recorded_ones(bag, run):
     file = replay(bag / "bag.mcap", scenario)
     np.testing.assert_array_equal(file.computed, found.computed)
     other = replay(bag, vs.load("arm_ibvs", {**GIVEN, "law.gain": 1.0}))
-    assert np.median(np.linalg.norm(other.computed, axis=1) / np.linalg.norm(found.computed, axis=1)) == pytest.approx(2, rel=0.2)
+    assert np.median(
+        np.linalg.norm(other.computed, axis=1) / np.linalg.norm(found.computed, axis=1)
+    ) == pytest.approx(2, rel=0.2)
 
 
 def test_a_file_for_foxglove_is_replayed(run):
     path = write_mcap(RecordedRun.of(run), run.with_name("run.mcap"))
-    found = replay(path, vs.load("arm_ibvs", {**GIVEN, "camera.latency_s": 0.0, "timing.command_latency_s": 0.0}))
+    found = replay(
+        path,
+        vs.load("arm_ibvs", {**GIVEN, "camera.latency_s": 0.0, "timing.command_latency_s": 0.0}),
+    )
     assert len(found.table) == len(found.differs) + (len(found.table) - len(found.differs)) > 15
     assert np.isfinite(found.computed).all()
 
 
 def plain_bag(path, frames, plugin, image="/cam/color", twist="/cmd"):
-    """A bag by rosbags alone, as a camera's and a robot's driver would fill it: joints at 100 Hz, in another order, and grey pictures."""
+    """A bag by rosbags alone, as a camera's and a robot's driver would fill it: joints at 100 Hz,
+    in another order, and grey pictures.
+    """
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = store.types
     names = ["finger", "joint_6", "joint_5", "joint_4", "joint_3", "joint_2", "joint_1"]
@@ -81,8 +104,15 @@ def plain_bag(path, frames, plugin, image="/cam/color", twist="/cmd"):
         return kinds["std_msgs/msg/Header"](stamp=time, frame_id="x")
 
     with Writer(path, version=8, storage_plugin=plugin) as bag:
-        topics = {"/joint_states": "sensor_msgs/msg/JointState", image: "sensor_msgs/msg/Image", twist: "geometry_msgs/msg/TwistStamped"}
-        to = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+        topics = {
+            "/joint_states": "sensor_msgs/msg/JointState",
+            image: "sensor_msgs/msg/Image",
+            twist: "geometry_msgs/msg/TwistStamped",
+        }
+        to = {
+            topic: bag.add_connection(topic, kind, typestore=store)
+            for topic, kind in topics.items()
+        }
 
         def put(topic, t, **fields):
             message = kinds[topics[topic]](header=at(t), **fields)
@@ -91,7 +121,14 @@ def plain_bag(path, frames, plugin, image="/cam/color", twist="/cmd"):
         for t, picture, q, v in frames:
             for k in (-1, 0, 1):
                 told = np.array([9.0, *(q + 0.01 * k)[::-1]])
-                put("/joint_states", t + 0.01 * k, name=names, position=told, velocity=np.zeros(0), effort=np.zeros(0))
+                put(
+                    "/joint_states",
+                    t + 0.01 * k,
+                    name=names,
+                    position=told,
+                    velocity=np.zeros(0),
+                    effort=np.zeros(0),
+                )
             data = np.ascontiguousarray(picture[..., ::-1]).reshape(-1)
             h, w = picture.shape[:2]
             put(image, t, height=h, width=w, encoding="bgr8", is_bigendian=0, step=3 * w, data=data)
@@ -103,7 +140,9 @@ def plain_bag(path, frames, plugin, image="/cam/color", twist="/cmd"):
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_bag_of_somebody_else_is_replayed(tmp_path, plugin):
-    """Twists equal those of the controller that is fed by hand; topics of other names are found by their kinds."""
+    """Twists equal those of the controller that is fed by hand; topics of other names are found by
+    their kinds.
+    """
     scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.4})
     controller, frames, expected = vs.Controller(scenario), [], []
     with vs.Session(scenario, pictures=True) as session:
@@ -125,18 +164,28 @@ def test_a_bag_of_somebody_else_is_replayed(tmp_path, plugin):
 
 def test_a_bag_is_a_record_for_identification(bag):
     record = record_of(bag, vs.load("arm_ibvs", GIVEN))
-    assert {"t", "arrived", "u_0", "u_5", "q_joint_1", "qd_joint_6", "u_px_0", "v_px_3"} <= set(record.columns)
+    assert {"t", "arrived", "u_0", "u_5", "q_joint_1", "qd_joint_6", "u_px_0", "v_px_3"} <= set(
+        record.columns
+    )
     np.testing.assert_allclose((record["arrived"] - record["t"]).to_numpy(), 0.02, atol=1e-9)
 
 
 def test_a_topic_that_maps_nothing_is_refused(bag, run):
     scenario = vs.load("arm_ibvs", GIVEN)
-    with pytest.raises(ParameterError, match=r"--remap must be one of image_raw, twist, joint_states, got 'imag_raw'"):
+    with pytest.raises(
+        ParameterError,
+        match=r"--remap must be one of image_raw, twist, joint_states, got 'imag_raw'",
+    ):
         replay(bag, scenario, remapped(["imag_raw:=/x"]))
     with pytest.raises(ParameterError, match="--remap is for bags of ROS"):
-        replay(write_mcap(RecordedRun.of(run), run.with_name("mapped.mcap")), scenario, remapped(["image_raw=/x"]))
+        replay(
+            write_mcap(RecordedRun.of(run), run.with_name("mapped.mcap")),
+            scenario,
+            remapped(["image_raw=/x"]),
+        )
     given = ["~/image_raw:=/a", "image_raw:=/b", "/joint_states=arm/joints"]
-    assert remapped(given) == {"image_raw": "/a", "joint_states": "/arm/joints"}  # the first one of each, absolutely
+    # the first one of each, absolutely
+    assert remapped(given) == {"image_raw": "/a", "joint_states": "/arm/joints"}
 
 
 def test_the_page_says_how_many_agree(bag, tmp_path):
@@ -160,7 +209,11 @@ def test_what_is_no_bag_is_refused(tmp_path, run):
         with pytest.raises(RunFolderError, match=words):
             replay(path, scenario)
     by_hand = run_into(
-        tmp_path / "hand", vs.load("arm_ibvs", {"stop.duration_s": 0.1, "description": "Changed by hand during the run: x"}), "none"
+        tmp_path / "hand",
+        vs.load(
+            "arm_ibvs", {"stop.duration_s": 0.1, "description": "Changed by hand during the run: x"}
+        ),
+        "none",
     )
     assert by_hand.outcome
     with pytest.raises(RunFolderError, match="commanded from outside"):

@@ -1,4 +1,6 @@
-"""Messages: pictures in every encoding, joints by name, readings of every robot there and back, against the classes of rosbags alone."""
+"""Messages: pictures in every encoding, joints by name, readings of every robot there and back,
+against the classes of rosbags alone.
+"""
 
 import cv2
 import numpy as np
@@ -23,12 +25,27 @@ def sent(message):
 
 def as_image(data, encoding, width, step, big=0):
     data = np.frombuffer(data, np.uint8)
-    return m.made(m.IMAGE, header=m.header(1.5, "cam"), height=6, width=width, encoding=encoding, is_bigendian=big, step=step, data=data)
+    return m.made(
+        m.IMAGE,
+        header=m.header(1.5, "cam"),
+        height=6,
+        width=width,
+        encoding=encoding,
+        is_bigendian=big,
+        step=step,
+        data=data,
+    )
 
 
 def test_a_picture_is_what_others_read():
     there = sent(m.image(1.25, PICTURE))
-    assert (there.height, there.width, there.encoding, there.step, there.header.frame_id) == (6, 8, "rgb8", 24, "camera_optical_frame")
+    assert (there.height, there.width, there.encoding, there.step, there.header.frame_id) == (
+        6,
+        8,
+        "rgb8",
+        24,
+        "camera_optical_frame",
+    )
     assert (there.header.stamp.sec, there.header.stamp.nanosec) == (1, 250_000_000)
     np.testing.assert_array_equal(there.data.reshape(6, 8, 3), PICTURE)
 
@@ -44,23 +61,38 @@ def test_pictures_of_every_encoding_are_read():
         (grey, "mono8", 8, grey.repeat(3, axis=2)),
         (padded, "rgb8", 29, PICTURE),
     ):
-        np.testing.assert_array_equal(m.picture_of(as_image(data.tobytes(), encoding, 8, step)), expected, err_msg=encoding)
+        np.testing.assert_array_equal(
+            m.picture_of(as_image(data.tobytes(), encoding, 8, step)), expected, err_msg=encoding
+        )
     png = cv2.imencode(".png", PICTURE[..., ::-1])[1].ravel()
     compressed = m.made(m.COMPRESSED, header=m.header(0.0, ""), format="png", data=png)
     np.testing.assert_array_equal(m.picture_of(compressed), PICTURE)
     millimetres = np.arange(48, dtype="<u2").reshape(6, 8) * 100
-    np.testing.assert_allclose(m.depth_of(as_image(millimetres.tobytes(), "16UC1", 8, 16)), millimetres / 1000)
-    np.testing.assert_allclose(m.depth_of(as_image(millimetres.byteswap().tobytes(), "16UC1", 8, 16, big=1)), millimetres / 1000)
-    millimetres_far = np.full((8, 16), 65535, np.uint16)  # at the end of its numbers: farther than any, or nothing
+    np.testing.assert_allclose(
+        m.depth_of(as_image(millimetres.tobytes(), "16UC1", 8, 16)), millimetres / 1000
+    )
+    np.testing.assert_allclose(
+        m.depth_of(as_image(millimetres.byteswap().tobytes(), "16UC1", 8, 16, big=1)),
+        millimetres / 1000,
+    )
+    # at the end of its numbers: farther than any, or nothing
+    millimetres_far = np.full((8, 16), 65535, np.uint16)
     assert np.isnan(m.depth_of(as_image(millimetres_far.tobytes(), "16UC1", 8, 16))).all()
-    np.testing.assert_allclose(m.depth_of(sent(m.depth_image(0.0, millimetres.astype(np.float32)))), millimetres)
+    np.testing.assert_allclose(
+        m.depth_of(sent(m.depth_image(0.0, millimetres.astype(np.float32)))), millimetres
+    )
 
 
 def test_pictures_that_are_none_are_refused():
     for message, words in (
         (as_image(b"\0" * 48, "yuv422", 8, 8), "must be one of rgb8"),
         (as_image(b"\0" * 40, "rgb8", 8, 24), "has 40 bytes"),
-        (m.made(m.COMPRESSED, header=m.header(0.0, ""), format="h264", data=np.zeros(9, np.uint8)), "neither JPEG nor PNG"),
+        (
+            m.made(
+                m.COMPRESSED, header=m.header(0.0, ""), format="h264", data=np.zeros(9, np.uint8)
+            ),
+            "neither JPEG nor PNG",
+        ),
     ):
         with pytest.raises(ParameterError, match=words):
             m.picture_of(message)
@@ -69,13 +101,20 @@ def test_pictures_that_are_none_are_refused():
 def test_a_camera_info_projects_as_the_camera_does():
     for camera, project in (
         (Perspective(distortion=(-0.2, 0.05, 0.001, -0.002, 0.01), principal_px=(330, 230)), None),
-        (Fisheye(coefficients=(0.03, -0.004, 0.002, -0.0005), fov_deg=120), cv2.fisheye.projectPoints),
+        (
+            Fisheye(coefficients=(0.03, -0.004, 0.002, -0.0005), fov_deg=120),
+            cv2.fisheye.projectPoints,
+        ),
     ):
         info = sent(m.camera_info(0.0, camera))
         p = np.random.default_rng(2).uniform([-0.4, -0.3, 0.9], [0.4, 0.3, 1.5], (20, 3))
         K, d = info.k.reshape(3, 3), np.array(info.d)
         zero = np.zeros(3)
-        uv = (cv2.projectPoints(p, zero, zero, K, d) if project is None else project(p[:, None], zero, zero, K, d))[0][:, 0]
+        uv = (
+            cv2.projectPoints(p, zero, zero, K, d)
+            if project is None
+            else project(p[:, None], zero, zero, K, d)
+        )[0][:, 0]
         np.testing.assert_allclose(uv.reshape(-1, 2), camera.project(p), atol=1e-6)
         assert info.distortion_model == ("plumb_bob" if project is None else "equidistant")
     assert m.camera_info(0.0, vs.load("car_catadioptric").camera) is None
@@ -106,7 +145,9 @@ def test_readings_of_every_robot_go_there_and_back():
             estimate = FlightEstimate(v, w, tilt, w, 0.0, False, False)
             given = FlightReading(q, 2 * q, 0.7, tilt, range_m=1.5, estimate=estimate)
         told = {topic: sent(message) for topic, message in m.readings(3.0, robot, given).items()}
-        assert {topic: message.__msgtype__ for topic, message in told.items()} == m.sensors_of(robot)
+        assert {topic: message.__msgtype__ for topic, message in told.items()} == m.sensors_of(
+            robot
+        )
         again = m.reading_of(robot, told)
         np.testing.assert_allclose(again.q, q)
         np.testing.assert_allclose(again.qd, 2 * q)
@@ -128,7 +169,13 @@ def test_an_attitude_that_is_none_is_refused_by_name(o):
         imu = m.readings(0.0, scenario.robot, session.episode.plant.reading())["imu"]
     m.check_finite("imu", imu)
     imu.orientation.w, imu.orientation.x, imu.orientation.y, imu.orientation.z = o
-    with pytest.raises(ParameterError, match=r"imu.orientation is no unit quaternion; a driver without an attitude sets the first number"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            r"imu.orientation is no unit quaternion;"
+            r" a driver without an attitude sets the first number"
+        ),
+    ):
         m.check_finite("imu", imu)
     imu.orientation_covariance[0] = -1.0
     m.check_finite("imu", imu)
@@ -136,16 +183,29 @@ def test_an_attitude_that_is_none_is_refused_by_name(o):
 
 def test_a_range_of_humble_is_read():
     humble = get_typestore(Stores.ROS2_HUMBLE)
-    given = m.readings(3.0, (craft := vs.load("quadrotor_perspective").robot), _flying(craft))["range"]
+    given = m.readings(3.0, (craft := vs.load("quadrotor_perspective").robot), _flying(craft))[
+        "range"
+    ]
     kind = humble.types[m.RANGE]
-    fields = {name: getattr(given, name) for name in kind.__dataclass_fields__ if name not in ("ULTRASOUND", "INFRARED", "__msgtype__")}
+    fields = {
+        name: getattr(given, name)
+        for name in kind.__dataclass_fields__
+        if name not in ("ULTRASOUND", "INFRARED", "__msgtype__")
+    }
     assert m.from_cdr(bytes(humble.serialize_cdr(kind(**fields), m.RANGE)), m.RANGE).range == 1.5
 
 
 def _flying(robot):
     zero, tilt = np.zeros(3), np.array([0.1, -0.2])
     q = np.zeros(len(robot.joints))
-    return FlightReading(q, q, 0.7, tilt, range_m=1.5, estimate=FlightEstimate(zero, zero, tilt, zero, 0.0, False, False))
+    return FlightReading(
+        q,
+        q,
+        0.7,
+        tilt,
+        range_m=1.5,
+        estimate=FlightEstimate(zero, zero, tilt, zero, 0.0, False, False),
+    )
 
 
 def test_twists_and_poses_are_what_others_read():
@@ -161,4 +221,6 @@ def test_twists_and_poses_are_what_others_read():
     assert (one.header.frame_id, one.child_frame_id, one.transform.translation.y) == ("a", "b", 2)
     from scipy.spatial.transform import Rotation
 
-    np.testing.assert_allclose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), T[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(
+        Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), T[:3, :3], atol=1e-12
+    )

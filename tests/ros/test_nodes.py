@@ -1,4 +1,6 @@
-"""Robot and law as nodes, over zenoh on this machine: the same run as without them, stops that stay, silence that stops."""
+"""Robot and law as nodes, over zenoh on this machine: the same run as without them, stops that
+stay, silence that stops.
+"""
 
 import threading
 import time
@@ -17,11 +19,15 @@ from vstestbed.ros.robot import RobotNode
 
 
 class Wire(Link):
-    """A link in this process: what is published is heard at once, by whoever has the same wire. It crosses as CDR."""
+    """A link in this process: what is published is heard at once, by whoever has the same wire. It
+    crosses as CDR.
+    """
 
     def __init__(self, node, others=None):
         super().__init__(node, 0)
-        self.shared = {"topics": {}, "services": {}, "said": []} if others is None else others.shared
+        self.shared = (
+            {"topics": {}, "services": {}, "said": []} if others is None else others.shared
+        )
 
     def publish(self, topic, message, now=0.0):
         name, data = self.name(topic), m.to_cdr(message)
@@ -42,7 +48,11 @@ class Wire(Link):
         pass
 
     def twists(self):
-        return [m.twist_of(message) for _, message in self.shared["said"] if message.__msgtype__ == m.TWIST]
+        return [
+            m.twist_of(message)
+            for _, message in self.shared["said"]
+            if message.__msgtype__ == m.TWIST
+        ]
 
 
 def spun(node):
@@ -67,7 +77,9 @@ def flown(name, given, robot_link, law_link, watch=None, **robot):
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "omni_ibvs", "arm_eye_to_hand"])
 def test_commanded_by_messages_it_is_the_same_run(name):
-    """Pictures, readings and twists cross as CDR; the twists are in the camera's frame for the arm, in the body's for the others."""
+    """Pictures, readings and twists cross as CDR; the twists are in the camera's frame for the arm,
+    in the body's for the others.
+    """
     given = {"stop.duration_s": 1.2, "camera.latency_s": 0.02, "timing.command_latency_s": 0.02}
     wire = Wire("vstestbed_robot")
     node, law, recording = flown(name, given, wire, Wire("vstestbed_law", wire))
@@ -75,10 +87,22 @@ def test_commanded_by_messages_it_is_the_same_run(name):
     mine, theirs = recording.rows.frame(), expected.rows.frame()
     assert len(mine) == len(theirs) > 20
     for column in ("applied_vx", "applied_wz", "cam_x", "cam_z", "u_0"):
-        np.testing.assert_allclose(mine[column].to_numpy()[:-1], theirs[column].to_numpy()[:-1], atol=1e-9, err_msg=column)
-    assert len(node.answered_s) == len(mine) - 1 and command_frame(law.scenario) in ("camera_optical_frame", "base_link", "flange")
+        np.testing.assert_allclose(
+            mine[column].to_numpy()[:-1], theirs[column].to_numpy()[:-1], atol=1e-9, err_msg=column
+        )
+    assert len(node.answered_s) == len(mine) - 1 and command_frame(law.scenario) in (
+        "camera_optical_frame",
+        "base_link",
+        "flange",
+    )
     topics = {topic for topic, _ in wire.shared["said"]}
-    assert {"/clock", "/tf", "/vstestbed_robot/image_raw", "/vstestbed_robot/camera_info", command_topic(law.scenario)} <= topics
+    assert {
+        "/clock",
+        "/tf",
+        "/vstestbed_robot/image_raw",
+        "/vstestbed_robot/camera_info",
+        command_topic(law.scenario),
+    } <= topics
     assert not any(topic.startswith("/truth") for topic in topics)
     assert (wire.twists()[-1] == 0).all()  # a law that ends leaves the robot at rest
 
@@ -86,11 +110,17 @@ def test_commanded_by_messages_it_is_the_same_run(name):
 def test_over_zenoh_it_is_the_same_run_and_services_answer():
     end = ["tcp/127.0.0.1:17447"]
     given = {"stop.duration_s": 0.6}
-    with connected("vstestbed_robot", "zenoh", listen=end) as a, connected("vstestbed_law", "zenoh", connect=end) as b:
+    with (
+        connected("vstestbed_robot", "zenoh", listen=end) as a,
+        connected("vstestbed_law", "zenoh", connect=end) as b,
+    ):
         _, law, recording = flown("arm_ibvs", given, a, b, truth=True)
         expected = vs.run(vs.load("arm_ibvs", given), pictures=True).rows.frame()
-        # The node's law finds the markers in whole pictures, of which the run draws windows: a pixel at an edge may be another one.
-        np.testing.assert_allclose(recording.rows.frame()["cam_x"].to_numpy(), expected["cam_x"].to_numpy(), atol=1e-4)
+        # The node's law finds the markers in whole pictures, of which the run draws windows: a
+        # pixel at an edge may be another one.
+        np.testing.assert_allclose(
+            recording.rows.frame()["cam_x"].to_numpy(), expected["cam_x"].to_numpy(), atol=1e-4
+        )
         assert law.took_s
         assert a.call("/vstestbed_law/stop") == (True, "asked to stop")
         assert a.call("/nobody/stop", 0.2) is None
@@ -100,14 +130,18 @@ def test_the_status_says_what_limits_the_motion():
     """An aligned wrist cannot make all of the first twists."""
     wire = Wire("vstestbed_robot")
     flown("arm_wrist", {"stop.duration_s": 0.2}, wire, Wire("vstestbed_law", wire))
-    said = [message.data for topic, message in wire.shared["said"] if topic == "/vstestbed_law/status"]
+    said = [
+        message.data for topic, message in wire.shared["said"] if topic == "/vstestbed_law/status"
+    ]
     assert any(words.startswith(f"servoing: {LIMITS['singular']}") for words in said), said
 
 
 def test_the_truth_is_told_only_if_it_is_asked_for():
     wire = Wire("vstestbed_robot")
     flown("arm_ibvs", {"stop.duration_s": 0.2}, wire, Wire("vstestbed_law", wire), truth=True)
-    assert {"/truth/camera_pose", "/truth/target_pose"} <= {topic for topic, _ in wire.shared["said"]}
+    assert {"/truth/camera_pose", "/truth/target_pose"} <= {
+        topic for topic, _ in wire.shared["said"]
+    }
 
 
 class At:
@@ -126,7 +160,9 @@ def test_nothing_moves_after_a_stop_of_the_law_until_it_is_started():
     wire = Wire("vstestbed_robot")
     law_wire = Wire("vstestbed_law", wire)
     at = At(10, lambda: wire.call("/vstestbed_law/stop"))
-    _, law, _ = flown("arm_ibvs", {"stop.duration_s": 2.0, "stop.rest_after_s": None}, wire, law_wire, [at])
+    _, law, _ = flown(
+        "arm_ibvs", {"stop.duration_s": 2.0, "stop.rest_after_s": None}, wire, law_wire, [at]
+    )
     assert max(at.speeds[:10]) > 0.05 and max(at.speeds[25:]) < 1e-3
     assert law.start() == (True, "servoing")
     assert law.reset()[1] == "not started"
@@ -135,7 +171,13 @@ def test_nothing_moves_after_a_stop_of_the_law_until_it_is_started():
 def test_nothing_moves_after_a_stop_of_the_robot():
     wire = Wire("vstestbed_robot")
     at = At(10, lambda: wire.call("/vstestbed_robot/stop"))
-    flown("arm_ibvs", {"stop.duration_s": 2.0, "stop.rest_after_s": None}, wire, Wire("vstestbed_law", wire), [at])
+    flown(
+        "arm_ibvs",
+        {"stop.duration_s": 2.0, "stop.rest_after_s": None},
+        wire,
+        Wire("vstestbed_law", wire),
+        [at],
+    )
     assert max(at.speeds[:10]) > 0.05 and max(at.speeds[25:]) < 1e-3
 
 
@@ -143,9 +185,18 @@ def test_a_robot_whose_law_is_silent_comes_to_rest():
     wire, quiet = Wire("vstestbed_robot"), []
     law_wire = Wire("vstestbed_law", wire)
     publish = law_wire.publish
-    law_wire.publish = lambda topic, message, now=0.0: None if quiet else publish(topic, message, now)
+    law_wire.publish = lambda topic, message, now=0.0: (
+        None if quiet else publish(topic, message, now)
+    )
     at = At(10, lambda: quiet.append(1))
-    flown("arm_ibvs", {"stop.duration_s": 2.0, "stop.rest_after_s": None}, wire, law_wire, [at], watchdog_s=0.1)
+    flown(
+        "arm_ibvs",
+        {"stop.duration_s": 2.0, "stop.rest_after_s": None},
+        wire,
+        law_wire,
+        [at],
+        watchdog_s=0.1,
+    )
     assert max(at.speeds[:10]) > 0.05 and max(at.speeds[25:]) < 1e-3
 
 
@@ -161,8 +212,12 @@ def test_a_law_without_pictures_sends_zero_and_says_why():
     ended.set()
     thread.join(5)
     assert len(after) >= 2 and not np.any(after)
-    said = [message.data for topic, message in wire.shared["said"] if topic == "/vstestbed_law/status"]
-    assert "stopped: no picture for over 0.1 s" in said and said[-1] == "stopped: the node has ended"
+    said = [
+        message.data for topic, message in wire.shared["said"] if topic == "/vstestbed_law/status"
+    ]
+    assert (
+        "stopped: no picture for over 0.1 s" in said and said[-1] == "stopped: the node has ended"
+    )
 
 
 def test_a_law_that_has_not_begun_leaves_the_robot_to_others():
@@ -182,7 +237,9 @@ def test_a_picture_without_its_readings_stops_with_its_reason():
     time.sleep(0.4)
     ended.set()
     thread.join(5)
-    said = [message.data for topic, message in wire.shared["said"] if topic == "/vstestbed_law/status"]
+    said = [
+        message.data for topic, message in wire.shared["said"] if topic == "/vstestbed_law/status"
+    ]
     assert any("need joint_states (sensor_msgs/msg/JointState)" in words for words in said)
 
 
@@ -210,7 +267,9 @@ def test_what_cannot_be_a_node_is_refused(monkeypatch):
 
 
 def test_readings_stand_in_the_order_of_their_times_once():
-    """With a camera later than its period the reading of now is told before that of the next exposure, and both again and again."""
+    """With a camera later than its period the reading of now is told before that of the next
+    exposure, and both again and again.
+    """
     robot = vs.load("arm_ibvs").robot
     senses = Senses(robot, 0.06)
     for t in (0.0, 0.1, 0.04, 0.14, 0.04, 0.14, 0.08, 0.18):
@@ -219,14 +278,21 @@ def test_readings_stand_in_the_order_of_their_times_once():
     for t in (0.0, 0.04, 0.06, 0.08, 0.11, 0.18):
         np.testing.assert_allclose(senses.at(t).q, t, atol=1e-9)
     assert senses.at().q[0] == pytest.approx(0.18)
-    senses.hear("joint_states", m.readings(100.0, robot, vs.Reading(np.ones(6), np.ones(6)))["joint_states"])
-    senses.hear("joint_states", m.readings(0.0, robot, vs.Reading(np.zeros(6), np.ones(6)))["joint_states"])  # the robot was started again
+    senses.hear(
+        "joint_states", m.readings(100.0, robot, vs.Reading(np.ones(6), np.ones(6)))["joint_states"]
+    )
+    # the robot was started again
+    senses.hear(
+        "joint_states", m.readings(0.0, robot, vs.Reading(np.zeros(6), np.ones(6)))["joint_states"]
+    )
     assert senses.at().q[0] == 0
 
 
 @pytest.mark.parametrize("pace", ["wall", "lockstep"])
 def test_what_the_robot_tells_while_it_waits_it_tells_without_its_lock(pace):
-    """Who hears a reading may be about to command: with the lock held, each would wait for the other for ever."""
+    """Who hears a reading may be about to command: with the lock held, each would wait for the
+    other for ever.
+    """
     scenario = vs.load("arm_ibvs", {"detector": "oracle", "stop.duration_s": 0.2})
     wire = Wire("vstestbed_robot")
     node, free = RobotNode(scenario, wire, pace=pace, watchdog_s=0.05), []

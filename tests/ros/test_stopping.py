@@ -1,4 +1,6 @@
-"""Nodes that must stop: the law by the age of its last new picture, whatever stamps say; the robot by the age of its commands."""
+"""Nodes that must stop: the law by the age of its last new picture, whatever stamps say; the robot
+by the age of its commands.
+"""
 
 import threading
 import time
@@ -22,7 +24,9 @@ EPOCH = 1.8e9
 
 
 class Clocks:
-    """What a node takes for the module `time`: both clocks of its machine, which go on where a test says so."""
+    """What a node takes for the module `time`: both clocks of its machine, which go on where a test
+    says so.
+    """
 
     perf_counter, sleep = time.perf_counter, time.sleep
 
@@ -56,7 +60,9 @@ def shown():
 
 
 class Law:
-    """A law's node whose turns a test takes, a picture at a time. joints: whether readings are told with the pictures' stamps."""
+    """A law's node whose turns a test takes, a picture at a time. joints: whether readings are told
+    with the pictures' stamps.
+    """
 
     def __init__(self, shown, clocks, **given):
         self.scenario, self.image, self.reading = shown
@@ -88,7 +94,11 @@ class Law:
 
     @property
     def said(self):
-        return [message.data for topic, message in self.wire.shared["said"] if topic == "/vstestbed_law/status"]
+        return [
+            message.data
+            for topic, message in self.wire.shared["said"]
+            if topic == "/vstestbed_law/status"
+        ]
 
 
 WALL = {  # stamps of this machine's clock; now: since the begin, when five right pictures have come
@@ -113,14 +123,22 @@ OTHER = {  # of another clock, such as one since the camera was switched on
     "far future once, then right": lambda now: 1e6 if now < 0.25 else 100.0 + now,
     "creeping": lambda now: 100.2 + 1e-6 * (now - 0.2),
 }
-RUNS = [(EPOCH, name, pattern) for name, pattern in WALL.items()] + [(100.0, name, pattern) for name, pattern in OTHER.items()]
+RUNS = [(EPOCH, name, pattern) for name, pattern in WALL.items()] + [
+    (100.0, name, pattern) for name, pattern in OTHER.items()
+]
 
 
-@pytest.mark.parametrize(("begin", "name", "pattern"), RUNS, ids=[f"{begin:g} {name}" for begin, name, _ in RUNS])
+@pytest.mark.parametrize(
+    ("begin", "name", "pattern"), RUNS, ids=[f"{begin:g} {name}" for begin, name, _ in RUNS]
+)
 @pytest.mark.parametrize("after_s", [0.04, 0.011])
-def test_whatever_stamps_say_the_law_stops_the_robot_and_stays_stopped(shown, clocks, begin, name, pattern, after_s):
+def test_whatever_stamps_say_the_law_stops_the_robot_and_stays_stopped(
+    shown, clocks, begin, name, pattern, after_s
+):
     law, begun = Law(shown, clocks), clocks.now
-    first = [law.hears(0.0 if "from the begin" in name else begin + k * PERIOD_S) for k in range(1, 6)]
+    first = [
+        law.hears(0.0 if "from the begin" in name else begin + k * PERIOD_S) for k in range(1, 6)
+    ]
     assert all(first)
     right_until = begun + PERIOD_S if "from the begin" in name else clocks.now
     # one stamp of the future is a new picture, where stamps are of another clock
@@ -172,15 +190,25 @@ def test_the_status_says_why(shown, clocks):
         law.hears(stamp)
     again = "the picture of 0.04 s came again"
     assert law.said[:2] == ["servoing", f"stopped: no new picture for over 0.5 s: {again}"]
-    assert law.said[2].startswith(f"stopped: no picture arrived for 0.2 s; {again}; the picture is 0.7") and len(law.said) == 3
+    assert (
+        law.said[2].startswith(
+            f"stopped: no picture arrived for 0.2 s; {again}; the picture is 0.7"
+        )
+        and len(law.said) == 3
+    )
     law = Law(shown, clocks)
     law.hears(clocks.time() + 100.0)
-    assert law.said[-1] == "stopped: the picture's stamp is 100 s ahead of this machine's clock; set the clocks of both machines by NTP"
+    assert (
+        law.said[-1] == "stopped: the picture's stamp is 100 s ahead of this machine's clock;"
+        " set the clocks of both machines by NTP"
+    )
 
 
 @pytest.mark.parametrize("jump_s", [-100.0, -1.0, 1.0, 100.0, 1e6])
 def test_a_clock_that_is_set_moves_nothing_for_longer(shown, clocks, jump_s):
-    """The law's machine alone is set: stamps are far ahead or far behind. Then the camera stands."""
+    """The law's machine alone is set: stamps are far ahead or far behind.
+    Then the camera stands.
+    """
     law = Law(shown, clocks)
     for k in range(1, 6):
         assert law.hears(EPOCH + k * PERIOD_S)
@@ -198,8 +226,12 @@ def test_readings_that_stand_still_stop_it(shown, clocks):
     for k in range(1, 6):
         assert law.hears(EPOCH + k * PERIOD_S)
     since = clocks.now
-    moved = [law.hears(EPOCH + k * PERIOD_S, joints=EPOCH + 0.2) and clocks.now - since for k in range(6, 40)]
-    assert max(moved) <= 1.5 * PERIOD_S and law.node._stopped  # a reading may be so far from a picture
+    moved = [
+        law.hears(EPOCH + k * PERIOD_S, joints=EPOCH + 0.2) and clocks.now - since
+        for k in range(6, 40)
+    ]
+    # a reading may be so far from a picture
+    assert max(moved) <= 1.5 * PERIOD_S and law.node._stopped
     assert any("are both stamped by one clock?" in words for words in law.said)
 
 
@@ -211,7 +243,9 @@ def test_no_turn_after_a_law_that_took_too_long_moves_it(shown, clocks, monkeypa
         clocks.now += TIMEOUT_S + 0.1
         return step(*given)
 
-    monkeypatch.setattr(type(law.node.servo.controller.law), "step", lambda self, *given: slow(*given))
+    monkeypatch.setattr(
+        type(law.node.servo.controller.law), "step", lambda self, *given: slow(*given)
+    )
     assert not any(law.hears(clocks.time() + PERIOD_S) for _ in range(5))
     assert any("the last one was answered after 0.6 s" in words for words in law.said)
     law.node._ticked(m.clock(3.0))  # time is simulated: it stands while the law is at work
@@ -237,7 +271,9 @@ def test_pictures_that_do_not_change_are_told_in_the_status(shown, clocks):
 
 def test_a_depth_picture_of_another_time_is_none(shown, clocks):
     scenario, *others = shown
-    scenario = vs.load("arm_ibvs", SETTINGS | {"camera.depth_sensor": "ideal", "law.depth": "sensor"})
+    scenario = vs.load(
+        "arm_ibvs", SETTINGS | {"camera.depth_sensor": "ideal", "law.depth": "sensor"}
+    )
     law = Law((scenario, *others), clocks)
     deep = np.full(law.image.shape[:2], 0.5, np.float32)
     for k in range(1, 4):
@@ -259,13 +295,31 @@ def test_no_velocity_by_an_old_picture_in_random_sequences(shown, clocks):
             after_s = float(rng.choice([0.001, 0.04, 0.04, 0.04, 0.3, 0.7]))
             now = clocks.now + after_s
             here = right + now - begun
-            stamp = abs(float(rng.choice([here, here, here, newest, newest, newest - 0.04, 0.0, here - 9.0, here + 9.0, 2e9])))
+            stamp = abs(
+                float(
+                    rng.choice(
+                        [
+                            here,
+                            here,
+                            here,
+                            newest,
+                            newest,
+                            newest - 0.04,
+                            0.0,
+                            here - 9.0,
+                            here + 9.0,
+                            2e9,
+                        ]
+                    )
+                )
+            )
             stamp = stamp if np.isfinite(stamp) else 0.0
             if rng.random() < 0.1:
                 newest = -np.inf if law.node._stopped else newest  # a new begin: any picture is new
                 law.node.start()
             moves = law.hears(stamp, after_s)
-            if newest < stamp < (now - begun + right + TIMEOUT_S if right == EPOCH else np.inf):  # one of the future is none
+            # one of the future is none
+            if newest < stamp < (now - begun + right + TIMEOUT_S if right == EPOCH else np.inf):
                 newest, fresh_at = stamp, now
             moved += moves
             assert not moves or clocks.now - fresh_at < TIMEOUT_S, (seed, stamp, law.said[-3:])
@@ -288,7 +342,8 @@ def test_a_driver_whose_stamps_never_advance_stops_the_robot_in_real_time(shown)
             time.sleep(0.02)
 
     began = time.monotonic()
-    drives(20.0, lambda: node._stopped)  # it ends as soon as the node has stopped; a busy machine is slow
+    # it ends as soon as the node has stopped; a busy machine is slow
+    drives(20.0, lambda: node._stopped)
     stopped_s, moved = time.monotonic() - began, len(wire.twists())
     drives(0.2, lambda: False)
     ended.set()
@@ -328,21 +383,31 @@ def test_a_law_that_hangs_is_watched(shown, monkeypatch):
     assert not wire.twists()[-1].any()
     ended.set()
     thread.join(5)
-    assert "stopped: no new order for over 0.2 s" in [x.data for topic, x in wire.shared["said"] if topic == "/vstestbed_law/status"]
+    assert "stopped: no new order for over 0.2 s" in [
+        x.data for topic, x in wire.shared["said"] if topic == "/vstestbed_law/status"
+    ]
 
 
 @pytest.mark.parametrize("watchdog_s", [np.nan, np.inf, -1.0, 10.1, 1e6])
 def test_a_watchdog_that_never_bites_is_refused(watchdog_s):
     scenario = vs.load("arm_ibvs")
-    for made in (lambda: LawNode(scenario, Wire("a"), watchdog_s), lambda: RobotNode(scenario, Wire("b"), watchdog_s=watchdog_s)):
-        with pytest.raises(ParameterError, match="--watchdog must be between 0 and 10 s: for so long the last twist may stand"):
+    for made in (
+        lambda: LawNode(scenario, Wire("a"), watchdog_s),
+        lambda: RobotNode(scenario, Wire("b"), watchdog_s=watchdog_s),
+    ):
+        with pytest.raises(
+            ParameterError,
+            match="--watchdog must be between 0 and 10 s: for so long the last twist may stand",
+        ):
             made()
 
 
 @pytest.mark.parametrize("queue_s", [0.0, 3.0, 3600.0])
 @pytest.mark.parametrize("again", ["start", "reset and start"])
 def test_no_new_start_forgets_how_late_pictures_come(shown, clocks, queue_s, again):
-    """Stamps are of another clock: what came soonest before the stop still tells. 0 s: the camera is as it was."""
+    """Stamps are of another clock: what came soonest before the stop still tells. 0 s: the camera
+    is as it was.
+    """
     law, begun = Law(shown, clocks), clocks.now
     for k in range(1, 6):
         assert law.hears(100.0 + k * PERIOD_S)
@@ -379,7 +444,9 @@ def test_a_camera_that_was_switched_on_again_is_followed_after_a_new_start(shown
 
 
 def test_a_camera_whose_clock_is_slower_is_followed_for_hours(shown, clocks):
-    """Of quartz that is slow by 100 millionths, a picture a minute for 5 h; without a leak it ends after 1.4 h."""
+    """Of quartz that is slow by 100 millionths, a picture a minute for 5 h; without a leak it ends
+    after 1.4 h.
+    """
     law, begun = Law(shown, clocks, watchdog_s=10.0), clocks.now
     latest_s, feed = law.scenario.timing.latest_s(law.scenario.camera), law.node.servo
     feed.began = 0.0
@@ -433,8 +500,12 @@ class TestAClockThatIsPublished:
         latest_s = law.scenario.timing.latest_s(law.scenario.camera)
         assert all(moves == (lag_s <= latest_s) for moves, lag_s in moved) and law.node._simulated
 
-    def test_and_stands_still_until_the_first_twist_is_of_a_robot_that_waits(self, shown, clocks, monkeypatch):
-        """In lockstep, long before `~/start`: the law may take its time for the first picture, too."""
+    def test_and_stands_still_until_the_first_twist_is_of_a_robot_that_waits(
+        self, shown, clocks, monkeypatch
+    ):
+        """In lockstep, long before `~/start`: the law may take its time for the first
+        picture, too.
+        """
         law = Law(shown, clocks)
         self.ticks(law, 0.04)
         clocks.now += 100.0
@@ -448,7 +519,9 @@ class TestAClockThatIsPublished:
         assert law.hears(0.04)
 
     @pytest.mark.parametrize("took_s", [0.02, 0.2, 1.0])
-    def test_and_waits_for_the_law_counts_how_long_the_target_is_out_of_sight(self, shown, clocks, monkeypatch, took_s):
+    def test_and_waits_for_the_law_counts_how_long_the_target_is_out_of_sight(
+        self, shown, clocks, monkeypatch, took_s
+    ):
         """In lockstep, for .4 s of 1 s; by the own clock the target would be lost."""
         scenario = vs.load("arm_ibvs", SETTINGS | {"stop.lost_after_s": 1.0})
         law, good = Law((scenario, *shown[1:]), clocks), shown[1]
@@ -472,8 +545,12 @@ class TestAClockThatIsPublished:
         monkeypatch.setattr(type(law.node.servo.controller.law), "step", slow)
 
     @pytest.mark.parametrize("took_s", [0.6, 3.0])
-    def test_and_waits_is_answered_at_once_where_a_slow_first_picture_was_told_again(self, shown, clocks, monkeypatch, took_s):
-        """The robot tells it again while the law is at work; the copy is answered by the order in force."""
+    def test_and_waits_is_answered_at_once_where_a_slow_first_picture_was_told_again(
+        self, shown, clocks, monkeypatch, took_s
+    ):
+        """The robot tells it again while the law is at work; the copy is answered by the order in
+        force.
+        """
         law, took = Law(shown, clocks), iter([took_s])
         self.works_for(law, monkeypatch, lambda: next(took, 0.01))
         self.ticks(law, 50.04)
@@ -523,7 +600,10 @@ class TestAClockThatIsPublished:
             self.ticks(law, 100.0 + k * PERIOD_S)
             assert law.hears(100.0 + k * PERIOD_S)
         self.ticks(law, 100.24)
-        assert not law.hears(160.24) and law.said[-1] == "stopped: the picture's stamp is 60 s ahead of /clock"
+        assert (
+            not law.hears(160.24)
+            and law.said[-1] == "stopped: the picture's stamp is 60 s ahead of /clock"
+        )
 
     def test_and_runs_on_stops_a_law_that_takes_too_long(self, shown, clocks, monkeypatch):
         law = Law(shown, clocks)
@@ -531,7 +611,12 @@ class TestAClockThatIsPublished:
             self.ticks(law, 100.0 + k * PERIOD_S)
             assert law.hears(100.0 + k * PERIOD_S)
         begun = clocks.now - 0.2
-        self.works_for(law, monkeypatch, lambda: TIMEOUT_S + 0.1, lambda: self.ticks(law, 100.0 + clocks.now - begun))
+        self.works_for(
+            law,
+            monkeypatch,
+            lambda: TIMEOUT_S + 0.1,
+            lambda: self.ticks(law, 100.0 + clocks.now - begun),
+        )
         for _ in range(5):
             self.ticks(law, 100.0 + clocks.now + PERIOD_S - begun)
             assert not law.hears(100.0 + clocks.now + PERIOD_S - begun)
@@ -544,7 +629,8 @@ class TestAClockThatIsPublished:
             self.ticks(law, 100.0 + k * PERIOD_S)
             assert law.hears(100.0 + k * PERIOD_S)
         clocks.now += 10.0
-        assert law.node._since(*law.node._order_of) == 0.0  # it stands: in lockstep the law has time
+        # it stands: in lockstep the law has time
+        assert law.node._since(*law.node._order_of) == 0.0
         self.ticks(law, 100.2 + TIMEOUT_S)
         assert law.node._since(*law.node._order_of) == pytest.approx(TIMEOUT_S)
 
@@ -592,7 +678,9 @@ def test_what_the_status_says_of_a_camera_whose_clock_was_set(shown, clocks):
         law.hears(97.0 + clocks.now - begun)
     law.node.start()
     law.hears(97.0 + clocks.now - begun)
-    assert law.said[-1].endswith("by the node's own clock; if the camera's was set or started anew, start this node anew")
+    assert law.said[-1].endswith(
+        "by the node's own clock; if the camera's was set or started anew, start this node anew"
+    )
 
 
 def test_a_zero_stamp_begins_nothing(shown, clocks):
@@ -603,7 +691,9 @@ def test_a_zero_stamp_begins_nothing(shown, clocks):
     law.node.stop()
     clocks.now += 3.0
     law.node.start()
-    moved = [law.hears(0.0)] + [law.hears(100.0 + clocks.now + PERIOD_S - begun - 3.0) for _ in range(30)]
+    moved = [law.hears(0.0)] + [
+        law.hears(100.0 + clocks.now + PERIOD_S - begun - 3.0) for _ in range(30)
+    ]
     assert not any(moved)
 
 
@@ -618,7 +708,9 @@ def test_stamps_of_this_machine_stay_so_over_a_new_start(shown, clocks):
 
 
 def test_no_reading_of_the_former_run_is_one_of_this(shown, clocks):
-    """The robot begins anew with other joints, at the same times of its simulation; what was heard while it was stopped is past, too."""
+    """The robot begins anew with other joints, at the same times of its simulation; what was heard
+    while it was stopped is past, too.
+    """
     law = Law(shown, clocks)
     former = law.reading.q.copy()
 
@@ -666,7 +758,10 @@ class TestACraft:
         assert not any(held[14:])
         for _ in range(40):
             craft.hears(EPOCH + 0.2)
-        assert all(craft.hears(EPOCH + 0.2) and self.sinks(craft) for _ in range(20)) and not craft.node._stopped
+        assert (
+            all(craft.hears(EPOCH + 0.2) and self.sinks(craft) for _ in range(20))
+            and not craft.node._stopped
+        )
         assert "the craft sinks; no new picture for over 0.5 s" in craft.said[-1]
         assert craft.hears(clocks.time() + PERIOD_S) and craft.said[-1] == "servoing"
         craft.node.stop()
@@ -676,23 +771,34 @@ class TestACraft:
         monkeypatch.setattr(type(craft.node.servo.controller.law), "step", lambda *given: 1 / 0)
         for _ in range(100):
             craft.hears(clocks.time() + PERIOD_S)
-        assert self.sinks(craft) and "ZeroDivisionError" in craft.said[-1] and "sinks" in craft.said[-1]
+        assert (
+            self.sinks(craft)
+            and "ZeroDivisionError" in craft.said[-1]
+            and "sinks" in craft.said[-1]
+        )
 
 
 # The robot's side.
 
 
 class Commanded:
-    """A robot's node at the pace of the clock, which is not flown: what it would obey when the next picture is due."""
+    """A robot's node at the pace of the clock, which is not flown: what it would obey when the next
+    picture is due.
+    """
 
     def __init__(self, clocks, pace="wall"):
         self.clocks, self.wire = clocks, Wire("vstestbed_robot")
         self.node = RobotNode(vs.load("arm_ibvs", {"detector": "oracle"}), self.wire, pace)
 
     def obeys(self, stamp, v=0.1, after_s=PERIOD_S, frame="camera_optical_frame"):
-        """The twist that it obeys after one more command; v: a twist, or what all its numbers are."""
+        """The twist that it obeys after one more command;
+        v: a twist, or what all its numbers are.
+        """
         self.clocks.now += after_s
-        self.wire.publish("/servo_node/delta_twist_cmds", m.twist(stamp, np.broadcast_to(np.asarray(v, float), 6), frame))
+        self.wire.publish(
+            "/servo_node/delta_twist_cmds",
+            m.twist(stamp, np.broadcast_to(np.asarray(v, float), 6), frame),
+        )
         return self.now
 
     @property
@@ -702,7 +808,11 @@ class Commanded:
 
     @property
     def said(self):
-        return [message.data for topic, message in self.wire.shared["said"] if topic == "/vstestbed_robot/status"]
+        return [
+            message.data
+            for topic, message in self.wire.shared["said"]
+            if topic == "/vstestbed_robot/status"
+        ]
 
 
 @pytest.mark.parametrize("skew_s", [-3600.0, -60.0, -0.51, 0.51, 60.0, 3600.0, 3e8])
@@ -710,14 +820,26 @@ def test_commands_of_another_time_are_dropped_and_the_clocks_named(clocks, skew_
     one = Commanded(clocks)
     assert [one.obeys(clocks.time() + PERIOD_S + skew_s) for _ in range(5)] == [None] * 5
     side = "behind" if skew_s < 0 else "ahead of"
-    words = f"the commands' stamps are {abs(skew_s):.3g} s {side} this clock: they are dropped; set the clocks of both machines by NTP"
+    words = (
+        f"the commands' stamps are {abs(skew_s):.3g} s {side} this clock: they are dropped;"
+        " set the clocks of both machines by NTP"
+    )
     assert one.node.dropped == 5 and one.said == [words] and one.node.refused == words
 
 
 def test_commands_in_time_and_those_without_a_stamp_are_obeyed(clocks):
-    for stamp in (lambda: clocks.time() + PERIOD_S, lambda: clocks.time() - 0.3, lambda: clocks.time() + 0.4, lambda: 0.0):
+    for stamp in (
+        lambda: clocks.time() + PERIOD_S,
+        lambda: clocks.time() - 0.3,
+        lambda: clocks.time() + 0.4,
+        lambda: 0.0,
+    ):
         one = Commanded(clocks)
-        assert all(one.obeys(stamp()) == [0.1] * 6 for _ in range(10)) and not one.node.dropped and not one.said
+        assert (
+            all(one.obeys(stamp()) == [0.1] * 6 for _ in range(10))
+            and not one.node.dropped
+            and not one.said
+        )
 
 
 def test_without_a_further_command_it_rests_by_its_own_clock(clocks):
@@ -745,7 +867,9 @@ def test_a_rest_is_obeyed_whenever_it_was_ordered(clocks):
         assert not any(one.obeys(clocks.time() + skew_s, 0.0) or [])
 
 
-@pytest.mark.parametrize("v", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1.1e6, [1e308, -1e308, 0, 0, 0, 0]])
+@pytest.mark.parametrize(
+    "v", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1.1e6, [1e308, -1e308, 0, 0, 0, 0]]
+)
 @pytest.mark.parametrize("frame", ["camera_optical_frame", "flange", ""])
 def test_numbers_that_are_none_never_reach_the_robot(clocks, v, frame):
     for pace in ("wall", "lockstep"):
@@ -761,7 +885,9 @@ def test_in_lockstep_stamps_are_simulated(clocks):
 
 
 def test_a_picture_is_told_again_before_the_law_takes_it_for_silence():
-    """In lockstep the first command may be lost; the same picture again must be answered by the same twist."""
+    """In lockstep the first command may be lost; the same picture again must be answered by the
+    same twist.
+    """
     scenario = vs.load("arm_ibvs", {"detector": "oracle", "stop.duration_s": 0.2})
     wire, told = Wire("vstestbed_robot"), []
     node = RobotNode(scenario, wire)
@@ -777,8 +903,11 @@ def test_a_picture_is_told_again_before_the_law_takes_it_for_silence():
 
 
 def test_in_lockstep_a_lost_first_command_changes_no_number():
-    """Nobody has heard the first answer; the picture is told again, and answered by the same twist."""
-    scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.2, "timing.command_timeout_s": 4.0})  # a busy machine is slow
+    """Nobody has heard the first answer; the picture is told again,
+    and answered by the same twist.
+    """
+    # a busy machine is slow
+    scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.2, "timing.command_timeout_s": 4.0})
     wire, lost = Wire("vstestbed_robot"), []
     law_wire = Wire("vstestbed_law", wire)
     publish = law_wire.publish
@@ -799,12 +928,19 @@ def test_in_lockstep_a_lost_first_command_changes_no_number():
     theirs = vs.run(scenario, pictures=True).rows.frame()
     assert lost and len(mine) == len(theirs)
     for column in ("applied_vx", "applied_wz", "cam_x"):
-        np.testing.assert_allclose(mine[column].to_numpy()[:-1], theirs[column].to_numpy()[:-1], atol=1e-9, err_msg=column)
+        np.testing.assert_allclose(
+            mine[column].to_numpy()[:-1], theirs[column].to_numpy()[:-1], atol=1e-9, err_msg=column
+        )
 
 
 def test_a_real_clock_and_a_robot_that_moves_by_it():
     """Old twists leave it at rest, right ones move it, and it rests when they end."""
-    given = {"detector": "oracle", "stop.duration_s": 1.2, "stop.rest_after_s": None, "timing.command_timeout_s": 0.2}
+    given = {
+        "detector": "oracle",
+        "stop.duration_s": 1.2,
+        "stop.rest_after_s": None,
+        "timing.command_timeout_s": 0.2,
+    }
     scenario = vs.load("arm_ibvs", given)
     wire, speeds = Wire("vstestbed_robot"), []
     node = RobotNode(scenario, wire, "wall")
@@ -812,15 +948,24 @@ def test_a_real_clock_and_a_robot_that_moves_by_it():
     def commands(message):
         t = len(speeds) * PERIOD_S
         if t < 0.8:
-            wire.publish("/servo_node/delta_twist_cmds", m.twist(time.time() - (60.0 if t < 0.4 else 0.0), np.full(6, 0.05), "flange"))
+            wire.publish(
+                "/servo_node/delta_twist_cmds",
+                m.twist(time.time() - (60.0 if t < 0.4 else 0.0), np.full(6, 0.05), "flange"),
+            )
 
     wire.subscribe("~/image_raw", m.IMAGE, commands)
     watch = SimpleNamespace(frame=lambda frame: speeds.append(float(np.abs(frame.truth.qd).max())))
     node.fly(scenario.resolved, [watch])
-    assert max(speeds[:10]) < 1e-3 < 0.02 < max(speeds[12:20]) and speeds[-1] < 2e-3 and node.dropped >= 8
+    assert (
+        max(speeds[:10]) < 1e-3 < 0.02 < max(speeds[12:20])
+        and speeds[-1] < 2e-3
+        and node.dropped >= 8
+    )
 
 
-RESTS = {  # a twist, a rest, and a twist that was sent before the rest and comes after it: stamps, each by the clock at its coming
+# a twist, a rest, and a twist that was sent before the rest and comes after it: stamps, each by the
+# clock at its coming
+RESTS = {
     "without a stamp": (0.0, None, -0.02),
     "of long ago": (0.0, -60.0, -0.02),
     "somewhat late": (0.0, -0.3, -0.02),
@@ -830,10 +975,14 @@ RESTS = {  # a twist, a rest, and a twist that was sent before the rest and come
 
 
 @pytest.mark.parametrize("rest", RESTS)
-def test_whatever_the_stamp_of_a_rest_no_twist_of_before_it_is_obeyed_and_later_ones_are(clocks, rest):
+def test_whatever_the_stamp_of_a_rest_no_twist_of_before_it_is_obeyed_and_later_ones_are(
+    clocks, rest
+):
     one = Commanded(clocks)
     moved = []
-    for v, ahead_s, after_s in zip((0.1, 0.0, 0.1), RESTS[rest], (PERIOD_S, PERIOD_S, 0.0), strict=True):
+    for v, ahead_s, after_s in zip(
+        (0.1, 0.0, 0.1), RESTS[rest], (PERIOD_S, PERIOD_S, 0.0), strict=True
+    ):
         stamp = 0.0 if ahead_s is None else clocks.time() + after_s + ahead_s
         moved.append(any(one.obeys(stamp, v, after_s) or []))
     assert moved == [True, False, False] and one.node.dropped == 1
@@ -857,7 +1006,9 @@ def test_a_skew_that_drops_commands_is_named(clocks):
     one = Commanded(clocks)
     one.node.start()
     assert one.obeys(clocks.time() + PERIOD_S - 0.3) is None
-    words = "all stamps were 0.3 s or more behind this clock; set the clocks of both machines by NTP"
+    words = (
+        "all stamps were 0.3 s or more behind this clock; set the clocks of both machines by NTP"
+    )
     assert one.said[-1].endswith(words)
 
 
@@ -896,7 +1047,12 @@ def test_a_command_that_was_sent_before_a_stop_and_comes_after_it_is_dropped(sho
     scenario, _, _ = shown
     node = RobotNode(scenario, Wire("vstestbed_robot"), pace="wall")
     frame = law.command_frame(scenario)
-    for stamp, v, moves in ((0.10, 0.1, True), (0.20, 0.0, False), (0.15, 0.1, False), (0.25, 0.1, True)):
+    for stamp, v, moves in (
+        (0.10, 0.1, True),
+        (0.20, 0.0, False),
+        (0.15, 0.1, False),
+        (0.25, 0.1, True),
+    ):
         clocks.now = 5e5 + max(0.2, stamp)
         node._hear(m.twist(EPOCH + stamp, v * np.ones(6), frame))
         assert bool(node._command[1].any()) == moves, stamp

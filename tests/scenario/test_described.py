@@ -1,4 +1,6 @@
-"""Every field of every block has words, a unit where it is a number, and an example that the schema itself accepts."""
+"""Every field of every block has words, a unit where it is a number, and an example that the schema
+itself accepts.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +35,16 @@ def fields(whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def is_number(rule: dict[str, Any]) -> bool:
-    """Whether a field takes numbers, or lists of them; a number that stands for a block has the unit of a field in it."""
+    """Whether a field takes numbers, or lists of them; a number that stands for a block has the
+    unit of a field in it.
+    """
     choices = [r for r in rule.get("anyOf", []) if r != {"type": "null"}]
     if any("$ref" in r for r in choices):
         return False
     inner = rule.get("items", {}) if rule.get("type") == "array" else {}
-    return rule.get("type") in ("number", "integer") or any(map(is_number, [*choices, *filter(None, [inner])]))
+    return rule.get("type") in ("number", "integer") or any(
+        map(is_number, [*choices, *filter(None, [inner])])
+    )
 
 
 @pytest.mark.parametrize("cls", CLASSES)
@@ -48,13 +54,24 @@ class TestEveryField:
         assert not without, f"{', '.join(without)}: {ADVICE}"
 
     def test_that_is_a_number_has_a_unit(self, cls: type) -> None:
-        without = [name for name, rule in fields(whole_schema(cls)) if is_number(rule) and not rule.get("unit")]
+        without = [
+            name
+            for name, rule in fields(whole_schema(cls))
+            if is_number(rule) and not rule.get("unit")
+        ]
         assert not without, f"{', '.join(without)}: {ADVICE}, with [1] for a pure number"
 
     def test_has_an_example_that_is_valid(self, cls: type) -> None:
         without = [name for name, rule in fields(whole_schema(cls)) if not rule.get("examples")]
-        assert not without, f"{', '.join(without)}: no default, and set in no bundled file: end its line under Args: with `; e.g. `VALUE`.`"
-        wrong = [name for name, rule in fields(whole_schema(cls)) if not conforms(rule["examples"][0], rule, whole_schema(cls))]
+        assert not without, (
+            f"{', '.join(without)}: no default, and set in no bundled file:"
+            " end its line under Args: with `; e.g. `VALUE`.`"
+        )
+        wrong = [
+            name
+            for name, rule in fields(whole_schema(cls))
+            if not conforms(rule["examples"][0], rule, whole_schema(cls))
+        ]
         assert not wrong, f"{', '.join(wrong)}: the example is not valid"
 
 
@@ -78,7 +95,10 @@ def test_the_unit_in_a_name_is_the_unit(cls: type) -> None:
         assert unit is None or rule["unit"].startswith(unit), name
 
 
-COMMITTED = {Scenario: ("scenario", bundled_scenarios), Comparison: ("comparison", bundled_comparisons)}
+COMMITTED = {
+    Scenario: ("scenario", bundled_scenarios),
+    Comparison: ("comparison", bundled_comparisons),
+}
 
 
 @pytest.mark.parametrize("cls", COMMITTED)
@@ -96,13 +116,17 @@ def test_the_schema_beside_the_bundled_files_is_the_present_one(cls: type) -> No
 
 def test_a_copy_elsewhere_names_no_schema() -> None:
     path = bundled_scenarios()["arm_ibvs"]
-    assert for_another_folder(path) == "".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[1:])
+    assert for_another_folder(path) == "".join(
+        path.read_text(encoding="utf-8").splitlines(keepends=True)[1:]
+    )
 
 
 def test_the_parts_of_a_docstring() -> None:
     words = class_text(PBVS)
     assert words.summary.startswith("u = -lambda pinv(L B) e")
-    assert words.sources == ("Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573.",)
+    assert words.sources == (
+        "Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573.",
+    )
     assert "Errata." in words.text and "Args" not in words.text and "Reference" not in words.text
     assert words.fields["translation"].description == "`cdMc`, `cMcd` or `cMo`."
     assert list(words.fields) == [*class_text(ErrorLaw).fields, "kind", "translation"]

@@ -1,4 +1,6 @@
-"""Scenarios of parts in Python and the YAML that is the same: short as people write it, equal when it is read."""
+"""Scenarios of parts in Python and the YAML that is the same: short as people write it, equal when
+it is read.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,10 @@ def test_a_bundled_scenario_is_read_again_from_its_short_text(name: str, tmp_pat
 
 
 def test_it_reads_as_if_written_by_hand(tmp_path: Path) -> None:
-    text = vs.dump(built(name="mine", camera=vs.camera.Perspective(mount=SE3.Rx(-90, unit="deg"), rate_hz=50)), tmp_path / "mine.yaml")
+    text = vs.dump(
+        built(name="mine", camera=vs.camera.Perspective(mount=SE3.Rx(-90, unit="deg"), rate_hz=50)),
+        tmp_path / "mine.yaml",
+    )
     assert (
         text
         == """\
@@ -61,10 +66,24 @@ stop: {duration_s: 12, converged: {error_px: 0.5}}
 
 def test_parts_in_python_are_the_scenario_of_the_same_yaml(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
-    scenario = built(name="mine", seed=3, noise=vs.Noise(pixel_sigma_px=0.25), timing=vs.Timing(command_latency_s=0.02))
+    scenario = built(
+        name="mine",
+        seed=3,
+        noise=vs.Noise(pixel_sigma_px=0.25),
+        timing=vs.Timing(command_latency_s=0.02),
+    )
     vs.dump(scenario, file)
     assert vs.load(file) == scenario
-    assert YAML(typ="safe").load(file.read_text()).keys() == {"seed", "robot", "target", "law", "goal", "stop", "noise", "timing"}
+    assert YAML(typ="safe").load(file.read_text()).keys() == {
+        "seed",
+        "robot",
+        "target",
+        "law",
+        "goal",
+        "stop",
+        "noise",
+        "timing",
+    }
     nameless = built()
     vs.dump(nameless, file)
     assert vs.load(file) == replace(nameless, name="mine")
@@ -73,7 +92,12 @@ def test_parts_in_python_are_the_scenario_of_the_same_yaml(tmp_path: Path) -> No
 def test_a_pose_survives_yaml_to_1e_12(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     for i in range(10):
-        T = SE3(1.5, 0, 0.7) * SE3.Ry(90 + 10.0**-i, unit="deg") * SE3.Rand() * SE3.Rx(rng.uniform(-3, 3))
+        T = (
+            SE3(1.5, 0, 0.7)
+            * SE3.Ry(90 + 10.0**-i, unit="deg")
+            * SE3.Rand()
+            * SE3.Rx(rng.uniform(-3, 3))
+        )
         free = vs.robots.Free(start={"nominal": T, "random": {"xyz": [0.1, 0.1, 0.1]}})
         target = vs.targets.Square(side=0.5, pose=T * SE3(0, 0, 1.3))
         scenario = built(robot=free, target=target, detector="oracle")
@@ -86,19 +110,37 @@ def test_a_pose_survives_yaml_to_1e_12(tmp_path: Path) -> None:
 class TestOverrides:
     def test_poses_in_every_place(self) -> None:
         T = SE3(0.02, 0.01, 0.03) * SE3.RPY(0.1, 0.2, 0.3)
-        s = vs.load("arm_ibvs", {"target.pose": T_WORLD_TARGET, "camera.mount": T, "calibration.mount_error": T.inv()})
+        s = vs.load(
+            "arm_ibvs",
+            {"target.pose": T_WORLD_TARGET, "camera.mount": T, "calibration.mount_error": T.inv()},
+        )
         assert s.target == vs.load("arm_ibvs").target
-        assert np.abs(s.camera.mount.T - T.A).max() < 1e-12 and np.abs(s.calibration.mount_error.T - T.inv().A).max() < 1e-12
-        s = vs.load("quadrotor_path", {"goal.way.1.T_camera_target": SE3(0, 0, 3), "robot.start.nominal": SE3(0, 0, 2) * SE3.Rz(0.5)})
-        assert s.goal.goal_poses(s.target, np.eye(4))[1][2, 3] == 3 and s.robot.start.nominal.yaw_deg == round(np.degrees(0.5), 12)
+        assert (
+            np.abs(s.camera.mount.T - T.A).max() < 1e-12
+            and np.abs(s.calibration.mount_error.T - T.inv().A).max() < 1e-12
+        )
+        s = vs.load(
+            "quadrotor_path",
+            {
+                "goal.way.1.T_camera_target": SE3(0, 0, 3),
+                "robot.start.nominal": SE3(0, 0, 2) * SE3.Rz(0.5),
+            },
+        )
+        assert s.goal.goal_poses(s.target, np.eye(4))[1][
+            2, 3
+        ] == 3 and s.robot.start.nominal.yaw_deg == round(np.degrees(0.5), 12)
         assert vs.load("car_parking", {"goal.pose": SE2(0.5, 0, 0.1)}) == vs.load(
             "car_parking", {"goal.pose": SE3(0.5, 0, 0) * SE3.Rz(0.1)}
         )
 
     def test_a_wrong_one_is_named_with_its_field(self) -> None:
-        with pytest.raises(ScenarioError, match=r"overrides: target\.pose: must be one pose: .*, got 2"):
+        with pytest.raises(
+            ScenarioError, match=r"overrides: target\.pose: must be one pose: .*, got 2"
+        ):
             vs.load("arm_ibvs", {"target.pose": SE3.Rx([0.1, 0.2])})
-        with pytest.raises(ScenarioError, match=r"law.gain: must be a number, or a block .* got SE3\(array"):
+        with pytest.raises(
+            ScenarioError, match=r"law.gain: must be a number, or a block .* got SE3\(array"
+        ):
             vs.load("arm_ibvs", {"law.gain": SE3()})
 
 
@@ -121,23 +163,36 @@ class TestOwnKinds:
         (tmp_path / "laws").mkdir()
         (tmp_path / "laws" / "mine_dumped.py").write_text(PLUGIN)
         (tmp_path / "own.yaml").write_text(
-            "plugins: [laws/mine_dumped.py]\n" + vs.dump(built()).replace("law: ibvs", "law: {kind: mine, boost: 2}")
+            "plugins: [laws/mine_dumped.py]\n"
+            + vs.dump(built()).replace("law: ibvs", "law: {kind: mine, boost: 2}")
         )
         scenario = vs.load(tmp_path / "own.yaml")
         assert "law: {kind: mine, boost: 2}" in (text := vs.dump(scenario, tmp_path / "own.yaml"))
-        assert "plugins: [laws/mine_dumped.py]" in text  # relative, since it is below the file's folder
+        # relative, since it is below the file's folder
+        assert "plugins: [laws/mine_dumped.py]" in text
         assert vs.load(tmp_path / "own.yaml") == scenario
         assert f"plugins: [{tmp_path}/laws/mine_dumped.py]" in vs.dump(scenario)
         assert parse(vs.dump(scenario), "elsewhere.yaml") == scenario
         with pytest.raises(
-            ParameterError, match=r"law is Mine of .*mine_dumped.py, which the file would not name; give the scenario plugins="
+            ParameterError,
+            match=(
+                r"law is Mine of .*mine_dumped.py, which the file would not name;"
+                r" give the scenario plugins="
+            ),
         ):
             vs.dump(replace(scenario, plugins=()))
 
     def test_of_a_notebook(self) -> None:
-        space = sys.modules["a_notebook_of_the_tests"] = ModuleType("a_notebook_of_the_tests")  # of no file, as a notebook's __main__
+        # of no file, as a notebook's __main__
+        space = sys.modules["a_notebook_of_the_tests"] = ModuleType("a_notebook_of_the_tests")
         exec(PLUGIN, space.__dict__)
-        with pytest.raises(ParameterError, match=r"law is Mine, which is defined in the program that runs .* put the class into a file"):
+        with pytest.raises(
+            ParameterError,
+            match=(
+                r"law is Mine, which is defined in the program"
+                r" that runs .* put the class into a file"
+            ),
+        ):
             vs.dump(built(law=space.Mine(boost=2)))
 
     def test_of_an_imported_module(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

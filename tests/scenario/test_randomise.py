@@ -1,4 +1,6 @@
-"""`randomise`: what a seed draws, how it is distributed, and that it leaves everything else alone."""
+"""`randomise`: what a seed draws, how it is distributed,
+and that it leaves everything else alone.
+"""
 
 import dataclasses
 import re
@@ -14,7 +16,15 @@ from scipy import stats
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.env.rollout import Rollout
-from vstestbed.scenario.distributions import IMAGE_STREAM, START_STREAM, Chosen, Gaussian, Integer, LogUniform, Uniform
+from vstestbed.scenario.distributions import (
+    IMAGE_STREAM,
+    START_STREAM,
+    Chosen,
+    Gaussian,
+    Integer,
+    LogUniform,
+    Uniform,
+)
 from vstestbed.scenario.load import for_another_folder
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.batch import BatchSetup
@@ -26,7 +36,9 @@ BLOCK: list[dict[str, Any]] = [
     {"field": LATENCY, "normal": [0.04, 0.005], "within": [0.02, 0.06]},
     {"field": "world.floor.texture", "choice": ["texture:brick", "texture:leaves"]},
 ]
-"""A window of 2000 draws decides: the tests below fail by chance for one seed of the generator in a thousand, and theirs is fixed."""
+"""A window of 2000 draws decides: the tests below fail by chance for one seed of the generator in a
+thousand, and theirs is fixed.
+"""
 
 
 def arm(block: object = BLOCK, seed: int | None = None, **more: object) -> Scenario:
@@ -36,7 +48,9 @@ def arm(block: object = BLOCK, seed: int | None = None, **more: object) -> Scena
 
 def draws(one: Any) -> np.ndarray:
     """One value of each seed, from the generator that a scenario has for the field."""
-    return np.array([one.draw(np.random.default_rng([seed, 10, *one.field.encode()])) for seed in SEEDS])
+    return np.array(
+        [one.draw(np.random.default_rng([seed, 10, *one.field.encode()])) for seed in SEEDS]
+    )
 
 
 class TestDistributions:
@@ -45,7 +59,12 @@ class TestDistributions:
         assert stats.kstest(found, stats.uniform(0.5, 1.0).cdf).pvalue > 0.001
 
     def test_normal(self):
-        assert stats.kstest(draws(Gaussian(field=LIGHT, normal=(0.04, 0.005))), stats.norm(0.04, 0.005).cdf).pvalue > 0.001
+        assert (
+            stats.kstest(
+                draws(Gaussian(field=LIGHT, normal=(0.04, 0.005))), stats.norm(0.04, 0.005).cdf
+            ).pvalue
+            > 0.001
+        )
 
     def test_a_standard_deviation_of_minus_zero_is_zero(self):  # which numpy's `normal` refuses
         assert Gaussian(field=LIGHT, normal=(1.0, -0.0)).draw(np.random.default_rng(0)) == 1.0
@@ -58,19 +77,27 @@ class TestDistributions:
         found = draws(LogUniform(field=LIGHT, log_uniform=(0.1, 10.0)))
         assert stats.kstest(found, stats.loguniform(0.1, 10.0).cdf).pvalue > 0.001
 
-    @pytest.mark.parametrize("one", [Integer(field=LIGHT, integer=(3, 7)), Chosen(field=LIGHT, choice=(3, 4, 5, 6, 7))])
+    @pytest.mark.parametrize(
+        "one", [Integer(field=LIGHT, integer=(3, 7)), Chosen(field=LIGHT, choice=(3, 4, 5, 6, 7))]
+    )
     def test_whole_numbers_and_choices_are_equally_frequent(self, one: Any):
         found, count = np.unique(draws(one), return_counts=True)
         assert found.tolist() == [3, 4, 5, 6, 7]
         assert stats.chisquare(count).pvalue > 0.001
 
     def test_two_fields_are_independent(self):
-        one, other = (draws(Uniform(field=field, uniform=(0, 1))) for field in (LIGHT, "world.light.ambient"))
+        one, other = (
+            draws(Uniform(field=field, uniform=(0, 1))) for field in (LIGHT, "world.light.ambient")
+        )
         assert abs(np.corrcoef(one, other)[0, 1]) < 3.3 / np.sqrt(len(SEEDS))
 
     @pytest.mark.parametrize(
         ("cls", "values"),
-        [(Uniform, {"uniform": (2, 1)}), (Gaussian, {"normal": (1, -1)}), (Gaussian, {"normal": (0, 1), "within": (9, 10)})],
+        [
+            (Uniform, {"uniform": (2, 1)}),
+            (Gaussian, {"normal": (1, -1)}),
+            (Gaussian, {"normal": (0, 1), "within": (9, 10)}),
+        ],
     )
     def test_an_empty_range_is_refused(self, cls: type, values: dict[str, Any]):
         with pytest.raises(ParameterError, match=r"must|needs the form"):
@@ -106,10 +133,14 @@ class TestAScenario:
 
     def test_made_by_hand_is_drawn_when_it_runs(self):
         s = dataclasses.replace(
-            vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 0.2}), randomise=arm(BLOCK[1:2]).given.randomise, seed=5
+            vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 0.2}),
+            randomise=arm(BLOCK[1:2]).given.randomise,
+            seed=5,
         )
         assert s.camera.latency_s == 0
-        assert vs.run(s).scenario.camera.latency_s == pytest.approx(arm(BLOCK[1:2], seed=5).camera.latency_s)
+        assert vs.run(s).scenario.camera.latency_s == pytest.approx(
+            arm(BLOCK[1:2], seed=5).camera.latency_s
+        )
 
     def test_an_environment_draws_the_same_as_a_run(self):
         rollout = Rollout(arm(BLOCK[1:2]).given)
@@ -123,7 +154,9 @@ def test_a_texture_beside_the_scenario_is_found_from_any_folder(tmp_path: Path):
     (tmp_path / "a").mkdir()
     cv2.imwrite(str(tmp_path / "a" / "tile.png"), np.full((8, 8, 3), 99, np.uint8))
     file, other = tmp_path / "a" / "mine.yaml", tmp_path / "other.yaml"
-    file.write_text(vs.dump(vs.load("ibvs_book")).replace("world: {", "world: {floor: {texture: tile.png}, "))
+    file.write_text(
+        vs.dump(vs.load("ibvs_book")).replace("world: {", "world: {floor: {texture: tile.png}, ")
+    )
     s = vs.load(file)
     assert s.world.floor.texture == str(tmp_path / "a" / "tile.png")
     other.write_text(for_another_folder(file))
@@ -134,9 +167,15 @@ def test_a_texture_beside_the_scenario_is_found_from_any_folder(tmp_path: Path):
 
 def test_the_block_of_the_guide_is_drawn():
     text = (Path(__file__).parents[2] / "docs/guides/scenery.md").read_text(encoding="utf-8")
-    blocks = [block for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL) if "randomise" in block]
+    blocks = [
+        block for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL) if "randomise" in block
+    ]
     given = YAML(typ="safe").load(blocks[0])
-    s = vs.load("arm_ibvs", {"detector": "oracle", "world": given["world"], "randomise": given["randomise"]}, 5)
+    s = vs.load(
+        "arm_ibvs",
+        {"detector": "oracle", "world": given["world"], "randomise": given["randomise"]},
+        5,
+    )
     assert len(s.randomise) == 9
     s = s.resolved
     assert s.world.clutter is not None and s.world.clutter.count == len(s.world.distractors)
@@ -147,17 +186,32 @@ class TestRefusals:
     def test_a_mistake_is_located(self, tmp_path: Path):
         file = tmp_path / "mine.yaml"
         text = vs.dump(vs.load("ibvs_book"))
-        file.write_text(text + "randomise:\n  - {field: camera.latency_s, uniform: [0, 0.1]}\n  - {field: camera.speed, uniform: [0, 1]}\n")
+        file.write_text(
+            text + "randomise:\n"
+            "  - {field: camera.latency_s, uniform: [0, 0.1]}\n"
+            "  - {field: camera.speed, uniform: [0, 1]}\n"
+        )
         line = text.count("\n") + 3
-        with pytest.raises(ScenarioError, match=rf"mine.yaml:{line}:\d+: randomise.1: drew .* for camera.speed .*unknown field"):
+        with pytest.raises(
+            ScenarioError,
+            match=rf"mine.yaml:{line}:\d+: randomise.1: drew .* for camera.speed .*unknown field",
+        ):
             vs.load(file)
 
     def test_a_drawn_value_out_of_bounds_is_told(self):
-        with pytest.raises(ScenarioError, match=r"randomise.0: drew -\d.* for camera.latency_s with seed 2: camera.latency_s must be"):
+        with pytest.raises(
+            ScenarioError,
+            match=(
+                r"randomise.0: drew -\d.* for camera.latency_s with seed 2:"
+                r" camera.latency_s must be"
+            ),
+        ):
             arm([{"field": LATENCY, "uniform": [-2, -1]}], seed=2)
 
     def test_a_field_twice(self):
-        with pytest.raises(ScenarioError, match=r"excludes randomise.0.field: world.light.brightness"):
+        with pytest.raises(
+            ScenarioError, match=r"excludes randomise.0.field: world.light.brightness"
+        ):
             arm([BLOCK[0], {"field": "world.light", "choice": ["x"]}])
 
     @pytest.mark.parametrize("field", ["seed", "plugins.0", "randomise.0.field"])
@@ -166,10 +220,15 @@ class TestRefusals:
             arm([{"field": field, "integer": [1, 2]}])
 
     def test_an_override_of_a_drawn_field(self):
-        with pytest.raises(ScenarioError, match=r"camera.latency_s: is drawn from the seed by randomise.1"):
+        with pytest.raises(
+            ScenarioError, match=r"camera.latency_s: is drawn from the seed by randomise.1"
+        ):
             arm(BLOCK, None, **{LATENCY: 0.1})
 
     def test_a_batch(self):
-        s = vs.load("ibvs_book", {"detector": "oracle", "randomise": [{"field": "law.gain", "uniform": [0.5, 1]}]})
+        s = vs.load(
+            "ibvs_book",
+            {"detector": "oracle", "randomise": [{"field": "law.gain", "uniform": [0.5, 1]}]},
+        )
         with pytest.raises(ParameterError, match="randomise must be"):
             BatchSetup(s)

@@ -1,4 +1,6 @@
-"""A seed draws what is random, also from a fixed start; `Scenario.draws` says whether it draws anything."""
+"""A seed draws what is random, also from a fixed start; `Scenario.draws` says whether it draws
+anything.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ SETTINGS: list[tuple[str, dict[str, Any]]] = [
     ("ibvs_book", {"calibration.depth_spread": 0.2}),
     ("ibvs_book", {"target.motion": WALK}),
     ("ibvs_book", {"world.plates": [{"pose": {"xyz": [1, 0, 3]}, "motion": WALK}]}),
-    ("car_line", {"detector": "oracle"}),  # nothing fixes its place, for which alone its compass is read
+    # nothing fixes its place, for which alone its compass is read
+    ("car_line", {"detector": "oracle"}),
     ("car_pbvs", {"detector": "oracle"}),
     ("car_pbvs", {"detector": "oracle", "robot.compass.sigma_deg": 0}),
     ("omni_ibvs", {"detector": "oracle", "robot.realism": "field"}),
@@ -62,29 +65,51 @@ def same_runs(scenario: Scenario) -> bool:
 
 @pytest.mark.parametrize(
     "settings",
-    [{"timing.link": {}}, {"timing.latency_jitter_s": 0.01}, {"robot.realism": "field"}, {"robot.geometry_error": {"sigma_m": 0.001}}],
+    [
+        {"timing.link": {}},
+        {"timing.latency_jitter_s": 0.01},
+        {"robot.realism": "field"},
+        {"robot.geometry_error": {"sigma_m": 0.001}},
+    ],
     ids=str,
 )
 def test_a_seed_draws_what_is_random_from_a_fixed_start(settings: dict[str, object]) -> None:
     fixed = load("arm_ibvs", {"robot.start.random": None, "detector": "oracle", **settings})
     again = seeded(fixed, 7)
-    assert again.seed == 7 and again.robot.configuration().tolist() == fixed.robot.configuration().tolist()
+    assert (
+        again.seed == 7
+        and again.robot.configuration().tolist() == fixed.robot.configuration().tolist()
+    )
 
 
 def test_a_seed_of_nothing_random_is_refused() -> None:
     with pytest.raises(ParameterError, match=r"robot\.start\.random"):
-        seeded(load("arm_ibvs", {"robot.start.random": None, "detector": "oracle", "robot.payload": {"mass_kg": 1.0}}), 7)
+        seeded(
+            load(
+                "arm_ibvs",
+                {
+                    "robot.start.random": None,
+                    "detector": "oracle",
+                    "robot.payload": {"mass_kg": 1.0},
+                },
+            ),
+            7,
+        )
 
 
 @pytest.mark.parametrize(("name", "settings"), one_quick(*SETTINGS, every=3), ids=str)
-def test_a_scenario_draws_where_two_seeds_give_two_runs(name: str, settings: dict[str, Any]) -> None:
+def test_a_scenario_draws_where_two_seeds_give_two_runs(
+    name: str, settings: dict[str, Any]
+) -> None:
     scenario = load(name, {"robot.start.random": None, "stop.duration_s": 0.12, **settings})
     assert scenario.draws is not same_runs(scenario)
 
 
 @pytest.mark.study
 @pytest.mark.parametrize(("name", "settings"), PICTURES, ids=str)
-def test_a_scenario_with_pictures_draws_where_two_seeds_give_two_runs(name: str, settings: dict[str, Any]) -> None:
+def test_a_scenario_with_pictures_draws_where_two_seeds_give_two_runs(
+    name: str, settings: dict[str, Any]
+) -> None:
     scenario = load(name, {"robot.start.random": None, "stop.duration_s": 0.12, **settings})
     assert scenario.draws is not same_runs(scenario)
 
@@ -93,5 +118,7 @@ def test_a_scenario_with_pictures_draws_where_two_seeds_give_two_runs(name: str,
 @pytest.mark.parametrize("name", bundled_scenarios())
 def test_each_bundled_scenario_draws_where_two_seeds_give_two_runs(name: str) -> None:
     given = load(name, {"robot.start.random": None})
-    scenario = load(name, {"robot.start.random": None, "stop.duration_s": max(1.0, 3 * given.camera.period)})
+    scenario = load(
+        name, {"robot.start.random": None, "stop.duration_s": max(1.0, 3 * given.camera.period)}
+    )
     assert scenario.draws is not same_runs(scenario)

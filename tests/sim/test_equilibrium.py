@@ -1,4 +1,6 @@
-"""Arms begin in equilibrium; the weight that a wrong gravity compensation leaves makes them sag, a payload asks for its torque."""
+"""Arms begin in equilibrium; the weight that a wrong gravity compensation leaves makes them sag, a
+payload asks for its torque.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,13 @@ def after(robot: Any, seconds: float = 1.0) -> tuple[np.ndarray, float]:
     plant = plant_of(robot)
     assert isinstance(plant, MujocoPlant) and plant.advance(round(seconds / plant.step_s))
     data = plant._stage.data
-    at = plant.truth().q, float(data.qfrc_actuator[plant._stage.at.motor_qvel[0]] + data.qfrc_applied[plant._stage.at.motor_qvel[0]])
+    at = (
+        plant.truth().q,
+        float(
+            data.qfrc_actuator[plant._stage.at.motor_qvel[0]]
+            + data.qfrc_applied[plant._stage.at.motor_qvel[0]]
+        ),
+    )
     plant.close()
     return at
 
@@ -55,19 +63,27 @@ def test_a_wrong_compensation_makes_it_sag(tmp_path: Path, share: float) -> None
 
 
 def test_elastic_gears_sag_by_both_springs(tmp_path: Path) -> None:
-    """The link begins where the scenario says, the rotor wound up by the load: only the servo gives way."""
-    q, _ = after(arm(tmp_path, axis="0 1 0", gravity_error=0.1, gears=Gears(stiffness_nmprad=(3000, 0))))
+    """The link begins where the scenario says, the rotor wound up by the load: only the servo gives
+    way.
+    """
+    q, _ = after(
+        arm(tmp_path, axis="0 1 0", gravity_error=0.1, gears=Gears(stiffness_nmprad=(3000, 0)))
+    )
     assert q[0] == pytest.approx(0.1 * LOAD / KP, rel=1e-3)
 
 
 def test_a_payload_asks_for_its_torque(tmp_path: Path) -> None:
-    q, torque = after(arm(tmp_path, axis="0 1 0", payload=Payload(mass_kg=1.5, com_m=(0.2, 0, 0))), 0.1)
+    q, torque = after(
+        arm(tmp_path, axis="0 1 0", payload=Payload(mass_kg=1.5, com_m=(0.2, 0, 0))), 0.1
+    )
     assert q == pytest.approx([0, 0], abs=1e-7)
     assert abs(torque) == pytest.approx(LOAD + 1.5 * 9.81 * (REACH + 0.2), rel=1e-5)
 
 
 @pytest.mark.parametrize(("declared", "carried"), [(True, 0.0), (False, 1.5 * 9.81 * 0.8)])
-def test_a_compensation_carries_a_declared_payload(tmp_path: Path, declared: bool, carried: float) -> None:
+def test_a_compensation_carries_a_declared_payload(
+    tmp_path: Path, declared: bool, carried: float
+) -> None:
     payload = Payload(mass_kg=1.5, com_m=(0.2, 0, 0), declared=declared)
     _, torque = after(arm(tmp_path, axis="0 1 0", gravity_error=0.0, payload=payload))
     assert abs(torque) == pytest.approx(carried, rel=1e-2, abs=1e-6)

@@ -20,18 +20,25 @@ Made = tuple[Scene, Callable[[], np.ndarray]]
 
 @pytest.fixture
 def scene() -> Iterator[Callable[..., Made]]:
-    """scene(name, outside): a bundled scenario's start with what draws it, by its own camera or from outside (with shadows)."""
+    """scene(name, outside): a bundled scenario's start with what draws it, by its own camera or
+    from outside (with shadows).
+    """
     stages: list[Scene] = []
 
     def make(name: str, outside: bool = False) -> Made:
         s = vs.load(name)
         stage = Scene(s.scene, samples=4 if outside else 0)
         flange = s.robot.flange_pose(s.robot.configuration())
-        stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.body else np.zeros(0), flange @ s.camera.mount.T)
+        stage.place(
+            0.0,
+            s.target.pose.T,
+            s.robot.configuration() if s.robot.body else np.zeros(0),
+            flange @ s.camera.mount.T,
+        )
         stages.append(stage)
-        return stage, SceneCamera(stage, "overview", 480, 270, shadows=True, style="outside").full_image if outside else OpenGLRenderer(
-            stage, s.camera
-        ).full_image
+        return stage, SceneCamera(
+            stage, "overview", 480, 270, shadows=True, style="outside"
+        ).full_image if outside else OpenGLRenderer(stage, s.camera).full_image
 
     yield make
     for stage in stages:
@@ -83,6 +90,7 @@ def test_a_texture_is_tiled_if_any_material_repeats_it():
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><asset>{texture("plain")}{texture("shared")}{texture("uniform")}
         <material name="a" texture="plain" texrepeat=".5 1"/><material name="b" texture="shared"/>
-        <material name="c" texture="shared" texrepeat="1 9"/><material name="d" texture="uniform" texuniform="true"/></asset></mujoco>"""
+        <material name="c" texture="shared" texrepeat="1 9"/>
+        <material name="d" texture="uniform" texuniform="true"/></asset></mujoco>"""
     )
     assert repeated(model).tolist() == [False, True, True]

@@ -18,4 +18,8 @@ def test_its_matrices_are_those_of_the_joint(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.spring, 2000 * np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 1]]))
     np.testing.assert_allclose(found.damper, 0.001 * found.spring)
     np.testing.assert_allclose(found.motors, [[0, 0], [0, 1], [1, 0]])
-    assert found.kp == pytest.approx([2000, 50]) and found.kv == pytest.approx([50, 1.25]) and found.integrates.all()
+    assert (
+        found.kp == pytest.approx([2000, 50])
+        and found.kv == pytest.approx([50, 1.25])
+        and found.integrates.all()
+    )

@@ -1,4 +1,6 @@
-"""The plants: truth of this very instant, servos as fast and as exact as their figures say, the exact ideal camera."""
+"""The plants: truth of this very instant, servos as fast and as exact as their figures say, the
+exact ideal camera.
+"""
 
 from __future__ import annotations
 
@@ -59,8 +61,8 @@ class TestTruth:
         plant.advance(1)
         now = plant.capture()[1]
         mount = Pose(**MOUNT).T
-        # Kinematics in numpy of the joints as they are now: rounding. The pose moves by .5 mm a step here, which is what
-        # MuJoCo's own step would leave it behind.
+        # Kinematics in numpy of the joints as they are now: rounding. The pose moves by .5 mm a
+        # step here, which is what MuJoCo's own step would leave it behind.
         np.testing.assert_allclose(now.T_world_camera, forward(now.q) @ mount, atol=1e-12)
         assert rigid_error(before.T_world_camera, now.T_world_camera)[0] > 2e-4
         np.testing.assert_array_equal(plant.reading().q, now.q)
@@ -72,10 +74,13 @@ class TestTruth:
         plant.apply(np.array([0.4, 0.2, -0.3, 0.5, 0.5, -0.5]))
         plant.advance(200)  # past the servos' rise
         before, now, after = truths(plant, 3)
-        D = inverse(now.T_world_camera) @ after.T_world_camera - inverse(now.T_world_camera) @ before.T_world_camera
+        D = (
+            inverse(now.T_world_camera) @ after.T_world_camera
+            - inverse(now.T_world_camera) @ before.T_world_camera
+        )
         differences = np.array([*D[:3, 3], D[2, 1], D[0, 2], D[1, 0]]) / (2 * STEP)
-        # Semi-implicit steps: q moves by the speed at a step's end, so that central differences see the mean of two
-        # speeds a step apart, 1 mm/s at .5 m/s^2.
+        # Semi-implicit steps: q moves by the speed at a step's end, so that central differences see
+        # the mean of two speeds a step apart, 1 mm/s at .5 m/s^2.
         np.testing.assert_allclose(now.twist, differences, atol=1e-3)
         assert np.linalg.norm(now.twist[:3]) > 0.2 and np.linalg.norm(now.twist[3:]) > 0.2
 
@@ -97,15 +102,23 @@ def test_the_arm_starts_in_equilibrium(arm: Build, actuation: str):
     plant.apply(np.zeros(6))
     plant.advance(500)
     position, angle = rigid_error(start, plant.capture()[1].T_world_camera)
-    # One second: 1 um and 1 urad are under 1/1000 px at 1 m. Without its load an industrial joint 2 sags by 2 mrad.
+    # One second: 1 um and 1 urad are under 1/1000 px at 1 m. Without its load an industrial joint 2
+    # sags by 2 mrad.
     assert position < 1e-6 and angle < 1e-6
 
 
 class TestSpeeds:
-    """Commanded and measured joint speed through the plant, at .2 rad/s: the figures that the README names."""
+    """Commanded and measured joint speed through the plant, at .2 rad/s: the figures that the
+    README names.
+    """
 
     SPEED = 0.2
-    KV, FRICTION, DAMPING = {0: 400.0, 4: 40.0}, {0: 25.9836, 4: 0.854445}, {0: 5.80182, 4: 0.427285}  # models/puma560.xml, raw
+    # models/puma560.xml, raw
+    KV, FRICTION, DAMPING = (
+        {0: 400.0, 4: 40.0},
+        {0: 25.9836, 4: 0.854445},
+        {0: 5.80182, 4: 0.427285},
+    )
 
     def measure(self, plant: Plant, joint: int) -> tuple[float, float]:
         """Steady speed as a part of the commanded one, and the time from 10 to 90 % of it [s]."""
@@ -117,13 +130,15 @@ class TestSpeeds:
     @pytest.mark.parametrize("joint", [0, 4])
     def test_ideal(self, arm: Build, joint: int):
         steady, rise = self.measure(arm("ideal"), joint)
-        # A baseline must not be told from a servo without dynamics: .5 %, and a quarter of a camera frame.
+        # A baseline must not be told from a servo without dynamics: .5 %, and a quarter of a camera
+        # frame.
         assert steady == pytest.approx(1, abs=0.005) and rise < 0.010
 
     @pytest.mark.parametrize("joint", [0, 4])
     def test_industrial(self, arm: Build, joint: int):
         steady, rise = self.measure(arm("industrial"), joint)
-        # Integral action: no error but what gravity's change under the arm leaves; real arms rise in tens of milliseconds.
+        # Integral action: no error but what gravity's change under the arm leaves; real arms rise
+        # in tens of milliseconds.
         assert steady == pytest.approx(1, abs=0.005) and 0.030 < rise < 0.055
 
     @pytest.mark.parametrize("joint", [0, 4])
@@ -139,23 +154,32 @@ class TestSpeeds:
         plant, dead = arm("raw"), self.FRICTION[joint] / self.KV[joint]
         plant.apply(one_joint(joint, 0.95 * dead))
         plant.advance(250)
-        # MuJoCo's friction is a stiff damper: under .1 mrad/s leaks through, a thousandth of the command.
+        # MuJoCo's friction is a stiff damper: under .1 mrad/s leaks through, a thousandth of the
+        # command.
         assert abs(plant.reading().qd[joint]) < 1e-4
         plant.apply(one_joint(joint, 1.5 * dead))
         plant.advance(250)
         kv, damping = self.KV[joint], self.DAMPING[joint]
-        assert plant.reading().qd[joint] == pytest.approx(0.5 * dead * kv / (kv + damping), rel=0.02)
+        assert plant.reading().qd[joint] == pytest.approx(
+            0.5 * dead * kv / (kv + damping), rel=0.02
+        )
 
     def test_a_camera_twist_comes_out_as_ordered(self, arm: Build):
         s = vs.load("arm_ibvs", {"robot.actuation": "ideal", "camera.mount": MOUNT})
         plant, twist = arm("ideal", MOUNT), np.array([0.05, -0.04, 0.03, 0.1, -0.05, 0.2])
         for _ in range(10):
-            allocation = s.robot.allocate(twist, plant.reading(), Mount.of(s.camera.mount.T), s.camera.period)
-            np.testing.assert_allclose(allocation.twist, twist, atol=1e-12)  # far from limits and singularities
+            allocation = s.robot.allocate(
+                twist, plant.reading(), Mount.of(s.camera.mount.T), s.camera.period
+            )
+            # far from limits and singularities
+            np.testing.assert_allclose(allocation.twist, twist, atol=1e-12)
             plant.apply(allocation.setpoint)
             plant.advance(20)
-        # Joint speeds hold still for 40 ms while the Jacobian turns by |w| 40 ms = 1 %; the servo's own .5 %.
-        np.testing.assert_allclose(plant.capture()[1].twist, twist, atol=0.015 * np.linalg.norm(twist))
+        # Joint speeds hold still for 40 ms while the Jacobian turns by |w| 40 ms = 1 %; the servo's
+        # own .5 %.
+        np.testing.assert_allclose(
+            plant.capture()[1].twist, twist, atol=0.015 * np.linalg.norm(twist)
+        )
 
 
 def test_the_ideal_camera_moves_by_the_exact_exponential():
@@ -170,7 +194,11 @@ def test_the_ideal_camera_moves_by_the_exact_exponential():
     # Rounding of four products, whatever the steps' lengths: no integration error.
     np.testing.assert_allclose(truth.T_world_camera, start @ exp(twist * 500 * STEP), atol=1e-13)
     np.testing.assert_allclose(truth.twist, twist, atol=1e-14)
-    p = (inverse(truth.T_world_camera) @ s.target.pose.T @ np.column_stack([s.target.points, np.ones(4)]).T).T[:, :3]
+    p = (
+        inverse(truth.T_world_camera)
+        @ s.target.pose.T
+        @ np.column_stack([s.target.points, np.ones(4)]).T
+    ).T[:, :3]
     np.testing.assert_allclose(truth.p_camera, p, atol=1e-13)
     assert renderer == "none"
 

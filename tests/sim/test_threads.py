@@ -1,4 +1,6 @@
-"""Pictures by OpenGL in any thread, in any order, several at once: the same bytes, no words, a clean end of the process."""
+"""Pictures by OpenGL in any thread, in any order, several at once: the same bytes, no words, a
+clean end of the process.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,18 @@ import hashlib, os, pathlib, signal, sys, threading, time
 import vstestbed as vs
 
 def scenario(width=160):
-    small = {"camera.width": width, "camera.height": 120, "target.marker.radius": 0.06, "stop.duration_s": 0.12}
+    small = {
+        "camera.width": width,
+        "camera.height": 120,
+        "target.marker.radius": 0.06,
+        "stop.duration_s": 0.12,
+    }
     return vs.load("arm_ibvs", small)
 
 def log(width=160):
     recording = vs.run(scenario(width))
-    renderer = recording.versions["renderer"]
-    return ("rays" if renderer.startswith("rays") else "gl") + hashlib.sha256(recording.table.tobytes()).hexdigest()
+    by = "rays" if recording.versions["renderer"].startswith("rays") else "gl"
+    return by + hashlib.sha256(recording.table.tobytes()).hexdigest()
 
 def in_threads(*widths):
     logs = {}
@@ -33,12 +40,17 @@ def in_threads(*widths):
 ANY_ORDER = """
 first, main, again = *in_threads(160), log(), *in_threads(160)
 wide = log(200)  # of another size: a rendering context of its own
-print(main[:2], {first, main, again} == {main}, in_threads(160, 200) == [main, wide], in_threads(200, 160, 200) == [wide, main, wide])
+rising = in_threads(160, 200) == [main, wide]
+mixed = in_threads(200, 160, 200) == [wide, main, wide]
+print(main[:2], {first, main, again} == {main}, rising, mixed)
 """
 INTERRUPTED = """
 class Interrupts:
-    def frame(self, frame): threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start() if frame.timing.number == 1 else None
-print(vs.run(vs.load("arm_ibvs", {"stop.duration_s": 1000, "stop.converged.error_px": 1e-9}), [Interrupts()]).outcome.name, log() == log())
+    def frame(self, frame):
+        if frame.timing.number == 1:
+            threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start()
+endless = vs.load("arm_ibvs", {"stop.duration_s": 1000, "stop.converged.error_px": 1e-9})
+print(vs.run(endless, [Interrupts()]).outcome.name, log() == log())
 """
 FORKED = """
 import vstestbed.sim.render.opengl
@@ -57,7 +69,10 @@ same = log() == pathlib.Path(sys.argv[1]).read_text()
 print(before, same, flush=True)
 print(child(refused), log() == log())
 """
-REFUSED = "no OpenGL: this process is a fork of one that has drawn with it; start processes with multiprocessing's method spawn"
+REFUSED = (
+    "no OpenGL: this process is a fork of one that has drawn with it;"
+    " start processes with multiprocessing's method spawn"
+)
 
 
 @pytest.mark.process

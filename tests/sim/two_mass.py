@@ -1,4 +1,6 @@
-"""A joint that swings a load, and one that rolls it, which the first does not feel: the textbook's two-mass joint as an arm."""
+"""A joint that swings a load, and one that rolls it, which the first does not feel: the textbook's
+two-mass joint as an arm.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +28,21 @@ FILE = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
 <body name="link" pos="0 0 1"><inertial pos="0.6 0 0" mass="1.5" diaginertia="0.05 0.1 0.1"/>
 <joint name="swing" axis="{axis}" armature="{rotor}"/>
 <body name="tip" pos="0.6 0 0"><inertial pos="0 0 0" mass="0.5" diaginertia="0.001 0.001 0.001"/>
-<joint name="roll" axis="1 0 0" armature="0.01"/><site name="flange"/></body></body></worldbody></mujoco>"""
+<joint name="roll" axis="1 0 0" armature="0.01"/><site name="flange"/></body></body>
+</worldbody></mujoco>"""
 TARGET = TARGETS.members["square"](side=0.2, pose=Pose(xyz=(2, 0, 1), rpy_deg=(0, 90, 0)))
 
 
 def arm(folder: Path, axis: str = "0 0 1", rotor: float = ROTOR, **effects: Any) -> Mjcf:
-    """The arm, its first joint about an axis of the world: (0, 0, 1) without weight, (0, 1, 0) with the weight of MASS at REACH."""
+    """The arm, its first joint about an axis of the world: (0, 0, 1) without weight, (0, 1, 0) with
+    the weight of MASS at REACH.
+    """
     path = folder / "two_mass.xml"
     path.write_text(FILE.format(axis=axis, rotor=rotor))
     start = ArmStart(nominal=Positions(q_deg=(0.0, 0.0)))
-    given: dict[str, Any] = {"servo_kp": (2000.0, 50.0), "servo_kv": (50.0, 1.25)} if "actuation" not in effects else {}
+    given: dict[str, Any] = (
+        {"servo_kp": (2000.0, 50.0), "servo_kv": (50.0, 1.25)} if "actuation" not in effects else {}
+    )
     return Mjcf(file=str(path), speed_limits=(2.0, 2.0), start=start, **given | effects)
 
 
@@ -63,4 +70,6 @@ def stage_of(robot: Mjcf, step_s: float | None = None) -> Scene:
 
 def plant_of(robot: Mjcf, step_s: float | None = None) -> Plant:
     """Its plant without pictures."""
-    return build_plant(scene_of(robot, Clock(step_s=step_s).resolve(Perspective(), longest_step(robot))[0]))[0]
+    return build_plant(
+        scene_of(robot, Clock(step_s=step_s).resolve(Perspective(), longest_step(robot))[0])
+    )[0]

@@ -1,4 +1,6 @@
-"""Calibration from pictures of a board: of a folder, of a run, with what is wrong said in a sentence."""
+"""Calibration from pictures of a board: of a folder, of a run, with what is wrong said in a
+sentence.
+"""
 
 import csv
 import functools
@@ -21,14 +23,20 @@ from vstestbed.studies.run_folder import run_into
 
 BOARD = c.Board()
 MOUNT = Pose(xyz=(0.03, -0.02, 0.06), rpy_deg=(2, -3, 5)).T
-CAMERA = Perspective(intrinsics=Intrinsics.of([[515, 0, 324], [0, 512, 236], [0, 0, 1]], (-0.12, 0.05, 0.0005, -0.0005, 0), (640, 480)))
+CAMERA = Perspective(
+    intrinsics=Intrinsics.of(
+        [[515, 0, 324], [0, 512, 236], [0, 0, 1]], (-0.12, 0.05, 0.0005, -0.0005, 0), (640, 480)
+    )
+)
 
 
 @functools.lru_cache
 def rays(camera):
     """Rays of two by two samples a pixel (2 H, 2 W, 3)."""
     v, u = np.mgrid[0 : camera.height * 2, 0 : camera.width * 2]
-    return camera.ray(np.stack([(u + 0.5) / 2 - 0.5, (v + 0.5) / 2 - 0.5], axis=-1).reshape(-1, 2)).reshape(*u.shape, 3)
+    return camera.ray(
+        np.stack([(u + 0.5) / 2 - 0.5, (v + 0.5) / 2 - 0.5], axis=-1).reshape(-1, 2)
+    ).reshape(*u.shape, 3)
 
 
 def drawn(camera, T_camera_board, board=BOARD):
@@ -37,8 +45,13 @@ def drawn(camera, T_camera_board, board=BOARD):
     d, o = rays(camera) @ T[:3, :3].T, T[:3, 3]
     at = (o + d * (-o[2] / d[..., 2:]))[..., :2] * (100 / board.square_m) - 0.5
     maps = [np.ascontiguousarray(at[..., i], np.float32) for i in (0, 1)]
-    fine = cv2.remap(board.print(100), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
-    return cv2.cvtColor(cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB)
+    fine = cv2.remap(
+        board.print(100), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
+    )
+    return cv2.cvtColor(
+        cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA),
+        cv2.COLOR_GRAY2RGB,
+    )
 
 
 def poses(n, seed=1):
@@ -56,7 +69,10 @@ def poses(n, seed=1):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Pictures with `poses.csv`, and one that does not show the board."""
-    place, base = tmp_path_factory.mktemp("pictures"), Pose(xyz=(0.8, 0.1, 0.3), rpy_deg=(170, 10, 20)).T
+    place, base = (
+        tmp_path_factory.mktemp("pictures"),
+        Pose(xyz=(0.8, 0.1, 0.3), rpy_deg=(170, 10, 20)).T,
+    )
     with (place / "poses.csv").open("w", newline="") as file:
         lines = csv.writer(file)
         lines.writerow(["picture", "x", "y", "z", "qx", "qy", "qz", "qw"])
@@ -76,7 +92,9 @@ def test_pictures_of_a_folder_give_lens_and_mount(folder, tmp_path):
     np.testing.assert_allclose(np.diag(made.camera.K)[:2], (515, 512), rtol=0.005)
     np.testing.assert_allclose(made.camera.centre, (324, 236), atol=2)
     assert made.rms_px < 0.15 and made.found.rms_px < 0.2
-    page = c.write(tmp_path, made, "pictures", None, "vstestbed calibrate").read_text(encoding="utf-8")
+    page = c.write(tmp_path, made, "pictures", None, "vstestbed calibrate").read_text(
+        encoding="utf-8"
+    )
     assert "The board is not found in: empty.png." in page and "daniilidis" in page
     again = read_calibration(str(tmp_path / "calibration.yaml"))
     np.testing.assert_allclose(Pose(**again["mount"]).T, made.found.X, atol=1e-9)
@@ -88,13 +106,19 @@ def test_a_lens_that_is_known_is_kept(folder):
     assert made.camera is CAMERA and np.isnan(made.rms_px)
     assert rigid_error(made.found.X, MOUNT)[0] < 5e-4
     with pytest.raises(ParameterError, match="must have the camera's 320 x 240 px"):
-        c.calibrated(c.shots_of_folder(folder, None), BOARD, True, None, Perspective(width=320, height=240))
+        c.calibrated(
+            c.shots_of_folder(folder, None), BOARD, True, None, Perspective(width=320, height=240)
+        )
 
 
 def test_a_fisheye_is_calibrated():
     true = Fisheye(fov_deg=150, coefficients=(0.02, -0.004, 0, 0), focal_length_px=250)
     find = BOARD.finder()
-    seen = [found for T in poses(8, 2) if (found := find(drawn(true, Pose(xyz=(0, 0, -0.15)).T @ T))) is not None]
+    seen = [
+        found
+        for T in poses(8, 2)
+        if (found := find(drawn(true, Pose(xyz=(0, 0, -0.15)).T @ T))) is not None
+    ]
     camera, rms = c.intrinsics_of(seen, (480, 640), "equidistant")
     assert len(seen) >= 6 and rms < 0.2
     p = np.random.default_rng(1).uniform([-0.1, -0.1, 0.2], [0.1, 0.1, 0.3], (50, 3))
@@ -109,7 +133,13 @@ def test_advice_names_what_is_missing(folder):
 
 
 def test_what_is_no_calibration_is_refused(folder, tmp_path):
-    for words in ("7x5", "7x5:a:b:4X4_50", "2x2:0.1:0.05:4X4_50", "7x5:0.03:0.04:4X4_50", "7x5:0.04:0.03:NONE"):
+    for words in (
+        "7x5",
+        "7x5:a:b:4X4_50",
+        "2x2:0.1:0.05:4X4_50",
+        "7x5:0.03:0.04:4X4_50",
+        "7x5:0.04:0.03:NONE",
+    ):
         with pytest.raises(ParameterError, match="--board needs the form"):
             c.Board.of(words)
     assert c.Board.of("9x6:0.03:0.02:dict_5x5_100").board() is not None
@@ -120,13 +150,17 @@ def test_what_is_no_calibration_is_refused(folder, tmp_path):
         c.shots_of_folder(tmp_path, None)
     with pytest.raises(ParameterError, match="show the board 9x6 in 0 of 11"):
         c.calibrated(c.shots_of_folder(folder, None), c.Board(9, 6), True, None)
-    run_into(tmp_path / "omni", vs.load("omni_ibvs", {"stop.duration_s": 0.1}), "none", report=False)
+    run_into(
+        tmp_path / "omni", vs.load("omni_ibvs", {"stop.duration_s": 0.1}), "none", report=False
+    )
     with pytest.raises(RunFolderError, match="an arm: hand-eye calibration needs its joints"):
         c.shots_of_run(tmp_path / "omni")
 
 
 def test_a_board_is_bounded_before_it_is_made(command):
-    """A board of 1,000,000 x 1,000,000 squares would take all memory; markers that the dictionary has not would be drawn from nothing."""
+    """A board of 1,000,000 x 1,000,000 squares would take all memory; markers that the dictionary
+    has not would be drawn from nothing.
+    """
     for size in ("1000000x1000000", "1000000x3", "40x40", "99999999999999999999x3"):
         with pytest.raises(ParameterError, match="of at most 50 markers, which 4X4_50 has"):
             c.Board.of(f"{size}:0.04:0.03:4X4_50")
@@ -144,7 +178,9 @@ def test_a_board_is_bounded_before_it_is_made(command):
         with pytest.raises(ParameterError, match="--board needs the form"):
             c.Board.of(f"{words}:4X4_50")
     began = time.monotonic()
-    ended = command("calibrate", ".", "--board", "1000000x1000000:0.04:0.03:4X4_50", "--print", "a.png")
+    ended = command(
+        "calibrate", ".", "--board", "1000000x1000000:0.04:0.03:4X4_50", "--print", "a.png"
+    )
     assert ended.code == 2 and ended.err.count("\n") == 1 and time.monotonic() - began < 5
 
 
@@ -159,7 +195,9 @@ BROKEN = {
     "huge.png": (0.8, 0.1, 0.3, 0, 0, 0, 1),
     "..": (0.8, 0.1, 0.3, 0, 0, 0, 1),
 }
-"""Lines of poses.csv, of a picture that is a text, a pipe, of another size, missing, of 64 MiB; and a folder."""
+"""Lines of poses.csv, of a picture that is a text, a pipe, of another size, missing, of 64 MiB; and
+a folder.
+"""
 
 
 def test_lines_and_pictures_that_are_broken_are_passed_over_and_told(folder, tmp_path, caplog):
@@ -177,10 +215,15 @@ def test_lines_and_pictures_that_are_broken_are_passed_over_and_told(folder, tmp
         csv.writer(file).writerows([name, *numbers] for name, numbers in BROKEN.items())
     shots = c.shots_of_folder(place, None)
     assert [shot.name for shot in shots] == [f"{i}.png" for i in range(10)] + ["empty.png"]
-    assert f"{len(BROKEN)} of {11 + len(BROKEN)} pictures are passed over, the first: " in caplog.text and "poses.csv:13" in caplog.text
+    assert (
+        f"{len(BROKEN)} of {11 + len(BROKEN)} pictures are passed over, the first: " in caplog.text
+        and "poses.csv:13" in caplog.text
+    )
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"picture,x\n" + b"a" * 200_000, b"picture\n", b"\0\0\0"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff\xfe\x00", b"picture,x\n" + b"a" * 200_000, b"picture\n", b"\0\0\0"]
+)
 def test_poses_that_are_none_are_a_sentence(tmp_path, content):
     (tmp_path / "poses.csv").write_bytes(content)
     with pytest.raises(VstestbedError):
@@ -212,7 +255,9 @@ def test_two_hundred_broken_pose_files_are_a_sentence_or_lines_passed_over(tmp_p
 
 
 def test_a_calibration_is_less_exact_with_worse_joints(monkeypatch):
-    """By the commands' own table: five times the joints' error is more than twice the error of the pose."""
+    """By the commands' own table: five times the joints' error is more than twice the error of the
+    pose.
+    """
     monkeypatch.setattr(c, "OVER", {"joint_deg": (0.02, 0.1)})
     lines = c.exactness(vs.load("arm_calibrate"), BOARD, 3)
     assert len(lines) == 2 * 6  # five methods, and the bundle adjustment
@@ -234,6 +279,11 @@ def test_a_run_of_arm_calibrate_finds_the_camera(tmp_path):
 def test_boards_that_are_all_seen_from_the_front_are_told():
     """A board across the optical axis looks alike with any focal length at its distance."""
     grid = np.array([[x, y, 0.0] for y in range(4) for x in range(6)]) * 0.04
-    seen = [(grid, np.array([320.0, 240.0]) + (grid[:, :2] - [0.1, 0.06]) * 600 / z) for z in (0.5, 0.6, 0.7, 0.8)]
-    with pytest.raises(ParameterError, match=r"do not determine the focal length .* tilt the board"):
+    seen = [
+        (grid, np.array([320.0, 240.0]) + (grid[:, :2] - [0.1, 0.06]) * 600 / z)
+        for z in (0.5, 0.6, 0.7, 0.8)
+    ]
+    with pytest.raises(
+        ParameterError, match=r"do not determine the focal length .* tilt the board"
+    ):
         c.intrinsics_of(seen, (480, 640), "plumb_bob")

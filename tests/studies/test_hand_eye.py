@@ -1,4 +1,6 @@
-"""Hand-eye calibration: the closed forms against OpenCV 4's numbers, the bundle adjustment against the truth and its own intervals."""
+"""Hand-eye calibration: the closed forms against OpenCV 4's numbers, the bundle adjustment against
+the truth and its own intervals.
+"""
 
 import json
 import math
@@ -13,13 +15,25 @@ from tests.shortcuts import one_quick
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import exp, inverse, rigid_error, transform
-from vstestbed.studies.hand_eye import METHODS, View, calibrate, held_out, joint_jacobian, motions, seen_from, turns
+from vstestbed.studies.hand_eye import (
+    METHODS,
+    View,
+    calibrate,
+    held_out,
+    joint_jacobian,
+    motions,
+    seen_from,
+    turns,
+)
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "hand_eye.json").read_text())
 CAMERA = Perspective(width=640, height=480, fovy_deg=50)
 CORNERS = np.array([[x, y, 0] for x in range(1, 7) for y in range(1, 5)]) * 0.04
 X = np.eye(4)
-X[:3, :3], X[:3, 3] = Rotation.from_euler("ZYX", [20, -5, 8], degrees=True).as_matrix(), [0.03, -0.02, 0.1]
+X[:3, :3], X[:3, 3] = (
+    Rotation.from_euler("ZYX", [20, -5, 8], degrees=True).as_matrix(),
+    [0.03, -0.02, 0.1],
+)
 
 
 def pose(w, t):
@@ -29,14 +43,24 @@ def pose(w, t):
 
 
 def views(n, in_hand=True, turn=0.5, corner_px=0.1, robot_m=0.0, seed=0, axis=None):
-    """Views of a board before the camera, turned by up to an angle; the robot's poses with an error of `robot_m` [m, rad]."""
+    """Views of a board before the camera, turned by up to an angle; the robot's poses with an error
+    of `robot_m` [m, rad].
+    """
     rng, fixed, found = np.random.default_rng(seed), pose([0.3, 0.2, 0.1], [0.8, 0.1, 0.3]), []
     for _ in range(n):
-        w = rng.uniform(-turn, turn, 3) if axis is None else np.array(axis) * rng.uniform(-turn, turn)
-        T = pose(w, [*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.4, 0.5)]) @ pose(np.zeros(3), [-0.14, -0.1, 0])
+        w = (
+            rng.uniform(-turn, turn, 3)
+            if axis is None
+            else np.array(axis) * rng.uniform(-turn, turn)
+        )
+        T = pose(w, [*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.4, 0.5)]) @ pose(
+            np.zeros(3), [-0.14, -0.1, 0]
+        )
         # in hand: T_base_flange = fixed T^-1 X^-1; in the room: X T fixed^-1
         G = fixed @ inverse(T) @ inverse(X) if in_hand else X @ T @ inverse(fixed)
-        uv = CAMERA.project(CORNERS @ T[:3, :3].T + T[:3, 3]) + corner_px * rng.standard_normal((len(CORNERS), 2))
+        uv = CAMERA.project(CORNERS @ T[:3, :3].T + T[:3, 3]) + corner_px * rng.standard_normal(
+            (len(CORNERS), 2)
+        )
         read = G @ pose(robot_m * rng.standard_normal(3), robot_m * rng.standard_normal(3))
         found.append(View("", read, CORNERS, uv, seen_from(CORNERS, uv, CAMERA), np.eye(6)))
     return found
@@ -44,34 +68,58 @@ def views(n, in_hand=True, turn=0.5, corner_px=0.1, robot_m=0.0, seed=0, axis=No
 
 @pytest.mark.parametrize("name", METHODS)
 def test_the_closed_forms_are_opencvs(name):
-    """OpenCV 4.14 leaves out of Tsai's method the pairs that turn the least: those under 23 degrees here."""
-    A, B = motions([View("", np.array(g), None, None, np.array(t), None) for g, t in zip(GOLDEN["G"], GOLDEN["T"], strict=True)], True)
+    """OpenCV 4.14 leaves out of Tsai's method the pairs that turn the least: those under 23 degrees
+    here.
+    """
+    A, B = motions(
+        [
+            View("", np.array(g), None, None, np.array(t), None)
+            for g, t in zip(GOLDEN["G"], GOLDEN["T"], strict=True)
+        ],
+        True,
+    )
     turned = Rotation.from_matrix(A[:, :3, :3]).magnitude() > (0.4 if name == "tsai" else 0)
     np.testing.assert_allclose(METHODS[name](A[turned], B[turned]), GOLDEN["X"][name], atol=1e-12)
 
 
-# The example of Shiu & Ahmad 1989, doi:10.1109/70.88014, in Park & Martin 1994, doi:10.1109/70.326576: two motions, six digits, lengths
-# without a unit; as two public programs copy it. (One of them has .997612 in the last, whose row would not have the length 1.)
+# The example of Shiu & Ahmad 1989, doi:10.1109/70.88014, in Park & Martin 1994,
+# doi:10.1109/70.326576: two motions, six digits, lengths without a unit; as two public programs
+# copy it. (One of them has .997612 in the last, whose row would not have the length 1.)
 SHIU_A = [
     [[-0.989992, -0.141120, 0, 0], [0.141120, -0.989992, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
     [[0.070737, 0, 0.997495, -400], [0, 1, 0, 0], [-0.997495, 0, 0.070737, 400], [0, 0, 0, 1]],
 ]
 SHIU_B = [
-    [[-0.989992, -0.138307, 0.028036, -26.9559], [0.138307, -0.911449, 0.387470, -96.1332], [-0.028036, 0.387470, 0.921456, 19.4872]],
-    [[0.070737, 0.198172, 0.977612, -309.543], [-0.198172, 0.963323, -0.180936, 59.0244], [-0.977612, -0.180936, 0.107415, 291.177]],
+    [
+        [-0.989992, -0.138307, 0.028036, -26.9559],
+        [0.138307, -0.911449, 0.387470, -96.1332],
+        [-0.028036, 0.387470, 0.921456, 19.4872],
+    ],
+    [
+        [0.070737, 0.198172, 0.977612, -309.543],
+        [-0.198172, 0.963323, -0.180936, 59.0244],
+        [-0.977612, -0.180936, 0.107415, 291.177],
+    ],
 ]
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_the_example_of_shiu_and_ahmad(name):
-    """R_x(.2), t = (10, 50, 100). Inputs of six digits: a rotation of 1e-6 moves 566 of length by 6e-4, ten times so in Kronecker form."""
+    """R_x(.2), t = (10, 50, 100). Inputs of six digits: a rotation of 1e-6 moves 566 of length by
+    6e-4, ten times so in Kronecker form.
+    """
     B = np.array([[*map(list, M), [0, 0, 0, 1]] for M in SHIU_B])
     found = METHODS[name](np.array(SHIU_A), B)
-    np.testing.assert_allclose(found[:3, :3], Rotation.from_rotvec([0.2, 0, 0]).as_matrix(), atol=4e-6)
-    np.testing.assert_allclose(found[:3, 3], [10, 50, 100], atol=6e-3 if name == "andreff" else 6e-4)
+    np.testing.assert_allclose(
+        found[:3, :3], Rotation.from_rotvec([0.2, 0, 0]).as_matrix(), atol=4e-6
+    )
+    np.testing.assert_allclose(
+        found[:3, 3], [10, 50, 100], atol=6e-3 if name == "andreff" else 6e-4
+    )
 
 
-# OpenCV, modules/calib3d/test/test_calibration_hand_eye.cpp, regression_24871: four poses, and what they were made of.
+# OpenCV, modules/calib3d/test/test_calibration_hand_eye.cpp, regression_24871: four poses, and what
+# they were made of.
 OPENCV_T = [
     [[0.04964505493834381, 0.5136826827431226, 0.8565427426404346, -1.588728904724121],
      [-0.3923117691818854, 0.7987004864191318, -0.4562554205214679, 0.07843752950429916],
@@ -107,7 +155,10 @@ OPENCV_X = [[0, 0, -1, 0.1], [1, 0, 0, 0.2], [0, -1, 0, 0.3]]
 def test_opencvs_own_four_poses(name):
     """Every method is exact there within 1e-12, which is the bound of OpenCV's test."""
     last = [0, 0, 0, 1]
-    four = [View("", np.array([*g, last]), None, None, np.array([*t, last]), None) for g, t in zip(OPENCV_G, OPENCV_T, strict=True)]
+    four = [
+        View("", np.array([*g, last]), None, None, np.array([*t, last]), None)
+        for g, t in zip(OPENCV_G, OPENCV_T, strict=True)
+    ]
     np.testing.assert_allclose(METHODS[name](*motions(four, True))[:3], OPENCV_X, atol=1e-12)
 
 
@@ -121,7 +172,9 @@ def test_without_noise_all_of_them_find_the_camera(in_hand):
 
 @pytest.mark.parametrize("n", one_quick(10, 60))
 def test_the_bundle_adjustment_knows_how_exact_it_is(n):
-    """The squared errors over the variances are 6 on the mean: chi-squared of 6 degrees of freedom, 3 standard errors."""
+    """The squared errors over the variances are 6 on the mean: chi-squared of 6 degrees of freedom,
+    3 standard errors.
+    """
     z, better = [], 0
     for seed in range(n):
         made = calibrate(views(12, corner_px=0.2, robot_m=2e-4, seed=seed), CAMERA, True, 0.2, 2e-4)
@@ -144,7 +197,9 @@ def test_views_that_tell_too_little_are_refused():
     with pytest.raises(ParameterError, match="about one axis of the flange alone"):
         calibrate(views(8, axis=[0, 0, 1]), CAMERA)
     spread, axes = turns(views(20, turn=0.4, axis=[1, 0, 0]))
-    assert spread[2] > 10 > 1e-3 > spread[1] and abs(axes[2] @ X[:3, :3][:, 0]) == pytest.approx(1, abs=1e-6)
+    assert spread[2] > 10 > 1e-3 > spread[1] and abs(axes[2] @ X[:3, :3][:, 0]) == pytest.approx(
+        1, abs=1e-6
+    )
 
 
 def test_the_jacobian_of_a_flange_is_that_of_its_motion():
@@ -157,12 +212,17 @@ def test_the_jacobian_of_a_flange_is_that_of_its_motion():
 
 def test_a_board_seen_exactly_from_the_front_has_a_pose():
     camera = Perspective()
-    board = np.array([[x, y, 0.0] for y in np.linspace(-0.1, 0.1, 5) for x in np.linspace(-0.14, 0.14, 7)])
-    for roll in np.radians(np.arange(0, 360, 5)):  # at one in eighteen of these OpenCV's own solver gives NaN
+    board = np.array(
+        [[x, y, 0.0] for y in np.linspace(-0.1, 0.1, 5) for x in np.linspace(-0.14, 0.14, 7)]
+    )
+    # at one in eighteen of these OpenCV's own solver gives NaN
+    for roll in np.radians(np.arange(0, 360, 5)):
         T = exp(np.array([0, 0, 0, 0, 0, roll]))
         T[2, 3] = 0.6
         # rounding of pixels of some hundreds, over the focal length
-        np.testing.assert_allclose(seen_from(board, camera.project(transform(T, board)), camera), T, atol=1e-9)
+        np.testing.assert_allclose(
+            seen_from(board, camera.project(transform(T, board)), camera), T, atol=1e-9
+        )
 
 
 def test_corners_on_a_line_are_no_board():

@@ -1,4 +1,6 @@
-"""Submissions to the suite: what is refused before anything is unpacked, which rows are the plan's, how surely forged ones are found."""
+"""Submissions to the suite: what is refused before anything is unpacked, which rows are the plan's,
+how surely forged ones are found.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,15 @@ import pytest
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.loop.isolated import offered
 from vstestbed.studies import submission
-from vstestbed.studies.submission import MOST_TEXT, MOST_UNPACKED, Asked, contents, draws, pack, unpacked
+from vstestbed.studies.submission import (
+    MOST_TEXT,
+    MOST_UNPACKED,
+    Asked,
+    contents,
+    draws,
+    pack,
+    unpacked,
+)
 from vstestbed.studies.suite import NAME, SuiteEntry, TaskSuite, fingerprint, opened, read_suite
 
 # Two tasks, both from random starts: the bundled suite's tasks are these and longer ones.
@@ -65,7 +75,9 @@ def zipped(files: Files, path: Path, **more: Any) -> Path:
 
 @pytest.fixture
 def world(tmp_path: Path) -> Iterator[SimpleNamespace]:
-    """A suite, a law of one's own, and the files of its submission, of runs that nobody has flown."""
+    """A suite, a law of one's own, and the files of its submission,
+    of runs that nobody has flown.
+    """
     (tmp_path / "plan.yaml").write_text(PLAN)
     suite = tmp_path / "own.yaml"
     suite.write_text(SUITE)
@@ -73,19 +85,32 @@ def world(tmp_path: Path) -> Iterator[SimpleNamespace]:
     law.write_text(LAW)
     rows = rows_of(suite, law)
     about = json.dumps(opened(str(law), str(suite), alone=True).about).encode()
-    files: Files = {"suite.json": about, "runs.csv": text_of(rows), "scores.csv": b"law\n", "law/mine.yaml": LAW.encode()}
+    files: Files = {
+        "suite.json": about,
+        "runs.csv": text_of(rows),
+        "scores.csv": b"law\n",
+        "law/mine.yaml": LAW.encode(),
+    }
     with offered():
-        yield SimpleNamespace(folder=tmp_path, suite=suite, law=law, rows=rows, files=files, asked=Asked(str(suite)))
+        yield SimpleNamespace(
+            folder=tmp_path, suite=suite, law=law, rows=rows, files=files, asked=Asked(str(suite))
+        )
 
 
 # Rows: the plan's, exactly.
 
 
 def test_the_rows_handed_in_are_those_of_the_plan(world: SimpleNamespace) -> None:
-    entry, given = unpacked(zipped(world.files, world.folder / "true.zip"), world.folder / "law", world.asked)
-    assert list(entry.plans) == ["only"] and given.rows() == [("only", "mine", row["start"], True, 5.0) for row in world.rows]
+    entry, given = unpacked(
+        zipped(world.files, world.folder / "true.zip"), world.folder / "law", world.asked
+    )
+    assert list(entry.plans) == ["only"] and given.rows() == [
+        ("only", "mine", row["start"], True, 5.0) for row in world.rows
+    ]
     shuffled = world.files | {"runs.csv": text_of(world.rows[::-1])}
-    unpacked(zipped(shuffled, world.folder / "other_order.zip"), world.folder / "other", world.asked)
+    unpacked(
+        zipped(shuffled, world.folder / "other_order.zip"), world.folder / "other", world.asked
+    )
 
 
 def changed(rows: Rows, i: int, **values: Any) -> Rows:
@@ -96,90 +121,145 @@ FORGED_ROWS: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "one left out": (lambda rows: rows[1:], "lacks .'only', 'mine', 'one 0'., of 1 runs"),
     "one double": (lambda rows: [*rows, rows[0]], "there twice"),
     "a better one beside it": (lambda rows: [*rows, rows[0] | {"value": 1.0}], "there twice"),
-    "an invented start": (lambda rows: [*rows, rows[0] | {"start": "one 99"}], "'one 99'.*not of the plan"),
+    "an invented start": (
+        lambda rows: [*rows, rows[0] | {"start": "one 99"}],
+        "'one 99'.*not of the plan",
+    ),
     "a start by another spelling": (lambda rows: changed(rows, 0, start="one 00"), "lacks"),
-    "a task that is declined": (lambda rows: [*rows, rows[0] | {"task": "declined"}], "'declined'.*not of the plan"),
-    "a task that is not there": (lambda rows: [*rows, rows[0] | {"task": "easy"}], "'easy'.*not of the plan"),
-    "a law of the suite, worse": (lambda rows: [*rows, *(r | {"law": "points", "value": 20.0} for r in rows)], "'points'.*not of the plan"),
+    "a task that is declined": (
+        lambda rows: [*rows, rows[0] | {"task": "declined"}],
+        "'declined'.*not of the plan",
+    ),
+    "a task that is not there": (
+        lambda rows: [*rows, rows[0] | {"task": "easy"}],
+        "'easy'.*not of the plan",
+    ),
+    "a law of the suite, worse": (
+        lambda rows: [*rows, *(r | {"law": "points", "value": 20.0} for r in rows)],
+        "'points'.*not of the plan",
+    ),
     "another law's name": (lambda rows: changed(rows, 0, law="Mine"), "lacks"),
     "no rows": (lambda rows: [r | {"task": "easy"} for r in rows][:1], "lacks"),
     "a column more": (lambda rows: [r | {"weight": 1} for r in rows], "has the columns"),
-    "columns in another order": (lambda rows: [dict(reversed(r.items())) for r in rows], "has the columns"),
+    "columns in another order": (
+        lambda rows: [dict(reversed(r.items())) for r in rows],
+        "has the columns",
+    ),
     "success in other words": (lambda rows: changed(rows, 0, success="yes"), "is no submission"),
-    "a number that is none": (lambda rows: changed(rows, 0, value="nan "), "says success 'true' and value 'nan ' of 'one 0'"),
+    "a number that is none": (
+        lambda rows: changed(rows, 0, value="nan "),
+        "says success 'true' and value 'nan ' of 'one 0'",
+    ),
     "success as a number": (lambda rows: changed(rows, 0, success="1"), "is no submission"),
     "no success": (lambda rows: changed(rows, 0, success=None), "says success None"),
     "a value that is no number": (lambda rows: changed(rows, 0, value=math.nan), "value nan"),
     "an endless value": (lambda rows: changed(rows, 0, value=-math.inf), "value -inf"),
     "a value in words": (lambda rows: [r | {"value": "fast"} for r in rows], "is no submission"),
     "reached, without a value": (lambda rows: changed(rows, 0, value=None), "value None"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", FORGED_ROWS)
-def test_other_rows_are_refused_by_what_is_wrong_with_them(kind: str, world: SimpleNamespace) -> None:
+def test_other_rows_are_refused_by_what_is_wrong_with_them(
+    kind: str, world: SimpleNamespace
+) -> None:
     forge, words = FORGED_ROWS[kind]
-    file = zipped(world.files | {"runs.csv": text_of(forge(world.rows))}, world.folder / "false.zip")
+    file = zipped(
+        world.files | {"runs.csv": text_of(forge(world.rows))}, world.folder / "false.zip"
+    )
     with pytest.raises(RunFolderError, match=words) as refused:
         unpacked(file, world.folder / "law", world.asked)
-    assert str(refused.value).startswith(f"{file}: is no submission (") and "\n" not in str(refused.value)
+    assert str(refused.value).startswith(f"{file}: is no submission (") and "\n" not in str(
+        refused.value
+    )
 
 
 @pytest.mark.parametrize("name", ["POINTS", "po\u0456nts", "my law", "mine\u200b"])
-def test_a_law_has_a_name_that_looks_like_no_other_in_the_tables(name: str, world: SimpleNamespace) -> None:
+def test_a_law_has_a_name_that_looks_like_no_other_in_the_tables(
+    name: str, world: SimpleNamespace
+) -> None:
     law = world.law.rename(world.folder / f"{name}.yaml")
-    with pytest.raises(ParameterError, match=r"must have a name of the letters A to Z|a law of the suite"):
+    with pytest.raises(
+        ParameterError, match=r"must have a name of the letters A to Z|a law of the suite"
+    ):
         opened(str(law), str(world.suite))
 
 
 @pytest.mark.process
 def test_no_law_that_is_judged_takes_its_depths_from_the_truth(world: SimpleNamespace) -> None:
-    """The ideal camera's detector knows the truth, so that a scenario may; a law of one's own in the suite may not."""
+    """The ideal camera's detector knows the truth, so that a scenario may; a law of one's own in
+    the suite may not.
+    """
     world.law.write_text("law: {kind: ibvs, depth: oracle}\n")
     for apart in (False, True):
         entry = opened(str(world.law), str(world.suite), alone=True, apart=apart)
         with offered():
             assert not entry.plans
-        assert all("may not be oracle, the truth, for a law that is judged" in why for why in entry.blank.values()), entry.blank
+        assert all(
+            "may not be oracle, the truth, for a law that is judged" in why
+            for why in entry.blank.values()
+        ), entry.blank
     world.suite.write_text(SUITE.replace("gain: 1.0", "gain: 1.0, depth: oracle"))
     assert opened(None, str(world.suite)).plans
 
 
-def test_a_run_that_crashed_has_the_tasks_limit_and_no_run_lacks_its_number(world: SimpleNamespace) -> None:
+def test_a_run_that_crashed_has_the_tasks_limit_and_no_run_lacks_its_number(
+    world: SimpleNamespace,
+) -> None:
     for value in (None, 20.0):
-        crashed = world.files | {"runs.csv": text_of(changed(world.rows, 0, success="false", value=value))}
-        with pytest.raises(RunFolderError, match="success False and value None") if value is None else nullcontext():
-            unpacked(zipped(crashed, world.folder / "crashed.zip"), world.folder / "law", world.asked)
+        crashed = world.files | {
+            "runs.csv": text_of(changed(world.rows, 0, success="false", value=value))
+        }
+        with (
+            pytest.raises(RunFolderError, match="success False and value None")
+            if value is None
+            else nullcontext()
+        ):
+            unpacked(
+                zipped(crashed, world.folder / "crashed.zip"), world.folder / "law", world.asked
+            )
 
 
 def test_starts_have_the_names_by_which_the_kept_runs_have_them() -> None:
     suite, path = read_suite()
     laws, kept = (
         {"pose": suite.laws["pose"]},
-        pl.read_csv(path.with_suffix(".csv"), comment_prefix="#", schema_overrides={"start": pl.String}),
+        pl.read_csv(
+            path.with_suffix(".csv"), comment_prefix="#", schema_overrides={"start": pl.String}
+        ),
     )
-    tasks = {task: suite.tasks[task] for task in ("ideal", "latency")}  # a list of starts, and random ones of several cases
+    # a list of starts, and random ones of several cases
+    tasks = {task: suite.tasks[task] for task in ("ideal", "latency")}
     entry = SuiteEntry(TaskSuite(laws=laws, tasks=tasks), path, laws)
     for task in tasks:
-        of_one = kept.filter((pl.col("task") == task) & (pl.col("law") == "pose"))["start"].to_list()
+        of_one = kept.filter((pl.col("task") == task) & (pl.col("law") == "pose"))[
+            "start"
+        ].to_list()
         there = set(of_one)  # a former flight has fewer starts
-        assert len(there) >= 30 and [start for start in entry.jobs(task) if start in there] == of_one
+        assert (
+            len(there) >= 30 and [start for start in entry.jobs(task) if start in there] == of_one
+        )
 
 
 # What was flown: said by who checks it, and by the archive repeated.
 
 
-def test_a_submission_to_an_older_vs_1_is_refused_by_its_hash_and_told_what_to_do(world: SimpleNamespace) -> None:
+def test_a_submission_to_an_older_vs_1_is_refused_by_its_hash_and_told_what_to_do(
+    world: SimpleNamespace,
+) -> None:
     """A law that was flown on the first VS-1, which is no more."""
     first = "32187406c2dcfa5d8b3624e636a6a38b795e2b49b7786ac0a6952887f2ad15e0"
     now = fingerprint(*read_suite(NAME))
     assert now != first
-    older = world.files | {"suite.json": json.dumps({"suite": NAME, "sha256": first, "file": "mine.yaml"}).encode()}
+    older = world.files | {
+        "suite.json": json.dumps({"suite": NAME, "sha256": first, "file": "mine.yaml"}).encode()
+    }
     with pytest.raises(RunFolderError) as refused:
         unpacked(zipped(older, world.folder / "older.zip"), world.folder / "law")
     assert str(refused.value).endswith(
-        f"older.zip: was flown on another VS-1, of the files '32187406c2dc' and not '{now[:12]}'; "
-        "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`, then `vstestbed submit DIR`"
+        f"older.zip: was flown on another VS-1, of the files '32187406c2dc' and not '{now[:12]}';"
+        " fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`,"
+        " then `vstestbed submit DIR`"
     )
     assert not (world.folder / "law").exists()  # nothing of it is unpacked
 
@@ -188,7 +268,11 @@ def test_the_archive_decides_neither_suite_nor_starts(world: SimpleNamespace) ->
     about = json.loads(world.files["suite.json"])
     kept = {"easy.yaml": SUITE.encode(), "law/own.yaml": SUITE.encode()}
     for change, asked, words in (
-        ({"suite": str(world.suite)}, world.asked, "'suite' in its suite.json is not what is asked for, 'own'"),
+        (
+            {"suite": str(world.suite)},
+            world.asked,
+            "'suite' in its suite.json is not what is asked for, 'own'",
+        ),
         ({"quick": True}, world.asked, "'quick' in its suite.json"),
         ({"word": "lucky"}, world.asked, "'word' in its suite.json"),
         ({"starts": "all starts, twice"}, world.asked, "'starts' in its suite.json"),
@@ -198,10 +282,21 @@ def test_the_archive_decides_neither_suite_nor_starts(world: SimpleNamespace) ->
         ({"file": "../own.yaml"}, world.asked, "names no file of a law"),
         ({"file": ["mine.yaml"]}, world.asked, "names no file of a law"),
         ({}, Asked(), "was flown on another VS-1, of the files"),
-        ({}, Asked(str(world.suite), word="judge"), "'starts' in its suite.json is not what is asked for"),
-        ({}, Asked(str(world.suite), quick=True), "'starts' in its suite.json is not what is asked for"),
+        (
+            {},
+            Asked(str(world.suite), word="judge"),
+            "'starts' in its suite.json is not what is asked for",
+        ),
+        (
+            {},
+            Asked(str(world.suite), quick=True),
+            "'starts' in its suite.json is not what is asked for",
+        ),
     ):
-        file = zipped(world.files | {"suite.json": json.dumps(about | change).encode()}, world.folder / "other.zip")
+        file = zipped(
+            world.files | {"suite.json": json.dumps(about | change).encode()},
+            world.folder / "other.zip",
+        )
         with pytest.raises(RunFolderError, match=re.escape(words)):
             unpacked(file, world.folder / "law", asked)
     for name, content in kept.items():
@@ -210,7 +305,9 @@ def test_the_archive_decides_neither_suite_nor_starts(world: SimpleNamespace) ->
                 contents(zipped(world.files | {name: content}, world.folder / "with_suite.zip"))
 
 
-def test_a_file_in_the_current_folder_does_not_take_the_name_of_a_bundled_suite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_in_the_current_folder_does_not_take_the_name_of_a_bundled_suite(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("VS-1").write_text(SUITE)
     assert len(read_suite("VS-1")[0].tasks) == 11
@@ -234,8 +331,11 @@ def test_a_tenth_of_forged_rows_is_drawn_with_95_percent_and_no_run_more_is_flow
 def test_forged_rows_are_among_those_drawn_as_often_as_is_said(n: int) -> None:
     rng, times = np.random.default_rng(7), 4000
     forged = np.arange(-(-n // 10))
-    found = sum(bool(np.isin(rng.choice(n, draws(n), replace=False), forged).any()) for _ in range(times))
-    assert found / times > 0.95 - 3 * math.sqrt(0.05 * 0.95 / times)  # three standard deviations of the simulation
+    found = sum(
+        bool(np.isin(rng.choice(n, draws(n), replace=False), forged).any()) for _ in range(times)
+    )
+    # three standard deviations of the simulation
+    assert found / times > 0.95 - 3 * math.sqrt(0.05 * 0.95 / times)
 
 
 @pytest.fixture
@@ -248,7 +348,11 @@ def flown(world: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> SimpleName
         for job in drawn:
             case = job.controller.values["gain of the camera"]
             row = truth[f"{case} {job.seed}"]
-            ended = {"outcome": "converged", "success": row["success"] == "true", "time_to_goal_s": row["value"]}
+            ended = {
+                "outcome": "converged",
+                "success": row["success"] == "true",
+                "time_to_goal_s": row["value"],
+            }
             found.append({"law": "mine", "gain of the camera": case, "seed": job.seed} | ended)
         return pl.DataFrame(found)
 
@@ -262,9 +366,13 @@ def checked(world: SimpleNamespace, rows: Rows, seed: int) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-6])
-def test_an_honest_submission_agrees_also_with_other_last_digits(noise: float, flown: SimpleNamespace) -> None:
+def test_an_honest_submission_agrees_also_with_other_last_digits(
+    noise: float, flown: SimpleNamespace
+) -> None:
     rng = np.random.default_rng(3)
-    rows = [row | {"value": row["value"] * (1 + noise * rng.standard_normal())} for row in flown.rows]
+    rows = [
+        row | {"value": row["value"] * (1 + noise * rng.standard_normal())} for row in flown.rows
+    ]
     assert checked(flown, rows, 0) == ()
 
 
@@ -273,13 +381,20 @@ def test_an_honest_submission_agrees_also_with_other_last_digits(noise: float, f
     [{"success": "false", "value": 20.0}, {"success": "false"}, {"value": 4.8}, {"value": 0.0}],
     ids=lambda forged: ",".join(forged),
 )  # fmt: skip
-def test_a_forged_run_that_is_drawn_is_named(forged: dict[str, Any], flown: SimpleNamespace) -> None:
+def test_a_forged_run_that_is_drawn_is_named(
+    forged: dict[str, Any], flown: SimpleNamespace
+) -> None:
     # six runs, of which one forged is a tenth: all are flown
     (words,) = checked(flown, changed(flown.rows, 2, **forged), 0)
-    assert words.startswith(f"only {flown.rows[2]['start']}: handed in ") and "flown again reached (5.0)" in words
+    assert (
+        words.startswith(f"only {flown.rows[2]['start']}: handed in ")
+        and "flown again reached (5.0)" in words
+    )
 
 
-def test_a_run_of_which_nothing_is_left_here_is_otherwise(flown: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_of_which_nothing_is_left_here_is_otherwise(
+    flown: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     table = submission._flown
     monkeypatch.setattr(submission, "_flown", lambda *words: table(*words).head(5))
     assert [words.endswith("left no run") for words in checked(flown, flown.rows, 0)] == [True]
@@ -288,7 +403,9 @@ def test_a_run_of_which_nothing_is_left_here_is_otherwise(flown: SimpleNamespace
 def test_distances_have_no_tolerance_of_a_time() -> None:
     """A tracking distance is of some millimetres: the 0.05 of times, in metres, would pass any."""
     row = {"success": True, "success_again": True, "value": 0.001, "value_again": 0.03}
-    assert not submission._agrees(row, 0.0) and submission._agrees(row | {"value": 0.03 * (1 + 1e-6)}, 0.0)
+    assert not submission._agrees(row, 0.0) and submission._agrees(
+        row | {"value": 0.03 * (1 + 1e-6)}, 0.0
+    )
 
 
 # Archives: one sentence each, before anything is unpacked.
@@ -330,17 +447,29 @@ MEMBERS: dict[str, tuple[Callable[[zipfile.ZipFile], object], str]] = {
     "a link": (member("law/x.py", b"/etc/passwd", mode=0o120777), "is a link"),
     "a pipe": (member("law/x.py", mode=0o010644), "is a link"),
     "another compression": (member("law/x.py", compress_type=zipfile.ZIP_BZIP2), "packed in a way"),
-    "a large record": (member("environment.json", bytes(MOST_TEXT + 1), compress_type=zipfile.ZIP_DEFLATED), "at most 1 are read"),
-    "a bomb": (member("law/x.npy", bytes(MOST_UNPACKED), compress_type=zipfile.ZIP_DEFLATED), "128 MiB are unpacked"),
-    "very many": (lambda packed: [member(f"law/{i}")(packed) for i in range(1001)], "has 1005 files"),
-}  # fmt: skip
+    "a large record": (
+        member("environment.json", bytes(MOST_TEXT + 1), compress_type=zipfile.ZIP_DEFLATED),
+        "at most 1 are read",
+    ),
+    "a bomb": (
+        member("law/x.npy", bytes(MOST_UNPACKED), compress_type=zipfile.ZIP_DEFLATED),
+        "128 MiB are unpacked",
+    ),
+    "very many": (
+        lambda packed: [member(f"law/{i}")(packed) for i in range(1001)],
+        "has 1005 files",
+    ),
+}
 
 
 @pytest.mark.parametrize("kind", MEMBERS)
 def test_members_that_no_submission_has_are_refused(kind: str, world: SimpleNamespace) -> None:
     write, words = MEMBERS[kind]
     file = zipped(world.files, world.folder / "false.zip")
-    with zipfile.ZipFile(file, "a") as packed, pytest.warns(UserWarning) if kind == "twice" else nullcontext():
+    with (
+        zipfile.ZipFile(file, "a") as packed,
+        pytest.warns(UserWarning) if kind == "twice" else nullcontext(),
+    ):
         write(packed)
     with pytest.raises(RunFolderError, match=words):
         unpacked(file, world.folder / "law", world.asked)
@@ -371,17 +500,26 @@ BYTES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "a part lost": (lambda b: b[:40] + b[60:], "no plain zip"),
     "an empty archive": (lambda b: b"PK\5\6" + bytes(18), "no plain zip"),
     "two archives": (lambda b: b + b, "no plain zip"),
-    "a record of larger archives": (lambda b: b[:-22] + b"PK\6\7" + bytes(16) + b[-22:], "no plain zip"),
+    "a record of larger archives": (
+        lambda b: b[:-22] + b"PK\6\7" + bytes(16) + b[-22:],
+        "no plain zip",
+    ),
     "encrypted": (lambda b: patched(b, b"PK\1\2", 8, b"\1\0"), "is a link, encrypted"),
     "strong encryption": (lambda b: patched(b, b"PK\1\2", 8, b"\x40\0"), "is a link, encrypted"),
     "members hidden in a comment": (hidden, "it has 3 files and counts 4"),
     "an unknown compression": (lambda b: patched(b, b"PK\1\2", 10, b"\x63\0"), "packed in a way"),
     "a size that lies": (lambda b: patched(b, b"PK\1\2", 24, struct.pack("<I", 7)), "Bad CRC-32"),
-    "a size of 4 GiB": (lambda b: patched(b, b"PK\1\2", 24, b"\xfe\xff\xff\xff"), "128 MiB are unpacked"),
+    "a size of 4 GiB": (
+        lambda b: patched(b, b"PK\1\2", 24, b"\xfe\xff\xff\xff"),
+        "128 MiB are unpacked",
+    ),
     "a wrong sum": (lambda b: patched(b, b"PK\1\2", 16, b"1234"), "Bad CRC-32"),
     "another name at its place": (lambda b: patched(b, b"PK\3\4", 30, b"low/"), "differ"),
-    "a name with a zero": (lambda b: b.replace(b"law/mine.yaml", b"law/min\0.yaml"), "is no file of one|is a link"),
-}  # fmt: skip
+    "a name with a zero": (
+        lambda b: b.replace(b"law/mine.yaml", b"law/min\0.yaml"),
+        "is no file of one|is a link",
+    ),
+}
 
 
 @pytest.mark.parametrize("kind", BYTES)
@@ -394,7 +532,9 @@ def test_bytes_that_are_no_plain_archive_are_refused(kind: str, world: SimpleNam
     assert str(refused.value).startswith(f"{file}: is no submission (")
 
 
-def test_what_is_no_regular_file_of_a_size_to_be_read_is_refused_and_waits_for_nothing(tmp_path: Path) -> None:
+def test_what_is_no_regular_file_of_a_size_to_be_read_is_refused_and_waits_for_nothing(
+    tmp_path: Path,
+) -> None:
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / "pipe.zip")
         with pytest.raises(RunFolderError, match="not a regular file"):
@@ -411,30 +551,56 @@ def test_what_is_no_regular_file_of_a_size_to_be_read_is_refused_and_waits_for_n
 
 CONTENTS: dict[str, tuple[Files, str]] = {
     "deep JSON": ({"suite.json": b"[" * 100_000}, "nested too deeply"),
-    "JSON that is deep and closed": ({"suite.json": b'{"file":' * 400 + b"1" + b"}" * 400}, "names no file of a law"),
+    "JSON that is deep and closed": (
+        {"suite.json": b'{"file":' * 400 + b"1" + b"}" * 400},
+        "names no file of a law",
+    ),
     "JSON of other letters": ({"suite.json": b'{"file": "\xff"}'}, "utf-8"),
     "JSON of a list": ({"suite.json": b"[1, 2]"}, "names no file of a law"),
     "no JSON": ({"suite.json": b""}, "is no submission"),
-    "a table of other letters": ({"runs.csv": b"task,law,start,success,value\n\xff,b,c,true,1\n"}, "is no submission"),
-    "a table with ragged rows": ({"runs.csv": b"task,law,start,success,value\na,b,c,true,1,2,3\n"}, "is no submission"),
+    "a table of other letters": (
+        {"runs.csv": b"task,law,start,success,value\n\xff,b,c,true,1\n"},
+        "is no submission",
+    ),
+    "a table with ragged rows": (
+        {"runs.csv": b"task,law,start,success,value\na,b,c,true,1,2,3\n"},
+        "is no submission",
+    ),
     "a table of nothing": ({"runs.csv": b""}, "is no submission"),
-    "a table of new lines": ({"runs.csv": b"task,law,start,success,value" + b"\n" * 1_000_000}, "lacks"),
-    "a huge table": ({"runs.csv": b"task,law,start,success,value\n" + b"a,b,c,true,1\n" * 200_000}, "at most 1 are read"),
-    "a law that is an archive": ({"law/mine.yaml": b"", "law/mine.zip": b"PK"}, "a law's file needs law|is no submission|mine.yaml"),
+    "a table of new lines": (
+        {"runs.csv": b"task,law,start,success,value" + b"\n" * 1_000_000},
+        "lacks",
+    ),
+    "a huge table": (
+        {"runs.csv": b"task,law,start,success,value\n" + b"a,b,c,true,1\n" * 200_000},
+        "at most 1 are read",
+    ),
+    "a law that is an archive": (
+        {"law/mine.yaml": b"", "law/mine.zip": b"PK"},
+        "a law's file needs law|is no submission|mine.yaml",
+    ),
 }
 
 
 @pytest.mark.parametrize("kind", CONTENTS)
-def test_contents_that_are_none_of_a_submission_are_refused(kind: str, world: SimpleNamespace) -> None:
+def test_contents_that_are_none_of_a_submission_are_refused(
+    kind: str, world: SimpleNamespace
+) -> None:
     from vstestbed.core.errors import VstestbedError
 
     files, words = CONTENTS[kind]
     with pytest.raises(VstestbedError, match=words):
-        unpacked(zipped(world.files | files, world.folder / "false.zip"), world.folder / "law", world.asked)
+        unpacked(
+            zipped(world.files | files, world.folder / "false.zip"),
+            world.folder / "law",
+            world.asked,
+        )
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    """An archive with one to four mistakes: bytes changed, lost, doubled, or put over one of its records."""
+    """An archive with one to four mistakes: bytes changed, lost, doubled, or put over one of its
+    records.
+    """
     for _ in range(rng.integers(1, 5)):
         i, j = sorted(rng.integers(0, max(len(content), 1), 2).tolist())
         kind, noise = rng.integers(6), rng.bytes(int(rng.integers(1, 9)))
@@ -445,9 +611,13 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
         elif kind == 2:
             content = content[:j] + content[i:]
         else:  # in a record, where the fields are
-            records = [found.start() for found in re.finditer(rb"PK(\x01\x02|\x03\x04|\x05\x06)", content)] or [0]
+            records = [
+                found.start() for found in re.finditer(rb"PK(\x01\x02|\x03\x04|\x05\x06)", content)
+            ] or [0]
             at = records[rng.integers(len(records))] + int(rng.integers(4, 46))
-            content = content[:at] + noise[: 1 + kind % 4] + content[at + len(noise[: 1 + kind % 4]) :]
+            content = (
+                content[:at] + noise[: 1 + kind % 4] + content[at + len(noise[: 1 + kind % 4]) :]
+            )
     return content
 
 
@@ -461,7 +631,9 @@ def _sweep(world: SimpleNamespace, times: int) -> None:
             found = contents(file)
         except RunFolderError as error:
             refused += 1
-            assert str(error).startswith(f"{file}: is no submission (") and "\n" not in str(error), i
+            assert str(error).startswith(f"{file}: is no submission (") and "\n" not in str(
+                error
+            ), i
         else:
             assert found == world.files, i  # what is unpacked nevertheless is what was packed
         assert time.monotonic() - start < 2, i
@@ -480,7 +652,9 @@ def test_five_hundred_mutated_archives_are_a_sentence_each(world: SimpleNamespac
 
 
 def test_a_bomb_whose_stated_size_is_small_is_not_unpacked(world: SimpleNamespace) -> None:
-    """200 MiB of zeros that say that they are seven bytes: what is unpacked is bounded by what is said."""
+    """200 MiB of zeros that say that they are seven bytes: what is unpacked is bounded by what is
+    said.
+    """
     import tracemalloc
 
     file = zipped(world.files | {"law/x.npy": bytes(200 << 20)}, world.folder / "bomb.zip")
@@ -502,10 +676,18 @@ def test_what_is_packed_is_the_law_alone_and_can_be_checked(world: SimpleNamespa
     (folder / "law").mkdir(parents=True)
     (folder / "law" / "mine.yaml").write_text(LAW)
     (folder / "suite.json").write_text(json.dumps(opened(str(world.law), str(world.suite)).about))
-    (folder / "runs.csv").write_bytes(text_of([*({**r, "law": "points"} for r in world.rows), *world.rows]))
+    (folder / "runs.csv").write_bytes(
+        text_of([*({**r, "law": "points"} for r in world.rows), *world.rows])
+    )
     (folder / "scores.csv").write_text("law\n")
     file = pack(folder, world.folder / "found.zip")
-    assert sorted(contents(file)) == ["environment.json", "law/mine.yaml", "runs.csv", "scores.csv", "suite.json"]
+    assert sorted(contents(file)) == [
+        "environment.json",
+        "law/mine.yaml",
+        "runs.csv",
+        "scores.csv",
+        "suite.json",
+    ]
     assert unpacked(file, world.folder / "again", world.asked)[1].height == len(world.rows)
     (folder / "law" / "aux.py").write_text("")
     with pytest.raises(RunFolderError, match=r"'law/aux.py' is no file of one"):

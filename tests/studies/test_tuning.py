@@ -1,4 +1,6 @@
-"""The search for settings: what it takes, what it finds, that it goes on where it was cut off, what it says."""
+"""The search for settings: what it takes, what it finds, that it goes on where it was cut off, what
+it says.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,12 @@ from vstestbed.studies.comparison.tuning_record import settings_of
 from vstestbed.studies.search_space import Choice, Range, Trial, best_of, parameter, read_record
 from vstestbed.studies.tuning import NoListener
 
-SMALL: dict[str, Any] = {"trials": 6, "seeds": 2, "check": 1, "set": {"camera.rate_hz": 10, "stop.converged.hold_s": 0.1}}
+SMALL: dict[str, Any] = {
+    "trials": 6,
+    "seeds": 2,
+    "check": 1,
+    "set": {"camera.rate_hz": 10, "stop.converged.hold_s": 0.1},
+}
 
 
 @pytest.fixture
@@ -45,7 +52,9 @@ class Interrupts(NoListener):
             raise KeyboardInterrupt
 
 
-def test_a_search_finds_the_gain_and_leaves_a_whole_folder(quick: Path, tmp_path: Path, here: None) -> None:
+def test_a_search_finds_the_gain_and_leaves_a_whole_folder(
+    quick: Path, tmp_path: Path, here: None
+) -> None:
     found = vs.tune(quick, {"law.gain": "1:12:log"}, out=tmp_path / "t", **SMALL)
     times = {t.values["law.gain"]: t.mean for t in found.trials}
     assert found.trials[0].values == {"law.gain": 6.0}  # what the scenario has now
@@ -53,11 +62,29 @@ def test_a_search_finds_the_gain_and_leaves_a_whole_folder(quick: Path, tmp_path
     assert found.settings["law.gain"] > 3
     assert found.check is not None and [len(one.reached) for one in found.check] == [1, 1]
     assert {p.name for p in (tmp_path / "t").iterdir()} == {
-        *("tuning.yaml", "scenarios", "trials.json", "trials.parquet", "trials.csv", "best.yaml", "report.html", "figures", "runs")
+        *(
+            "tuning.yaml",
+            "scenarios",
+            "trials.json",
+            "trials.parquet",
+            "trials.csv",
+            "best.yaml",
+            "report.html",
+            "figures",
+            "runs",
+        )
     }
     assert len(list((tmp_path / "t/figures").iterdir())) == 6
     table = pl.read_parquet(tmp_path / "t/trials.parquet")
-    assert table.columns == ["trial", "law.gain", "runs", "reached", "mean_time_to_converge_s", "outcomes", "best"]
+    assert table.columns == [
+        "trial",
+        "law.gain",
+        "runs",
+        "reached",
+        "mean_time_to_converge_s",
+        "outcomes",
+        "best",
+    ]
     assert table.filter(pl.col("best"))["law.gain"].to_list() == [found.settings["law.gain"]]
     # a trial is what `run --seed` gives, and best.yaml is the scenario with the best values
     best = vs.load(tmp_path / "t/best.yaml", seed=2_000_000_001)
@@ -67,18 +94,29 @@ def test_a_search_finds_the_gain_and_leaves_a_whole_folder(quick: Path, tmp_path
     assert found.headline in page and "--set law.gain=" in page and page.count("<svg") == 2
 
 
-def test_an_interrupted_search_goes_on_to_the_same_end(quick: Path, tmp_path: Path, here: None, no_page: None) -> None:
+def test_an_interrupted_search_goes_on_to_the_same_end(
+    quick: Path, tmp_path: Path, here: None, no_page: None
+) -> None:
     few = SMALL | {"trials": 3}
     whole = vs.tune(quick, {"law.gain": "1:12"}, out=tmp_path / "whole", **few)
     for after in (1, 4):
         with pytest.raises(KeyboardInterrupt):
-            vs.tune(quick, {"law.gain": "1:12"}, out=tmp_path / f"cut{after}", listener=Interrupts(after), **few)
+            vs.tune(
+                quick,
+                {"law.gain": "1:12"},
+                out=tmp_path / f"cut{after}",
+                listener=Interrupts(after),
+                **few,
+            )
         again = vs.tune(out=tmp_path / f"cut{after}", resume=True)
         assert again.trials == whole.trials and again.check == whole.check
     for name in ("trials.csv", "trials.json", "best.yaml"):
         assert (tmp_path / "cut1" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     done = Interrupts(1)  # nothing is run again
-    assert vs.tune(out=tmp_path / "whole", resume=True, listener=done).trials == whole.trials and done.left == 1
+    assert (
+        vs.tune(out=tmp_path / "whole", resume=True, listener=done).trials == whole.trials
+        and done.left == 1
+    )
     more = vs.tune(out=tmp_path / "whole", resume=True, trials=4)
     assert more.trials[:3] == whole.trials and len(more.trials) == 4
     for damaged in ("[{}]", "[" * 100_000):
@@ -87,8 +125,14 @@ def test_an_interrupted_search_goes_on_to_the_same_end(quick: Path, tmp_path: Pa
             vs.tune(out=tmp_path / "whole", resume=True)
 
 
-def test_choices_and_whole_numbers_are_tried_once_each(quick: Path, tmp_path: Path, here: None, no_page: None) -> None:
-    vary = {"law": [{"kind": "ibvs", "gain": 6}, {"kind": "pbvs", "gain": 6}], "stop.converged.error_px": [1, 2], "camera.width": "320:321"}
+def test_choices_and_whole_numbers_are_tried_once_each(
+    quick: Path, tmp_path: Path, here: None, no_page: None
+) -> None:
+    vary = {
+        "law": [{"kind": "ibvs", "gain": 6}, {"kind": "pbvs", "gain": 6}],
+        "stop.converged.error_px": [1, 2],
+        "camera.width": "320:321",
+    }
     own = SMALL | {"set": {"camera.rate_hz": 10}, "seeds": 1, "check": 0}
     found = vs.tune(quick, vary, out=tmp_path / "t", **own, metric="final_error_px")
     assert [p.size for p in found.space.parameters] == [2, 2, 2]
@@ -99,15 +143,25 @@ def test_choices_and_whole_numbers_are_tried_once_each(quick: Path, tmp_path: Pa
     assert len(again.trials) == 8 and len({json.dumps(t.values) for t in again.trials}) == 8
 
 
-def test_the_nominal_start_alone_is_no_sure_thing(quick: Path, tmp_path: Path, here: None, no_page: None) -> None:
+def test_the_nominal_start_alone_is_no_sure_thing(
+    quick: Path, tmp_path: Path, here: None, no_page: None
+) -> None:
     quick.write_text(re.sub(r", random: {.*?}", "", quick.read_text()))
-    found = vs.tune(quick, {"law.gain": "5:7"}, out=tmp_path / "t", **(SMALL | {"trials": 1, "seeds": None}))
+    found = vs.tune(
+        quick, {"law.gain": "5:7"}, out=tmp_path / "t", **(SMALL | {"trials": 1, "seeds": None})
+    )
     assert found.check is None and found.plan.seeds is None
     assert any("one start decides" in words for words in found.cautions())
 
 
 def trial(number: int, reached: tuple[bool, ...], found: tuple[float, ...]) -> Trial:
-    return Trial(number, {"a": number}, tuple("converged" if good else "timed_out" for good in reached), reached, found)
+    return Trial(
+        number,
+        {"a": number},
+        tuple("converged" if good else "timed_out" for good in reached),
+        reached,
+        found,
+    )
 
 
 @pytest.mark.parametrize("higher", [False, True])
@@ -120,9 +174,16 @@ def test_a_failure_outweighs_any_number(higher: bool) -> None:
         assert all(key(a) < key(b) for a, b in itertools.pairwise(ordered))
     assert best_of(ordered, higher) is slow
     assert best_of([none, refused], higher) is None
-    close = [trial(i, (True,), (x,)) for i, x in enumerate((-1e3, -1.0, -1e-3, 0.0, 1e-3, 1.0, 1.001, 1e3))]
+    close = [
+        trial(i, (True,), (x,))
+        for i, x in enumerate((-1e3, -1.0, -1e-3, 0.0, 1e-3, 1.0, 1.001, 1e3))
+    ]
     scores = [t.score(higher, 1) for t in close]
-    assert scores == sorted(scores, reverse=higher) and len(set(scores)) == len(scores) and all(0 < s < 1 for s in scores)
+    assert (
+        scores == sorted(scores, reverse=higher)
+        and len(set(scores)) == len(scores)
+        and all(0 < s < 1 for s in scores)
+    )
 
 
 def test_what_is_no_range() -> None:
@@ -130,7 +191,10 @@ def test_what_is_no_range() -> None:
         ("2:1", "needs the form LOW:HIGH with LOW < HIGH"),
         ("1:1", "needs the form LOW:HIGH with LOW < HIGH"),
         ("0:1:log", "must begin above 0"),
-        ("1:2:lin", "is no range of numbers; it needs a.b=LOW:HIGH, a.b=LOW:HIGH:log, or a.b=v1,v2"),
+        (
+            "1:2:lin",
+            "is no range of numbers; it needs a.b=LOW:HIGH, a.b=LOW:HIGH:log, or a.b=v1,v2",
+        ),
         ("a:b", "is no range of numbers"),
         ("1:nan", "is no range of numbers"),
         ("1:1e999", "is no range of numbers"),
@@ -157,20 +221,38 @@ def test_ranges_are_read_as_they_are_written() -> None:
 BAD = [
     ([], "SCENARIO is missing: name the scenario"),
     (["quick.yaml"], "--vary is missing: it names what is tuned"),
-    (["quick.yaml", "--vary", "law.gain=2:.2"], "--vary law.gain: needs the form LOW:HIGH with LOW < HIGH, got '2:.2'"),
+    (
+        ["quick.yaml", "--vary", "law.gain=2:.2"],
+        "--vary law.gain: needs the form LOW:HIGH with LOW < HIGH, got '2:.2'",
+    ),
     (["quick.yaml", "--vary", "law.gain=-1:2"], "--vary: law.gain: must be > 0, got -1"),
-    (["quick.yaml", "--vary", "law.gian=1:2"], "--vary: law.gian: is an unknown field; did you mean 'gain'?"),
+    (
+        ["quick.yaml", "--vary", "law.gian=1:2"],
+        "--vary: law.gian: is an unknown field; did you mean 'gain'?",
+    ),
     (["quick.yaml", "--vary", "law.feature=1:2"], "--vary: law.feature"),
     (["quick.yaml", "--vary", "law.interaction=current,wrong"], "--vary: law.interaction: "),
-    (["quick.yaml", "--vary", "law.gain=1:2", "--metric", "speed"], "--metric must be one of sim_time_s, "),
-    (["quick.yaml", "--vary", "law.gain=1:2", "--metric", "iae_px_s"], "which the scenario does not have; --set metrics=[error_integrals]"),
-    (["quick.yaml", "--vary", "law.gain=1:2", "--set", "law.gain=1"], "axes.law.gain excludes the same field in `set`"),
+    (
+        ["quick.yaml", "--vary", "law.gain=1:2", "--metric", "speed"],
+        "--metric must be one of sim_time_s, ",
+    ),
+    (
+        ["quick.yaml", "--vary", "law.gain=1:2", "--metric", "iae_px_s"],
+        "which the scenario does not have; --set metrics=[error_integrals]",
+    ),
+    (
+        ["quick.yaml", "--vary", "law.gain=1:2", "--set", "law.gain=1"],
+        "axes.law.gain excludes the same field in `set`",
+    ),
     (["ibvs_retreat", "--vary", "law.gain=1:2", "--seeds", "3"], "robot.start.random is missing"),
     (["arm_laws", "--vary", "law.gian=1:2"], "--vary fits none of the laws: "),
     (["quick.yaml", "--resume", "--out", "x"], "--resume goes on with what the folder searches"),
     (["--resume", "--out", "x"], "x: no such folder"),
     (["--resume"], "--resume needs the folder that `vstestbed tune` has made: --out DIR"),
-    (["quick.yaml", "--vary", "law.gain=1:2", "--executor", "ray"], "--executor must be local, warp or dask"),
+    (
+        ["quick.yaml", "--vary", "law.gain=1:2", "--executor", "ray"],
+        "--executor must be local, warp or dask",
+    ),
 ]
 
 
@@ -182,75 +264,169 @@ def test_bad_input_is_found_before_anything_runs(command, quick: Path) -> None:
         assert not Path("runs").exists()
 
 
-def test_a_metric_that_no_run_has_is_told_after_the_first_trials(quick: Path, tmp_path: Path, here: None) -> None:
+def test_a_metric_that_no_run_has_is_told_after_the_first_trials(
+    quick: Path, tmp_path: Path, here: None
+) -> None:
     with pytest.raises(ParameterError, match="is no number of the runs that reached the goal"):
         vs.tune(quick, {"law.gain": "5:8"}, metric="tracking_rms_m", out=tmp_path / "t", **SMALL)
 
 
-def test_the_command_and_a_search_in_which_nothing_arrives(command, quick: Path, here: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.report.studies.publish", lambda *_: "")  # the first test has them
-    ended = command("tune", "quick.yaml", "--vary", "law.gain=.01:.02", "--set", "stop.duration_s=.5", "--trials", 2, "--seeds", 1)
+def test_the_command_and_a_search_in_which_nothing_arrives(
+    command, quick: Path, here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the first test has them
+    monkeypatch.setattr("vstestbed.report.studies.publish", lambda *_: "")
+    ended = command(
+        "tune",
+        "quick.yaml",
+        "--vary",
+        "law.gain=.01:.02",
+        "--set",
+        "stop.duration_s=.5",
+        "--trials",
+        2,
+        "--seeds",
+        1,
+    )
     assert ended.code == 3
-    assert ended.err.startswith("No run of any trial reached the goal\n  The runs ended with: timed_out (2).\n  results   ")
-    assert not Path("runs/tune/001/best.yaml").exists() and Path("runs/tune/001/report.html").exists()
+    assert ended.err.startswith(
+        "No run of any trial reached the goal\n  The runs ended with: timed_out (2).\n  results   "
+    )
+    assert (
+        not Path("runs/tune/001/best.yaml").exists() and Path("runs/tune/001/report.html").exists()
+    )
     words = ("--trials", 2, "--seeds", 1, "--check", 1, "--set", "camera.rate_hz=10", "--json")
     found = json.loads(command("tune", "quick.yaml", "--vary", "law.gain=5:7", *words).out)
-    assert found["command"].startswith("vstestbed run quick.yaml --set camera.rate_hz=10 --set law.gain=")
+    assert found["command"].startswith(
+        "vstestbed run quick.yaml --set camera.rate_hz=10 --set law.gain="
+    )
     assert [row["trial"] for row in found["trials"]] == [0, 1] and found["best"] in (0, 1)
     page = Path("runs/tune/002/report.html")
     assert "vstestbed tune quick.yaml" in page.read_text(encoding="utf-8")
     page.unlink()
-    assert command("report", page.parent).code == 0 and "vstestbed tune runs/tune/002/scenarios/quick.yaml" in page.read_text(
+    assert command(
+        "report", page.parent
+    ).code == 0 and "vstestbed tune runs/tune/002/scenarios/quick.yaml" in page.read_text(
         encoding="utf-8"
     )
     next(page.parent.glob("runs/*/*/*/summary.json")).unlink()
-    assert "holds a search that is not finished; `vstestbed tune --resume" in command("report", page.parent).err
+    assert (
+        "holds a search that is not finished; `vstestbed tune --resume"
+        in command("report", page.parent).err
+    )
 
 
-def test_without_optuna_the_extra_is_named(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_optuna_the_extra_is_named(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    with pytest.raises(EnvironmentLackError, match=r"optuna.* is not installed; pip install 'vstestbed\[tune\]'"):
+    with pytest.raises(
+        EnvironmentLackError, match=r"optuna.* is not installed; pip install 'vstestbed\[tune\]'"
+    ):
         vs.tune(quick, {"law.gain": "1:2"}, out=tmp_path / "t")
     assert not (tmp_path / "t").exists()
 
 
 @pytest.mark.process
 @pytest.mark.study
-def test_killed_and_resumed_and_with_other_jobs_it_is_the_same(quick: Path, tmp_path: Path, vstestbed_process) -> None:
+def test_killed_and_resumed_and_with_other_jobs_it_is_the_same(
+    quick: Path, tmp_path: Path, vstestbed_process
+) -> None:
     words, environment = vstestbed_process
-    search = ["tune", str(quick), "--vary", "law.gain=1:12:log", "--trials", "8", "--seeds", "3", "--check", "2", "--quiet"]
+    search = [
+        "tune",
+        str(quick),
+        "--vary",
+        "law.gain=1:12:log",
+        "--trials",
+        "8",
+        "--seeds",
+        "3",
+        "--check",
+        "2",
+        "--quiet",
+    ]
     for name, jobs in (("one", 1), ("two", 2)):
-        done = subprocess.run([*words, *search, "--jobs", str(jobs), "--out", name], cwd=tmp_path, env=environment, check=False)
+        done = subprocess.run(
+            [*words, *search, "--jobs", str(jobs), "--out", name],
+            cwd=tmp_path,
+            env=environment,
+            check=False,
+        )
         assert done.returncode == 0
-    started = subprocess.Popen([*words, *search, "--jobs", "2", "--out", "cut"], cwd=tmp_path, env=environment)
-    while started.poll() is None and len(list((tmp_path / "cut").glob("runs/*/*/*/summary.json"))) < 5:
+    started = subprocess.Popen(
+        [*words, *search, "--jobs", "2", "--out", "cut"], cwd=tmp_path, env=environment
+    )
+    while (
+        started.poll() is None and len(list((tmp_path / "cut").glob("runs/*/*/*/summary.json"))) < 5
+    ):
         time.sleep(0.05)
     assert started.poll() is None
     os.kill(started.pid, signal.SIGKILL)
     started.wait()
     recorded = read_record(tmp_path / "cut", ["law.gain"])
-    done = subprocess.run([*words, "tune", "--resume", "--out", "cut", "--quiet"], cwd=tmp_path, env=environment, check=False)
+    done = subprocess.run(
+        [*words, "tune", "--resume", "--out", "cut", "--quiet"],
+        cwd=tmp_path,
+        env=environment,
+        check=False,
+    )
     assert done.returncode == 0
     assert read_record(tmp_path / "cut", ["law.gain"])[: len(recorded)] == recorded
     for name in ("trials.csv", "best.yaml"):
-        assert len({(tmp_path / folder / name).read_bytes() for folder in ("one", "two", "cut")}) == 1
+        assert (
+            len({(tmp_path / folder / name).read_bytes() for folder in ("one", "two", "cut")}) == 1
+        )
     assert not list((tmp_path / "cut").rglob("*.part")) and not (tmp_path / "cut/.running").exists()
 
 
 def test_each_law_of_a_comparison_is_tuned_and_compared_from_starts_that_no_search_has_seen(
     command, quick: Path, here: None, one_figure: None
 ) -> None:
-    """A law of points and one of poses, each with its own gain; a law without the field goes as it is, and the page says so."""
-    text = "base: [quick.yaml]\nset: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\nseeds: 4\ncases:\n  law:\n"
-    laws = ("points: {law: {kind: ibvs, gain: 1}}", "pose: {law: {kind: pbvs, gain: 1}}", "jacobian: {law: {kind: uncalibrated}}")
+    """A law of points and one of poses, each with its own gain; a law without the field goes as it
+    is, and the page says so.
+    """
+    text = (
+        "base: [quick.yaml]\n"
+        "set: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\n"
+        "seeds: 4\n"
+        "cases:\n"
+        "  law:\n"
+    )
+    laws = (
+        "points: {law: {kind: ibvs, gain: 1}}",
+        "pose: {law: {kind: pbvs, gain: 1}}",
+        "jacobian: {law: {kind: uncalibrated}}",
+    )
     Path("laws.yaml").write_text(text + "".join(f"    {law}\n" for law in laws))
-    search = ("--vary", "law.gain=5:7", "--vary", "law.interaction=current,mean", "--trials", 3, "--seeds", 2, "--check", 0)
+    search = (
+        "--vary",
+        "law.gain=5:7",
+        "--vary",
+        "law.interaction=current,mean",
+        "--trials",
+        3,
+        "--seeds",
+        2,
+        "--check",
+        0,
+    )
     ended = command("tune", "laws.yaml", *search, "--out", "t")
     assert ended.code == 0, ended.err
-    assert "points law.gain=" in ended.err and "pose as it is (" in ended.err and "jacobian as it is (" in ended.err
+    assert (
+        "points law.gain=" in ended.err
+        and "pose as it is (" in ended.err
+        and "jacobian as it is (" in ended.err
+    )
     plan = " ".join(Path("t/comparison/comparison.yaml").read_text().split())
-    assert "each law with 3 trials from 2 starts that are not among these: law.gain=5:7, law.interaction=" in plan
-    seeds = [{int(p.parent.name) for p in Path(f"t/{part}").rglob("summary.json")} for part in ("tune", "comparison")]
+    assert (
+        "each law with 3 trials from 2 starts that are not among these:"
+        " law.gain=5:7, law.interaction=" in plan
+    )
+    seeds = [
+        {int(p.parent.name) for p in Path(f"t/{part}").rglob("summary.json")}
+        for part in ("tune", "comparison")
+    ]
     assert seeds[0] == {2_000_000_000, 2_000_000_001} and seeds[1] == {0, 1, 2, 3}
     table = pl.read_parquet("t/comparison/comparison.parquet")
     assert table["law"].unique(maintain_order=True).to_list() == ["points", "pose", "jacobian"]
@@ -261,27 +437,45 @@ def test_all_gains_of_all_laws_are_tuned_where_none_is_named_and_the_record_make
     command, quick: Path, here: None, one_figure: None
 ) -> None:
     """Points with one gain, a partitioned law with three."""
-    laws = "    points: {law: {kind: ibvs, gain: 4}}\n    partitioned: {law: {kind: partitioned, gain: 3, gain_z: 3, gain_turn: 3}}\n"
+    laws = (
+        "    points: {law: {kind: ibvs, gain: 4}}\n"
+        "    partitioned: {law: {kind: partitioned, gain: 3, gain_z: 3, gain_turn: 3}}\n"
+    )
     world = "set: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}"
     Path("laws.yaml").write_text(f"base: [quick.yaml]\n{world}\nseeds: 2\ncases:\n  law:\n{laws}")
     ended = command("tune", "laws.yaml", "--trials", 2, "--seeds", 2, "--check", 0, "--out", "t")
     assert ended.code == 0, ended.err
     plan = read_comparison(Path("t/comparison/comparison.yaml"))
     points, partitioned = plan.tuned["points"], plan.tuned["partitioned"]
-    assert points.vary == {"law.gain": "0.3:8:log"} and (points.trials, points.seeds, points.set) == (2, 2, plan.set)
-    assert list(partitioned.vary) == ["law.gain", "law.gain_z", "law.gain_turn"] and partitioned.scenario == "quick"
+    assert points.vary == {"law.gain": "0.3:8:log"} and (
+        points.trials,
+        points.seeds,
+        points.set,
+    ) == (2, 2, plan.set)
+    assert (
+        list(partitioned.vary) == ["law.gain", "law.gain_z", "law.gain_turn"]
+        and partitioned.scenario == "quick"
+    )
     assert settings_of(plan) == ""
     assert set(json.loads(Path("t/comparison/record.json").read_text())["tuned"]) == set(plan.tuned)
     slower = {name: {"law": case["law"], "law.gain": 1} for name, case in plan.cases["law"].items()}
-    assert "points flies with law.gain 1.0 in place of" in settings_of(changed(plan, cases={"law": slower}))
+    assert "points flies with law.gain 1.0 in place of" in settings_of(
+        changed(plan, cases={"law": slower})
+    )
 
 
 def test_laws_in_scenarios_of_their_own_have_their_record_by_the_name_of_the_file(
     command, quick: Path, here: None, one_figure: None
 ) -> None:
-    """A comparison of two scenarios, one in a file whose name is no word, with what was set for both."""
+    """A comparison of two scenarios, one in a file whose name is no word, with what was set for
+    both.
+    """
     Path("my pose.yaml").write_text(quick.read_text().replace("ibvs", "pbvs"))
-    Path("laws.yaml").write_text(f"base: [quick.yaml, {Path('my pose.yaml').absolute()}]\nset: {{camera.rate_hz: 10}}\nseeds: 2\n")
+    Path("laws.yaml").write_text(
+        f"base: [quick.yaml, {Path('my pose.yaml').absolute()}]\n"
+        "set: {camera.rate_hz: 10}\n"
+        "seeds: 2\n"
+    )
     ended = command("tune", "laws.yaml", "--trials", 2, "--seeds", 2, "--check", 0, "--out", "t")
     assert ended.code == 0, ended.err
     plan = read_comparison(Path("t/comparison/comparison.yaml"))
@@ -295,19 +489,44 @@ def test_laws_that_the_search_leaves_as_they_are_make_the_comparison_one_of_sett
     command, quick: Path, here: None, one_figure: None
 ) -> None:
     Path("laws.yaml").write_text(
-        "base: [quick.yaml]\nset: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\nseeds: 2\n"
-        "cases:\n  law:\n    points: {law: {kind: ibvs, gain: 4}}\n    pose: {law: {kind: pbvs, gain: 4}}\n"
+        "base: [quick.yaml]\n"
+        "set: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\n"
+        "seeds: 2\n"
+        "cases:\n"
+        "  law:\n"
+        "    points: {law: {kind: ibvs, gain: 4}}\n"
+        "    pose: {law: {kind: pbvs, gain: 4}}\n"
     )
-    ended = command("tune", "laws.yaml", "--vary", "law.interaction=current,mean", "--trials", 2, "--seeds", 2, "--check", 0, "--out", "t")
+    ended = command(
+        "tune",
+        "laws.yaml",
+        "--vary",
+        "law.interaction=current,mean",
+        "--trials",
+        2,
+        "--seeds",
+        2,
+        "--check",
+        0,
+        "--out",
+        "t",
+    )
     assert ended.code == 0, ended.err
     words = settings_of(read_comparison(Path("t/comparison/comparison.yaml")))
-    assert words.startswith("These are settings, not laws: points and pose fly with gain 4, for which none was tuned. ")
+    assert words.startswith(
+        "These are settings, not laws: points and pose fly with gain 4, for which none was tuned. "
+    )
 
 
 def test_laws_on_two_axes_are_refused_before_anything_is_searched(command, quick: Path) -> None:
-    cases = "cases: {law: {points: {law: {kind: ibvs, gain: 4}}, pose: {law: {kind: pbvs, gain: 4}}}}\n"
+    cases = (
+        "cases: {law: {points: {law: {kind: ibvs, gain: 4}}, pose: {law: {kind: pbvs, gain: 4}}}}\n"
+    )
     Path("other.yaml").write_text(quick.read_text())
-    for text in (f"base: [quick.yaml, other.yaml]\n{cases}", f"base: [quick.yaml]\n{cases}axes: {{law.smooth_start_s: [0, 1]}}\n"):
+    for text in (
+        f"base: [quick.yaml, other.yaml]\n{cases}",
+        f"base: [quick.yaml]\n{cases}axes: {{law.smooth_start_s: [0, 1]}}\n",
+    ):
         Path("laws.yaml").write_text(text)
         ended = command("tune", "laws.yaml", "--trials", 2, "--out", "t")
         assert ended.code == 2 and "give its laws as one axis of `cases`" in ended.err

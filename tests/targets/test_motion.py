@@ -1,4 +1,6 @@
-"""Motions of targets: closed forms, the random walk's statistics, and that both plants follow them."""
+"""Motions of targets: closed forms, the random walk's statistics,
+and that both plants follow them.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +28,22 @@ def test_closed_forms():
     assert np.allclose(np.linalg.norm(circle, axis=1), 0.1)
     assert np.allclose(circle[0], [0, 0.1, 0])
     speed = np.linalg.norm(np.diff(circle, axis=0), axis=1) / 0.04
-    assert np.allclose(speed, 2 * np.pi * 0.2 * 0.1, rtol=1e-3)  # chords are that much shorter than arcs
+    # chords are that much shorter than arcs
+    assert np.allclose(speed, 2 * np.pi * 0.2 * 0.1, rtol=1e-3)
     line = places(Line(velocity_mps=(0.1, 0, -0.2), from_s=2, until_s=5))
     assert np.allclose(line, np.clip(t - 2, 0, 3) * [0.1, 0, -0.2])
-    both = places(Lissajous(amplitude_m=(0.1, 0.2, 0), frequency_hz=(0.2, 0.3, 1), phase_deg=(0, 90, 0)))
-    assert np.allclose(both, np.hstack([0.1 * np.sin(0.4 * np.pi * t), 0.2 * np.cos(0.6 * np.pi * t), 0 * t]))
+    both = places(
+        Lissajous(amplitude_m=(0.1, 0.2, 0), frequency_hz=(0.2, 0.3, 1), phase_deg=(0, 90, 0))
+    )
+    assert np.allclose(
+        both, np.hstack([0.1 * np.sin(0.4 * np.pi * t), 0.2 * np.cos(0.6 * np.pi * t), 0 * t])
+    )
 
 
 def test_a_sinusoid_also_turns():
-    path = Sinusoid(amplitude=Pose(xyz=(0, 0, 0.1), rpy_deg=(0, 0, 20)), frequency_hz=0.25).path(RNG)
+    path = Sinusoid(amplitude=Pose(xyz=(0, 0, 0.1), rpy_deg=(0, 0, 20)), frequency_hz=0.25).path(
+        RNG
+    )
     assert np.allclose(path(1.0)[:3, 3], [0, 0, 0.1])  # a quarter of its period of 4 s
     assert np.degrees(rotation_angle(path(1.0)[:3, :3])) == pytest.approx(20)
     assert np.allclose(path(2.0), np.eye(4))
@@ -59,7 +68,8 @@ class TestRandomWalk:
     def test_it_starts_at_rest_and_never_jumps(self):
         x = places(self.WALK, np.arange(0, 5, 0.001))
         assert np.allclose(x[0], 0)
-        assert np.abs(np.diff(x, 2, axis=0)).max() < 1e-4  # 1 ms: speeds change by under .1 m/s in a step, the law's noise allows .02
+        # 1 ms: speeds change by under .1 m/s in a step, the law's noise allows .02
+        assert np.abs(np.diff(x, 2, axis=0)).max() < 1e-4
 
     def test_exact_steps_keep_the_stationary_variance(self):
         F, chol = self.WALK.exact_step(0.07)
@@ -69,10 +79,17 @@ class TestRandomWalk:
 
 @pytest.mark.parametrize("robot", ["free", "puma560"])
 def test_both_plants_move_the_target(robot):
-    motion = {"kind": "lissajous", "amplitude_m": [0.03, 0.02, 0.01], "frequency_hz": [0.5, 0.7, 0.3]}
+    motion = {
+        "kind": "lissajous",
+        "amplitude_m": [0.03, 0.02, 0.01],
+        "frequency_hz": [0.5, 0.7, 0.3],
+    }
     setting = {"detector": "oracle", "target.motion": motion, "stop.duration_s": 0.4}
     if robot == "free":
-        setting["robot"] = {"kind": "free", "start": {"nominal": {"xyz": [0.6, 0, 0.7], "rpy_deg": [0, 90, 0]}}}
+        setting["robot"] = {
+            "kind": "free",
+            "start": {"nominal": {"xyz": [0.6, 0, 0.7], "rpy_deg": [0, 90, 0]}},
+        }
     r = vs.run(vs.load("arm_ibvs", setting))
     pose, path = r.scenario.target.pose.T, r.scenario.target.motion.path(RNG)
     wanted = np.array([(pose @ path(t))[:3, 3] for t in r["t"]])
@@ -83,7 +100,10 @@ def test_what_is_seen_is_where_the_target_is():
     """Rendered pixels of a target that moves, against the projection of its path."""
     motion = {"kind": "circle", "radius_m": 0.1, "frequency_hz": 1.0}
     r = vs.run(vs.load("arm_ibvs", {"target.motion": motion, "stop.duration_s": 0.2}))
-    off = [np.hypot(r[f"u_{i}"] - r[f"u_true_{i}"], r[f"v_{i}"] - r[f"v_true_{i}"]).max() for i in range(4)]
+    off = [
+        np.hypot(r[f"u_{i}"] - r[f"u_true_{i}"], r[f"v_{i}"] - r[f"v_true_{i}"]).max()
+        for i in range(4)
+    ]
     assert max(off) < 0.4  # as for a target that stands still
 
 

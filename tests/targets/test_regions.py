@@ -1,4 +1,6 @@
-"""Targets of one region: outlines of balls, discs and polygons, how they are drawn, and what they refuse."""
+"""Targets of one region: outlines of balls, discs and polygons, how they are drawn, and what they
+refuse.
+"""
 
 from __future__ import annotations
 
@@ -80,21 +82,37 @@ def test_moments_of_a_rectangle_by_hand():
     np.testing.assert_allclose(covariance(corners), np.diag([16 / 12, 4 / 12]), atol=1e-12)
 
 
-@pytest.mark.parametrize("at", [[[0, 0], [1, 1], [1, 0], [0, 1]], [[0, 0], [1, 0], [0.5, 0]], [[0, 0], [2, 0], [1, 0], [1, 1]]])
+@pytest.mark.parametrize(
+    "at",
+    [
+        [[0, 0], [1, 1], [1, 0], [0, 1]],
+        [[0, 0], [1, 0], [0.5, 0]],
+        [[0, 0], [2, 0], [1, 0], [1, 1]],
+    ],
+)
 def test_a_polygon_that_meets_itself_is_refused(at: list[list[float]]):
-    with pytest.raises(ScenarioError, match=r" target\.figure\.at: must not cross or touch itself: the sides from corners"):
+    with pytest.raises(
+        ScenarioError,
+        match=r" target\.figure\.at: must not cross or touch itself: the sides from corners",
+    ):
         vs.load("arm_region", {"target.figure": {"kind": "polygon", "at": at}})
 
 
 def test_points_along_a_polygon_are_evenly_apart():
-    along = evenly_along(np.array([[0.0, 0], [3, 0], [3, 1], [0, 1]]), 8)  # a rectangle of perimeter 8
-    np.testing.assert_allclose(along, [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1], [2, 1], [1, 1], [0, 1]], atol=1e-12)
+    # a rectangle of perimeter 8
+    along = evenly_along(np.array([[0.0, 0], [3, 0], [3, 1], [0, 1]]), 8)
+    np.testing.assert_allclose(
+        along, [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1], [2, 1], [1, 1], [0, 1]], atol=1e-12
+    )
 
 
 def test_a_polygon_is_the_same_whichever_way_round_it_is_given():
     at = SIZES["polygon"]["at"]
     there, back = (polygon(way) for way in (at, at[::-1]))
-    assert signed_area(there.points[:, :2]) == pytest.approx(signed_area(back.points[:, :2])) and signed_area(back.points[:, :2]) > 0
+    assert (
+        signed_area(there.points[:, :2]) == pytest.approx(signed_area(back.points[:, :2]))
+        and signed_area(back.points[:, :2]) > 0
+    )
 
 
 def test_a_discs_points_lie_on_it_and_do_not_show_how_it_is_turned():
@@ -108,14 +126,17 @@ def test_a_discs_points_lie_on_it_and_do_not_show_how_it_is_turned():
     assert signed_area(p[:, :2] / p[:, 2:]) > 0  # clockwise in the picture
     facing = disc.points_at(Pose(xyz=(0, 0, 1)).T)
     np.testing.assert_allclose(facing, disc.points + [0, 0, 1], atol=1e-12)
-    assert np.isnan(disc.points_at(Pose(xyz=(0, 0, 0.1), rpy_deg=(80, 0, 0)).T)).all()  # a part is behind the image plane
+    # a part is behind the image plane
+    assert np.isnan(disc.points_at(Pose(xyz=(0, 0, 0.1), rpy_deg=(80, 0, 0)).T)).all()
 
 
 def test_a_conic_is_found_again_from_its_points():
     p = shape("disc", count=24).points_at(VIEW)
     conic = fitted_conic(p[:, :2] / p[:, 2:])
     np.testing.assert_allclose(distance_to_conic(conic, p[:, :2] / p[:, 2:]), 0, atol=1e-12)
-    assert abs(distance_to_conic(conic, p[:1, :2] / p[:1, 2:] + [1e-4, 0])[0]) == pytest.approx(1e-4, rel=0.1)
+    assert abs(distance_to_conic(conic, p[:1, :2] / p[:1, 2:] + [1e-4, 0])[0]) == pytest.approx(
+        1e-4, rel=0.1
+    )
 
 
 def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
@@ -126,7 +147,8 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
     T[:3, 3] = centre
     p = ball.points_at(T)
     np.testing.assert_allclose(lengths(p - centre), 0.2, rtol=1e-12)
-    np.testing.assert_allclose(((p - centre) * p).sum(axis=1), 0, atol=1e-12)  # the ray is a tangent
+    # the ray is a tangent
+    np.testing.assert_allclose(((p - centre) * p).sum(axis=1), 0, atol=1e-12)
     np.testing.assert_allclose(ball.points_at(T @ TURN), p)
     np.testing.assert_allclose(ball.seen_from(inverse(T)), p, atol=1e-12)
     ray = p / lengths(p)
@@ -137,7 +159,10 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
     assert np.isnan(ball.points_at(np.eye(4))).all()  # from inside
 
 
-ALIKE = "of this robot's 6 motions at the goal, since a ball looks alike from other places; use law.redundant: true"
+ALIKE = (
+    "of this robot's 6 motions at the goal, since a ball looks alike from other places;"
+    " use law.redundant: true"
+)
 DISC: dict[str, Any] = {
     "target.figure": {"kind": "disc", "radius": 0.15},
     "law.depth": "goal",
@@ -152,7 +177,10 @@ def test_what_does_not_go_together_is_refused():
         (
             "arm_ball",
             {"law.depth": "pnp"},
-            "law.depth: may not be pnp: the outline of a ball does not tell how it is turned, and so has no pose; use",
+            (
+                "law.depth: may not be pnp: the outline of a ball does not tell how it is turned,"
+                " and so has no pose; use"
+            ),
         ),
         ("arm_ibvs", {"law.depth": "size"}, "law.depth: may not be size without target ball"),
         (
@@ -160,24 +188,58 @@ def test_what_does_not_go_together_is_refused():
             {"law.feature": "point", "law.redundant": False},
             f"law.feature: point tells 3 {ALIKE}, which leaves the others open$",
         ),
-        ("arm_ball", {"law.redundant": False}, f"law.feature: ellipse tells 3 {ALIKE}, which leaves the others alone$"),
-        ("arm_region", DISC | {"law.feature": "point"}, "point tells 3 of this robot's 6 motions at the goal, since a disc looks alike"),
-        ("arm_region", DISC | {"law.feature": "spherical"} | SLANT, "spherical tells 5 of this robot's 6 motions"),
+        (
+            "arm_ball",
+            {"law.redundant": False},
+            f"law.feature: ellipse tells 3 {ALIKE}, which leaves the others alone$",
+        ),
+        (
+            "arm_region",
+            DISC | {"law.feature": "point"},
+            "point tells 3 of this robot's 6 motions at the goal, since a disc looks alike",
+        ),
+        (
+            "arm_region",
+            DISC | {"law.feature": "spherical"} | SLANT,
+            "spherical tells 5 of this robot's 6 motions",
+        ),
         (
             "arm_ball",
             {"stop.converged": {"position_m": 0.003, "rotation_deg": 0.3}},
-            "stop.converged.position_m: needs the target's pose, which the outline of a ball does not tell; works: error_px alone",
+            (
+                "stop.converged.position_m: needs the target's pose,"
+                " which the outline of a ball does not tell; works: error_px alone"
+            ),
         ),
-        ("arm_ball", {"stop.converged.rotation_deg": 0.3}, "stop.converged.rotation_deg: needs the target's pose"),
+        (
+            "arm_ball",
+            {"stop.converged.rotation_deg": 0.3},
+            "stop.converged.rotation_deg: needs the target's pose",
+        ),
         (
             "arm_region",
             {"law.depth": "goal"},
-            "needs the target's pose, which law.depth goal does not estimate; works: law.depth pnp, or error_px alone",
+            (
+                "needs the target's pose, which law.depth goal does not estimate;"
+                " works: law.depth pnp, or error_px alone"
+            ),
         ),
         ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),
-        ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline; with disc use detector blobs or oracle$"),
-        ("arm_region", {"goal.markers": [0, 1, 2, 3]}, "goal.markers: must be left out: the points of an outline count together"),
-        ("arm_region", {"target.names": ["tail"]}, "target.names: is for markers; the points of an outline have none"),
+        (
+            "arm_ibvs",
+            {"detector": {"kind": "region"}},
+            "detector region sees outline; with disc use detector blobs or oracle$",
+        ),
+        (
+            "arm_region",
+            {"goal.markers": [0, 1, 2, 3]},
+            "goal.markers: must be left out: the points of an outline count together",
+        ),
+        (
+            "arm_region",
+            {"target.names": ["tail"]},
+            "target.names: is for markers; the points of an outline have none",
+        ),
         ("arm_ball", {"target.pad": {"side": 0.5}}, "target.pad: is for target square or points"),
         ("arm_ball", {"goal.T_camera_target.xyz": [0, 0, 0.15]}, "outside the 640 x 480 picture"),
     ):
@@ -191,7 +253,8 @@ IDEAL = {"detector": "oracle", "robot.actuation": "ideal", "stop.duration_s": 15
 def test_arm_region_goes_straight_to_its_goal():
     recording = vs.run(vs.load("arm_region", IDEAL).randomised(1))
     assert recording.outcome is vs.Outcome.converged
-    assert recording.summary()["path_ratio"] < 1.03  # with sx and sy, which hardly tell a whale's tilt, 5
+    # with sx and sy, which hardly tell a whale's tilt, 5
+    assert recording.summary()["path_ratio"] < 1.03
 
 
 def test_a_ball_leaves_motions_free_and_no_pose_is_the_goal(tmp_path: Path):
@@ -199,7 +262,9 @@ def test_a_ball_leaves_motions_free_and_no_pose_is_the_goal(tmp_path: Path):
     words = summary_text(recording, tmp_path, filmed=False)
     assert recording.summary()["path_ratio"] is None and "straight line" not in words
     assert "deg from the goal, where 3 motions are free (law.redundant)" in words
-    free = [vs.load(name).free_motions for name in ("quadrotor_ball", "arm_avoid_limits", "arm_region")]
+    free = [
+        vs.load(name).free_motions for name in ("quadrotor_ball", "arm_avoid_limits", "arm_region")
+    ]
     assert free == [1, 2, 0]
 
 
@@ -215,7 +280,9 @@ def test_a_ball_leaves_motions_free_and_no_pose_is_the_goal(tmp_path: Path):
         ("arm_region", {"law.feature": "point", "law.redundant": True}, 0),
     ],
 )
-def test_points_of_an_outline_tell_no_more_than_its_picture(name: str, settings: dict[str, Any], free: int):
+def test_points_of_an_outline_tell_no_more_than_its_picture(
+    name: str, settings: dict[str, Any], free: int
+):
     assert vs.load(name, settings).free_motions == free
 
 
@@ -223,4 +290,6 @@ def test_points_of_an_outline_tell_no_more_than_its_picture(name: str, settings:
 @pytest.mark.parametrize("name", ["arm_region", "quadrotor_region", "arm_ball", "quadrotor_ball"])
 def test_rendered_runs_reach_their_goals(name: str):
     scenario = vs.load(name)
-    assert [vs.run(scenario.randomised(seed)).outcome for seed in range(10)] == [vs.Outcome.converged] * 10
+    assert [vs.run(scenario.randomised(seed)).outcome for seed in range(10)] == [
+        vs.Outcome.converged
+    ] * 10

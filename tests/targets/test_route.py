@@ -1,4 +1,6 @@
-"""Routes on the floor: length, ends, curvature against closed form; the nearest point, also where a route crosses itself."""
+"""Routes on the floor: length, ends, curvature against closed form; the nearest point, also where a
+route crosses itself.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,14 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import GroundPose
 from vstestbed.targets.route import CircularRoute, FigureEight, Piece, Straight, Track
 
-OVAL = Track(pieces=(Piece(length_m=4), Piece(turn_deg=180, radius_m=2), Piece(length_m=4), Piece(turn_deg=180, radius_m=2)))
+OVAL = Track(
+    pieces=(
+        Piece(length_m=4),
+        Piece(turn_deg=180, radius_m=2),
+        Piece(length_m=4),
+        Piece(turn_deg=180, radius_m=2),
+    )
+)
 ALL = [
     Straight(length_m=7),
     CircularRoute(radius_m=-2.5),
@@ -29,14 +38,19 @@ class TestEvery:
         s, d = np.linspace(0.3, route.length - 0.3, 500), 1e-3
         before, here, after = route.at(s - d), route.at(s), route.at(s + d)
         along = np.arctan2(after[:, 1] - before[:, 1], after[:, 0] - before[:, 0])
-        np.testing.assert_allclose(np.angle(np.exp(1j * (along - here[:, 2]))), 0, atol=4e-3)  # samples of 1 cm, bends of 1.4 m
+        # samples of 1 cm, bends of 1.4 m
+        np.testing.assert_allclose(np.angle(np.exp(1j * (along - here[:, 2]))), 0, atol=4e-3)
         bend = (after[:, 2] - before[:, 2]) / (2 * d)
         near_joint = np.abs(bend - here[:, 3]) > 0.02
         assert near_joint.mean() < 0.03  # only where straight and bend meet
 
     def test_it_starts_where_it_is_told_to(self, route):
         moved = type(route)(
-            **{f: getattr(route, f) for f in ("radius_m", "length_m", "width_m", "pieces") if hasattr(route, f)},
+            **{
+                f: getattr(route, f)
+                for f in ("radius_m", "length_m", "width_m", "pieces")
+                if hasattr(route, f)
+            },
             start=GroundPose(x=3, y=-1, heading_deg=90),
         )
         np.testing.assert_allclose(moved.at(0.0)[:3], [3, -1, np.pi / 2], atol=1e-9)
@@ -56,20 +70,25 @@ class TestEvery:
 def test_what_is_closed():
     assert [r.closed for r in ALL] == [False, True, True, True, False]
     np.testing.assert_allclose(OVAL.at(OVAL.length + 1.0)[:2], OVAL.at(1.0)[:2], atol=1e-9)
-    assert OVAL.at(OVAL.length + 1.0)[2] == pytest.approx(OVAL.at(1.0)[2] + 2 * np.pi)  # the heading runs on
+    # the heading runs on
+    assert OVAL.at(OVAL.length + 1.0)[2] == pytest.approx(OVAL.at(1.0)[2] + 2 * np.pi)
 
 
 def test_an_open_route_goes_straight_on():
     quarter = ALL[-1]
     end = quarter.at(quarter.length)
-    np.testing.assert_allclose(quarter.at(quarter.length + 2.0)[:3], [end[0] + 2 * np.cos(end[2]), end[1] + 2 * np.sin(end[2]), end[2]])
+    np.testing.assert_allclose(
+        quarter.at(quarter.length + 2.0)[:3],
+        [end[0] + 2 * np.cos(end[2]), end[1] + 2 * np.sin(end[2]), end[2]],
+    )
     np.testing.assert_allclose(quarter.at(-1.0)[:3], [-1, 0, 0], atol=1e-12)
     assert quarter.nearest(np.array([-0.7, 0.4]), around=0.0)[1] == pytest.approx(0.4)
 
 
 def test_a_circle_is_a_circle():
     xy = CircularRoute(radius_m=-2.5).at(np.linspace(0, 15, 100))[:, :2]
-    np.testing.assert_allclose(np.hypot(xy[:, 0], xy[:, 1] + 2.5), 2.5, atol=1e-5)  # chords of 1 cm: 1e-2^2 / 8 / 2.5
+    # chords of 1 cm: 1e-2^2 / 8 / 2.5
+    np.testing.assert_allclose(np.hypot(xy[:, 0], xy[:, 1] + 2.5), 2.5, atol=1e-5)
 
 
 def test_the_figure_of_eight_has_its_size_and_its_bends():
@@ -86,11 +105,16 @@ def test_the_figure_of_eight_has_its_size_and_its_bends():
 def test_at_a_crossing_the_branch_is_the_one_asked_about():
     eight = FigureEight(length_m=12, width_m=5)
     beside = np.array([0.05, 0.1])
-    first, second = eight.nearest(beside, around=0.0), eight.nearest(beside, around=eight.length / 2)
+    first, second = (
+        eight.nearest(beside, around=0.0),
+        eight.nearest(beside, around=eight.length / 2),
+    )
     assert abs(first[0]) < 0.3 and abs(second[0] - eight.length / 2) < 0.3
 
 
-@pytest.mark.parametrize("wrong", [{}, {"length_m": 1.0, "turn_deg": 90, "radius_m": 1.0}, {"turn_deg": 90}])
+@pytest.mark.parametrize(
+    "wrong", [{}, {"length_m": 1.0, "turn_deg": 90, "radius_m": 1.0}, {"turn_deg": 90}]
+)
 def test_a_piece_is_straight_or_a_bend(wrong):
     with pytest.raises(ParameterError, match="either length_m"):
         Piece(**wrong)

@@ -1,4 +1,6 @@
-"""Bundled textures: what is there, what is said of a name that is not, and that their script draws them."""
+"""Bundled textures: what is there, what is said of a name that is not, and that their script draws
+them.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,19 @@ from vstestbed.core.named_files import folder
 from vstestbed.targets import PictureTarget
 from vstestbed.targets.picture import textures
 
-NAMES = ["alphabet", "brick", "clutter", "faint", "flat", "leaves", "objects", "poster", "repetitive", "small_print", "text"]
+NAMES = [
+    "alphabet",
+    "brick",
+    "clutter",
+    "faint",
+    "flat",
+    "leaves",
+    "objects",
+    "poster",
+    "repetitive",
+    "small_print",
+    "text",
+]
 
 
 def grey(name: str) -> np.ndarray:
@@ -31,14 +45,24 @@ def test_they_are_small():
 def test_a_picture_may_be_one_by_its_name():
     target = PictureTarget(pose=Pose(), file="texture:poster", width=0.8)
     assert target.height == pytest.approx(0.6) and target.source.name == "poster.jpg"
-    with pytest.raises(ParameterError, match=r"is no bundled texture; there are texture:alphabet, .* texture:text, got 'texture:postr'"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            r"is no bundled texture;"
+            r" there are texture:alphabet, .* texture:text, got 'texture:postr'"
+        ),
+    ):
         PictureTarget(pose=Pose(), file="texture:postr", width=0.8)
 
 
 def test_they_have_the_structure_that_is_said_of_them():
-    found = {name: len(cv2.SIFT.create().detect(grey(name).astype(np.uint8)[:400, :400])) for name in NAMES}
+    found = {
+        name: len(cv2.SIFT.create().detect(grey(name).astype(np.uint8)[:400, :400]))
+        for name in NAMES
+    }
     assert (
-        min(found[name] for name in ("poster", "brick", "clutter", "small_print")) > 300 and grey("faint").std() < grey("leaves").std() / 5
+        min(found[name] for name in ("poster", "brick", "clutter", "small_print")) > 300
+        and grey("faint").std() < grey("leaves").std() / 5
     )
     assert found["leaves"] > 100 and found["flat"] < 5
     levels = grey("flat")

@@ -1,4 +1,6 @@
-"""Frames for tests of monitors and of the termination: a run under way in which all is well, but for what is given."""
+"""Frames for tests of monitors and of the termination: a run under way in which all is well, but
+for what is given.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,18 @@ NOTHING = np.zeros(0)
 
 
 def back_from_target(distance_m: float) -> Array:
-    """T_world_camera (4, 4) of a camera that looks along the world's z, so far before a target at the origin [m]."""
+    """T_world_camera (4, 4) of a camera that looks along the world's z, so far before a target at
+    the origin [m].
+    """
     return Pose(xyz=(0, 0, -distance_m)).T
 
 
 def observed(T_camera_target: Array, t: float = 0.0, place: Array | None = None) -> Observation:
     """What is seen of the four markers from a pose (4, 4), with that pose as the estimate."""
     view = Goal.from_view(GOAL.camera, CORNERS, T_camera_target)
-    return Observation(t, view.uv, view.xy, view.depth, T_camera_target=T_camera_target, place=place)
+    return Observation(
+        t, view.uv, view.xy, view.depth, T_camera_target=T_camera_target, place=place
+    )
 
 
 def frame(
@@ -58,13 +64,25 @@ def frame(
 
     Args:
         rms_px, lost, all_seen: the error in the image. rest_reason, speed_mps: the law's command.
-        scale, limit: of the allocation. T_world_camera: 1 m before the target by default. contact, feet: what touches.
+        scale, limit: of the allocation. T_world_camera: 1 m before the target by default. contact,
+            feet: what touches.
         goal: the reference. seen: the observation; the goal's own view by default.
     """
     twist = np.array([speed_mps, 0, 0, 0, 0, 0])
     T = back_from_target(1.0) if T_world_camera is None else T_world_camera
     truth = Truth(
-        T, T_world_target, twist, NOTHING, NOTHING, NOTHING, CORNERS, np.zeros(4, dtype=bool), contact, feet, NOTHING, np.zeros(3)
+        T,
+        T_world_target,
+        twist,
+        NOTHING,
+        NOTHING,
+        NOTHING,
+        CORNERS,
+        np.zeros(4, dtype=bool),
+        contact,
+        feet,
+        NOTHING,
+        np.zeros(3),
     )
     return Frame(
         timing=FrameTiming(round(t / PERIOD_S), t, t),
@@ -72,7 +90,9 @@ def frame(
         goal=goal,
         error=ImageError(lost, all_seen, np.nan if lost else rms_px),
         command=Command(u=twist, twist=twist, rest_reason=rest_reason),
-        allocation=(allocation := Allocation(setpoint=twist, twist=twist * scale, scale=scale, limit=limit)),
+        allocation=(
+            allocation := Allocation(setpoint=twist, twist=twist * scale, scale=scale, limit=limit)
+        ),
         order=Order.of(allocation),
         truth=truth,
         image=None,
@@ -80,8 +100,12 @@ def frame(
     )
 
 
-def first_verdict(monitor: TaskMonitor, ends: Termination, frames: Iterable[Frame]) -> tuple[Verdict, float] | None:
-    """The first verdict on frames in turn, and the time at which it fell [s]; None where all may go on."""
+def first_verdict(
+    monitor: TaskMonitor, ends: Termination, frames: Iterable[Frame]
+) -> tuple[Verdict, float] | None:
+    """The first verdict on frames in turn, and the time at which it fell [s]; None where all may go
+    on.
+    """
     for each in frames:
         monitor.measure(each)
         if verdict := ends.verdict(each):

@@ -31,7 +31,13 @@ class TestImageError:
         assert ImageError.of(without(3).only(inner.counted), inner, "").all_seen
         assert not ImageError.of(without(0).only(inner.counted), inner, "").all_seen
 
-    @pytest.mark.parametrize(("seen", "why"), [(without(0, 1, 2, 3), ""), (without(), "the depth of the markers in sight cannot be told")])
+    @pytest.mark.parametrize(
+        ("seen", "why"),
+        [
+            (without(0, 1, 2, 3), ""),
+            (without(), "the depth of the markers in sight cannot be told"),
+        ],
+    )
     def test_lost_is_who_has_nothing_to_go_by(self, seen, why):
         error = ImageError.of(seen, GOAL, why)
         assert error.lost and np.isnan(error.rms_px)
@@ -41,5 +47,10 @@ class TestImageError:
 
 
 def test_what_carries_the_camera_is_at_its_mount():
-    base, mount = Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)).T, Pose(xyz=(0.1, 0, 0.2), rpy_deg=(-90, 0, -90)).T
-    np.testing.assert_allclose(frame(T_world_camera=base @ mount).T_world_base(inverse(mount)), base, atol=1e-12)
+    base, mount = (
+        Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)).T,
+        Pose(xyz=(0.1, 0, 0.2), rpy_deg=(-90, 0, -90)).T,
+    )
+    np.testing.assert_allclose(
+        frame(T_world_camera=base @ mount).T_world_base(inverse(mount)), base, atol=1e-12
+    )

@@ -1,4 +1,6 @@
-"""The error that decided a run, by who measured it: made-up logs whose answers are plain, and bundled scenarios."""
+"""The error that decided a run, by who measured it: made-up logs whose answers are plain, and
+bundled scenarios.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,12 @@ def log(**columns: list[float]) -> dict[str, np.ndarray]:
 def test_pixels_decide_by_default_and_level_pixels_of_a_craft_that_tilts():
     flat = log(t=[0, 1], error_px=[9, 0.1])
     assert by_convergence(flat, Converged()) == (0.1, "px", 0.2, "pixels")
-    assert by_convergence(flat | log(level_error_px=[9, 0.15]), Converged()) == (0.15, "px", 0.2, "level pixels")
+    assert by_convergence(flat | log(level_error_px=[9, 0.15]), Converged()) == (
+        0.15,
+        "px",
+        0.2,
+        "level pixels",
+    )
 
 
 def test_of_several_conditions_the_one_nearest_its_limit():
@@ -28,7 +35,12 @@ def test_of_several_conditions_the_one_nearest_its_limit():
     columns = log(t=[0.0], error_px=[0.5], est_position_m=[0.09], est_rotation_rad=[0.1])
     assert by_convergence(columns, converged) == (0.09, "m", 0.1, "estimate")
     turned = columns | log(est_rotation_rad=[0.2])  # over its limit: the run cannot have converged
-    assert by_convergence(turned, converged) == (0.2, "rad", pytest.approx(math.radians(10)), "estimate")
+    assert by_convergence(turned, converged) == (
+        0.2,
+        "rad",
+        pytest.approx(math.radians(10)),
+        "estimate",
+    )
 
 
 def test_an_unknown_error_decides_before_any_other():
@@ -39,7 +51,8 @@ def test_an_unknown_error_decides_before_any_other():
         "judged_limit": 1.0,
         "judged_by": "pixels",
     }
-    assert math.isnan(by_convergence(log(t=[], error_px=[]), Converged()).value)  # a run without a frame
+    # a run without a frame
+    assert math.isnan(by_convergence(log(t=[], error_px=[]), Converged()).value)
 
 
 def test_the_truth_of_a_band_counts_once_settled_and_by_magnitude():
@@ -59,7 +72,9 @@ def test_the_truth_of_a_band_counts_once_settled_and_by_magnitude():
         ("quadrotor_land", {"stop.duration_s": 0.2}, "m", "truth"),
     ),
 )
-def test_each_kind_of_task_says_who_measured(name: str, overrides: dict[str, object], unit: str, by: str):
+def test_each_kind_of_task_says_who_measured(
+    name: str, overrides: dict[str, object], unit: str, by: str
+):
     summary = vs.run(vs.load(name, overrides)).summary()
     assert (summary["judged_unit"], summary["judged_by"]) == (unit, by)
     if summary["outcome"] == "converged":

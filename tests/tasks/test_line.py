@@ -24,7 +24,9 @@ def travelled(scenario, places):
 
 
 def round_the_circle(radius, turns, heading):
-    """Places on a circle about (0, 2) from its lowest point on, a vehicle `heading` off the way round to the left."""
+    """Places on a circle about (0, 2) from its lowest point on, a vehicle `heading` off the way
+    round to the left.
+    """
     a = 2 * np.pi * np.linspace(0, turns, round(abs(turns) * 400) + 1)
     return np.column_stack([radius * np.sin(a), 2 - radius * np.cos(a), a + heading])
 
@@ -36,16 +38,20 @@ def test_it_is_the_vehicles_own_way_beside_the_line_also_round_and_round(radius)
 
 
 def test_a_line_has_no_direction_of_its_own():
-    """The vehicle that starts against the route's direction goes on when it drives where it looks."""
+    """The vehicle that starts against the route's direction goes on when it drives where
+    it looks.
+    """
     made = travelled(vs.load("car_line", CIRCLE), round_the_circle(2.0, -0.5, np.pi))
     assert made == pytest.approx(2 * np.pi, rel=1e-3)
 
 
 def test_backwards_and_turned_round_is_the_wrong_way():
     s = vs.load("car_line", CIRCLE)
-    assert travelled(s, round_the_circle(2.0, -0.5, 0.0)) == pytest.approx(-2 * np.pi, rel=1e-3)  # in reverse
+    # in reverse
+    assert travelled(s, round_the_circle(2.0, -0.5, 0.0)) == pytest.approx(-2 * np.pi, rel=1e-3)
     there, back = round_the_circle(2.0, 0.25, 0.0), round_the_circle(2.0, 0.25, np.pi)[::-1]
-    assert travelled(s, [*there, *back]) == pytest.approx(0.0, abs=1e-3)  # turned round on the line, and home again
+    # turned round on the line, and home again
+    assert travelled(s, [*there, *back]) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_where_the_line_crosses_itself_it_stays_on_its_branch():
@@ -57,7 +63,9 @@ def test_where_the_line_crosses_itself_it_stays_on_its_branch():
 
 @pytest.mark.parametrize(("radius", "error"), [(2.0, -0.3), (1.7, 0.0), (2.3, -0.6)])
 def test_its_error_is_the_offset_to_the_left_minus_the_one_asked_for(radius, error):
-    """Round to the left the circle's centre is on the left: on a smaller circle the vehicle is to the left of its line."""
+    """Round to the left the circle's centre is on the left: on a smaller circle the vehicle is to
+    the left of its line.
+    """
     s = vs.load("car_line", CIRCLE | {"goal.offset_m": 0.3})
     place = round_the_circle(radius, 0.3, 0.0)[-1]
     # A tenth of a millimetre: the route is sampled every centimetre.
@@ -72,9 +80,24 @@ def test_the_vehicle_must_make_most_of_the_speed_that_the_law_orders():
 
 def test_a_line_that_cannot_be_driven_is_refused_with_what_would_work():
     for name, settings, words in (
-        ("car_line", {"target.route": circle(0.6)}, "target.route: has a bend of 0.6 m where the vehicle shall drive, which turns"),
-        ("car_line", {"target.route": circle(2), "goal.offset_m": 1.5}, "has a bend of 0.5 m where the vehicle shall drive"),
-        ("car_line", {"law.cruise_mps": 1.5}, "law.cruise_mps: must be at most 1 m/s, which the limits of robot and law allow, got 1.5"),
+        (
+            "car_line",
+            {"target.route": circle(0.6)},
+            "target.route: has a bend of 0.6 m where the vehicle shall drive, which turns",
+        ),
+        (
+            "car_line",
+            {"target.route": circle(2), "goal.offset_m": 1.5},
+            "has a bend of 0.5 m where the vehicle shall drive",
+        ),
+        (
+            "car_line",
+            {"law.cruise_mps": 1.5},
+            (
+                "law.cruise_mps: must be at most 1 m/s,"
+                " which the limits of robot and law allow, got 1.5"
+            ),
+        ),
         ("omni_line", {"law.limits.speed_mps": 0.5}, "law.cruise_mps: must be at most 0.5 m/s"),
     ):
         with pytest.raises((ParameterError, ScenarioError)) as told:

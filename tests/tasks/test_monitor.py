@@ -1,4 +1,6 @@
-"""What all task monitors measure: columns of the log, the robot's own estimate, the error in a picture turned level."""
+"""What all task monitors measure: columns of the log, the robot's own estimate, the error in a
+picture turned level.
+"""
 
 from dataclasses import replace
 
@@ -38,17 +40,29 @@ class TestColumns:
     def test_each_has_its_reason(self):
         by_estimate = Stop(converged=Converged(position_m=0.05))
         assert self.columns("arm_ibvs", Stop(), 1) == ()
-        assert self.columns("arm_ibvs", by_estimate, 2) == ("view", "est_position_m", "est_rotation_rad")
+        assert self.columns("arm_ibvs", by_estimate, 2) == (
+            "view",
+            "est_position_m",
+            "est_rotation_rad",
+        )
         assert self.columns("quadrotor_hover", Stop(), 1) == ("level_error_px",)
 
     def test_values_stand_in_the_columns_order(self):
-        setup = replace(vs.load("quadrotor_hover").setup, stop=Stop(converged=Converged(position_m=0.05)))
+        setup = replace(
+            vs.load("quadrotor_hover").setup, stop=Stop(converged=Converged(position_m=0.05))
+        )
         monitor = TaskMonitor(setup, 3, Supervisor())
-        values = monitor.measure(frame(goal=replace(GOAL, view=2), seen=observed(Pose(xyz=(0.3, 0, 1)).T)))
+        values = monitor.measure(
+            frame(goal=replace(GOAL, view=2), seen=observed(Pose(xyz=(0.3, 0, 1)).T))
+        )
         found = dict(zip(monitor.columns, values, strict=True))
         assert found["view"] == 2
-        assert (found["est_position_m"], found["est_rotation_rad"]) == (pytest.approx(0.3), pytest.approx(0.0, abs=1e-7))
-        assert found["level_error_px"] == pytest.approx(0.3 * GOAL.camera.f / np.sqrt(2))  # 0.3 m at 1 m along u, none along v
+        assert (found["est_position_m"], found["est_rotation_rad"]) == (
+            pytest.approx(0.3),
+            pytest.approx(0.0, abs=1e-7),
+        )
+        # 0.3 m at 1 m along u, none along v
+        assert found["level_error_px"] == pytest.approx(0.3 * GOAL.camera.f / np.sqrt(2))
 
 
 class TestEstimate:
@@ -60,11 +74,16 @@ class TestEstimate:
 
     def test_a_vehicle_by_its_place(self):
         goal = replace(GOAL, place=np.array([1.0, 2.0, 3.1]))
-        distance, angle = estimated_error(observed(GOAL.T_camera_target, place=np.array([1.3, 2.4, -3.1])), goal)
-        assert distance == pytest.approx(0.5) and angle == pytest.approx(2 * np.pi - 6.2)  # across the half turn
+        distance, angle = estimated_error(
+            observed(GOAL.T_camera_target, place=np.array([1.3, 2.4, -3.1])), goal
+        )
+        # across the half turn
+        assert distance == pytest.approx(0.5) and angle == pytest.approx(2 * np.pi - 6.2)
 
     def test_who_cannot_tell_has_none(self):
-        assert np.isnan(estimated_error(replace(observed(GOAL.T_camera_target), T_camera_target=None), GOAL)).all()
+        assert np.isnan(
+            estimated_error(replace(observed(GOAL.T_camera_target), T_camera_target=None), GOAL)
+        ).all()
 
 
 class TestLevelError:

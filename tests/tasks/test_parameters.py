@@ -1,4 +1,6 @@
-"""Parameters of tasks and of the stop block: the ranges that are accepted, and what a task refuses."""
+"""Parameters of tasks and of the stop block:
+the ranges that are accepted, and what a task refuses.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,10 @@ from vstestbed.core.geometry import Pose
 from vstestbed.tasks import GoalGap, GoalLanding, GoalLine, GoalPath, GoalTrack, GoalView, GoalViews
 from vstestbed.tasks.stop import Converged, Stop
 
-VIEWS = (GoalView(T_camera_target=Pose(xyz=(0, 0, 1))), GoalView(T_camera_target=Pose(xyz=(0, 0, 2))))
+VIEWS = (
+    GoalView(T_camera_target=Pose(xyz=(0, 0, 1))),
+    GoalView(T_camera_target=Pose(xyz=(0, 0, 2))),
+)
 GIVEN: dict[type, dict[str, Any]] = {
     GoalGap: {"gap_m": 3.0},
     GoalLanding: {"above": Pose(xyz=(0, 0, 1))},
@@ -24,14 +29,20 @@ GIVEN: dict[type, dict[str, Any]] = {
     Stop: {},
 }
 ABOVE_ZERO = [
-    *((GoalLanding, name) for name in ("descend_mps", "within_m", "within_deg", "commit_m", "pad_m", "touch_mps")),
+    *(
+        (GoalLanding, name)
+        for name in ("descend_mps", "within_m", "within_deg", "commit_m", "pad_m", "touch_mps")
+    ),
     *((GoalPath, name) for name in ("speed_mps", "turn_degps", "band_m")),
     *((kind, "band_m") for kind in (GoalGap, GoalLine, GoalTrack)),
     *((GoalGap, "gap_m"), (GoalViews, "threshold_px")),
     *((Converged, name) for name in ("error_px", "position_m", "rotation_deg")),
     *((Stop, name) for name in ("duration_s", "lost_after_m")),
 ]
-FROM_ZERO = [(GoalPath, "lead_s"), *((kind, "settle_s") for kind in (GoalPath, GoalGap, GoalLine, GoalTrack))]
+FROM_ZERO = [
+    (GoalPath, "lead_s"),
+    *((kind, "settle_s") for kind in (GoalPath, GoalGap, GoalLine, GoalTrack)),
+]
 FROM_ZERO += [(Converged, "hold_s"), *((Stop, name) for name in ("lost_after_s", "rest_after_s"))]
 
 
@@ -80,10 +91,15 @@ class TestConverged:
         assert not both.near(True, 1.0, 0.09, 0.1)
         assert not both.near(True, 0.9, 0.1, 0.1)
         assert not both.near(True, 0.9, 0.09, 0.2)  # 11.5 degrees
-        assert not both.near(True, float("nan"), 0.09, 0.1) and not both.near(True, 0.9, float("nan"), 0.1)
+        assert not both.near(True, float("nan"), 0.09, 0.1) and not both.near(
+            True, 0.9, float("nan"), 0.1
+        )
 
     def test_by_the_estimate_sight_does_not_matter(self):
-        for given, near in (({"position_m": 0.1}, (0.05, 9.0)), ({"rotation_deg": 10.0}, (9.0, 0.1))):
+        for given, near in (
+            ({"position_m": 0.1}, (0.05, 9.0)),
+            ({"rotation_deg": 10.0}, (9.0, 0.1)),
+        ):
             assert Converged(**given).by_estimate and Converged(**given).near(False, 99.0, *near)
         assert not Converged(rotation_deg=10.0).near(True, 0.0, 0.0, float("nan"))
         assert not Converged().by_estimate
@@ -91,7 +107,10 @@ class TestConverged:
     def test_in_words(self):
         assert Converged().summary == "RMS error under 0.2 px"
         assert Converged(error_px=1, rotation_deg=2).summary == "RMS error under 1 px, under 2 deg"
-        assert Converged(position_m=0.05, rotation_deg=4).summary == "by its own estimate under 0.05 m, under 4 deg off"
+        assert (
+            Converged(position_m=0.05, rotation_deg=4).summary
+            == "by its own estimate under 0.05 m, under 4 deg off"
+        )
 
 
 class TestWhatATaskRefuses:
@@ -102,13 +121,37 @@ class TestWhatATaskRefuses:
                 {"goal": {"T_camera_target": {"xyz": [0, 0, 2]}}, "law": {"kind": "ibvs"}},
                 "needs markers, and lines on the floor have none",
             ),
-            ("car_pbvs", {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}}, "needs a target that stands still"),
+            (
+                "car_pbvs",
+                {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}},
+                "needs a target that stands still",
+            ),
             ("car_pbvs", {"law": {"kind": "ibvs"}}, "may not be of kind pose with law ibvs"),
-            ("car_pbvs", {"law.depth": "goal"}, "may not be goal with law pose_controller, which needs the pose itself"),
-            ("car_pbvs", {"stop.converged": {"error_px": 1}}, "must have position_m or rotation_deg for a goal of kind pose"),
-            ("car_pbvs", {"stop.converged.position_m": 0.02}, r"must be under stop\.converged\.position_m = 0\.02 m"),
-            ("omni_ibvs", {"goal": {"above": {"xyz": [0, 0, 1]}}, "law": {"kind": "ibvs"}}, "is for a craft that flies"),
-            ("arm_ibvs", {"goal": {"view_from": {"x": 0}}}, "it is for a vehicle; works: T_camera_target"),
+            (
+                "car_pbvs",
+                {"law.depth": "goal"},
+                "may not be goal with law pose_controller, which needs the pose itself",
+            ),
+            (
+                "car_pbvs",
+                {"stop.converged": {"error_px": 1}},
+                "must have position_m or rotation_deg for a goal of kind pose",
+            ),
+            (
+                "car_pbvs",
+                {"stop.converged.position_m": 0.02},
+                r"must be under stop\.converged\.position_m = 0\.02 m",
+            ),
+            (
+                "omni_ibvs",
+                {"goal": {"above": {"xyz": [0, 0, 1]}}, "law": {"kind": "ibvs"}},
+                "is for a craft that flies",
+            ),
+            (
+                "arm_ibvs",
+                {"goal": {"view_from": {"x": 0}}},
+                "it is for a vehicle; works: T_camera_target",
+            ),
             (
                 "arm_ibvs",
                 {"goal": {"views": [{"view_from": {"x": 0}}, {"view_from": {"x": 1}}]}},

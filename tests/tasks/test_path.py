@@ -24,14 +24,18 @@ class TestTrajectory:
     def test_it_waits_goes_and_stays(self):
         first, last = inverse(WAY[0].T_camera_target.T), inverse(WAY[2].T_camera_target.T)
         np.testing.assert_allclose(self.places([0.0, 3.0]), [first[:3, 3]] * 2)
-        np.testing.assert_allclose(self.places([self.path.end_s, 99.0]), [last[:3, 3]] * 2, atol=1e-12)
+        np.testing.assert_allclose(
+            self.places([self.path.end_s, 99.0]), [last[:3, 3]] * 2, atol=1e-12
+        )
         # The first leg: 2 m at .5 m/s at most, 15/8 of the mean.
         assert self.path.at(3.0 + 7.49)[1] == 1 and self.path.at(3.0 + 7.51)[1] == 2
 
     def test_it_never_exceeds_its_speed_and_stays_on_the_line(self):
         t = np.arange(3.0, 10.5, 0.01)
         x = self.places(t)
-        assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() / 0.01 == pytest.approx(0.5, rel=1e-3)
+        assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() / 0.01 == pytest.approx(
+            0.5, rel=1e-3
+        )
         assert max(self.path.off(inverse(self.path.at(s)[0]), s) for s in t) < 1e-12
 
     def test_off_is_the_distance_from_the_path(self):
@@ -44,9 +48,13 @@ class TestTrajectory:
     def test_who_waits_on_the_path_is_off_it(self):
         first, last = (inverse(WAY[i].T_camera_target.T) for i in (0, 2))
         assert self.path.off(first, 0.0) == self.path.off(first, 5.0) == 0
-        assert self.path.off(first, 10.0) == pytest.approx(np.linalg.norm(self.places([8.0])[0] - first[:3, 3]))
+        assert self.path.off(first, 10.0) == pytest.approx(
+            np.linalg.norm(self.places([8.0])[0] - first[:3, 3])
+        )
         assert self.path.off(last, self.path.end_s + 30) == pytest.approx(0, abs=1e-12)
-        assert self.path.off(first, self.path.end_s + 30) == pytest.approx(np.linalg.norm(last[:3, 3] - first[:3, 3]))
+        assert self.path.off(first, self.path.end_s + 30) == pytest.approx(
+            np.linalg.norm(last[:3, 3] - first[:3, 3])
+        )
 
     def test_its_twist_is_its_poses_derivative(self):
         path = GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0, lead_s=0.0)
@@ -59,8 +67,13 @@ class TestTrajectory:
             np.testing.assert_allclose(path.twist_at(t), [*v, *w], atol=1e-5)
 
     def test_a_leg_of_a_turn_takes_the_time_of_the_turn(self):
-        """90 degrees at 15 deg/s at most, 15/8 of the mean: 11.25 s, where a way of 0.2 m at 0.5 m/s takes 0.75 s."""
-        turn = (GoalView(T_camera_target=Pose(xyz=(0, 0, 2))), GoalView(T_camera_target=Pose(xyz=(0.2, 0, 2), rpy_deg=(0, 0, 90))))
+        """90 degrees at 15 deg/s at most, 15/8 of the mean: 11.25 s, where a way of 0.2 m at 0.5
+        m/s takes 0.75 s.
+        """
+        turn = (
+            GoalView(T_camera_target=Pose(xyz=(0, 0, 2))),
+            GoalView(T_camera_target=Pose(xyz=(0.2, 0, 2), rpy_deg=(0, 0, 90))),
+        )
         path = GoalPath(way=turn, speed_mps=0.5, turn_degps=15.0, settle_s=3.0)
         assert path.end_s == pytest.approx(3.0 + 15 / 8 * 90 / 15)
         rates = [np.linalg.norm(path.twist_at(t)[3:]) for t in np.arange(3.0, path.end_s, 0.01)]
@@ -93,4 +106,6 @@ class TestReference:
         task, setup, T_target = scenario.goal, scenario.setup, scenario.target.T_world_start
         T_camera = T_target @ inverse(task.at(0.0)[0])
         T_camera[:3, 3] += T_target[:3, 2] * 0.25  # square to the first leg, which is level
-        assert task.error_m(setup, T_camera @ inverse(setup.camera.mount.T), T_target, 0.0) == pytest.approx(0.25)
+        assert task.error_m(
+            setup, T_camera @ inverse(setup.camera.mount.T), T_target, 0.0
+        ) == pytest.approx(0.25)

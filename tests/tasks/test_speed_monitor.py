@@ -8,7 +8,9 @@ CRUISE = "the vehicle", 0.8, 0.64  # m/s: commanded, and the least that counts
 
 
 def watched(speed, until_s=10.0, from_s=4.0, dt=0.04):
-    """When a speed monitor first found somebody too slow, and the reason, in a run whose speed is a function of time."""
+    """When a speed monitor first found somebody too slow, and the reason, in a run whose speed is a
+    function of time.
+    """
     monitor, travelled, n = SpeedMonitor((CRUISE,), from_s), 0.0, round(until_s / dt)
     for k in range(n + 1):
         monitor.update(k * dt, (travelled,), at_the_end=k == n)
@@ -25,7 +27,8 @@ def test_who_is_slow_is_told_when_and_how_much():
     for speed, when, made in (
         (lambda t: 0.3, 4.0, "made 0.30 m/s"),  # creeps
         (lambda t: -0.8, 4.0, "made -0.80 m/s"),  # the wrong way
-        (lambda t: 0.8 if t < 7 else 0.0, 7.44, "made 0.62 m/s"),  # stands: under .64 over 2 s after .4 s
+        # stands: under .64 over 2 s after .4 s
+        (lambda t: 0.8 if t < 7 else 0.0, 7.44, "made 0.62 m/s"),
     ):
         t, reason = watched(speed)
         assert t == pytest.approx(when, abs=0.05)

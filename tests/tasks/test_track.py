@@ -1,4 +1,6 @@
-"""Tracking: the error is the camera's distance from where it should be, wherever the target is now."""
+"""Tracking: the error is the camera's distance from where it should be,
+wherever the target is now.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ from vstestbed.tasks import GoalTrack
 
 
 def test_its_error_moves_with_the_target():
-    setup = vs.load("arm_ibvs", {"camera.mount": {"xyz": [0.03, 0, 0.1], "rpy_deg": [20, 0, 0]}}).setup
+    setup = vs.load(
+        "arm_ibvs", {"camera.mount": {"xyz": [0.03, 0, 0.1], "rpy_deg": [20, 0, 0]}}
+    ).setup
     goal = GoalTrack(T_camera_target=Pose(xyz=(0, 0, 0.8)))
     for T_target in (Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)).T, Pose(xyz=(-4, 0, 1)).T):
         T_camera = T_target @ inverse(goal.T_camera_target.T)
@@ -21,7 +25,10 @@ def test_its_error_moves_with_the_target():
 
 
 def test_any_robot_may_track_and_nobody_must_keep_going():
-    goal, setup = GoalTrack(T_camera_target=Pose(xyz=(0, 0, 1)), band_m=0.1, settle_s=2.0), vs.load("arm_ibvs").setup
+    goal, setup = (
+        GoalTrack(T_camera_target=Pose(xyz=(0, 0, 1)), band_m=0.1, settle_s=2.0),
+        vs.load("arm_ibvs").setup,
+    )
     assert goal.bases == {"fixed", "planar", "floating"} and goal.continuing
     assert (goal.tolerance_m, goal.settle_s, goal.end_s) == (0.1, 2.0, 0.0)
     assert goal.least_speeds(setup) == ((), None)

@@ -1,7 +1,9 @@
-"""Attacks of a student's file on its marks: none changes what the process that marks concludes, and each ends.
+"""Attacks of a student's file on its marks: none changes what the process that marks concludes, and
+each ends.
 
-The world: the ideal camera with the oracle, one start, two points for reaching the goal. The student's law rests, which is worth nothing,
-and its file attacks beside. A file that leaves no result at all ends the command with 3, even where no mark is asked for.
+The world: the ideal camera with the oracle, one start, two points for reaching the goal. The
+student's law rests, which is worth nothing, and its file attacks beside. A file that leaves no
+result at all ends the command with 3, even where no mark is asked for.
 """
 
 from __future__ import annotations
@@ -30,7 +32,11 @@ from vstestbed.testing import child
 from vstestbed.testing.grading import Lab, Mark, Result, grade, read_lab
 
 SEED = 52317
-REFUSES = sys.platform == "linux" and os.uname().machine in child.CALLS and Path("/proc/sys/kernel/seccomp").exists()
+REFUSES = (
+    sys.platform == "linux"
+    and os.uname().machine in child.CALLS
+    and Path("/proc/sys/kernel/seccomp").exists()
+)
 RESTING = """\
 import atexit, builtins, gc, json, os, socket, sys, threading, time
 from typing import Literal
@@ -71,29 +77,43 @@ json.dumps = forged
 FORGED = """
 import vstestbed.testing.child as child
 dumps, asked = json.dumps, []
-json.dumps = lambda answer, **how: dumps({answer}) if asked.append(1) or len(asked) > {first} else dumps(answer, **how)
+def forged(answer, **how):
+    asked.append(1)
+    return dumps({answer} if len(asked) > {first} else answer, **how)
+json.dumps = forged
 """
 LEAVES_NOTHING = {
     "ends its process as it is loaded": "os._exit(0)",
     "ends Python as it is loaded": "sys.exit(0)",
     "ends its process in a step": "def attack(basis): os._exit(0)",
-    "ends its process by a thread": "threading.Timer(0.3, os._exit, [0]).start()\ndef attack(basis): time.sleep(9)",
+    "ends its process by a thread": (
+        "threading.Timer(0.3, os._exit, [0]).start()\ndef attack(basis): time.sleep(9)"
+    ),
     "never ends": "def attack(basis):\n    while True: pass",
     "sleeps": "def attack(basis): time.sleep(1e6)",
     "stops itself": "import signal\ndef attack(basis): os.kill(os.getpid(), signal.SIGSTOP)",
     "crashes the interpreter": "import ctypes\ndef attack(basis): ctypes.string_at(0)",
-    "writes on every open file": """
+    "writes on every open file": (
+        """
 for number in range(3, 30):
     try: os.write(number, b'\\0' * 7 + b'\\x30' + b'[false, [1, {"u": [0,0,0,0,0,0]}]]' * 9)
     except OSError: pass
-""",
+"""
+    ),
     "closes every open file": "def attack(basis): os.closerange(0, 99)",
     "answers without an end": FORGED.format(answer='"x" * (1 << 22)', first=4),
-    "answers a deep list": FORGED.format(answer="1", first=4) + "json.dumps = lambda *a, **k: '[' * 60000",
-    "answers a number of 5,000 digits": FORGED.format(answer="1", first=4) + "json.dumps = lambda *a, **k: '9' * 5000",
+    "answers a deep list": (
+        FORGED.format(answer="1", first=4) + "json.dumps = lambda *a, **k: '[' * 60000"
+    ),
+    "answers a number of 5,000 digits": (
+        FORGED.format(answer="1", first=4) + "json.dumps = lambda *a, **k: '9' * 5000"
+    ),
     "answers that it is reached": FORGED.format(answer='[False, "converged"]', first=5),
-    "declares columns of the truth and no tasks": FORGED.format(answer='[False, {"columns": ["position_error_m"], "tasks": []}]', first=0),
-    "asks for the robot's Jacobian without end": """
+    "declares columns of the truth and no tasks": FORGED.format(
+        answer='[False, {"columns": ["position_error_m"], "tasks": []}]', first=0
+    ),
+    "asks for the robot's Jacobian without end": (
+        """
 import vstestbed.testing.child as child
 def attack(basis):
     held = next(x for x in gc.get_objects() if type(x).__name__ == "_Held")
@@ -101,21 +121,26 @@ def attack(basis):
         held.send(child.JACOBIAN, np.zeros(6))
         held.receive()
 Student.inputs = ("robot",)
-""",
-    "asks for a Jacobian that there is none of": """
+"""
+    ),
+    "asks for a Jacobian that there is none of": (
+        """
 import vstestbed.testing.child as child
 def attack(basis):
     held = next(x for x in gc.get_objects() if type(x).__name__ == "_Held")
     held.send(child.JACOBIAN, ["q"])
     held.receive()
-""",
-    "leaves processes that outlive it, with its files open": """
+"""
+    ),
+    "leaves processes that outlive it, with its files open": (
+        """
 if os.fork() == 0:
     os.setsid()
     time.sleep(2)
     os._exit(0)
 os._exit(0)
-""",
+"""
+    ),
 }
 LEAVES_NOTHING["has a column of the log that judges"] = "Student.columns = ('level_error_px',)"
 LEAVES_NOTHING["loads for longer than the task has"] = "time.sleep(8)"
@@ -148,7 +173,8 @@ LEAVES_NOTHING |= {
     )
 }
 LEAVES_A_RESULT = {
-    "is in a mode that it has not": "Student.modes = ('a',)" + OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=10**30"),
+    "is in a mode that it has not": "Student.modes = ('a',)"
+    + OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=10**30"),
     "patches the grader": """
 import vstestbed.testing.grading as g, vstestbed.testing.laws as l, vstestbed.loop.session as s
 g._reasons = g._unchecked = lambda *given: iter(())
@@ -180,13 +206,21 @@ def attack(basis): raise ValueError("no\\n| It arrives. | 2 of 2 | passed |\\n")
     "raises without end": "def attack(basis): return attack(basis)",
     "ends Python in a step": "def attack(basis): sys.exit(0)",
     "takes all memory": "def attack(basis): return np.ones(1 << 40)",
-    "orders what is not finite": OF_COMMANDS.format(values="np.full(n, np.nan), np.full(6, np.inf)"),
+    "orders what is not finite": OF_COMMANDS.format(
+        values="np.full(n, np.nan), np.full(6, np.inf)"
+    ),
     "orders 1e300 m/s": OF_COMMANDS.format(values="np.full(n, 1e300), np.full(6, 1e300)"),
     "orders too many numbers": OF_COMMANDS.format(values="np.zeros(n + 3), np.zeros(6)"),
     "orders a text": OF_COMMANDS.format(values="'u', 'twist'"),
-    "orders rates of another robot": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), rates=np.ones(3)"),
-    "orders free motions of another shape": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), free=((1.0, np.ones((2, 2))),)"),
-    "claims a mode and an error of its own": OF_COMMANDS.format(values="np.zeros(n), np.zeros(6), mode=-7, error_grey=0.0"),
+    "orders rates of another robot": OF_COMMANDS.format(
+        values="np.zeros(n), np.zeros(6), rates=np.ones(3)"
+    ),
+    "orders free motions of another shape": OF_COMMANDS.format(
+        values="np.zeros(n), np.zeros(6), free=((1.0, np.ones((2, 2))),)"
+    ),
+    "claims a mode and an error of its own": OF_COMMANDS.format(
+        values="np.zeros(n), np.zeros(6), mode=-7, error_grey=0.0"
+    ),
     "speaks to terminals, HTML and Markdown": r"""
 def attack(basis): raise ValueError("\ud800 \x1b[2J \u202e <script> `| 2 of 2 |")
 """,
@@ -210,7 +244,9 @@ def attack(basis):
 @pytest.fixture
 def lab(quick: Path, tmp_path: Path) -> Lab:
     task = {"title": "It arrives.", "points": 2, "scenario": quick.name, "seeds": 1, "limit_s": 2}
-    (tmp_path / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task]}))
+    (tmp_path / "lab.yaml").write_text(
+        yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task]})
+    )
     return read_lab(tmp_path / "lab.yaml")
 
 
@@ -222,22 +258,28 @@ def marked(lab: Lab, folder: Path, attack: str) -> Mark:
 
 @pytest.mark.process
 @pytest.mark.parametrize("attack", LEAVES_NOTHING.values(), ids=LEAVES_NOTHING)
-def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(attack: str, lab: Lab, own_kinds, tmp_path: Path, monkeypatch) -> None:
+def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(
+    attack: str, lab: Lab, own_kinds, tmp_path: Path, monkeypatch
+) -> None:
     own = tmp_path / "own"
     own.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(own))
     began = time.monotonic()
     mark = marked(lab, tmp_path, attack)
     left = [path.name for path in own.iterdir()]
-    subprocess.run(["rm", "-rf", own], check=True)  # which Python cannot, of folders that are nested deeply
+    # which Python cannot, of folders that are nested deeply
+    subprocess.run(["rm", "-rf", own], check=True)
     assert mark.points == (0, 2) and mark.missing, mark.markdown()
     assert not [name for name in left if name.startswith("law_")]
-    assert time.monotonic() - began < 60  # s: the task has 2, Python and the package take some to start on a loaded machine
+    # s: the task has 2, Python and the package take some to start on a loaded machine
+    assert time.monotonic() - began < 60
 
 
 @pytest.mark.process
 @pytest.mark.parametrize("attack", LEAVES_A_RESULT.values(), ids=LEAVES_A_RESULT)
-def test_no_attack_beside_a_law_that_rests_gives_a_point(attack: str, lab: Lab, own_kinds: None, tmp_path: Path) -> None:
+def test_no_attack_beside_a_law_that_rests_gives_a_point(
+    attack: str, lab: Lab, own_kinds: None, tmp_path: Path
+) -> None:
     mark = marked(lab, tmp_path, attack)
     assert mark.points == (0, 2), mark.markdown()
     mark.write(tmp_path)
@@ -248,15 +290,28 @@ def test_no_attack_beside_a_law_that_rests_gives_a_point(attack: str, lab: Lab, 
 
 
 @pytest.mark.process
-def test_without_a_result_the_command_ends_with_3_and_nothing_of_it_is_on_standard_output(command, lab, own_kinds, tmp_path) -> None:
-    (tmp_path / "student.py").write_text(RESTING + "sys.stdout.write('2 of 2 points')\nsys.stdout.flush()\nos._exit(0)")
-    ended = command("grade", tmp_path / "lab.yaml", tmp_path / "student.py", "--quiet", "--out", "marks")
-    assert ended.code == 3 and "**0 of 2 points**" in ended.out and "2 of 2 points" in ended.err and "2 of 2" not in ended.out
+def test_without_a_result_the_command_ends_with_3_and_nothing_of_it_is_on_standard_output(
+    command, lab, own_kinds, tmp_path
+) -> None:
+    (tmp_path / "student.py").write_text(
+        RESTING + "sys.stdout.write('2 of 2 points')\nsys.stdout.flush()\nos._exit(0)"
+    )
+    ended = command(
+        "grade", tmp_path / "lab.yaml", tmp_path / "student.py", "--quiet", "--out", "marks"
+    )
+    assert (
+        ended.code == 3
+        and "**0 of 2 points**" in ended.out
+        and "2 of 2 points" in ended.err
+        and "2 of 2" not in ended.out
+    )
     assert json.loads(Path("marks/mark.json").read_text())["points"] == 0
 
 
 @pytest.mark.process
-def test_a_seed_in_the_environment_is_taken_and_not_handed_on(command, lab, own_kinds, tmp_path, monkeypatch) -> None:
+def test_a_seed_in_the_environment_is_taken_and_not_handed_on(
+    command, lab, own_kinds, tmp_path, monkeypatch
+) -> None:
     monkeypatch.setenv("VSTESTBED_FIRST_SEED", str(SEED))
     (tmp_path / "student.py").write_text(RESTING + LEAVES_A_RESULT["looks for the seed"])
     ended = command("grade", tmp_path / "lab.yaml", tmp_path / "student.py", "--quiet", "--pass", 1)
@@ -264,8 +319,13 @@ def test_a_seed_in_the_environment_is_taken_and_not_handed_on(command, lab, own_
 
 
 @pytest.mark.process
-@pytest.mark.skipif(not child.landlock(), reason="this system has no Landlock, by which the process gives its rights up")
-def test_where_linux_can_the_process_reads_writes_signals_and_connects_to_nothing_else(lab, own_kinds, tmp_path) -> None:
+@pytest.mark.skipif(
+    not child.landlock(),
+    reason="this system has no Landlock, by which the process gives its rights up",
+)
+def test_where_linux_can_the_process_reads_writes_signals_and_connects_to_nothing_else(
+    lab, own_kinds, tmp_path
+) -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     (tmp_path / "marks.json").write_text("{}")
     tries = f"""
@@ -292,7 +352,13 @@ raise ValueError("done: " + "".join([
 
 def test_a_lab_marks_laws_alone_since_other_kinds_would_be_part_of_the_judge(quick: Path) -> None:
     task: Any = {"title": "It arrives.", "points": 2, "scenario": quick.name}
-    for field, right in (("law", True), ("law.feature", True), ("detector", False), ("lawn", False), ("robot", False)):
+    for field, right in (
+        ("law", True),
+        ("law.feature", True),
+        ("detector", False),
+        ("lawn", False),
+        ("robot", False),
+    ):
         if right:
             assert Lab(title="A lab", kind="student", field=field, tasks=(task,)).field == field
         else:
@@ -301,7 +367,9 @@ def test_a_lab_marks_laws_alone_since_other_kinds_would_be_part_of_the_judge(qui
 
 
 class _Wire:
-    """The channel of a law's process that has been taken over: each answer is the next of a list."""
+    """The channel of a law's process that has been taken over:
+    each answer is the next of a list.
+    """
 
     def __init__(self, answers: list[bytes]):
         self.answers, self.left = answers, b""
@@ -319,9 +387,34 @@ class _Wire:
 
 
 def test_whatever_bytes_answer_a_step_it_is_a_command_or_a_failure_of_the_law() -> None:
-    right = {"u": [0.1] * 6, "twist": [0.1] * 6, "rates": None, "wrench": None, "rest_reason": "", "scale": 1.0, "free": [], "mode": 0}
+    right = {
+        "u": [0.1] * 6,
+        "twist": [0.1] * 6,
+        "rates": None,
+        "wrench": None,
+        "rest_reason": "",
+        "scale": 1.0,
+        "free": [],
+        "mode": 0,
+    }
     whole = json.dumps([False, [1, right | {"row": []}]]).encode()
-    rng, others = random.Random(5), [b"", b"0", b'"x"', b"null", b"[]", b"{}", b"1e999", b"NaN", b"[[[[]]]]", b"9" * 400, b"\xff", b"true"]
+    rng, others = (
+        random.Random(5),
+        [
+            b"",
+            b"0",
+            b'"x"',
+            b"null",
+            b"[]",
+            b"{}",
+            b"1e999",
+            b"NaN",
+            b"[[[[]]]]",
+            b"9" * 400,
+            b"\xff",
+            b"true",
+        ],
+    )
     seen: Any = SimpleNamespace(robot=None)
     given = failed = 0
     for _ in range(2000):
@@ -335,11 +428,15 @@ def test_whatever_bytes_answer_a_step_it_is_a_command_or_a_failure_of_the_law() 
             failed += 1
         else:
             given += 1
-            assert isinstance(number, int) and command.u.shape == (6,) and np.isnan(command.error_grey)
+            assert (
+                isinstance(number, int) and command.u.shape == (6,) and np.isnan(command.error_grey)
+            )
     assert given > 20 and failed > 1000  # of these seeds 5 % and more are still a command
 
 
-def test_the_process_gets_neither_the_words_nor_the_environment_of_the_one_that_marks(own_kinds, monkeypatch) -> None:
+def test_the_process_gets_neither_the_words_nor_the_environment_of_the_one_that_marks(
+    own_kinds, monkeypatch
+) -> None:
     started: dict[str, Any] = {}
 
     class NeverStartedError(Exception): ...
@@ -353,18 +450,27 @@ def test_the_process_gets_neither_the_words_nor_the_environment_of_the_one_that_
     with isolated.offered(), pytest.raises(NeverStartedError):
         isolated.Isolated(files=("mine.py",))
     assert set(started["env"]) <= {*isolated.INHERITED, *isolated.ONE_CORE, "HOME", "TMPDIR"}
-    assert started["words"][1:4] == ["-Pu", "-m", "vstestbed.testing.child"] and len(started["words"]) == 5
+    assert (
+        started["words"][1:4] == ["-Pu", "-m", "vstestbed.testing.child"]
+        and len(started["words"]) == 5
+    )
     assert started["cwd"] == started["env"]["HOME"] == started["env"]["TMPDIR"] != str(Path.cwd())
 
 
 @pytest.mark.process
-def test_a_file_of_the_current_folder_takes_no_bundled_scenarios_place(own_kinds, tmp_path: Path, monkeypatch) -> None:
-    """A class marks in the student's repository: a scenario there, and the plugin that it names, are no part of what judges."""
+def test_a_file_of_the_current_folder_takes_no_bundled_scenarios_place(
+    own_kinds, tmp_path: Path, monkeypatch
+) -> None:
+    """A class marks in the student's repository: a scenario there, and the plugin that it names,
+    are no part of what judges.
+    """
     there, here = tmp_path / "lab", tmp_path / "student"
     there.mkdir()
     here.mkdir()
     task = {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "seeds": 1, "limit_s": 20}
-    (there / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task]}))
+    (there / "lab.yaml").write_text(
+        yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task]})
+    )
     monkeypatch.chdir(here)
     (here / "evil.py").write_text("raise SystemExit('loaded')")
     for name in ("ibvs_book", "other.yaml"):
@@ -374,12 +480,18 @@ def test_a_file_of_the_current_folder_takes_no_bundled_scenarios_place(own_kinds
         (here / "student.py").write_text(RESTING)
         mark = grade(read, here / "student.py", beside=beside)
         assert mark.points == (0, 2) and "0 of 1 run reached the goal" in mark.markdown()
-    (there / "lab.yaml").write_text(yaml.safe_dump({"title": "A lab", "kind": "student", "tasks": [task | {"scenario": "other.yaml"}]}))
+    (there / "lab.yaml").write_text(
+        yaml.safe_dump(
+            {"title": "A lab", "kind": "student", "tasks": [task | {"scenario": "other.yaml"}]}
+        )
+    )
     with pytest.raises(ScenarioError, match="no such file, and no bundled scenario"):
         read_lab(there / "lab.yaml")
 
 
-def test_who_kills_a_process_that_does_not_go_does_not_wait_for_ever(tmp_path: Path, monkeypatch) -> None:
+def test_who_kills_a_process_that_does_not_go_does_not_wait_for_ever(
+    tmp_path: Path, monkeypatch
+) -> None:
     """A process of another session that traces it keeps it."""
     waited: list[float | None] = []
 
@@ -399,9 +511,15 @@ def test_who_kills_a_process_that_does_not_go_does_not_wait_for_ever(tmp_path: P
 
 
 @pytest.mark.process
-@pytest.mark.skipif(not REFUSES, reason="this system has no seccomp, or is of a machine whose calls are not known")
-def test_where_linux_can_the_process_changes_nothing_of_others_by_calls_that_no_file_guards(lab, own_kinds, tmp_path) -> None:
-    """What Landlock leaves open: sockets with a path and without, modes, owners, times and attributes of files, limits of the judge."""
+@pytest.mark.skipif(
+    not REFUSES, reason="this system has no seccomp, or is of a machine whose calls are not known"
+)
+def test_where_linux_can_the_process_changes_nothing_of_others_by_calls_that_no_file_guards(
+    lab, own_kinds, tmp_path
+) -> None:
+    """What Landlock leaves open: sockets with a path and without, modes, owners, times and
+    attributes of files, limits of the judge.
+    """
     marks = tmp_path / "marks.json"
     marks.write_text("{}")
     before = marks.stat()
@@ -445,21 +563,35 @@ raise ValueError("done: " + "".join([
 @pytest.mark.skipif(not REFUSES, reason="as above")
 def test_the_filter_of_calls_is_in_force_and_jumps_to_nowhere_else() -> None:
     """Each call that is named is refused, and those that Python and numpy need are not."""
-    words = "import ctypes, os; from vstestbed.testing import child; libc = ctypes.CDLL(None, use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
+    words = (
+        "import ctypes, os; from vstestbed.testing import child;"
+        " libc = ctypes.CDLL(None, use_errno=True); libc.prctl(38, 1, 0, 0, 0); "
+    )
     words += "child._drop_capabilities(libc); assert child._refuse_calls(libc); "
     words += "first, *others = child.CALLS[os.uname().machine].values(); allowed = ["
     words += (
-        "n for those in (*others, child.ALSO) for n in those if libc.syscall(n, -1, -1, -1, -1, -1) != -1 or ctypes.get_errno() != 1]; "
+        "n for those in (*others, child.ALSO) for n in those if libc.syscall(n, -1, -1, -1, -1, -1)"
+        " != -1 or ctypes.get_errno() != 1]; "
     )
-    words += "import threading, numpy; t = threading.Thread(target=numpy.ones, args=(9,)); t.start(); t.join(); print(allowed)"
-    assert subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True).stdout == "[]\n"
+    words += (
+        "import threading, numpy; t = threading.Thread(target=numpy.ones, args=(9,)); t.start();"
+        " t.join(); print(allowed)"
+    )
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", words], capture_output=True, text=True, check=True
+        ).stdout
+        == "[]\n"
+    )
 
 
 @pytest.mark.process
 @pytest.mark.skipif(not REFUSES or not child.landlock(), reason="as above")
-def test_where_linux_can_the_process_has_no_power_of_root_no_other_process_and_no_more_memory(lab, own_kinds, tmp_path) -> None:
-    """Also for root, whose container this may be: nothing of the machine, no devices, no memory that outlives it. No call has arguments
-    by which a kernel that allows it would do something.
+def test_where_linux_can_the_process_has_no_power_of_root_no_other_process_and_no_more_memory(
+    lab, own_kinds, tmp_path
+) -> None:
+    """Also for root, whose container this may be: nothing of the machine, no devices, no memory
+    that outlives it. No call has arguments by which a kernel that allows it would do something.
     """
     tries = """
 import ctypes, fcntl, mmap, subprocess
@@ -478,7 +610,8 @@ def powers():
 def bounding():
     return any(libc.prctl(23, n, 0, 0, 0) == 1 for n in range(41)) or -1
 def new_thread_group():
-    return libc.syscall(56 if os.uname().machine == "x86_64" else 220, 17, 0, 0, 0, 0) or os._exit(0)
+    clone = 56 if os.uname().machine == "x86_64" else 220
+    return libc.syscall(clone, 17, 0, 0, 0, 0) or os._exit(0)
 ours, theirs = socket.socketpair()
 raise ValueError("done: " + "".join([
     tried("capabilities", powers),
@@ -491,7 +624,7 @@ raise ValueError("done: " + "".join([
     tried("shared memory", lambda: mmap.mmap(-1, 9 << 30)),
     tried("memory file", lambda: os.memfd_create("m")),
     tried("signals to others", lambda: fcntl.fcntl(ours, fcntl.F_SETOWN, os.getpid())),
-    tried("signals by ioctl", lambda: fcntl.ioctl(ours, 0x8901, (os.getpid()).to_bytes(4, "little"))),
+    tried("signals by ioctl", lambda: fcntl.ioctl(ours, 0x8901, os.getpid().to_bytes(4, "little"))),
     tried("typing", lambda: allowed(16 if os.uname().machine == "x86_64" else 29, -1, 0x5412, 0)),
     tried("own flags", lambda: fcntl.fcntl(ours, fcntl.F_GETFL) and -1),
     tried("own thread", lambda: threading.Thread(target=np.ones, args=(9,)).start() or -1),

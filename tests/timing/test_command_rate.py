@@ -21,15 +21,23 @@ def mean_ramp(u: np.ndarray, k: int, every: int, steps: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("hz", "every"), [(500, 1), (100, 5)])
 def test_an_arms_servos_and_the_free_camera_get_a_ramp(hz: int, every: int):
-    for name, more in (("arm_ibvs", {"robot.actuation": "ideal"}), ("ibvs_book", {"camera.rate_hz": 25})):
-        s = vs.load(name, more | {"detector": "oracle", "timing.command_hz": hz, "timing.interpolation": "ramp"})
+    for name, more in (
+        ("arm_ibvs", {"robot.actuation": "ideal"}),
+        ("ibvs_book", {"camera.rate_hz": 25}),
+    ):
+        s = vs.load(
+            name,
+            more | {"detector": "oracle", "timing.command_hz": hz, "timing.interpolation": "ramp"},
+        )
         plant, u, got = plant_of(s), 0.1 * np.array([1.0, -1, 2, 1, 1, -2]), []
         plant.apply(u)
         for k in range(25):
             twist = plant.truth().twist  # the camera is its own flange
             assert plant.advance(1)
             got.append(plant.truth().ctrl if s.robot.joints else twist)
-            np.testing.assert_allclose(got[-1], mean_ramp(u, k, every, plant.steps_per_frame), atol=1e-12)
+            np.testing.assert_allclose(
+                got[-1], mean_ramp(u, k, every, plant.steps_per_frame), atol=1e-12
+            )
         assert len(np.unique(got, axis=0)) == 20 // every + 1
         plant.close()
 
@@ -47,7 +55,15 @@ def test_an_arms_servos_and_the_free_camera_get_a_ramp(hz: int, every: int):
 def test_vehicles_and_craft_get_as_many_setpoints_as_are_sent(
     monkeypatch: pytest.MonkeyPatch, name: str, hz: int, u: list[float], count: int
 ):
-    s = vs.load(name, {"detector": "oracle", "timing.command_hz": hz, "timing.interpolation": "smooth", "camera.rate_hz": 25})
+    s = vs.load(
+        name,
+        {
+            "detector": "oracle",
+            "timing.command_hz": hz,
+            "timing.interpolation": "smooth",
+            "camera.rate_hz": 25,
+        },
+    )
     got, actuate = [], getattr(type(s.robot), "actuate", None)
 
     def overheard(self, state, setpoint, reading, dt):

@@ -31,11 +31,16 @@ def bursts(lost: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("p", "r"), [(0.02, 0.2), (0.1, 0.1), (0.3, 0.9)])
 def test_share_and_length_of_gilberts_bursts(p: float, r: float):
     lost = losses(BurstLoss(enter_probability=p, leave_probability=r))
-    # The variance of the mean of a chain with correlation c = 1 - p - r is s (1 - s) (1 + c) / (1 - c) / n; four deviations.
+    # The variance of the mean of a chain with correlation c = 1 - p - r is s (1 - s) (1 + c) / (1 -
+    # c) / n; four deviations.
     share, c = p / (p + r), 1 - p - r
-    assert lost.mean() == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) * (1 + c) / (1 - c) / MANY))
+    assert lost.mean() == pytest.approx(
+        share, abs=4 * np.sqrt(share * (1 - share) * (1 + c) / (1 - c) / MANY)
+    )
     length = bursts(lost)
-    assert length.mean() == pytest.approx(1 / r, abs=4 * np.sqrt(1 - r) / r / np.sqrt(len(length)) + 1e-3)
+    assert length.mean() == pytest.approx(
+        1 / r, abs=4 * np.sqrt(1 - r) / r / np.sqrt(len(length)) + 1e-3
+    )
     assert length.var() == pytest.approx((1 - r) / r**2, rel=0.15)  # geometric
 
 
@@ -43,7 +48,8 @@ def test_elliotts_losses_in_both_states():
     p, r, good, bad = 0.05, 0.2, 0.02, 0.7
     lost = losses(BurstLoss(enter_probability=p, leave_probability=r, good_loss=good, bad_loss=bad))
     assert lost.mean() == pytest.approx((r * good + p * bad) / (p + r), rel=0.03)
-    # P(lost at k and at k + 1): both states have their own, and the chain is in the bad one with the share p / (p + r).
+    # P(lost at k and at k + 1): both states have their own, and the chain is in the bad one with
+    # the share p / (p + r).
     pi = np.array([r, p]) / (p + r)
     both = pi * [good, bad] @ np.array([[1 - p, p], [r, 1 - r]]) @ [good, bad]
     assert (lost[1:] & lost[:-1]).mean() == pytest.approx(both, rel=0.05)
@@ -60,7 +66,10 @@ def test_directions_are_independent_and_each_may_be_safe():
     assert directions(None, rng()) == (None, None)
 
 
-@pytest.mark.parametrize("wrong", [{"leave_probability": 0}, {"enter_probability": 1.1}, {"good_loss": 1.0}, {"carries": "all"}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"leave_probability": 0}, {"enter_probability": 1.1}, {"good_loss": 1.0}, {"carries": "all"}],
+)
 def test_a_link_over_which_nothing_ever_comes_is_refused(wrong):
     with pytest.raises(ScenarioError, match=r"timing\.link"):
         vs.load("ibvs_book", {"timing.link": wrong})
@@ -69,8 +78,22 @@ def test_a_link_over_which_nothing_ever_comes_is_refused(wrong):
 class TestInRuns:
     def test_the_robot_keeps_its_last_command_until_it_ends(self):
         link = {"carries": "commands", "enter_probability": 0.3, "leave_probability": 0.25}
-        r = vs.run(vs.load("ibvs_book", IDEAL | {"timing.link": link, "timing.command_timeout_s": 0.2, "stop.duration_s": 6, "seed": 1}))
-        lost, applied = r["command_lost"].astype(bool), np.column_stack([r[f"applied_{n}"] for n in ("vx", "vy", "vz", "wx", "wy", "wz")])
+        r = vs.run(
+            vs.load(
+                "ibvs_book",
+                IDEAL
+                | {
+                    "timing.link": link,
+                    "timing.command_timeout_s": 0.2,
+                    "stop.duration_s": 6,
+                    "seed": 1,
+                },
+            )
+        )
+        lost, applied = (
+            r["command_lost"].astype(bool),
+            np.column_stack([r[f"applied_{n}"] for n in ("vx", "vy", "vz", "wx", "wy", "wz")]),
+        )
         act = np.column_stack([r[f"act_{n}"] for n in ("vx", "vy", "vz", "wx", "wy", "wz")])
         last, ended, kept = None, 0, 0
         for k in range(len(lost)):
@@ -81,10 +104,19 @@ class TestInRuns:
             last = last if lost[k] else k
         assert ended > 3 and kept > 10
         s = r.summary()
-        assert s["commands_lost"] == lost.sum() > 20 and s["pictures_lost"] == 0 and "pictures_refused" not in s
+        assert (
+            s["commands_lost"] == lost.sum() > 20
+            and s["pictures_lost"] == 0
+            and "pictures_refused" not in s
+        )
 
     def test_pictures_are_lost_in_bursts_and_counted(self):
-        r = vs.run(vs.load("ibvs_book", IDEAL | {"timing.link": {"carries": "pictures"}, "stop.duration_s": 20, "seed": 3}))
+        r = vs.run(
+            vs.load(
+                "ibvs_book",
+                IDEAL | {"timing.link": {"carries": "pictures"}, "stop.duration_s": 20, "seed": 3},
+            )
+        )
         gaps = np.diff(r["frame"]) - 1
         assert r.summary()["pictures_lost"] == gaps.sum() + r["frame"][0] >= 10 and gaps.max() > 4
         assert "command_lost" not in r.columns

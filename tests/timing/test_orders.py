@@ -76,13 +76,22 @@ def test_a_stop_is_at_rest_and_says_why(how: Stop):
     moving = Order(U, np.arange(6.0), U)
     assert not moving.stopped and moving.reason == ""
     stop = moving.halted("no marker was in sight", latched=True, stop=how)
-    assert stop.stopped and stop.latched and stop.stop == how and stop.reason == "no marker was in sight"
+    assert (
+        stop.stopped
+        and stop.latched
+        and stop.stop == how
+        and stop.reason == "no marker was in sight"
+    )
     assert not stop.setpoint.any() and not stop.twist.any() and stop.rates is None
 
 
 def test_it_says_for_how_long_the_setpoint_stays():
     given = orders()
     given.give(0, U)
-    assert given.unchanged(0, 11) == 11 and given.unchanged(0, 12) == 11 and given.unchanged(8, 100) == 3
+    assert (
+        given.unchanged(0, 11) == 11
+        and given.unchanged(0, 12) == 11
+        and given.unchanged(8, 100) == 3
+    )
     refresh = round(REFRESH_S / STEP_S)
     assert given.unchanged(11, 100) == refresh and given.unchanged(11, 2) == 2

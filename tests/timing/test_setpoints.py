@@ -43,8 +43,15 @@ class TestProfile:
     def test_slope_and_way_are_derivative_and_integral(self, mode: Mode):
         profile, h = Profile(mode, U0, A0, U1, PERIOD_S), 1e-6
         for t in (0.011, 0.029, 0.055):
-            np.testing.assert_allclose(profile.slope(t), (profile.at(t + h) - profile.at(t - h)) / (2 * h), rtol=1e-6, atol=1e-6)
-            np.testing.assert_allclose(profile.at(t), (profile.way(t + h) - profile.way(t - h)) / (2 * h), rtol=1e-6)
+            np.testing.assert_allclose(
+                profile.slope(t),
+                (profile.at(t + h) - profile.at(t - h)) / (2 * h),
+                rtol=1e-6,
+                atol=1e-6,
+            )
+            np.testing.assert_allclose(
+                profile.at(t), (profile.way(t + h) - profile.way(t - h)) / (2 * h), rtol=1e-6
+            )
 
     @pytest.mark.parametrize("mode", LED)
     def test_it_is_late_by_half_its_time(self, mode: Mode):
@@ -52,20 +59,28 @@ class TestProfile:
         np.testing.assert_allclose(behind, (U1 - U0) * PERIOD_S / 2, rtol=1e-12)
 
     def test_the_jerk_of_a_smooth_way_keeps_its_bound(self):
-        """The third derivative of the way is that of a cubic's slope: a straight line, largest at an end."""
+        """The third derivative of the way is that of a cubic's slope: a straight line, largest at
+        an end.
+        """
         t = np.linspace(0, PERIOD_S * (1 - 1e-9), 4001)
         u = np.array([Profile("smooth", U0, A0, U1, PERIOD_S).at(s) for s in t])
         jerk = np.abs(np.diff(u, 2, axis=0)).max(axis=0) / (t[1] - t[0]) ** 2
         bound = 6 * np.abs(U1 - U0) / PERIOD_S**2 + 4 * np.abs(A0) / PERIOD_S
         assert (jerk <= bound * 1.001).all() and (jerk > 0.5 * bound).any()
         from_rest = (
-            np.abs(np.diff([Profile("smooth", U0, 0 * A0, U1, PERIOD_S).at(s) for s in t], 2, axis=0)).max(axis=0) / (t[1] - t[0]) ** 2
+            np.abs(
+                np.diff([Profile("smooth", U0, 0 * A0, U1, PERIOD_S).at(s) for s in t], 2, axis=0)
+            ).max(axis=0)
+            / (t[1] - t[0]) ** 2
         )
         np.testing.assert_allclose(from_rest, 6 * np.abs(U1 - U0) / PERIOD_S**2, rtol=0.01)
 
     def test_there_is_no_way_to_infinity(self):
         off = np.array([0.0, -np.inf])
-        assert Profile("ramp", U0, A0, off, PERIOD_S).at(0.0) is off and Profile("smooth", off, A0, U1, PERIOD_S).at(0.0) is U1
+        assert (
+            Profile("ramp", U0, A0, off, PERIOD_S).at(0.0) is off
+            and Profile("smooth", off, A0, U1, PERIOD_S).at(0.0) is U1
+        )
 
 
 class TestSetpointBuffer:
@@ -79,7 +94,9 @@ class TestSetpointBuffer:
 
     @pytest.mark.parametrize(("every", "count"), [(1, 20), (2, 10), (5, 4), (8, 3)])
     def test_the_number_of_setpoints_a_period(self, every: int, count: int):
-        """500 Hz at 25 Hz pictures: twenty; also where the period is no multiple of theirs, and asked as the plants ask."""
+        """500 Hz at 25 Hz pictures: twenty; also where the period is no multiple of theirs, and
+        asked as the plants ask.
+        """
         led, step, found = orders("smooth", every), 0, []
         led.give(0, U)
         while step < 100:
@@ -117,7 +134,8 @@ class TestSetpointBuffer:
     @pytest.mark.parametrize("mode", LED)
     def test_there_is_no_jump_whenever_orders_come(self, mode: Mode):
         led, rng, before = orders(mode, every=1), np.random.default_rng(4), np.zeros(2)
-        most = 1.5 * 2 * 2 / STEPS + 1e-9  # the steepest cubic between -1 and 1, whose slope at the start is the last one's
+        # the steepest cubic between -1 and 1, whose slope at the start is the last one's
+        most = 1.5 * 2 * 2 / STEPS + 1e-9
         for step in range(400):
             if rng.random() < 0.1 or step == 0:
                 led.give(step, rng.uniform(-1, 1, 2))
@@ -142,8 +160,15 @@ class TestSetpointBuffer:
     @pytest.mark.parametrize("mode", LED)
     @pytest.mark.parametrize("every", [1, 5])
     def test_the_controller_knows_the_way_of_its_orders(self, mode: Mode, every: int):
-        """The integral of what the actuators get, and that of the controller, which knows nothing of the physics clock."""
-        led, known, rng, way = orders(mode, every), CommandHistory(2, mode, PERIOD_S), np.random.default_rng(0), np.zeros(2)
+        """The integral of what the actuators get, and that of the controller, which knows nothing
+        of the physics clock.
+        """
+        led, known, rng, way = (
+            orders(mode, every),
+            CommandHistory(2, mode, PERIOD_S),
+            np.random.default_rng(0),
+            np.zeros(2),
+        )
         for step in range(200):
             if step % 20 == 0 or step in (45, 55, 130):
                 u = rng.normal(size=2)

@@ -8,7 +8,9 @@ from vstestbed.camera import Picture, Regions
 
 
 def in_windows(whole: Picture, regions: Regions, asked: list[Picture]) -> Picture:
-    """A picture of which only the regions of interest were drawn; `asked` gets the whole one when it is asked for."""
+    """A picture of which only the regions of interest were drawn; `asked` gets the whole one when
+    it is asked for.
+    """
     image, drawn = np.asarray(whole.images[0]), np.full_like(whole.images[0], 128)
     for left, top, right, bottom in regions[0]:
         drawn[top:bottom, left:right] = image[top:bottom, left:right]

@@ -33,7 +33,15 @@ class TestAllRound:
         rng = np.random.default_rng(1)
         for _ in range(25):
             T = exp(rng.uniform(-1, 1, 6) * [1.5, 1.5, 0.8, 3, 3, 3])
-            T = inverse(T @ np.block([[np.eye(3), np.array([[0.0], [0.0], [1.0]])], [np.zeros((1, 3)), np.ones((1, 1))]]))
+            T = inverse(
+                T
+                @ np.block(
+                    [
+                        [np.eye(3), np.array([[0.0], [0.0], [1.0]])],
+                        [np.zeros((1, 3)), np.ones((1, 1))],
+                    ]
+                )
+            )
             found = solve_pose_all_round(rays_of(T, RING[:n]), RING[:n])
             assert found is not None
             distance, angle = rigid_error(found, T)
@@ -42,8 +50,12 @@ class TestAllRound:
     def test_noise_of_half_a_milliradian_costs_millimetres(self):
         rng = np.random.default_rng(2)
         T = inverse(pose_on_ground(np.array([0.4, -0.3, 0.7])) @ MOUNT)
-        errors = [rigid_error(solve_pose_all_round(rays_of(T, RING, 5e-4, rng), RING, T), T)[0] for _ in range(200)]
-        # Five bearings at 4 m, .5 mrad each: about 4 m x .5e-3 x sqrt(2/5) sideways, somewhat more along the worst axis.
+        errors = [
+            rigid_error(solve_pose_all_round(rays_of(T, RING, 5e-4, rng), RING, T), T)[0]
+            for _ in range(200)
+        ]
+        # Five bearings at 4 m, .5 mrad each: about 4 m x .5e-3 x sqrt(2/5) sideways, somewhat more
+        # along the worst axis.
         assert 5e-4 < np.sqrt(np.mean(np.square(errors))) < 5e-3
 
     def test_three_need_a_previous_pose(self):
@@ -59,7 +71,9 @@ class TestAllRound:
 
     def test_what_fits_nowhere_is_no_pose(self):
         rays = np.random.default_rng(3).normal(size=(5, 3))
-        assert solve_pose_all_round(rays / np.linalg.norm(rays, axis=1, keepdims=True), RING) is None
+        assert (
+            solve_pose_all_round(rays / np.linalg.norm(rays, axis=1, keepdims=True), RING) is None
+        )
 
 
 class TestPlaceOnTheFloor:
@@ -77,12 +91,16 @@ class TestPlaceOnTheFloor:
 
     def test_it_does_not_hang_on_a_wrong_previous_place(self):
         place = [-4.0, 1.0, 0.5]
-        found = solve_place(self.seen(place, self.LANDMARKS), self.LANDMARKS, MOUNT, np.array([5.0, -3.0, 3.0]))
+        found = solve_place(
+            self.seen(place, self.LANDMARKS), self.LANDMARKS, MOUNT, np.array([5.0, -3.0, 3.0])
+        )
         np.testing.assert_allclose(found, place, atol=1e-8)
 
     def test_one_landmark_leaves_the_heading_as_it_was(self):
         place = np.array([-4.0, 1.0, 0.5])
-        found = solve_place(self.seen(place, self.LANDMARKS[:1]), self.LANDMARKS[:1], MOUNT, place + [0.3, -0.2, 0])
+        found = solve_place(
+            self.seen(place, self.LANDMARKS[:1]), self.LANDMARKS[:1], MOUNT, place + [0.3, -0.2, 0]
+        )
         np.testing.assert_allclose(found, place, atol=1e-8)
 
     def test_landmarks_one_above_the_other_tell_distance_but_no_heading(self):

@@ -38,7 +38,9 @@ def test_unequal_depths_tilt_the_target_as_the_best_fit() -> None:
 
     rng = np.random.default_rng(0)
     for _ in range(20):
-        nearby = found @ Pose(xyz=tuple(rng.normal(0, 0.02, 3)), rpy_deg=tuple(rng.normal(0, 2, 3))).T
+        nearby = (
+            found @ Pose(xyz=tuple(rng.normal(0, 0.02, 3)), rpy_deg=tuple(rng.normal(0, 2, 3))).T
+        )
         assert misfit(nearby) > misfit(found)
 
 
@@ -57,5 +59,6 @@ def test_the_goal_of_a_right_calibration_is_the_true_view_and_of_a_wrong_one_its
     ratio = np.tan(np.radians(30)) / np.tan(np.radians(25))
     assert wrong.T_camera_target[2, 3] / T[2, 3] == pytest.approx(ratio, rel=0.03)
     np.testing.assert_allclose(wrong.depth, transform(wrong.T_camera_target, SQUARE)[:, 2])
-    two = shown_goal(CAMERA, CAMERA, replace(TARGET, at=TARGET.at[:2]), T)  # leave the pose open: the true one
+    # leave the pose open: the true one
+    two = shown_goal(CAMERA, CAMERA, replace(TARGET, at=TARGET.at[:2]), T)
     np.testing.assert_array_equal(two.T_camera_target, T)

@@ -14,7 +14,9 @@ POINTS = np.array([[1.0, 1, 3], [-1, 1, 3], [-1, -1, 3], [1, -1, 3], [0.3, 2, 1]
 
 
 def seen(tilt: np.ndarray, mount: Pose = DOWN) -> tuple[np.ndarray, np.ndarray]:
-    """Unit rays of the points from the level camera, and from one on a craft tilted by rotations about x, then y."""
+    """Unit rays of the points from the level camera, and from one on a craft tilted by rotations
+    about x, then y.
+    """
     roll, pitch = exp(np.array([0, 0, 0, tilt[0], 0, 0])), exp(np.array([0, 0, 0, 0, tilt[1], 0]))
     R = mount.T[:3, :3].T @ (pitch @ roll)[:3, :3] @ mount.T[:3, :3]
     level = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
@@ -30,7 +32,9 @@ def worst(a: np.ndarray, b: np.ndarray) -> float:
 def test_exact_is_exact_however_the_camera_sits(mount):
     tilt = np.radians([25.0, -17.0])
     level, tilted = seen(tilt, mount)
-    np.testing.assert_allclose(level_rays(tilted, tilt, SphericalCamera(mount=mount), "exact"), level, atol=1e-12)
+    np.testing.assert_allclose(
+        level_rays(tilted, tilt, SphericalCamera(mount=mount), "exact"), level, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("camera", [ROUND, FLAT], ids=["angles", "plane"])
@@ -48,7 +52,8 @@ def test_first_order_errs_by_the_square_of_the_tilt(camera):
 def test_as_printed_errs_by_the_tilt_itself():
     tilt = np.radians([1.0, -0.7])
     level, tilted = seen(tilt)
-    # Without any derotation the rays are off by the tilt, .021 rad; with print's matrix by as much again.
+    # Without any derotation the rays are off by the tilt, .021 rad; with print's matrix by as much
+    # again.
     assert worst(tilted, level) == pytest.approx(np.hypot(*tilt), rel=0.05)
     assert worst(level_rays(tilted, tilt, ROUND, "as_printed"), level) > 0.8 * np.hypot(*tilt)
 
@@ -78,7 +83,11 @@ def test_the_picture_takes_a_bias_off_the_tilt():
 @pytest.mark.parametrize("mount", [DOWN, Pose(xyz=(0.1, 0.05, -0.1), rpy_deg=(180, 20, 45))])
 def test_a_level_camera_moves_with_the_craft_and_turns_with_its_heading_alone(mount):
     """Against finite differences of a craft that moves, rolls, pitches and yaws at once."""
-    rates, speeds, start = np.array([0.7, -0.9, 0.4]), np.array([0.6, -0.3, 0.2]), np.array([0.3, -0.4, 0.8])
+    rates, speeds, start = (
+        np.array([0.7, -0.9, 0.4]),
+        np.array([0.6, -0.3, 0.2]),
+        np.array([0.3, -0.4, 0.8]),
+    )
     h, M = 1e-5, mount.T
 
     def poses(t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +101,10 @@ def test_a_level_camera_moves_with_the_craft_and_turns_with_its_heading_alone(mo
     def twist(i: int) -> np.ndarray:
         before, now, after = (poses(t)[i] for t in (-h, 0, h))
         turn = before[:3, :3].T @ after[:3, :3]
-        w = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        w = (
+            np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+            / 2
+        )
         return np.concatenate([now[:3, :3].T @ (after[:3, 3] - before[:3, 3]), w]) / (2 * h)
 
     # Differences of second order: h^2.
@@ -102,7 +114,9 @@ def test_a_level_camera_moves_with_the_craft_and_turns_with_its_heading_alone(mo
 def test_near_a_pitch_of_90_degrees_the_heading_turns_ten_times_as_fast_at_most():
     level = DOWN.T[:3, :3]
     for pitch in np.radians([80.0, 84.0, 86.0, 90.0]):
-        rate = level @ level_twist(np.array([0, 0, 0, 1.0, 0, 0]), np.array([0.0, pitch]), level)[3:]
+        rate = (
+            level @ level_twist(np.array([0, 0, 0, 1.0, 0, 0]), np.array([0.0, pitch]), level)[3:]
+        )
         wx, _, wz = level @ level_from_tilt(np.array([0.0, pitch]), level) @ [1.0, 0, 0]
         assert rate[:2] == pytest.approx(0, abs=1e-12)
         assert rate[2] == pytest.approx(wz + wx * np.sin(pitch) / max(np.cos(pitch), 0.1))

@@ -1,4 +1,6 @@
-"""Depth from motion: one frame of the filter against its equations, marker by marker, in plain numbers."""
+"""Depth from motion: one frame of the filter against its equations, marker by marker, in plain
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,12 @@ def unit(v: tuple[float, float, float]) -> np.ndarray:
     return np.array(v) / np.linalg.norm(v)
 
 
-def one_frame(theta: float, info: float, before: np.ndarray, ray: np.ndarray, twist: np.ndarray, dt: float) -> tuple[float, float]:
-    """The documented equations for one marker, with the noise of 3e-4 rad, range 50 and evidence 30 written out."""
+def one_frame(
+    theta: float, info: float, before: np.ndarray, ray: np.ndarray, twist: np.ndarray, dt: float
+) -> tuple[float, float]:
+    """The documented equations for one marker, with the noise of 3e-4 rad, range 50 and evidence 30
+    written out.
+    """
     v, w = twist[:3], twist[3:]
     m = (ray + before) / np.linalg.norm(ray + before)
     near = m @ v
@@ -65,28 +71,47 @@ def test_a_frame_at_the_edge_of_the_noise() -> None:
 @pytest.mark.parametrize(("way", "limit"), [(-1, 25.0), (1, 0.01)])
 def test_the_range_stays_within_fifty_times_the_first_guess(way: int, limit: float) -> None:
     state = FlowState(np.array([0.5]), np.zeros(1), np.array([[0, 0, 1.0]]), 0.0)
-    found = update_flow(SETTINGS, state, 0.001, unit((0.05 * way, 0, 1))[None], np.array([1.0, 0, 0, 0, 0, 0]))
-    assert found.inverse_range[0] == pytest.approx(limit, rel=1e-3)  # it also moves a little nearer within the frame
+    found = update_flow(
+        SETTINGS, state, 0.001, unit((0.05 * way, 0, 1))[None], np.array([1.0, 0, 0, 0, 0, 0])
+    )
+    # it also moves a little nearer within the frame
+    assert found.inverse_range[0] == pytest.approx(limit, rel=1e-3)
 
 
-@pytest.mark.parametrize(("z", "expected"), [(0.21, 0.21 / 2), (0.19, 1 / 2), (-0.5, 1 / 2), (1.0, 1 / 2)])
-def test_a_marker_beside_the_camera_starts_with_the_depth_as_its_range(z: float, expected: float) -> None:
+@pytest.mark.parametrize(
+    ("z", "expected"), [(0.21, 0.21 / 2), (0.19, 1 / 2), (-0.5, 1 / 2), (1.0, 1 / 2)]
+)
+def test_a_marker_beside_the_camera_starts_with_the_depth_as_its_range(
+    z: float, expected: float
+) -> None:
     ray = np.array([[math.sqrt(1 - z * z), 0, z]])
     found = update_flow(SETTINGS, init_flow(1), 0.0, ray, np.zeros(6))
-    assert found.inverse_range[0] == pytest.approx(expected) and found.information[0] == 0 and found.t == 0
+    assert (
+        found.inverse_range[0] == pytest.approx(expected)
+        and found.information[0] == 0
+        and found.t == 0
+    )
 
 
 def test_a_frame_at_the_same_time_keeps_the_state_and_the_last_sight() -> None:
-    state = FlowState(np.array([0.4, np.nan]), np.array([0.1, 0]), np.array([[0, 0, 1.0], [np.nan] * 3]), 2.0)
+    state = FlowState(
+        np.array([0.4, np.nan]), np.array([0.1, 0]), np.array([[0, 0, 1.0], [np.nan] * 3]), 2.0
+    )
     seen = np.array([[np.nan] * 3, [0.6, 0, 0.8]])
     found = update_flow(SETTINGS, state, 2.0, seen, np.ones(6))
-    assert found.inverse_range == pytest.approx([0.4, 0.4]) and found.information == pytest.approx([0.1, 0])
+    assert found.inverse_range == pytest.approx([0.4, 0.4]) and found.information == pytest.approx(
+        [0.1, 0]
+    )
     assert (found.ray == [[0, 0, 1], [0.6, 0, 0.8]]).all()
 
 
 def test_a_marker_that_is_lost_goes_on_by_the_motion_alone() -> None:
     state = FlowState(np.array([0.5]), np.array([0.2]), np.array([[0, 0, 1.0]]), 0.0)
-    found = update_flow(SETTINGS, state, 0.1, np.full((1, 3), np.nan), np.array([0.3, 0, 1.0, 0, 0, 0]))
+    found = update_flow(
+        SETTINGS, state, 0.1, np.full((1, 3), np.nan), np.array([0.3, 0, 1.0, 0, 0, 0])
+    )
     # Straight ahead at 1 m/s: the range shrinks from 2 to 1.9 m.
-    assert 1 / found.inverse_range[0] == pytest.approx(1.9, abs=1e-4) and found.information[0] == pytest.approx(0.2)
+    assert 1 / found.inverse_range[0] == pytest.approx(1.9, abs=1e-4) and found.information[
+        0
+    ] == pytest.approx(0.2)
     assert np.isnan(found.ray).all()

@@ -1,4 +1,6 @@
-"""The pose of a target by the pictures of several cameras: against scipy's solver, the mean by covariances, and trials with noise."""
+"""The pose of a target by the pictures of several cameras: against scipy's solver, the mean by
+covariances, and trials with noise.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,20 @@ from vstestbed.vision.observe import CameraPixels, fused_pose, pose_of_all
 POINTS = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
 HAND = Perspective(width=640, height=480, fovy_deg=64)
 ROOM = Perspective(width=800, height=600, fovy_deg=45)
-T_HAND = Pose(xyz=(0.1, -0.05, 1.1), rpy_deg=(12, -20, 30)).T  # of the target in the frame of the camera in the hand
+# of the target in the frame of the camera in the hand
+T_HAND = Pose(xyz=(0.1, -0.05, 1.1), rpy_deg=(12, -20, 30)).T
 T_ROOM_HAND = Pose(xyz=(0.9, 0.2, 1.1), rpy_deg=(5, -50, 10)).T
 
 
-def seen(T: Array, sigma: float = 0.0, rng: np.random.Generator | None = None, hidden: tuple[list[int], list[int]] = ([], [])):
-    """The pixels of both cameras for the target at T (4, 4) in the hand's camera, with noise [px]."""
+def seen(
+    T: Array,
+    sigma: float = 0.0,
+    rng: np.random.Generator | None = None,
+    hidden: tuple[list[int], list[int]] = ([], []),
+):
+    """The pixels of both cameras for the target at T (4, 4) in the hand's camera,
+    with noise [px].
+    """
     found = []
     for camera, M, lacks in ((HAND, np.eye(4), hidden[0]), (ROOM, T_ROOM_HAND, hidden[1])):
         uv = camera.project(transform(M @ T, POINTS))
@@ -43,7 +53,9 @@ def by_scipy(T: Array, cameras: list[CameraPixels]) -> Array:
     return exp(least_squares(residuals, np.zeros(6), xtol=1e-14, ftol=1e-14, gtol=1e-14).x) @ T
 
 
-@pytest.mark.parametrize("hidden", [([], []), ([0, 1, 2], [3]), ([0, 1, 2, 3], []), ([0, 1], [2, 3])])
+@pytest.mark.parametrize(
+    "hidden", [([], []), ([0, 1, 2], [3]), ([0, 1, 2, 3], []), ([0, 1], [2, 3])]
+)
 def test_it_is_the_least_squares_pose_of_all_pictures(hidden: tuple[list[int], list[int]]) -> None:
     cameras = seen(T_HAND, 0.5, np.random.default_rng(1), hidden)
     near = exp(np.array([0.03, -0.02, 0.05, 0.04, 0.02, -0.05])) @ T_HAND
@@ -69,7 +81,9 @@ def test_it_is_the_mean_of_single_poses_by_the_inverses_of_their_covariances() -
     steps = [(log(found[0] @ inverse(T_HAND)), found[1]) for found in alone if found is not None]
     mean = np.linalg.solve(sum(info for _, info in steps), sum(info @ xi for xi, info in steps))
     assert log(both[0] @ inverse(T_HAND)) == pytest.approx(mean, rel=0.02, abs=1e-9)
-    assert both[1] == pytest.approx(sum(info for _, info in steps), rel=1e-3, abs=1e-2 * np.abs(both[1]).max())
+    assert both[1] == pytest.approx(
+        sum(info for _, info in steps), rel=1e-3, abs=1e-2 * np.abs(both[1]).max()
+    )
 
 
 def test_its_information_is_the_inverse_of_the_covariance_over_trials() -> None:
@@ -80,7 +94,8 @@ def test_its_information_is_the_inverse_of_the_covariance_over_trials() -> None:
     trials = [fused_pose(T_HAND, POINTS, seen(T_HAND, sigma, rng)) for _ in range(400)]
     errors = np.array([log(found[0] @ inverse(T_HAND)) for found in trials if found is not None])
     assert len(errors) == 400
-    # Whitened errors have variance 1 in each direction; that of 400 trials is within 4 of its own standard deviations, sqrt(2/400).
+    # Whitened errors have variance 1 in each direction; that of 400 trials is within 4 of its own
+    # standard deviations, sqrt(2/400).
     white = np.linalg.solve(np.linalg.cholesky(wanted), errors.T)
     assert np.abs(white.var(axis=1) - 1).max() < 4 * np.sqrt(2 / 400)
 

@@ -1,4 +1,6 @@
-"""Two views of a plane: rotation and scaled depth out of pixels, exact without noise, near the goal and at half turns too."""
+"""Two views of a plane: rotation and scaled depth out of pixels, exact without noise, near the goal
+and at half turns too.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def some_pose() -> Array:
     return T
 
 
-@pytest.mark.parametrize("kind", ["anywhere", "near the goal", "at the goal", "a half turn about the axis"])
+@pytest.mark.parametrize(
+    "kind", ["anywhere", "near the goal", "at the goal", "a half turn about the axis"]
+)
 def test_exact_to_single_precision_without_noise(kind: str):
     for _ in range(50):
         match kind:
@@ -71,16 +75,30 @@ def test_all_points_but_one_on_a_line_make_no_homography(noise: float):
     points = np.array([[-0.25, 0, 0], [0, 0, 0], [0.25, 0, 0], [0, 0.25, 0]])
     views = [transform(T, points) for T in (GOAL, *(some_pose() for _ in range(50)))]
     goal, *others = (p[:, :2] / p[:, 2:] for p in views)
-    assert all(relative_view(goal, xy + RNG.normal(0, noise, (4, 2)), GOAL[:3, 2]) is None for xy in others)
+    assert all(
+        relative_view(goal, xy + RNG.normal(0, noise, (4, 2)), GOAL[:3, 2]) is None for xy in others
+    )
 
 
 @pytest.mark.parametrize("distance", [0.3, 1.0, 5.0])
 def test_frontal_views_the_goal_itself_and_shifts_alone(distance: float):
-    """No tilt, no parallax or no motion at all: all of the decomposition's square roots are of zero."""
+    """No tilt, no parallax or no motion at all: all of the decomposition's square roots are of
+    zero.
+    """
     worst = 0.0
-    for goal in (Pose(xyz=(0, 0, distance)).T, Pose(xyz=(0.1 * distance, -0.05 * distance, distance)).T):
-        views = [goal, *(exp(np.array([*shift, 0, 0, 0.0])) @ goal for shift in 0.05 * distance * np.eye(3))]
-        views += [Pose(xyz=(0, 0, z), rpy_deg=(0, 0, turn)).T for z in (0.3, 2.0, 20.0) for turn in np.arange(0, 180.5, 2.5)]
+    for goal in (
+        Pose(xyz=(0, 0, distance)).T,
+        Pose(xyz=(0.1 * distance, -0.05 * distance, distance)).T,
+    ):
+        views = [
+            goal,
+            *(exp(np.array([*shift, 0, 0, 0.0])) @ goal for shift in 0.05 * distance * np.eye(3)),
+        ]
+        views += [
+            Pose(xyz=(0, 0, z), rpy_deg=(0, 0, turn)).T
+            for z in (0.3, 2.0, 20.0)
+            for turn in np.arange(0, 180.5, 2.5)
+        ]
         for T in views:
             found = relative_view(project(goal), project(T), goal[:3, 2])
             assert found is not None
@@ -93,7 +111,10 @@ def test_how_far_off_the_line_the_middle_point_must_be(off_line: float, open_: b
     points = np.array([[-0.25, 0, 0], [0, off_line, 0], [0.25, 0, 0], [0, 0.25, 0]])
     a, b = (transform(T, points) for T in (GOAL, some_pose()))
     assert (relative_view(a[:, :2] / a[:, 2:], b[:, :2] / b[:, 2:], GOAL[:3, 2]) is None) is open_
-    assert left_open(a[:, :2] / a[:, 2:], np.stack([b[:, :2] / b[:, 2:]] * 2)).tolist() == [open_, open_]
+    assert left_open(a[:, :2] / a[:, 2:], np.stack([b[:, :2] / b[:, 2:]] * 2)).tolist() == [
+        open_,
+        open_,
+    ]
 
 
 def test_the_homography_of_many_points_is_exact_and_averages_noise():
@@ -120,14 +141,21 @@ def test_points_on_both_sides_of_the_camera_have_no_view():
 
 
 def test_planes_aslant_and_far_off_the_axis():
-    """The normal, which points away from the camera, may have a negative z there; and the other solution may be the nearer one in front."""
+    """The normal, which points away from the camera, may have a negative z there; and the other
+    solution may be the nearer one in front.
+    """
     rng, backwards = np.random.default_rng(0), 0
     for _ in range(400):
-        goal, now = (exp(np.r_[0, 0, 0, rng.normal(0, 0.9, 2), rng.uniform(-3, 3)]) for _ in range(2))
+        goal, now = (
+            exp(np.r_[0, 0, 0, rng.normal(0, 0.9, 2), rng.uniform(-3, 3)]) for _ in range(2)
+        )
         for T in (goal, now):
             T[:3, 3] = [*rng.uniform(-0.6, 0.6, 2), rng.uniform(0.3, 1)]
         away = [float(T[:3, 2] @ T[:3, 3]) for T in (goal, now)]
-        if min(transform(T, POINTS)[:, 2].min() for T in (goal, now)) < 0.02 or away[0] * away[1] < 0:
+        if (
+            min(transform(T, POINTS)[:, 2].min() for T in (goal, now)) < 0.02
+            or away[0] * away[1] < 0
+        ):
             continue  # not in view, or seen from the other side
         normal = goal[:3, 2] * np.sign(away[0])
         found = relative_view(project(goal), project(now), normal)

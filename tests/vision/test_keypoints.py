@@ -1,4 +1,6 @@
-"""The detector of natural features: rows, goals, identities; with which laws it runs, and what is refused."""
+"""The detector of natural features: rows, goals, identities; with which laws it runs, and what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,11 @@ from vstestbed.vision.observe import FlowState
 
 T_GOAL = np.eye(4)
 T_GOAL[2, 3] = 0.61
-SMALL = {"camera.width": 320, "camera.height": 240, "detector.features": {"kind": "orb", "most": 400}}
+SMALL = {
+    "camera.width": 320,
+    "camera.height": 240,
+    "detector.features": {"kind": "orb", "most": 400},
+}
 TARGET = vs.load("camera_keypoints").target
 RNG = np.random.default_rng(0)
 
@@ -49,14 +55,22 @@ def begun(detector: Keypoints) -> Any:
 def begun_with(few: int, detector: Keypoints) -> Any:
     """`begun` where the goal's picture has few key points."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(keypoints, "extracted", lambda *given: tuple(part[:few] for part in extracted(*given)))
+        patch.setattr(
+            keypoints, "extracted", lambda *given: tuple(part[:few] for part in extracted(*given))
+        )
         return begun(detector)
 
 
 ROLLED = homography_of((0.06, -0.05, -0.7), (5, 8, 40))
 
 
-@pytest.mark.parametrize("detector", [Keypoints(features=Orb(most=400)), Keypoints(features=Orb(most=400), best=12, choose="distance")])
+@pytest.mark.parametrize(
+    "detector",
+    [
+        Keypoints(features=Orb(most=400)),
+        Keypoints(features=Orb(most=400), best=12, choose="distance"),
+    ],
+)
 def test_the_rows_show_points_of_the_goal_s_picture_with_their_depths_there(detector: Keypoints):
     _, detection = seen(detector, begun(detector), ROLLED)
     there = detection.seen
@@ -96,31 +110,59 @@ def test_an_empty_picture_shows_nothing_and_keeps_what_the_rows_were():
 def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_reason_says_so():
     """Spread over the picture, the first ones are at its border, where patches are cut."""
     detector = Keypoints(features=Orb(most=400), best=5, track=Klt())
-    assert not detector._due(Slots.empty(5).placed(*np.zeros((2, 4, 2))), 1)  # 4 of 5 will do, since `keep` is the user's alone
+    # 4 of 5 will do, since `keep` is the user's alone
+    assert not detector._due(Slots.empty(5).placed(*np.zeros((2, 4, 2))), 1)
     state, detection = seen(detector, begun(detector), GOAL_H)
     assert detection.seen.all() and not detection.why
     for uv in (detection.uv, detection.goal.uv):
         assert (uv > 10).all() and (uv < [309, 229]).all()
-    blurred = replace(state, smooth=np.random.default_rng(0).normal(128, 40, (240, 320)).astype(np.float32), last=None)
+    blurred = replace(
+        state,
+        smooth=np.random.default_rng(0).normal(128, 40, (240, 320)).astype(np.float32),
+        last=None,
+    )
     detection = seen(detector, blurred, GOAL_H)[1]
     assert not detection.seen.any()
-    sentence = detail(vs.load("camera_keypoints"), observed(detection.uv, list(detection.ids)), True, detection.why)
+    sentence = detail(
+        vs.load("camera_keypoints"),
+        observed(detection.uv, list(detection.ids)),
+        True,
+        detection.why,
+    )
     words = (
-        r"^ \(detector keypoints: \d+ points match the goal's picture, of which \d+ agree with one plane; of those tried the patches of 0 "
+        r"^ \(detector keypoints: \d+ points match the goal's picture,"
+        r" of which \d+ agree with one plane; of those tried the patches of 0 "
     )
     assert re.search(words, sentence)
-    sentence = detail(vs.load("camera_keypoints"), observed(detection.uv, list(detection.ids)), False)
-    assert sentence.endswith("too little of it, or from too far aside, or too few points of it are looked for)")
+    sentence = detail(
+        vs.load("camera_keypoints"), observed(detection.uv, list(detection.ids)), False
+    )
+    assert sentence.endswith(
+        "too little of it, or from too far aside, or too few points of it are looked for)"
+    )
     noise = np.random.default_rng(1).integers(0, 255, (240, 320, 3), np.uint8)
-    detection = detector.detect(begun(detector), Picture(0.0, (noise,)), None, CAMERA, TARGET, RNG)[1]
-    assert re.search(r"\d+ points match the goal's picture, of which 0 agree with one plane: the target may have too little", detection.why)
+    detection = detector.detect(begun(detector), Picture(0.0, (noise,)), None, CAMERA, TARGET, RNG)[
+        1
+    ]
+    assert re.search(
+        (
+            r"\d+ points match the goal's picture, of which 0 agree with one plane:"
+            r" the target may have too little"
+        ),
+        detection.why,
+    )
 
 
 def test_only_the_board_s_points_count_where_that_is_asked_for():
     near = replace(TARGET, width=0.2)  # of the poster in the picture its middle alone
-    on_board, anywhere = Keypoints(features=Orb(most=400), within="board", best=100), Keypoints(features=Orb(most=400), best=100)
+    on_board, anywhere = (
+        Keypoints(features=Orb(most=400), within="board", best=100),
+        Keypoints(features=Orb(most=400), best=100),
+    )
     for detector, outside in ((on_board, False), (anywhere, True)):
-        state = detector.begin(replace(Goal.from_view(CAMERA, near.points, T_GOAL), image=Sight(goal())), CAMERA, near)
+        state = detector.begin(
+            replace(Goal.from_view(CAMERA, near.points, T_GOAL), image=Sight(goal())), CAMERA, near
+        )
         _, detection = detector.detect(state, Picture(0.0, (goal(),)), None, CAMERA, near, RNG)
         assert detection.goal is not None
         xy = (detection.goal.ray * detection.goal.range[:, None])[detection.seen, :2]
@@ -129,17 +171,37 @@ def test_only_the_board_s_points_count_where_that_is_asked_for():
 
 def test_what_cannot_work_is_refused_with_a_sentence():
     flat = replace(the_goal(), image=Sight(np.full((240, 320, 3), 90, np.uint8)))
-    with pytest.raises(ParameterError, match="must find least = 4 key points or more in the goal's picture: sift finds 0; use a target"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            "must find least = 4 key points or more in the goal's picture:"
+            " sift finds 0; use a target"
+        ),
+    ):
         Keypoints(ransac="none").begin(flat, CAMERA, TARGET)
-    edge_on = replace(the_goal(), T_camera_target=np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0.6], [0, 0, 0, 1]]))
-    with pytest.raises(ParameterError, match=r"orb finds \d\d+, of which 0 have a depth there; use a goal that shows more"):
+    edge_on = replace(
+        the_goal(),
+        T_camera_target=np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0.6], [0, 0, 0, 1]]),
+    )
+    with pytest.raises(
+        ParameterError,
+        match=r"orb finds \d\d+, of which 0 have a depth there; use a goal that shows more",
+    ):
         Keypoints(features=Orb()).begin(edge_on, CAMERA, TARGET)
-    with pytest.raises(ParameterError, match=r"of which 0 lie on the target's board; use a goal that shows it larger"):
-        far = T_GOAL + np.array([[0, 0, 0, 3.0], *np.zeros((3, 4))])  # its plane alone is in the picture
-        Keypoints(features=Orb(), within="board").begin(replace(the_goal(), T_camera_target=far), CAMERA, TARGET)
+    with pytest.raises(
+        ParameterError,
+        match=r"of which 0 lie on the target's board; use a goal that shows it larger",
+    ):
+        # its plane alone is in the picture
+        far = T_GOAL + np.array([[0, 0, 0, 3.0], *np.zeros((3, 4))])
+        Keypoints(features=Orb(), within="board").begin(
+            replace(the_goal(), T_camera_target=far), CAMERA, TARGET
+        )
     with pytest.raises(ParameterError, match="compares with the picture taken at the goal"):
         Keypoints().begin(replace(the_goal(), image=None), CAMERA, TARGET)
-    with pytest.raises(ParameterError, match="may not be board with target mesh, which has none; works: picture"):
+    with pytest.raises(
+        ParameterError, match="may not be board with target mesh, which has none; works: picture"
+    ):
         Keypoints(within="board").begin(the_goal(), CAMERA, vs.load("arm_mesh").target)
     with pytest.raises(ParameterError, match="at most best = 24"):
         Keypoints(least=30)
@@ -150,13 +212,19 @@ def test_what_cannot_work_is_refused_with_a_sentence():
 
 
 def test_the_goal_s_picture_must_have_as_many_key_points_as_tell_a_plane():
-    orb, words = Orb(most=400), "must find {} in the goal's picture: orb finds {}; use a target with more texture"
+    orb, words = (
+        Orb(most=400),
+        "must find {} in the goal's picture: orb finds {}; use a target with more texture",
+    )
     plane = words.format("8 key points or more, as many as tell a plane,", 6) + ", or ransac: none$"
     with pytest.raises(ParameterError, match=plane):
         begun_with(6, Keypoints(features=orb))
     with pytest.raises(ParameterError, match=words.format("least = 9 key points or more", 8) + "$"):
         begun_with(8, Keypoints(features=orb, least=9))
-    for few, detector in [(8, Keypoints(features=orb)), (6, Keypoints(features=orb, ransac="none", subpixel=False))]:
+    for few, detector in [
+        (8, Keypoints(features=orb)),
+        (6, Keypoints(features=orb, ransac="none", subpixel=False)),
+    ]:
         assert seen(detector, begun_with(few, detector), GOAL_H, sigma=0.0)[1].seen.sum() >= 4
 
 
@@ -170,22 +238,43 @@ def test_three_points_will_do_where_no_pose_is_needed():
 def test_laws_and_cameras_that_need_markers_are_refused():
     for changes, words in (
         ({"law.depth": "estimate"}, "or let it follow its points"),
-        ({"law": "partitioned"}, "law: may not be partitioned: it needs the same markers in every picture"),
-        ({"law": "uncalibrated", "detector.track": "klt"}, "may not be uncalibrated: it needs the same markers"),
+        (
+            {"law": "partitioned"},
+            "law: may not be partitioned: it needs the same markers in every picture",
+        ),
+        (
+            {"law": "uncalibrated", "detector.track": "klt"},
+            "may not be uncalibrated: it needs the same markers",
+        ),
         (
             {"law.feature": "polygon", "law.redundant": True},
-            r"law\.feature: may not be polygon: it is made of several markers together, .*; use point, polar or spherical",
+            (
+                r"law\.feature: may not be polygon: it is made of several markers together, .*;"
+                r" use point, polar or spherical"
+            ),
         ),
         (
             {"law.visibility": {"margin_px": 20}},
-            r"law\.visibility\.margin_px: keeps points from the border or a plane, .*; works: law\.visibility\.margin_px: 0",
+            (
+                r"law\.visibility\.margin_px: keeps points from the border or a plane, .*;"
+                r" works: law\.visibility\.margin_px: 0"
+            ),
         ),
         ({"camera": {"kind": "spherical"}}, "with a camera that sees all round"),
         (
             THREE,
-            r"detector\.best: must be at least 4 where the target's pose is needed, .*; works: 4, or law\.depth goal or sensor, got 3",
+            (
+                r"detector\.best: must be at least 4 where the target's pose is needed, .*;"
+                r" works: 4, or law\.depth goal or sensor, got 3"
+            ),
         ),
-        (THREE | {"law": "pbvs"}, r"detector\.best: must be at least 4 where the target's pose is needed, .*; works: 4, got 3"),
+        (
+            THREE | {"law": "pbvs"},
+            (
+                r"detector\.best: must be at least 4 where the target's pose is needed,"
+                r" .*; works: 4, got 3"
+            ),
+        ),
     ):
         with pytest.raises(ScenarioError, match=words):
             vs.load("camera_keypoints", changes)
@@ -200,18 +289,30 @@ LAWS: dict[str, dict[str, Any]] = {
     "hybrid": {"law": {"kind": "hybrid", "gain": 2}},
     "qp": {"law": {"kind": "qp", "law": {"kind": "ibvs", "gain": 2}, "margin_px": None}},
     "predictive": {"law": {"kind": "predictive", "margin_px": None}},
-    "switched": {"law": {"kind": "switched", "laws": [{"law": {"kind": "ibvs", "gain": 2}, "until": {"error_under_px": 40}}, "pbvs"]}},
+    "switched": {
+        "law": {
+            "kind": "switched",
+            "laws": [{"law": {"kind": "ibvs", "gain": 2}, "until": {"error_under_px": 40}}, "pbvs"],
+        }
+    },
 }
 
 
 @pytest.mark.parametrize("name", one_quick(*LAWS))
 def test_laws_take_what_points_there_are(name: str):
-    short = {"stop.duration_s": 0.6, "robot.start.nominal.rpy_deg": [2, -3, 10], "detector.track": "klt"}
+    short = {
+        "stop.duration_s": 0.6,
+        "robot.start.nominal.rpy_deg": [2, -3, 10],
+        "detector.track": "klt",
+    }
     s = vs.load("camera_keypoints", SMALL | short | LAWS[name])
     r = vs.run(s)
     assert not r["lost"].any() and r["position_error_m"][-1] < 0.6 * r["position_error_m"][0]
     at = [f"u_{i}" for i in range(s.rows)]
-    off = np.abs(np.column_stack([r[n] for n in at]) - np.column_stack([r[n.replace("u_", "u_true_")] for n in at]))
+    off = np.abs(
+        np.column_stack([r[n] for n in at])
+        - np.column_stack([r[n.replace("u_", "u_true_")] for n in at])
+    )
     assert np.nanmedian(off) < 0.08
 
 
@@ -225,22 +326,49 @@ def test_what_a_row_showed_before_counts_only_while_it_shows_the_same_point():
     before, other = observed(xy, list(range(8))), xy.copy()
     other[3] += 0.2  # another point in this row
     now = observed(other, [0, 1, 2, 30, 4, 5, 6, 7])
-    state = ErrorState(np.zeros(0), seen=before, known_t=0.0, marker_t=np.zeros(8), target=KalmanCV().update(None, None, 0.1, 6))
-    change = IBVS()._change(state, now, Goal.of_points(CAMERA, np.column_stack([xy, np.ones(8)]), T_GOAL), np.eye(6))
+    state = ErrorState(
+        np.zeros(0),
+        seen=before,
+        known_t=0.0,
+        marker_t=np.zeros(8),
+        target=KalmanCV().update(None, None, 0.1, 6),
+    )
+    change = IBVS()._change(
+        state, now, Goal.of_points(CAMERA, np.column_stack([xy, np.ones(8)]), T_GOAL), np.eye(6)
+    )
     assert change is not None and change[0].shape == (14,) and np.abs(change[0]).max() < 1e-12
     lost = other.copy()
     lost[[3, 5]] = np.nan
-    carried = reckoned_markers(observed(lost, [0, 1, 2, 30, 4, 5, 6, 7]), before, np.eye(4), np.full(8, 0.04), 0.3, np.eye(6))
+    carried = reckoned_markers(
+        observed(lost, [0, 1, 2, 30, 4, 5, 6, 7]),
+        before,
+        np.eye(4),
+        np.full(8, 0.04),
+        0.3,
+        np.eye(6),
+    )
     np.testing.assert_allclose(carried.xy[5], xy[5], atol=1e-9)
     assert np.isnan(carried.xy[3]).all()
-    flow = FlowState(np.arange(3.0), np.ones(3), np.ones((3, 3)), 0.0, np.array([4, 5, 6])).of(np.array([4, 9, 6]))
-    assert np.isnan(flow.inverse_range[1]) and flow.inverse_range[2] == 2.0 and flow.information.tolist() == [1, 0, 1]
+    flow = FlowState(np.arange(3.0), np.ones(3), np.ones((3, 3)), 0.0, np.array([4, 5, 6])).of(
+        np.array([4, 9, 6])
+    )
+    assert (
+        np.isnan(flow.inverse_range[1])
+        and flow.inverse_range[2] == 2.0
+        and flow.information.tolist() == [1, 0, 1]
+    )
 
 
 @pytest.mark.parametrize("ransac", ["homography", "essential", "none"])
-def test_points_that_were_followed_astray_are_dropped_as_wrong_matches_are(ransac: Any, monkeypatch: pytest.MonkeyPatch):
-    """Lucas-Kanade is made to lead six points 15 px aside; the epipolar constraint misses those that went along their line."""
-    detector = Keypoints(features=Orb(most=400), track=Klt(redetect_every=50), ransac=ransac, subpixel=False)
+def test_points_that_were_followed_astray_are_dropped_as_wrong_matches_are(
+    ransac: Any, monkeypatch: pytest.MonkeyPatch
+):
+    """Lucas-Kanade is made to lead six points 15 px aside; the epipolar constraint misses those
+    that went along their line.
+    """
+    detector = Keypoints(
+        features=Orb(most=400), track=Klt(redetect_every=50), ransac=ransac, subpixel=False
+    )
     there = homography_of((0.03, 0.01, -0.61), (0, 0, 0))
     state, before = seen(detector, begun(detector), there)
     rows = np.flatnonzero(before.seen)[:6]
@@ -253,5 +381,8 @@ def test_points_that_were_followed_astray_are_dropped_as_wrong_matches_are(ransa
 
     monkeypatch.setattr(keypoints, "followed", astray)
     after = seen(detector, state, there)[1].seen
-    assert after[rows].sum() <= {"homography": 0, "essential": 2, "none": 6}[ransac] and after.sum() > 12
+    assert (
+        after[rows].sum() <= {"homography": 0, "essential": 2, "none": 6}[ransac]
+        and after.sum() > 12
+    )
     assert ransac != "none" or after[rows].all()

@@ -1,4 +1,6 @@
-"""Matches of a poster under known homographies: which are found, how exactly, and what is refused."""
+"""Matches of a poster under known homographies:
+which are found, how exactly, and what is refused.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,26 @@ from tests.vision.views import CAMERA, goal, homography_of, picture_by, places
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, transform
 from vstestbed.core.registry import REGISTRIES, SPECS
-from vstestbed.vision.keypoints import Klt, Slots, followed, map_derivatives, of_one_motion, planar_map, refined, smooth, spread_out
-from vstestbed.vision.local_features import Akaze, Orb, Sift, extracted, grey, matched, mutual_matches
+from vstestbed.vision.keypoints import (
+    Klt,
+    Slots,
+    followed,
+    map_derivatives,
+    of_one_motion,
+    planar_map,
+    refined,
+    smooth,
+    spread_out,
+)
+from vstestbed.vision.local_features import (
+    Akaze,
+    Orb,
+    Sift,
+    extracted,
+    grey,
+    matched,
+    mutual_matches,
+)
 
 TURNED = homography_of((0.05, -0.04, -0.65), (6, -10, 120))
 ROUGH = {"sift": 0.25, "orb": 1.3}
@@ -22,14 +42,17 @@ ROUGH = {"sift": 0.25, "orb": 1.3}
 
 
 def test_of_one_motion_are_the_pairs_that_obey_its_epipolar_constraint():
-    """60 points in space that a camera sees from two places, and 20 pairs that are wrong: E = [t]x R is not given."""
+    """60 points in space that a camera sees from two places, and 20 pairs that are wrong: E = [t]x
+    R is not given.
+    """
     rng = np.random.default_rng(3)
     p = rng.uniform((-0.4, -0.3, 0.8), (0.4, 0.3, 1.6), (80, 3))
     T = Pose(xyz=(0.1, -0.05, 0.02), rpy_deg=(4, -6, 20)).T
     uv_goal, uv = CAMERA.project(p), CAMERA.project(transform(T, p))
     uv[60:] += rng.choice([-1, 1], (20, 2)) * rng.uniform(30, 90, (20, 2))
     agree = of_one_motion(CAMERA, uv_goal, uv, 1.0)
-    assert agree is not None and agree[:60].all() and np.count_nonzero(agree[60:]) <= 3  # a wrong pair may lie on its line by chance
+    # a wrong pair may lie on its line by chance
+    assert agree is not None and agree[:60].all() and np.count_nonzero(agree[60:]) <= 3
     again = of_one_motion(CAMERA, uv_goal, uv, 1.0)
     assert again is not None and np.array_equal(agree, again)
     assert of_one_motion(CAMERA, uv_goal[:4], uv[:4], 1.0) is None
@@ -49,9 +72,15 @@ def test_features_find_their_places_again_and_patches_measure_them_below_a_pixel
     assert np.median(off[agree]) < ROUGH[features.kind]
     k = np.flatnonzero(agree)[spread_out(uv_goal[i][agree], 24)]
     at, uv = uv_goal[i][k], uv_now[j][k]
-    fine = refined(smooth(grey(goal())), smooth(grey(image)), at, uv, map_derivatives(CAMERA, plane, at))
+    fine = refined(
+        smooth(grey(goal())), smooth(grey(image)), at, uv, map_derivatives(CAMERA, plane, at)
+    )
     error = np.linalg.norm(fine - places(TURNED, at), axis=1)
-    assert np.isfinite(error).sum() >= 15 and np.nanmedian(error) < 0.06 and np.nanquantile(error, 0.9) < 0.25
+    assert (
+        np.isfinite(error).sum() >= 15
+        and np.nanmedian(error) < 0.06
+        and np.nanquantile(error, 0.9) < 0.25
+    )
 
 
 def test_sift_has_no_offset_under_a_rotation():
@@ -71,9 +100,14 @@ def test_mutual_matches_are_those_of_a_brute_force_matcher(bits: bool):
     b[:20] = a[40:] if bits else a[40:] + rng.integers(-5, 6, (20, 32))
     i, j, distance = mutual_matches(a, b)
     norm = cv2.NORM_HAMMING if bits else cv2.NORM_L2
-    expected = sorted((m.queryIdx, m.trainIdx, m.distance) for m in cv2.BFMatcher(norm, crossCheck=True).match(a, b))
+    expected = sorted(
+        (m.queryIdx, m.trainIdx, m.distance)
+        for m in cv2.BFMatcher(norm, crossCheck=True).match(a, b)
+    )
     order = np.argsort(i)
-    assert [(int(x), int(y)) for x, y in zip(i[order], j[order], strict=True)] == [m[:2] for m in expected]
+    assert [(int(x), int(y)) for x, y in zip(i[order], j[order], strict=True)] == [
+        m[:2] for m in expected
+    ]
     np.testing.assert_allclose(distance[order], [m[2] for m in expected], rtol=1e-5, atol=1e-3)
     sure = mutual_matches(a, b, ratio=0.6)[0]
     assert set(range(40, 60)) <= set(sure.tolist()) and len(sure) < len(i)
@@ -99,7 +133,9 @@ def test_the_map_of_a_plane_holds_for_a_lens_with_distortion_and_among_wrong_mat
 
     assert not agree[:30].any() and agree[30:].all()
     np.testing.assert_allclose(there(uv_goal), uv, atol=0.02)
-    slope = np.stack([(there(uv_goal + s) - there(uv_goal - s)) / 2e-3 for s in 1e-3 * np.eye(2)], axis=-1)
+    slope = np.stack(
+        [(there(uv_goal + s) - there(uv_goal - s)) / 2e-3 for s in 1e-3 * np.eye(2)], axis=-1
+    )
     np.testing.assert_allclose(map_derivatives(lens, plane, uv_goal), slope, atol=2e-3)
     assert planar_map(lens, uv_goal[:7], uv[:7], 1.0) is None
 
@@ -144,7 +180,9 @@ def test_akaze_works_where_opencv_has_it_and_is_refused_where_not():
         uv, descriptors = Akaze(most=200).extract(goal())
         assert len(uv) == len(descriptors) > 50 and descriptors.dtype == np.uint8
     else:
-        with pytest.raises(ParameterError, match="use sift or orb, or install opencv-contrib-python-headless"):
+        with pytest.raises(
+            ParameterError, match="use sift or orb, or install opencv-contrib-python-headless"
+        ):
             Akaze()
 
 
@@ -167,8 +205,14 @@ def test_wrong_output_of_a_plugin_is_refused_with_a_sentence():
     for given, words in (
         (np.zeros((3, 2)), r"extract of .* must return \(uv, descriptors\), got 'ndarray'"),
         ((np.zeros((3, 3)), np.zeros((3, 8))), r"uv of shape \(M, 2\), pixels, got \(3, 3\)"),
-        ((np.zeros((3, 2)), np.zeros((4, 8))), r"descriptors of shape \(3, D\), a row for each point, got \(4, 8\)"),
-        ((np.full((3, 2), np.nan), np.zeros((3, 8))), "uv that are finite; leave out points that were not found"),
+        (
+            (np.zeros((3, 2)), np.zeros((4, 8))),
+            r"descriptors of shape \(3, D\), a row for each point, got \(4, 8\)",
+        ),
+        (
+            (np.full((3, 2), np.nan), np.zeros((3, 8))),
+            "uv that are finite; leave out points that were not found",
+        ),
         ((np.zeros((3, 2)), np.full((3, 8), np.inf)), "descriptors that are finite"),
     ):
         with pytest.raises(ParameterError, match=words):
@@ -191,7 +235,10 @@ def test_a_kind_without_a_method_is_refused_when_it_is_registered():
     class Nothing:
         kind: Literal["nothing"] = "nothing"
 
-    with pytest.raises(ParameterError, match=r"Nothing lacks extract\(image\), which gives \(uv, descriptors\), or match"):
+    with pytest.raises(
+        ParameterError,
+        match=r"Nothing lacks extract\(image\), which gives \(uv, descriptors\), or match",
+    ):
         vs.KEYPOINTS.add(Nothing)
     del SPECS[specs:]
     assert vs.KEYPOINTS.members == members and any(room is vs.KEYPOINTS for room in REGISTRIES)

@@ -61,25 +61,35 @@ class TestRadius:
     """Apparent radii from the target's model and the depth that the law knows."""
 
     def seen(self, depth: Depth, **changes: object) -> Observation:
-        observer = replace(_observer(depth), **({"required_fields": ("xy", "depth", "radius_px")} | changes))  # pyright: ignore[reportArgumentType]
-        return observer.observe(observer.init(), 0.0, Detection(uv=observer.camera.project(P_START)), REST, RNG)[1]
+        observer = replace(
+            _observer(depth), **({"required_fields": ("xy", "depth", "radius_px")} | changes)
+        )  # pyright: ignore[reportArgumentType]
+        return observer.observe(
+            observer.init(), 0.0, Detection(uv=observer.camera.project(P_START)), REST, RNG
+        )[1]
 
     def test_of_a_pinhole_it_is_f_r_over_z(self) -> None:
         flat = Perspective()
-        found = self.seen(PnP(), camera=flat, goal=Goal.from_view(flat, TARGET.points, Pose(xyz=(0, 0, 1.3)).T)).radius_px
+        found = self.seen(
+            PnP(), camera=flat, goal=Goal.from_view(flat, TARGET.points, Pose(xyz=(0, 0, 1.3)).T)
+        ).radius_px
         assert found == pytest.approx(flat.f * TARGET.marker.radius / P_START[:, 2], rel=1e-6)
 
     def test_it_is_what_cuts_a_marker_at_the_border(self) -> None:
         lens = Fisheye(width=640, height=640, fov_deg=180)
         goal = Goal.from_view(lens, TARGET.points, Pose(xyz=(0, 0, 1.3)).T)
-        found = self.seen(AtGoal(), camera=lens, goal=goal, required_fields=("ray", "range", "radius_px")).radius_px
+        found = self.seen(
+            AtGoal(), camera=lens, goal=goal, required_fields=("ray", "range", "radius_px")
+        ).radius_px
         # At the goal's ranges, whatever the true ones.
         p = P_START / np.linalg.norm(P_START, axis=1, keepdims=True) * goal.range[:, None]
         assert found == pytest.approx(lens.half_size(p, TARGET.marker.radius).max(axis=1), rel=1e-9)
 
     def test_unseen_markers_have_none_and_laws_without_a_field_do_not_pay_for_it(self) -> None:
         observer = replace(_observer(AtGoal()), required_fields=("xy", "depth", "radius_px"))
-        found = observer.observe(observer.init(), 0.0, _detection(START, lost=(2,)), REST, RNG)[1].radius_px
+        found = observer.observe(observer.init(), 0.0, _detection(START, lost=(2,)), REST, RNG)[
+            1
+        ].radius_px
         assert found is not None and np.isfinite(found).tolist() == [True, True, False, True]
         assert _once(AtGoal(), _detection(START)).radius_px is None
 
@@ -110,7 +120,8 @@ def test_pose_is_carried_on_by_the_commanded_motion() -> None:
         lost = () if k < 5 else (0, 1, 2)
         state, seen = observer.observe(state, k * DT, _detection(T, lost), twist, rng)
         assert seen.T_camera_target is not None
-        assert rigid_error(seen.T_camera_target, T) == pytest.approx((0, 0), abs=1e-6)  # constant twist: the step is exact
+        # constant twist: the step is exact
+        assert rigid_error(seen.T_camera_target, T) == pytest.approx((0, 0), abs=1e-6)
         assert seen.seen.tolist() == [i not in lost for i in range(4)]
         T = inverse(exp(twist * DT)) @ T
 
@@ -133,18 +144,32 @@ def test_pixel_noise_is_drawn_from_the_generator_and_is_solved_again() -> None:
     assert first.T_camera_target is not None
     assert rigid_error(first.T_camera_target, START)[0] > 1e-5
     rng = np.random.default_rng(1)
-    draws = [observer.observe(observer.init(), 0.0, clean, REST, rng)[1].uv - clean.uv for _ in range(300)]
+    draws = [
+        observer.observe(observer.init(), 0.0, clean, REST, rng)[1].uv - clean.uv
+        for _ in range(300)
+    ]
     assert np.std(draws) == pytest.approx(0.5, rel=0.06)  # 2400 draws: 1.4 % standard error
 
 
-def _run_estimate(twist_at: Depth | None = None, *, sigma: float = 0.0, frames: int = 75, still: int = 0) -> tuple[Array, Array]:
-    """Estimated and true depths (4,) after a slow curve that starts at the wrong depth of 1 m; at rest for the last frames."""
-    observer, rng = _observer(Estimate(initial_m=1.0, forget_s=0.5), sigma), np.random.default_rng(0)
+def _run_estimate(
+    twist_at: Depth | None = None, *, sigma: float = 0.0, frames: int = 75, still: int = 0
+) -> tuple[Array, Array]:
+    """Estimated and true depths (4,) after a slow curve that starts at the wrong depth of 1 m; at
+    rest for the last frames.
+    """
+    observer, rng = (
+        _observer(Estimate(initial_m=1.0, forget_s=0.5), sigma),
+        np.random.default_rng(0),
+    )
     state, T, twist, depth = observer.init(), START, REST, np.zeros(4)
     for k in range(frames + still):
         state, seen = observer.observe(state, k * DT, _detection(T), twist, rng)
         depth = seen.depth
-        twist = REST if k >= frames - 1 else np.array([0.15 * np.cos(0.1 * k), 0.15 * np.sin(0.1 * k), 0.05, 0.05, -0.04, 0.1])
+        twist = (
+            REST
+            if k >= frames - 1
+            else np.array([0.15 * np.cos(0.1 * k), 0.15 * np.sin(0.1 * k), 0.05, 0.05, -0.04, 0.1])
+        )
         T = inverse(exp(twist * DT)) @ T
     return depth, transform(T, TARGET.points)[:, 2]
 
@@ -159,13 +184,17 @@ def test_estimate_under_noise_and_kept_at_rest() -> None:
     depth, true = _run_estimate(sigma=0.1)
     assert depth == pytest.approx(true, rel=0.15)
     rested, true = _run_estimate(sigma=0.1, still=500)
-    assert rested == pytest.approx(depth, rel=1e-3)  # noise without motion teaches nothing; Z = R cos has the pixel's own
+    # noise without motion teaches nothing; Z = R cos has the pixel's own
+    assert rested == pytest.approx(depth, rel=1e-3)
 
 
 @pytest.mark.parametrize("ratio", one_quick(3.0, 0.3))
 @pytest.mark.parametrize("sigma", [0.0, 0.05])
-def test_estimate_from_far_off_converges_and_does_not_drift_as_motion_fades(ratio: float, sigma: float) -> None:
-    # The motion of a servo: it dies away over 2 s. Depths within 1 % after 1 s, and still so at the end.
+def test_estimate_from_far_off_converges_and_does_not_drift_as_motion_fades(
+    ratio: float, sigma: float
+) -> None:
+    # The motion of a servo: it dies away over 2 s. Depths within 1 % after 1 s, and still so at the
+    # end.
     observer, rng = _observer(Estimate(initial_m=1.6 * ratio), sigma), np.random.default_rng(0)
     state, T, twist = observer.init(), START, REST
     for k in range(400):
@@ -181,7 +210,8 @@ def test_estimate_without_motion_keeps_the_initial_depth() -> None:
     state = observer.init()
     for k in range(50):
         state, seen = observer.observe(state, k * DT, _detection(START), REST, rng)
-        assert seen.depth == pytest.approx([0.8] * 4, rel=1e-3)  # the pixels' own noise, a range being what is kept
+        # the pixels' own noise, a range being what is kept
+        assert seen.depth == pytest.approx([0.8] * 4, rel=1e-3)
 
 
 def test_estimate_survives_a_gap() -> None:
@@ -190,7 +220,9 @@ def test_estimate_survives_a_gap() -> None:
     twist = np.array([0.1, 0.05, 0, 0, 0, 0])
     T = inverse(exp(twist * DT)) @ START
     for k in range(1, 60):
-        state, seen = observer.observe(state, k * DT, _detection(T, lost=(1,) if 20 <= k < 40 else ()), twist, rng)
+        state, seen = observer.observe(
+            state, k * DT, _detection(T, lost=(1,) if 20 <= k < 40 else ()), twist, rng
+        )
         assert np.all(seen.depth[seen.seen] > 0)
         assert seen.depth[0] == pytest.approx(transform(T, TARGET.points)[0, 2], rel=0.01) or k < 20
         T = inverse(exp(twist * DT)) @ T
@@ -198,13 +230,20 @@ def test_estimate_survives_a_gap() -> None:
 
 
 def test_estimate_of_what_is_behind_the_camera() -> None:
-    camera, T = SphericalCamera(width=720, height=720), Pose(xyz=(0.2, 0.1, -1.6), rpy_deg=(10, -15, 20)).T
+    camera, T = (
+        SphericalCamera(width=720, height=720),
+        Pose(xyz=(0.2, 0.1, -1.6), rpy_deg=(10, -15, 20)).T,
+    )
     goal = Goal.from_view(camera, TARGET.points, T)
-    observer = Observer(camera=camera, target=TARGET, goal=goal, depth=Estimate(), required_fields=("ray", "range"))
+    observer = Observer(
+        camera=camera, target=TARGET, goal=goal, depth=Estimate(), required_fields=("ray", "range")
+    )
     state, twist = observer.init(), np.array([0.15, -0.1, 0.1, 0.05, -0.04, 0.1])
     for k in range(50):
         p = transform(T, TARGET.points)
-        state, seen = observer.observe(state, k * DT, Detection(uv=camera.project(p)), twist, np.random.default_rng(0))
+        state, seen = observer.observe(
+            state, k * DT, Detection(uv=camera.project(p)), twist, np.random.default_rng(0)
+        )
         T = inverse(exp(twist * DT)) @ T
     assert seen.range == pytest.approx(np.linalg.norm(p, axis=1), rel=5e-3)
     assert seen.depth == pytest.approx(p[:, 2], rel=5e-3)
@@ -218,7 +257,11 @@ def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None
     out[0] += 0.5 * (uv[0] - camera.centre) / np.linalg.norm(uv[0] - camera.centre)
     assert np.isnan(camera.ray(out[0])).all()
     observer = Observer(
-        camera=camera, target=TARGET, goal=Goal.from_view(camera, TARGET.points, T), depth=PnP(), required_fields=("ray", "range")
+        camera=camera,
+        target=TARGET,
+        goal=Goal.from_view(camera, TARGET.points, T),
+        depth=PnP(),
+        required_fields=("ray", "range"),
     )
     state, rng = observer.init(), np.random.default_rng(0)
     state, _ = observer.observe(state, 0.0, Detection(uv=uv), REST, rng)
@@ -227,16 +270,21 @@ def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None
     now[0] = out[0]
     seen = observer.observe(state, DT, Detection(uv=now), REST, rng)[1]
     assert seen.T_camera_target is not None
-    assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-4)  # by the other three
+    # by the other three
+    assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-4)
 
 
 @pytest.mark.parametrize("failed", [0, 2])
-def test_a_picture_without_a_pose_costs_no_later_one(failed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_without_a_pose_costs_no_later_one(
+    failed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The first picture or a later one: the next is solved as if there had been no failure."""
     observer, rng = _observer(PnP()), np.random.default_rng(0)
     state, solver, poses = observer.init(), observe.solve_pose_from_rays, []
     for k in range(4):
-        monkeypatch.setattr(observe, "solve_pose_from_rays", (lambda *_: None) if k == failed else solver)
+        monkeypatch.setattr(
+            observe, "solve_pose_from_rays", (lambda *_: None) if k == failed else solver
+        )
         state, seen = observer.observe(state, k * DT, _detection(START), REST, rng)
         poses.append(seen.T_camera_target)
     for k, T in enumerate(poses):

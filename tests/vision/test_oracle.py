@@ -16,7 +16,11 @@ TARGET = Points(pose=Pose(), at=((0, 0, 0), (1, 0, 0), (2, 0, 0)))  # discs of 2
 RNG = np.random.default_rng(0)
 
 
-def _ask(oracle: Oracle, p: Array | list[list[float]], hidden: tuple[bool, bool, bool] = (False, False, False)) -> Detection:
+def _ask(
+    oracle: Oracle,
+    p: Array | list[list[float]],
+    hidden: tuple[bool, bool, bool] = (False, False, False),
+) -> Detection:
     view = TruthView(np.array(p, dtype=float), np.array(hidden))
     return oracle.detect(oracle.init(), None, view, CAMERA, TARGET, RNG)[1]
 
@@ -36,7 +40,8 @@ def test_never_behind_the_camera(field_of_view: str) -> None:
 
 
 def test_limited_field_of_view() -> None:
-    # Half the picture is 320 px / 384 = .8333 wide at 1 m. The second marker's centre is 4 px inside, less than its 7.7 px.
+    # Half the picture is 320 px / 384 = .8333 wide at 1 m. The second marker's centre is 4 px
+    # inside, less than its 7.7 px.
     p = [[0.9, 0, 1], [0.8333 - 4 / 384, 0, 1], [0.8333 - 9 / 384, 0, 1]]
     assert _ask(Oracle(), p).seen.tolist() == [False, False, True]
     assert _ask(Oracle(field_of_view="unlimited"), p).seen.all()

@@ -1,4 +1,6 @@
-"""Perturbations: what each does to a picture or to measured coordinates, and that a run of it depends on nothing but the seed."""
+"""Perturbations: what each does to a picture or to measured coordinates, and that a run of it
+depends on nothing but the seed.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ import pytest
 import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.vision.perturb import PERTURBATIONS, ColorJitter, Erasing, Outliers, PerturbationBase, Perturbed, Shadow
+from vstestbed.vision.perturb import (
+    PERTURBATIONS,
+    ColorJitter,
+    Erasing,
+    Outliers,
+    PerturbationBase,
+    Perturbed,
+    Shadow,
+)
 
 IMAGE = np.arange(60 * 80 * 3, dtype=np.uint32).reshape(60, 80, 3).astype(np.uint8)
 FAST = {"detector": "oracle", "camera.rate_hz": 25.0, "stop.duration_s": 1.0}
@@ -23,7 +33,10 @@ def pictures(kind, n, seed=0):
 
 class TestErasing:
     def test_rectangles_have_the_area_and_the_shape_asked_for(self):
-        changed = [np.any(image != IMAGE, axis=2) for image in pictures(Erasing(probability=1.0, fill="random"), 200)]
+        changed = [
+            np.any(image != IMAGE, axis=2)
+            for image in pictures(Erasing(probability=1.0, fill="random"), 200)
+        ]
         for mask in changed:
             rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
             h, w = np.ptp(rows) + 1, np.ptp(columns) + 1
@@ -53,19 +66,28 @@ class TestColorJitter:
         np.testing.assert_allclose(image, np.clip(factor * IMAGE.astype(float), 0, 255), atol=0.51)
 
     def test_no_saturation_is_grey(self):
-        image = ColorJitter().picture(np.array([1.0, 1.0, 0.0]), IMAGE.copy(), 0.0, np.random.default_rng(0))
+        image = ColorJitter().picture(
+            np.array([1.0, 1.0, 0.0]), IMAGE.copy(), 0.0, np.random.default_rng(0)
+        )
         assert np.ptp(image.astype(int), axis=2).max() == 0
 
 
 class TestShadow:
     @pytest.mark.parametrize("shape", ["band", "blob"])
     def test_it_crosses_the_picture_again_and_again(self, shape: Literal["band", "blob"]):
-        kind, white = Shadow(shape=shape, darkness=0.6, period_s=2.0), np.full((60, 80, 3), 200, np.uint8)
+        kind, white = (
+            Shadow(shape=shape, darkness=0.6, period_s=2.0),
+            np.full((60, 80, 3), 200, np.uint8),
+        )
         state = kind.begin(np.random.default_rng(1))
-        seen = np.array([kind.picture(state, white, t, np.random.default_rng(0)) for t in np.arange(0, 4, 0.1)], int)
+        seen = np.array(
+            [kind.picture(state, white, t, np.random.default_rng(0)) for t in np.arange(0, 4, 0.1)],
+            int,
+        )
         assert np.array_equal(seen[:20], seen[20:])
         assert seen.max() == 200 and seen.min() == 80  # 40 % of 200, in its middle
-        assert (seen.min(axis=(1, 2, 3)) == 200).any()  # between two crossings it is beyond the picture
+        # between two crossings it is beyond the picture
+        assert (seen.min(axis=(1, 2, 3)) == 200).any()
         deep = [np.mean(image[..., 0] < 200) for image in seen[:20]]
         assert 0.15 < max(deep) < 0.6
         assert np.abs(np.diff(seen[int(np.argmax(deep))], axis=1)).max() < 40  # its edge is soft
@@ -106,15 +128,29 @@ def test_a_run_repeats_and_does_not_depend_on_who_looks_at_the_pictures(name):
 def test_a_further_perturbation_leaves_the_other_noise_as_it_is():
     noisy = FAST | {"noise.pixel_sigma_px": 0.5}
     plain = vs.run(vs.load("ibvs_book", noisy))
-    more = vs.run(vs.load("ibvs_book", noisy | {"noise.perturb": [{"kind": "outliers", "probability": 0.0}]}))
+    more = vs.run(
+        vs.load("ibvs_book", noisy | {"noise.perturb": [{"kind": "outliers", "probability": 0.0}]})
+    )
     assert np.array_equal(plain["u_0"], more["u_0"])
 
 
 def test_rays_are_perturbed_too():
-    small = {"camera.width": 500, "camera.height": 500, "camera.pixel_size_m": 2e-5, "camera.renderer": "rays", "stop.duration_s": 0.2}
+    small = {
+        "camera.width": 500,
+        "camera.height": 500,
+        "camera.pixel_size_m": 2e-5,
+        "camera.renderer": "rays",
+        "stop.duration_s": 0.2,
+    }
     plain, erased = (
         vs.run(vs.load("ibvs_book", small | {"noise.perturb": kinds}))
-        for kinds in ([], [{"kind": "color_jitter", "each": "picture"}, {"kind": "erasing", "area": [0.3, 0.6], "probability": 1.0}])
+        for kinds in (
+            [],
+            [
+                {"kind": "color_jitter", "each": "picture"},
+                {"kind": "erasing", "area": [0.3, 0.6], "probability": 1.0},
+            ],
+        )
     )
     assert erased["lost"].any() or not np.array_equal(plain["u_0"], erased["u_0"], equal_nan=True)
 
@@ -125,7 +161,10 @@ def test_a_seed_may_draw_perturbations_alone(quick):
         vs.load(quick, fixed, seed=3)
     assert vs.load(quick, fixed | {"noise.perturb": ["outliers"]}, seed=3).seed == 3
     on_pictures = vs.load(quick, {"noise.perturb": ["erasing"]}).noise
-    assert on_pictures.draws(pictures=True, points=True) and not on_pictures.draws(pictures=False, points=True)  # an oracle's
+    # an oracle's
+    assert on_pictures.draws(pictures=True, points=True) and not on_pictures.draws(
+        pictures=False, points=True
+    )
 
 
 def test_a_picture_of_another_shape_is_said(own_kinds):
@@ -139,5 +178,7 @@ def test_a_picture_of_another_shape_is_said(own_kinds):
         def picture(self, state, image, t, rng):
             return image[1:]
 
-    with pytest.raises(ParameterError, match=r"cropped.*picture must return an image \(60, 80, 3\) uint8"):
+    with pytest.raises(
+        ParameterError, match=r"cropped.*picture must return an image \(60, 80, 3\) uint8"
+    ):
         pictures(Cropped(), 1)

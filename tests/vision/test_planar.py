@@ -18,7 +18,9 @@ def see(T: Array, points: Array) -> Array:
 
 
 @pytest.mark.parametrize("behind", [False, True], ids=["front", "back"])
-@pytest.mark.parametrize("points", [SQUARE, FIVE, FIVE @ exp(np.array([0, 0, 0, 0.4, 1, -0.3]))[:3, :3].T + [3, -2, 1]])
+@pytest.mark.parametrize(
+    "points", [SQUARE, FIVE, FIVE @ exp(np.array([0, 0, 0, 0.4, 1, -0.3]))[:3, :3].T + [3, -2, 1]]
+)
 def test_one_of_the_two_is_the_pose(points: Array, behind: bool) -> None:
     rng = np.random.default_rng(0)
     for _ in range(30):
@@ -27,11 +29,17 @@ def test_one_of_the_two_is_the_pose(points: Array, behind: bool) -> None:
             R = exp(np.array([0, 0, 0, np.pi, 0, 0])) @ R
         axes = np.linalg.svd(points - points.mean(axis=0))[2]
         T = np.eye(4)
-        T[:3, :3] = R[:3, :3] @ axes * np.linalg.det(axes)  # the plane roughly frontal, wherever it is in its frame
-        T[:3, 3] = [*rng.uniform(-0.4, 0.4, 2), rng.uniform(0.8, 3)] - T[:3, :3] @ points.mean(axis=0)
+        # the plane roughly frontal, wherever it is in its frame
+        T[:3, :3] = R[:3, :3] @ axes * np.linalg.det(axes)
+        T[:3, 3] = [*rng.uniform(-0.4, 0.4, 2), rng.uniform(0.8, 3)] - T[:3, :3] @ points.mean(
+            axis=0
+        )
         found = planar_poses(see(T, points), points)
         assert len(found) == 2
-        assert all(np.linalg.det(F[:3, :3]) == pytest.approx(1) and (F[3] == [0, 0, 0, 1]).all() for F in found)
+        assert all(
+            np.linalg.det(F[:3, :3]) == pytest.approx(1) and (F[3] == [0, 0, 0, 1]).all()
+            for F in found
+        )
         assert min(sum(rigid_error(F, T)) for F in found) < 1e-9
 
 
@@ -48,9 +56,18 @@ def test_in_a_frontal_view_both_are_the_same() -> None:
     for turn in np.arange(0, 180, 0.5):
         T = Pose(xyz=(0.1, -0.2, 2), rpy_deg=(0, 0, turn)).T.copy()
         # Seen along the plane's normal from its middle: the target turned to face the camera.
-        T[:3, :3] = exp(np.array([0, 0, 0, *np.cross([0, 0, 1], T[:3, 3]) / np.hypot(0.1, 0.2) * np.arctan2(np.hypot(0.1, 0.2), 2)]))[
-            :3, :3
-        ]
+        T[:3, :3] = exp(
+            np.array(
+                [
+                    0,
+                    0,
+                    0,
+                    *np.cross([0, 0, 1], T[:3, 3])
+                    / np.hypot(0.1, 0.2)
+                    * np.arctan2(np.hypot(0.1, 0.2), 2),
+                ]
+            )
+        )[:3, :3]
         found = planar_poses(see(T, SQUARE), SQUARE)
         assert len(found) == 2
         for F in found:
@@ -66,7 +83,11 @@ def test_noise_costs_what_a_least_squares_pose_costs() -> None:
     assert np.sqrt(np.mean(np.square(errors), axis=0)) == pytest.approx([3e-4, 1e-3], abs=1e-3)
 
 
-@pytest.mark.parametrize("xy", [np.full((4, 2), 0.1), np.array([[-0.2, 0], [-0.1, 0], [0.1, 0], [0.2, 0.0]])], ids=["a point", "a line"])
+@pytest.mark.parametrize(
+    "xy",
+    [np.full((4, 2), 0.1), np.array([[-0.2, 0], [-0.1, 0], [0.1, 0], [0.2, 0.0]])],
+    ids=["a point", "a line"],
+)
 def test_an_image_without_extent_has_none(xy: Array) -> None:
     assert planar_poses(xy, SQUARE) == []
 

@@ -10,8 +10,10 @@ from vstestbed.core.geometry import Array, transform
 from vstestbed.vision.homography import homography
 from vstestbed.vision.pnp import solve_pose
 
-# Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408; its programs, github.com/lagadic/camera_localization, and what their
-# pages print: doc/tutorial-pose-gauss-newton-visp.doc, tutorial-pose-dlt-planar-visp.doc, tutorial-homography-opencv.doc.
+# Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408; its programs,
+# github.com/lagadic/camera_localization, and what their pages print:
+# doc/tutorial-pose-gauss-newton-visp.doc, tutorial-pose-dlt-planar-visp.doc,
+# tutorial-homography-opencv.doc.
 POINTS = 0.2 * np.array([[-1, -1, 0], [2, -1, 0], [1, 1, 0], [-1, 1, 0]])
 PRINTED_R = [
     [0.7072945484, -0.706170438, 0.03252282796],
@@ -71,5 +73,6 @@ def test_the_homography_between_two_views():
     second = pose([0.01, 0.01, 0.2], [0, 3, 5]) @ first
     H = homography(seen(first), seen(second), least=0.01)
     assert H is not None
-    # The programs scale it to a Frobenius norm of 1; rounding of their singular value decomposition and ours.
+    # The programs scale it to a Frobenius norm of 1; rounding of their singular value decomposition
+    # and ours.
     np.testing.assert_allclose(H / np.linalg.norm(H) * np.sign(H[2, 2]), PRINTED_H, atol=1e-14)

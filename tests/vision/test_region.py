@@ -1,4 +1,6 @@
-"""The region detector on pictures painted with known coverage: outlines to some hundredths of a pixel, or none."""
+"""The region detector on pictures painted with known coverage: outlines to some hundredths of a
+pixel, or none.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def border_of(target: Target, T: Array, camera: Perspective = CAMERA) -> Array:
 
 
 def filled(border: Array) -> NDArray[np.bool_]:
-    """Whether the middle of each fine pixel is inside a polygon (E, 2) [px], by the crossings to its left (OpenCV's fill is too wide)."""
+    """Whether the middle of each fine pixel is inside a polygon (E, 2) [px], by the crossings to
+    its left (OpenCV's fill is too wide).
+    """
     a = (border + 0.5) * FINE - 0.5
     b, rows = np.roll(a, -1, axis=0), np.arange(FINE * CAMERA.height)[:, None]
     row, side = np.nonzero((a[:, 1] <= rows) != (b[:, 1] <= rows))
@@ -60,7 +64,11 @@ def filled(border: Array) -> NDArray[np.bool_]:
     return np.cumsum(toggles[:, :-1], axis=1, dtype=np.uint8) % 2 == 1
 
 
-def painted(*borders: Array, color: tuple[int, int, int] = (220, 0, 0), hidden: tuple[int, int, int, int] | None = None) -> Picture:
+def painted(
+    *borders: Array,
+    color: tuple[int, int, int] = (220, 0, 0),
+    hidden: tuple[int, int, int, int] | None = None,
+) -> Picture:
     """A picture with filled outlines; hidden: a grey box (left, top, right, bottom) before them."""
     large = np.full((FINE * CAMERA.height, FINE * CAMERA.width, 3), (120, 128, 140), np.uint8)
     for border in borders:
@@ -68,12 +76,24 @@ def painted(*borders: Array, color: tuple[int, int, int] = (220, 0, 0), hidden: 
     if hidden:
         left, top, right, bottom = (FINE * side for side in hidden)
         large[top:bottom, left:right] = 90
-    return Picture(0.0, (np.asarray(cv2.resize(large, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA), np.uint8),))
+    return Picture(
+        0.0,
+        (
+            np.asarray(
+                cv2.resize(large, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA),
+                np.uint8,
+            ),
+        ),
+    )
 
 
-def found(target: Target, picture: Picture, detector: RegionDetector | None = None, state: Any = None) -> tuple[Any, Detection]:
+def found(
+    target: Target, picture: Picture, detector: RegionDetector | None = None, state: Any = None
+) -> tuple[Any, Detection]:
     detector = detector or RegionDetector()
-    return detector.detect(detector.init() if state is None else state, picture, None, CAMERA, target, RNG)
+    return detector.detect(
+        detector.init() if state is None else state, picture, None, CAMERA, target, RNG
+    )
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 27.0, 45.0, 63.0, 200.0])
@@ -119,7 +139,9 @@ def test_a_window_is_enough_and_gives_the_same():
 @pytest.mark.parametrize("hidden", [(150, 60, 162, 180), (170, 100, 200, 130)])
 def test_a_region_that_is_partly_hidden_is_lost(hidden: tuple[int, int, int, int]):
     for target in (shape(), Ball(pose=Pose(), radius=0.2)):
-        assert not found(target, painted(border_of(target, Pose(xyz=(0, 0, 1)).T), hidden=hidden))[1].seen.any()
+        assert not found(target, painted(border_of(target, Pose(xyz=(0, 0, 1)).T), hidden=hidden))[
+            1
+        ].seen.any()
 
 
 def test_a_remnant_is_no_region_that_lies_along_a_side_of_its_outline():
@@ -127,7 +149,8 @@ def test_a_remnant_is_no_region_that_lies_along_a_side_of_its_outline():
         ("whale", FACING, (79, 104, 221, 161)),  # its border lay on an outline that was 3388 px off
         ("whale", TURNED, (131, 25, 184, 165)),  # 320 px
         ("l_shape", FACING, (121, 132, 206, 172)),  # 72152 px
-        ("l_shape", FACING, (145, 51, 206, 172)),  # the best homography folds the picture onto a line
+        # the best homography folds the picture onto a line
+        ("l_shape", FACING, (145, 51, 206, 172)),
     ):
         target = shape(kind)
         assert found(target, painted(border_of(target, T)))[1].seen.all()
@@ -138,10 +161,16 @@ def test_an_outline_is_bare_where_no_border_of_the_region_is_near():
     region = np.zeros((20, 40), np.uint8)
     region[5:15, 10:30] = 255
     sides = np.array([[10.0, 9], [29, 9], [20, 5], [20, 14]])
-    for reach, off, share in [(2.5, 2.4, 0.0), (2.5, 9.0, 0.5), (2.5, 1000.0, 0.5), (2.5, np.nan, 0.5)]:
+    for reach, off, share in [
+        (2.5, 2.4, 0.0),
+        (2.5, 9.0, 0.5),
+        (2.5, 1000.0, 0.5),
+        (2.5, np.nan, 0.5),
+    ]:
         moved = sides + [[-off, 0], [0, 0], [0, -off], [0, 0]]
         assert bare_share(moved, region, reach) == share, off
-    assert bare_share(np.array([[20.0, 9]]), region, 2.5) == 1  # within the region, but not at its border
+    # within the region, but not at its border
+    assert bare_share(np.array([[20.0, 9]]), region, 2.5) == 1
 
 
 def test_a_region_that_reaches_the_pictures_border_is_lost():
@@ -154,16 +183,22 @@ def test_of_several_regions_the_one_that_has_the_targets_shape_and_hue_is_found(
     true = border_of(target, TURNED)
     larger = np.array([[10.0, 10], [150, 10], [150, 60], [10, 60]])
     picture = painted(larger, true)
-    np.testing.assert_allclose(found(target, picture)[1].uv, CAMERA.project(target.points_at(TURNED)), atol=0.15)
+    np.testing.assert_allclose(
+        found(target, picture)[1].uv, CAMERA.project(target.points_at(TURNED)), atol=0.15
+    )
     assert not found(replace(target, hue_deg=120.0), picture)[1].seen.any()
 
 
 @pytest.mark.parametrize("goal_deg", [0, 90, 180, -90])
 def test_a_shape_with_symmetry_is_turned_as_the_goal_shows_it(goal_deg: float):
     target, detector = shape("polygon"), RegionDetector()
-    goal = Goal.of_points(CAMERA, target.points_at(Pose(xyz=(0, 0, 1), rpy_deg=(0, 0, goal_deg)).T), np.eye(4))
+    goal = Goal.of_points(
+        CAMERA, target.points_at(Pose(xyz=(0, 0, 1), rpy_deg=(0, 0, goal_deg)).T), np.eye(4)
+    )
     T = Pose(xyz=(0, 0, 1), rpy_deg=(10, 0, goal_deg + 30)).T
-    _, detection = found(target, painted(border_of(target, T)), state=detector.begin(goal, CAMERA, target))
+    _, detection = found(
+        target, painted(border_of(target, T)), state=detector.begin(goal, CAMERA, target)
+    )
     np.testing.assert_allclose(detection.uv, CAMERA.project(target.points_at(T)), atol=0.15)
 
 

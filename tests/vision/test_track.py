@@ -1,4 +1,6 @@
-"""Blobs in a camera with panels: counted once, handed over at a seam, looked for where they may turn up."""
+"""Blobs in a camera with panels: counted once, handed over at a seam, looked for where they may
+turn up.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,14 @@ TARGET = Square(pose=Pose(), side=0.4, marker=Sphere(radius=0.05))
 
 
 def drawn(target: Target, T: Array, panels: tuple[int, ...] = (0, 1, 2, 3, 4, 5)) -> Picture:
-    """Panels with the target's spheres, one sample a pixel: the rays that meet one (|ray x p| <= radius, p before the lens)."""
-    grid = np.stack(np.meshgrid(np.arange(CAMERA.face_px), np.arange(CAMERA.face_px)), axis=-1).reshape(-1, 2).astype(float)
+    """Panels with the target's spheres, one sample a pixel: the rays that meet one (|ray x p| <=
+    radius, p before the lens).
+    """
+    grid = (
+        np.stack(np.meshgrid(np.arange(CAMERA.face_px), np.arange(CAMERA.face_px)), axis=-1)
+        .reshape(-1, 2)
+        .astype(float)
+    )
     images: list[NDArray[np.uint8] | None] = []
     for i, panel in enumerate(CAMERA.panels):
         if i not in panels:
@@ -32,14 +40,18 @@ def drawn(target: Target, T: Array, panels: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
         rays = panel.lens.ray(grid) @ panel.R_camera_panel.T
         image = np.full((CAMERA.face_px**2, 3), 120, np.uint8)
         for p, rgb in zip(transform(T, target.points), target.colors, strict=True):
-            meets = (np.linalg.norm(np.cross(rays, p), axis=1) <= target.marker.radius) & (rays @ p > 0)
+            meets = (np.linalg.norm(np.cross(rays, p), axis=1) <= target.marker.radius) & (
+                rays @ p > 0
+            )
             image[meets] = np.rint(255 * rgb)
         images.append(image.reshape(CAMERA.face_px, CAMERA.face_px, 3))
     return Picture(0.0, tuple(images), whole=len(panels) == 6)
 
 
 def placed(theta: float, phi: float, distance: float = 1.2) -> Array:
-    """A square pose T_camera_target whose middle lies in that direction, facing the camera, turned a little."""
+    """A square pose T_camera_target whose middle lies in that direction, facing the camera, turned
+    a little.
+    """
     ray = direction(np.array([theta, phi]))
     x = np.cross([0.0, 1.0, 0.0], ray)
     x /= np.linalg.norm(x)
@@ -62,7 +74,8 @@ def test_markers_all_around_are_found_once_and_exactly(theta: float, phi: float)
     _, found = blobs.detect(blobs.init(), drawn(TARGET, T), None, CAMERA, TARGET, RNG)
     assert found.seen.all()
     assert found.T_camera_target is not None
-    # Balls of 4.5 px radius, one sample a pixel: .1 px of rounding, .9 mrad in the middle of a panel.
+    # Balls of 4.5 px radius, one sample a pixel: .1 px of rounding, .9 mrad in the middle of a
+    # panel.
     assert np.median(errors(found.uv, T)) < 1.6e-3
     assert errors(found.uv, T).max() < 3e-3
     distance, angle = rigid_error(found.T_camera_target, T)
@@ -71,7 +84,9 @@ def test_markers_all_around_are_found_once_and_exactly(theta: float, phi: float)
 
 
 def test_three_markers_behind_have_a_pose_from_the_first_picture_on():
-    target = Points(pose=Pose(), at=((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0)), marker=Sphere(radius=0.06))
+    target = Points(
+        pose=Pose(), at=((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0)), marker=Sphere(radius=0.06)
+    )
     T = placed(2.6, 0.5)
     found = Blobs().detect(BlobsState(), drawn(target, T), None, CAMERA, target, RNG)[1]
     assert found.T_camera_target is not None
@@ -79,7 +94,9 @@ def test_three_markers_behind_have_a_pose_from_the_first_picture_on():
 
 
 def turning(rate: float, n: int) -> list[Array]:
-    """A camera that turns about its own y by `rate` rad a frame, more and more: the target wanders round it."""
+    """A camera that turns about its own y by `rate` rad a frame, more and more: the target wanders
+    round it.
+    """
     T, out = placed(0.3, 0.2), []
     for k in range(n):
         out.append(T)
@@ -89,7 +106,9 @@ def turning(rate: float, n: int) -> list[Array]:
 
 def test_over_the_seams_all_around_with_the_panels_asked_for(monkeypatch: pytest.MonkeyPatch):
     blobs, asked, homes = Blobs(), [], set()
-    state, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.3, 0.2)), None, CAMERA, TARGET, RNG)
+    state, _ = blobs.detect(
+        blobs.init(), drawn(TARGET, placed(0.3, 0.2)), None, CAMERA, TARGET, RNG
+    )
     monkeypatch.setattr(Blobs, "_search", lambda *_: pytest.fail("a marker was lost"))
     for T in turning(-0.13, 52):
         regions = blobs.regions_of_interest(state, CAMERA, TARGET)
@@ -107,7 +126,9 @@ def test_over_the_seams_all_around_with_the_panels_asked_for(monkeypatch: pytest
 
 def test_a_jump_beyond_the_window_is_found_in_the_same_pictures():
     blobs = Blobs()
-    state, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.6, 0.0)), None, CAMERA, TARGET, RNG)
+    state, _ = blobs.detect(
+        blobs.init(), drawn(TARGET, placed(0.6, 0.0)), None, CAMERA, TARGET, RNG
+    )
     regions = blobs.regions_of_interest(state, CAMERA, TARGET)
     assert regions is not None
     panels = tuple(i for i, windows in enumerate(regions) if windows)
@@ -126,10 +147,15 @@ def test_handed_over_only_where_the_border_is_near():
     moving = BlobsState(state.blobs, ((110.0, 0.0),) * 4, None, None, state.panels)
     moved = hand_over(moving, CAMERA, 8)
     assert RIGHT in moved.panels
-    for before, after, home, now in zip(moving.blobs, moved.blobs, moving.panels, moved.panels, strict=True):
+    for before, after, home, now in zip(
+        moving.blobs, moved.blobs, moving.panels, moved.panels, strict=True
+    ):
         assert before is not None
         assert after is not None
-        rays = [CAMERA.panels[i].R_camera_panel @ PANEL.ray(np.array([[b.u, b.v]]))[0] for b, i in ((before, home), (after, now))]
+        rays = [
+            CAMERA.panels[i].R_camera_panel @ PANEL.ray(np.array([[b.u, b.v]]))[0]
+            for b, i in ((before, home), (after, now))
+        ]
         np.testing.assert_allclose(rays[0], rays[1], atol=1e-12)
 
 

@@ -23,14 +23,23 @@ def poster() -> NDArray[np.uint8]:
     """The bundled poster, 1000 px wide, RGB."""
     image = cv2.imread(str(folder("models") / "textures" / "poster.jpg"))
     assert image is not None
-    return np.asarray(cv2.cvtColor(cv2.resize(image, (1000, 750), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB), np.uint8)
+    return np.asarray(
+        cv2.cvtColor(
+            cv2.resize(image, (1000, 750), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB
+        ),
+        np.uint8,
+    )
 
 
 def homography_of(xyz: tuple[float, float, float], rpy_deg: tuple[float, float, float]) -> Array:
-    """From the poster's pixels to a picture's, of a camera at xyz [m] with the poster about the origin in z = 0."""
+    """From the poster's pixels to a picture's, of a camera at xyz [m] with the poster about the
+    origin in z = 0.
+    """
     h, w = poster().shape[:2]
     scale = POSTER_M / w
-    place = np.array([[scale, 0, -scale * (w - 1) / 2], [0, scale, -scale * (h - 1) / 2], [0, 0, 0]])
+    place = np.array(
+        [[scale, 0, -scale * (w - 1) / 2], [0, scale, -scale * (h - 1) / 2], [0, 0, 0]]
+    )
     place[:, 2] -= xyz
     R = rotation_from_rpy(np.radians(rpy_deg))
     middle, f = CAMERA.centre, (HEIGHT / 2) / np.tan(np.radians(FOVY_DEG / 2))
@@ -38,11 +47,17 @@ def homography_of(xyz: tuple[float, float, float], rpy_deg: tuple[float, float, 
 
 
 def picture_by(H: Array, sigma: float = 0.0) -> NDArray[np.uint8]:
-    """The picture (240, 320, 3) under a homography, averaged over 3 x 3 places a pixel, with grey noise."""
+    """The picture (240, 320, 3) under a homography, averaged over 3 x 3 places a pixel, with grey
+    noise.
+    """
     finer = np.array([[FINER, 0, (FINER - 1) / 2], [0, FINER, (FINER - 1) / 2], [0, 0, 1]])
-    big = cv2.warpPerspective(poster(), finer @ H, (FINER * WIDTH, FINER * HEIGHT), borderValue=(110, 110, 110))
+    big = cv2.warpPerspective(
+        poster(), finer @ H, (FINER * WIDTH, FINER * HEIGHT), borderValue=(110, 110, 110)
+    )
     small = cv2.resize(big, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(float)
-    return np.clip(np.rint(small + np.random.default_rng(0).normal(0, sigma, small.shape)), 0, 255).astype(np.uint8)
+    return np.clip(
+        np.rint(small + np.random.default_rng(0).normal(0, sigma, small.shape)), 0, 255
+    ).astype(np.uint8)
 
 
 GOAL_H = homography_of((0, 0, -0.61), (0, 0, 0))

@@ -1,4 +1,6 @@
-"""Calibrations of real cameras: intrinsics and mount, read from the files of ROS and OpenCV, and written as ROS reads them."""
+"""Calibrations of real cameras: intrinsics and mount, read from the files of ROS and OpenCV, and
+written as ROS reads them.
+"""
 
 from __future__ import annotations
 
@@ -31,22 +33,27 @@ if TYPE_CHECKING:
 Model = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 COEFFICIENTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (8,), "equidistant": (0, 4)}
 """How many numbers each of ROS's distortion models has."""
-LENSES: dict[str, tuple[Model, ...]] = {"perspective": ("plumb_bob", "rational_polynomial"), "fisheye": ("equidistant",)}
+LENSES: dict[str, tuple[Model, ...]] = {
+    "perspective": ("plumb_bob", "rational_polynomial"),
+    "fisheye": ("equidistant",),
+}
 """The models of each lens."""
 
 
 @spec
 class Intrinsics:
-    """The intrinsics of a calibrated lens, as OpenCV and ROS have them: u = fx x_d + cx, v = fy y_d + cy, without skew.
+    """The intrinsics of a calibrated lens, as OpenCV and ROS have them: u = fx x_d + cx, v = fy
+    y_d + cy, without skew.
 
-    A file stands for the block: a `camera_info` of ROS (YAML, also the message as `ros2 topic echo` prints it), or OpenCV's YAML, XML or
-    JSON with a camera matrix and distortion coefficients. It is read with the scenario; a run's folder keeps the numbers.
+    A file stands for the block: a `camera_info` of ROS (YAML, also the message as `ros2 topic echo`
+    prints it), or OpenCV's YAML, XML or JSON with a camera matrix and distortion coefficients. It
+    is read with the scenario; a run's folder keeps the numbers.
 
     Args:
         focal_px: (fx, fy) [px]; e.g. `[612.4, 611.8]`.
         principal_px: (cx, cy) [px], the centre of the first pixel at 0; e.g. `[322.5, 238]`.
-        distortion: of a perspective lens (k1, k2, p1, p2, k3) or, of its rational model, also (..., k4, k5, k6); of a fisheye lens
-            (k1, k2, k3, k4) [1]; e.g. `[-0.2, 0.05, 0, 0, 0]`.
+        distortion: of a perspective lens (k1, k2, p1, p2, k3) or, of its rational model, also (...,
+            k4, k5, k6); of a fisheye lens (k1, k2, k3, k4) [1]; e.g. `[-0.2, 0.05, 0, 0, 0]`.
         size: (width, height) of the pictures that were calibrated with [px]; e.g. `[640, 480]`.
         model: ROS's name of the distortion's model, where it is known; e.g. `plumb_bob`.
 
@@ -63,23 +70,47 @@ class Intrinsics:
         counts = COEFFICIENTS[self.model] if self.model else (0, 4, 5, 8)
         if len(self.distortion) not in counts:
             of = f" of {self.model}" if self.model else ""
-            raise ParameterError("distortion", f"must have {' or '.join(map(str, counts))} numbers{of}", list(self.distortion))
+            raise ParameterError(
+                "distortion",
+                f"must have {' or '.join(map(str, counts))} numbers{of}",
+                list(self.distortion),
+            )
 
     def check(self, lens: str, width: int, height: int, field: str) -> None:
-        """Refuse intrinsics of another lens, or of pictures of another size. field: the dotted name for messages."""
+        """Refuse intrinsics of another lens, or of pictures of another size. field: the dotted name
+        for messages.
+        """
         if self.model is not None and self.model not in LENSES[lens]:
             other = next(kind for kind, models in LENSES.items() if self.model in models)
-            raise ParameterError(field, f"are {self.model}, the model of a camera of kind {other}, and this one is {lens}")
+            raise ParameterError(
+                field,
+                f"are {self.model}, the model of a camera of kind {other}, and this one is {lens}",
+            )
         if lens == "fisheye" and len(self.distortion) not in (0, 4):
-            raise ParameterError(f"{field}.distortion", "must have 4 numbers of a fisheye lens", list(self.distortion))
+            raise ParameterError(
+                f"{field}.distortion",
+                "must have 4 numbers of a fisheye lens",
+                list(self.distortion),
+            )
         if self.size is not None and self.size != (width, height):
-            words = f"are of pictures of {self.size[0]} x {self.size[1]} px, and the camera has {width} x {height}"
+            words = (
+                f"are of pictures of {self.size[0]} x {self.size[1]} px,"
+                f" and the camera has {width} x {height}"
+            )
             raise ParameterError(field, f"{words}; set its width and height to theirs")
 
-    def scaled(self, focal_error: float, centre: tuple[float, float], ignores_distortion: bool) -> Intrinsics:
-        """The same with focal lengths 1 + focal_error times as long, another principal point, and no distortion where it is ignored."""
+    def scaled(
+        self, focal_error: float, centre: tuple[float, float], ignores_distortion: bool
+    ) -> Intrinsics:
+        """The same with focal lengths 1 + focal_error times as long, another principal point, and
+        no distortion where it is ignored.
+        """
         fx, fy = (f * (1 + focal_error) for f in self.focal_px)
-        model = "plumb_bob" if ignores_distortion and self.model == "rational_polynomial" else self.model
+        model = (
+            "plumb_bob"
+            if ignores_distortion and self.model == "rational_polynomial"
+            else self.model
+        )
         return Intrinsics(
             focal_px=(fx, fy),
             principal_px=centre,
@@ -89,9 +120,18 @@ class Intrinsics:
         )
 
     @classmethod
-    def of(cls, camera_matrix: Any, dist: Any = (), size: tuple[int, int] | None = None, model: str = "", name: str = "K") -> Intrinsics:
-        """Those of a camera matrix (3, 3) and distortion coefficients of OpenCV; numbers that are 0 at the end do not count.
-        Raises ParameterError: a matrix that is none, a skew, coefficients of a model that is not known here.
+    def of(
+        cls,
+        camera_matrix: Any,
+        dist: Any = (),
+        size: tuple[int, int] | None = None,
+        model: str = "",
+        name: str = "K",
+    ) -> Intrinsics:
+        """Those of a camera matrix (3, 3) and distortion coefficients of OpenCV; numbers that are 0
+        at the end do not count.
+        Raises ParameterError: a matrix that is none, a skew, coefficients of a model that is not
+        known here.
         """
         K = _numbers(camera_matrix, name)
         form = "must be a camera matrix (3, 3), [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
@@ -100,36 +140,57 @@ class Intrinsics:
         K = K.reshape(3, 3)
         exact = 1e-9 * abs(K[0, 0])  # rounding of files with ten digits
         if abs(K[0, 1]) > exact:
-            raise ParameterError(name, "has a skew, and pixels here are rectangles; calibrate without it", float(K[0, 1]))
+            raise ParameterError(
+                name,
+                "has a skew, and pixels here are rectangles; calibrate without it",
+                float(K[0, 1]),
+            )
         if np.abs([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1]).max() > exact:
             raise ParameterError(name, form, short(K.tolist()))
-        k, model = _modelled(_numbers(() if dist is None else dist, "distortion").ravel().tolist(), model)
+        k, model = _modelled(
+            _numbers(() if dist is None else dist, "distortion").ravel().tolist(), model
+        )
         given: Any = {"model": model} if model else {}
         fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        return cls(focal_px=(fx, fy), principal_px=(cx, cy), distortion=tuple(k), size=size, **given)
+        return cls(
+            focal_px=(fx, fy), principal_px=(cx, cy), distortion=tuple(k), size=size, **given
+        )
 
 
 def _modelled(k: list[float], model: str) -> tuple[list[float], str]:
-    """OpenCV's coefficients without zeros at their end, and the model that they are of; "" where its name is not given.
+    """OpenCV's coefficients without zeros at their end, and the model that they are of; "" where
+    its name is not given.
     Raises ParameterError: of a model that is not known here.
     """
-    model = {"fisheye": "equidistant", "radtan": "plumb_bob", "kannala_brandt": "equidistant"}.get(model, model)
+    model = {"fisheye": "equidistant", "radtan": "plumb_bob", "kannala_brandt": "equidistant"}.get(
+        model, model
+    )
     while len(k) > 8 and k[-1] == 0:
         k = k[:-1]
     most = max(COEFFICIENTS.get(model, (8,)))
     if not any(k[most:]):
         k = k[:most]
-    if model == "plumb_bob" and len(k) == 8:  # OpenCV's rational model, by the name that a driver has given it
+    # OpenCV's rational model, by the name that a driver has given it
+    if model == "plumb_bob" and len(k) == 8:
         model = "rational_polynomial"
     if model == "rational_polynomial" and len(k) in (4, 5):
-        _tell(f"distortion_model rational_polynomial of {len(k)} coefficients is read as plumb_bob: k4, k5 and k6 are 0")
+        _tell(
+            f"distortion_model rational_polynomial of {len(k)} coefficients is read as plumb_bob:"
+            " k4, k5 and k6 are 0"
+        )
         model = "plumb_bob"
     if model not in ("", *COEFFICIENTS):
         valid = f"{', '.join(COEFFICIENTS)} are known, of up to 8 coefficients"
         raise ParameterError("distortion_model", f"cannot be drawn here; {valid}", model)
     if len(k) > 8:
-        words = f"cannot be drawn here: {len(k)} coefficients are of a thin prism or a tilted sensor"
-        raise ParameterError("distortion_coefficients", f"{words}; works: up to 8 of plumb_bob or rational_polynomial", k)
+        words = (
+            f"cannot be drawn here: {len(k)} coefficients are of a thin prism or a tilted sensor"
+        )
+        raise ParameterError(
+            "distortion_coefficients",
+            f"{words}; works: up to 8 of plumb_bob or rational_polynomial",
+            k,
+        )
     return k, model
 
 
@@ -141,11 +202,16 @@ def _tell(words: str) -> None:
 
 # Reading. Each file is first a plain mapping, whichever of the formats it has.
 WORKS = "a camera_info of ROS, or OpenCV's YAML, XML or JSON"
-MOUNTS = "a transformation of x, y, z, qx, qy, qz, qw (easy_handeye), a matrix (4, 4), or R_cam2gripper and t_cam2gripper"
+MOUNTS = (
+    "a transformation of x, y, z, qx, qy, qz, qw (easy_handeye), a matrix (4, 4),"
+    " or R_cam2gripper and t_cam2gripper"
+)
 MOST_BYTES = 1 << 20
 """A calibration has some kilobytes, with all corners of its board 100."""
 MOST_PARTS = 4000
-"""Most brackets of a file for OpenCV's reader, which overflows the stack where 50,000 are one within the other."""
+"""Most brackets of a file for OpenCV's reader, which overflows the stack where 50,000 are one
+within the other.
+"""
 MOST_NUMBERS = 64
 """Most numbers of a row, and of a matrix."""
 READ: Mapping[str, Sequence[str]] = {
@@ -175,19 +241,25 @@ READ: Mapping[str, Sequence[str]] = {
     "tracking_base_frame": (),
     "child_frame_id": (),
 }
-"""The fields that are read, with further names of each, in any spelling: `camera_matrix`, `cameraMatrix`, `Camera_Matrix`."""
+"""The fields that are read, with further names of each, in any spelling: `camera_matrix`,
+`cameraMatrix`, `Camera_Matrix`.
+"""
 # fmt: off
 ABOUT = [
-    "camera_name", "name", "comment", "comments", "description", "serial", "serial_number", "date", "time",
-    "calibration_time", "calibration_date", "nframes", "nr_of_frames", "number_of_frames", "flags", "flag_value",
-    "board_width", "board_height", "square_size", "marker_size", "fix_aspect_ratio", "aspect_ratio", "rms",
-    "rms_error", "error", "reprojection_error", "mean_reprojection_error", "avg_reprojection_error",
-    "per_view_reprojection_errors", "per_view_errors", "extrinsic_parameters", "image_points", "grid_points",
+    "camera_name", "name", "comment", "comments", "description", "serial", "serial_number",
+    "date", "time", "calibration_time", "calibration_date",
+    "nframes", "nr_of_frames", "number_of_frames", "flags", "flag_value",
+    "board_width", "board_height", "square_size", "marker_size", "fix_aspect_ratio",
+    "aspect_ratio", "rms", "rms_error", "error",
+    "reprojection_error", "mean_reprojection_error", "avg_reprojection_error",
+    "per_view_reprojection_errors", "per_view_errors", "extrinsic_parameters",
+    "image_points", "grid_points",
     "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
 ]
 """Fields that say how a calibration was made, and change nothing."""
 SETUP = [
-    "name", "namespace", "namespace_prefix", "move_group", "move_group_namespace", "freehand_robot_movement",
+    "name", "namespace", "namespace_prefix", "move_group", "move_group_namespace",
+    "freehand_robot_movement",
     "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
 ]
 # fmt: on
@@ -195,7 +267,15 @@ SETUP = [
 STAMP = "frame_id", "seq", "stamp"
 FRAMES = "eye_on_hand", "calibration_type", "tracking_base_frame", "child_frame_id"
 POSE = "x", "y", "z", "qw", "qx", "qy", "qz"
-OF_MOUNT = "R_cam2gripper", "T_cam2gripper", "translation_vector", "transformation", "translation", "rotation", *POSE
+OF_MOUNT = (
+    "R_cam2gripper",
+    "T_cam2gripper",
+    "translation_vector",
+    "transformation",
+    "translation",
+    "rotation",
+    *POSE,
+)
 
 
 def _bare(name: object) -> str:
@@ -270,22 +350,30 @@ def _numbers(value: Any, name: str) -> Array:
     if not np.isfinite(found).all():
         raise ParameterError(name, "must be finite numbers", short(value))
     if sides and math.prod(_numbers(sides, f"{name}.rows").tolist()) != found.size:
-        raise ParameterError(name, f"must have the numbers of its rows and columns, {sides}, and has {found.size}")
+        raise ParameterError(
+            name, f"must have the numbers of its rows and columns, {sides}, and has {found.size}"
+        )
     return found
 
 
 def _array(value: Any) -> Array:
-    """An array of numbers, or of lists of them; one NaN where it is neither, or larger than a matrix."""
+    """An array of numbers, or of lists of them; one NaN where it is neither, or larger than a
+    matrix.
+    """
     none = np.array([np.nan])
     try:
         items = np.array(value, dtype=object)
-        plain = all(isinstance(one, str | Real) and not isinstance(one, bool) for one in items.ravel())
+        plain = all(
+            isinstance(one, str | Real) and not isinstance(one, bool) for one in items.ravel()
+        )
         return items.astype(float) if plain and items.size <= MOST_NUMBERS else none
     except (ValueError, OverflowError):  # lists of several shapes, words, numbers beyond a float
         return none
 
 
-def _block(plain: Mapping[str, Any], name: str, used: Sequence[str], harmless: Sequence[str] = ()) -> Mapping[str, Any]:
+def _block(
+    plain: Mapping[str, Any], name: str, used: Sequence[str], harmless: Sequence[str] = ()
+) -> Mapping[str, Any]:
     """A block whose fields are all known; an empty one where there is none."""
     block = plain.get(name)
     if not isinstance(block, Mapping | None):
@@ -326,7 +414,9 @@ def _size_in(plain: Mapping[str, Any]) -> tuple[int, int] | None:
         raise ParameterError.conflict("image_size", "image_width and image_height")
     size = _numbers(sides or plain.get("image_size", ()), "image_size").ravel()
     if size.size not in (0, 2) or (size % 1).any():
-        raise ParameterError("image_size", "must be two whole numbers, width and height [px]", size.tolist())
+        raise ParameterError(
+            "image_size", "must be two whole numbers, width and height [px]", size.tolist()
+        )
     return (int(size[0]), int(size[1])) if size.size else None
 
 
@@ -347,10 +437,14 @@ def _check_whole(plain: Mapping[str, Any], size: tuple[int, int] | None) -> None
 def _check_raw(plain: Mapping[str, Any]) -> None:
     """Refuse a camera of a stereo pair whose pictures are turned or shifted by rectification.
 
-    P and R describe the rectified picture. The raw one has K and D alone, so that a P of another focal length, with
-    R = 1 and no baseline, is of the same camera without its distortion, and changes nothing.
+    P and R describe the rectified picture. The raw one has K and D alone, so that a P of another
+    focal length, with R = 1 and no baseline, is of the same camera without its distortion, and
+    changes nothing.
     """
-    works = "works: for raw pictures (image_raw) neither R nor P; for rectified ones the first three columns of P as"
+    works = (
+        "works: for raw pictures (image_raw) neither R nor P;"
+        " for rectified ones the first three columns of P as"
+    )
     works += " camera_matrix, without distortion"
     R = _numbers(plain.get("rectification_matrix", np.eye(3)), "rectification_matrix")
     if R.size != 9 or np.abs(R.reshape(3, 3) - np.eye(3)).max() > 1e-6:  # as exact as files have it
@@ -358,7 +452,9 @@ def _check_raw(plain: Mapping[str, Any]) -> None:
         raise ParameterError("rectification_matrix", words, short(R.tolist()))
     P = _numbers(plain.get("projection_matrix", np.eye(3, 4)), "projection_matrix")
     if P.size != 12 or P.reshape(3, 4)[:, 3].any():
-        words = f"must have zeros as its fourth column: it has the baseline of a stereo pair; {works}"
+        words = (
+            f"must have zeros as its fourth column: it has the baseline of a stereo pair; {works}"
+        )
         raise ParameterError("projection_matrix", words, short(P.tolist()))
 
 
@@ -378,7 +474,11 @@ def _mount_in(plain: Mapping[str, Any]) -> Array | None:
     _check_frames(plain)
     U, _, V = np.linalg.svd(T[:3, :3])
     turn = U @ V  # the nearest rotation, or mirror image: files have three digits and more
-    if np.abs(T[:3, :3] - turn).max() > 1e-3 or np.linalg.det(turn) < 0 or (T[3] != (0, 0, 0, 1)).any():
+    if (
+        np.abs(T[:3, :3] - turn).max() > 1e-3
+        or np.linalg.det(turn) < 0
+        or (T[3] != (0, 0, 0, 1)).any()
+    ):
         raise ParameterError("mount", "must be a rotation and a translation", short(T.tolist()))
     T[:3, :3] = turn
     return T
@@ -386,12 +486,16 @@ def _mount_in(plain: Mapping[str, Any]) -> Array | None:
 
 def _mount_of(plain: Mapping[str, Any]) -> Array | None:
     """What R and t, a transformation, or a matrix says."""
-    given = [name for name in ("transformation", "T_cam2gripper", "translation_vector") if name in plain]
+    given = [
+        name for name in ("transformation", "T_cam2gripper", "translation_vector") if name in plain
+    ]
     if len(given) > 1:
         raise ParameterError.conflict(given[0], given[1])
     name = given[0] if given else ""
     # R of a file with a camera matrix is ROS's rectification.
-    R = plain.get("R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix"))
+    R = plain.get(
+        "R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix")
+    )
     if R is not None and name in ("T_cam2gripper", "translation_vector"):
         T = np.eye(4)
         T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))
@@ -416,17 +520,23 @@ def _pose_in(value: Any, name: str) -> Array:
     only_known(value, ("translation", "rotation", *POSE), (), name)
     T = _quaternion_in(value, f"{name}.")
     if T is None:
-        raise ParameterError(name, f"needs {', '.join(POSE)}, or translation and rotation", short(value))
+        raise ParameterError(
+            name, f"needs {', '.join(POSE)}, or translation and rotation", short(value)
+        )
     return T
 
 
 def _quaternion_in(plain: Mapping[str, Any], where: str) -> Array | None:
-    """The pose (4, 4) of x, y, z and a quaternion, in one block or in `translation` and `rotation`; None where it has
-    not all seven numbers.
+    """The pose (4, 4) of x, y, z and a quaternion, in one block or in `translation` and `rotation`;
+    None where it has not all seven numbers.
     """
     place, turn, before = plain, plain, "q"
     if "rotation" in plain or "translation" in plain:
-        place, turn, before = _block(plain, "translation", "xyz"), _block(plain, "rotation", "wxyz"), ""
+        place, turn, before = (
+            _block(plain, "translation", "xyz"),
+            _block(plain, "rotation", "wxyz"),
+            "",
+        )
     p, q = [place.get(name) for name in "xyz"], [turn.get(f"{before}{name}") for name in "wxyz"]
     if None in p or None in q:
         return None
@@ -435,16 +545,29 @@ def _quaternion_in(plain: Mapping[str, Any], where: str) -> Array | None:
 
 
 def _check_frames(plain: Mapping[str, Any]) -> None:
-    """Refuse a pose of another camera than one on the flange, and of another frame of it than the optical one."""
-    said = {**_block(plain, "parameters", FRAMES, SETUP), **{name: plain[name] for name in FRAMES if name in plain}}
+    """Refuse a pose of another camera than one on the flange, and of another frame of it than the
+    optical one.
+    """
+    said = {
+        **_block(plain, "parameters", FRAMES, SETUP),
+        **{name: plain[name] for name in FRAMES if name in plain},
+    }
     for name, valid in (("eye_on_hand", (True, "true")), ("calibration_type", ("eye_in_hand",))):
         if said.get(name, valid[0]) not in valid:
-            words = "is of a camera that stands beside the robot, and this is read as the mount on the flange"
-            works = "works: a calibration eye in hand, or, for a camera with on: world, the pose in the scenario itself"
+            words = (
+                "is of a camera that stands beside the robot,"
+                " and this is read as the mount on the flange"
+            )
+            works = (
+                "works: a calibration eye in hand,"
+                " or, for a camera with on: world, the pose in the scenario itself"
+            )
             raise ParameterError(name, f"{words}; {works}", said[name])
     parent = str(_block(plain, "header", STAMP).get("frame_id", ""))
     if parent.rpartition("/")[2] in ("base", "base_link", "world", "map", "odom"):
-        raise ParameterError("header.frame_id", "must be the flange's frame, and not one of a base or a room", parent)
+        raise ParameterError(
+            "header.frame_id", "must be the flange's frame, and not one of a base or a room", parent
+        )
     for name in ("tracking_base_frame", "child_frame_id"):
         if "optical" not in str(said.get(name, "optical")):
             words = "is not known as the camera's optical frame (x right, y down, z forward)"
@@ -452,7 +575,9 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
             raise ParameterError(name, f"{words}; {works}", said[name])
 
 
-def _read(file: str, lacks: str, works: str, *parts: Callable[[Mapping[str, Any]], Any]) -> list[Any]:
+def _read(
+    file: str, lacks: str, works: str, *parts: Callable[[Mapping[str, Any]], Any]
+) -> list[Any]:
     """The parts of a calibration's file. lacks: what it lacks where all are None, for messages."""
     plain = _plain(file)
     try:
@@ -462,55 +587,91 @@ def _read(file: str, lacks: str, works: str, *parts: Callable[[Mapping[str, Any]
             return found
     except ParameterError as error:
         raise ParameterError(error.field, f"{error.problem} (in {file})", error.found) from None
-    raise ParameterError.unreadable("", f"it has {lacks} among {short(', '.join(map(str, plain)))}", works, file)
+    raise ParameterError.unreadable(
+        "", f"it has {lacks} among {short(', '.join(map(str, plain)))}", works, file
+    )
 
 
 def read_intrinsics(file: str) -> Intrinsics:
-    """The intrinsics in a calibration file; ParameterError where it has none, or fields that are not read."""
+    """The intrinsics in a calibration file; ParameterError where it has none, or fields that are
+    not read.
+    """
     (found,) = _read(file, "no camera matrix", WORKS, _intrinsics_in)
     return found
 
 
 def read_mount(file: str) -> dict[str, Any]:
-    """The block of the mount, the camera's pose in the flange's frame, in a hand-eye calibration's file; ParameterError as above."""
+    """The block of the mount, the camera's pose in the flange's frame, in a hand-eye calibration's
+    file; ParameterError as above.
+    """
     (found,) = _read(file, "no pose of the camera", MOUNTS, _mount_in)
     return pose_block(found)
 
 
 def read_calibration(file: str) -> dict[str, Any]:
-    """The block `calibration` of a file that has intrinsics, a mount, or both; ParameterError where it has neither, and as above."""
-    intrinsics, T = _read(file, "neither a camera matrix nor a pose of the camera", "a calibration's file", _intrinsics_in, _mount_in)
+    """The block `calibration` of a file that has intrinsics, a mount, or both; ParameterError where
+    it has neither, and as above.
+    """
+    intrinsics, T = _read(
+        file,
+        "neither a camera matrix nor a pose of the camera",
+        "a calibration's file",
+        _intrinsics_in,
+        _mount_in,
+    )
     found: dict[str, Any] = {} if intrinsics is None else {"intrinsics": intrinsics}
     return found if T is None else {**found, "mount": pose_block(T)}
 
 
 # Writing.
 def as_ros(camera: Camera) -> tuple[Array, Model, Sequence[float]] | None:
-    """Camera matrix K (3, 3), model and coefficients of a camera's lens, as ROS has them; None of a lens without a standard model."""
+    """Camera matrix K (3, 3), model and coefficients of a camera's lens, as ROS has them; None of a
+    lens without a standard model.
+    """
     lens = getattr(camera, "kind", "")
     if lens not in LENSES:
         return None
     k: tuple[float, ...] = camera.lens_coefficients  # type: ignore[attr-defined] - both lenses have them
     (fx, fy), (cx, cy) = np.broadcast_to(camera.focal, 2), camera.centre
-    model: Model = "equidistant" if lens == "fisheye" else "rational_polynomial" if len(k) == 8 else "plumb_bob"
+    model: Model = (
+        "equidistant"
+        if lens == "fisheye"
+        else "rational_polynomial"
+        if len(k) == 8
+        else "plumb_bob"
+    )
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), model, k or (0.0,) * 5
 
 
-def write_calibration(path: Path, camera: Camera | None, T_flange_camera: Array | None, comment: str = "", name: str = "camera") -> None:
-    """Write intrinsics and a hand-eye calibration as one `camera_info` file of ROS, whose readers pass over `transformation`."""
+def write_calibration(
+    path: Path,
+    camera: Camera | None,
+    T_flange_camera: Array | None,
+    comment: str = "",
+    name: str = "camera",
+) -> None:
+    """Write intrinsics and a hand-eye calibration as one `camera_info` file of ROS, whose readers
+    pass over `transformation`.
+    """
     plain: dict[str, Any] = {}
     if camera is not None and (lens := as_ros(camera)) is not None:
         K, model, k = lens
         P = np.column_stack([K, np.zeros(3)])
         plain = {"image_width": camera.width, "image_height": camera.height, "camera_name": name}
-        plain |= {"camera_matrix": _matrix(K), "distortion_model": model, "distortion_coefficients": _matrix(np.array([k]))}
+        plain |= {
+            "camera_matrix": _matrix(K),
+            "distortion_model": model,
+            "distortion_coefficients": _matrix(np.array([k])),
+        }
         plain |= {"rectification_matrix": _matrix(np.eye(3)), "projection_matrix": _matrix(P)}
     if T_flange_camera is not None:
         w, x, y, z = (float(q) for q in quaternion_wxyz(T_flange_camera[:3, :3]))
         place = dict(zip("xyz", T_flange_camera[:3, 3].tolist(), strict=True))
         plain["transformation"] = {**place, "qx": x, "qy": y, "qz": z, "qw": w}
     notes = "".join(f"# {line}\n" for line in comment.splitlines())
-    write_whole(path, notes + yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=120))
+    write_whole(
+        path, notes + yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=120)
+    )
 
 
 def _matrix(a: Array) -> dict[str, Any]:

@@ -18,12 +18,15 @@ from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import Coefficient, PositiveAngle, PositiveLength, TighterBounds
 from vstestbed.core.spec import spec
 
-DEFAULT_FOVY_DEG = 64.0  # 8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3
+# 8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3
+DEFAULT_FOVY_DEG = 64.0
 X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
 
 def first_root(coefficients: list[float]) -> float:
-    """The first positive root of a polynomial, its highest power first; infinite where it has none."""
+    """The first positive root of a polynomial, its highest power first;
+    infinite where it has none.
+    """
     roots = np.roots(np.trim_zeros(coefficients, "f"))
     real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
     return float(real.min()) if len(real) else math.inf
@@ -31,18 +34,22 @@ def first_root(coefficients: list[float]) -> float:
 
 @spec
 class Perspective(Camera):
-    """Pinhole with square pixels: u = f x_d + cx, v = f y_d + cy; those of `intrinsics` may be rectangles, with fx and fy.
+    """Pinhole with square pixels: u = f x_d + cx, v = f y_d + cy; those of `intrinsics` may be
+    rectangles, with fx and fy.
 
     (x_d, y_d) is (X/Z, Y/Z) after the distortion k = (k1, k2, p1, p2, k3), r^2 = x^2 + y^2:
-    x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y_d alike with p1 and p2 exchanged. The rational model of
-    `intrinsics` divides the bracket by 1 + k4 r^2 + k5 r^4 + k6 r^6.
+    x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y_d alike with p1 and p2
+    exchanged. The rational model of `intrinsics` divides the bracket by 1 + k4 r^2 + k5 r^4 + k6
+    r^6.
 
     Args:
         fovy_deg: full vertical field of view [deg], f = (H/2) / tan(fovy/2); default 64.
-        focal_length_m, pixel_size_m: instead of fovy_deg, lens and pixel pitch [m], f = focal_length / pixel_size.
-        distortion: (k1, k2, p1, p2, k3), applied to the rendered picture [1]; e.g. `[-0.2, 0.05, 0, 0, 0]`.
-        intrinsics: those of a calibrated lens, in place of all these and of `principal_px`; a block, or the name of a file of ROS or
-            OpenCV (`Intrinsics`); e.g. `camera_info.yaml`.
+        focal_length_m, pixel_size_m: instead of fovy_deg, lens and pixel pitch [m], f =
+            focal_length / pixel_size.
+        distortion: (k1, k2, p1, p2, k3), applied to the rendered picture [1]; e.g.
+            `[-0.2, 0.05, 0, 0, 0]`.
+        intrinsics: those of a calibrated lens, in place of all these and of `principal_px`; a
+            block, or the name of a file of ROS or OpenCV (`Intrinsics`); e.g. `camera_info.yaml`.
 
     Reference: Brown 1971; OpenCV's calibration module for the order of the coefficients.
     """
@@ -58,42 +65,62 @@ class Perspective(Camera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [name for name in ("fovy_deg", "focal_length_m", "distortion", "principal_px") if getattr(self, name) is not None]
+        given = [
+            name
+            for name in ("fovy_deg", "focal_length_m", "distortion", "principal_px")
+            if getattr(self, name) is not None
+        ]
         if self.intrinsics is not None and given:
             raise ParameterError.conflict(given[0], "intrinsics, which say it")
         if self.intrinsics is not None:
             self.intrinsics.check("perspective", self.width, self.height, "intrinsics")
         if (self.focal_length_m is None) != (self.pixel_size_m is None):
             missing = "pixel_size_m" if self.pixel_size_m is None else "focal_length_m"
-            raise ParameterError.missing(missing, "a lens is given by focal_length_m and pixel_size_m together")
+            raise ParameterError.missing(
+                missing, "a lens is given by focal_length_m and pixel_size_m together"
+            )
         if self.focal_length_m is not None and self.fovy_deg is not None:
             raise ParameterError.conflict("fovy_deg", "focal_length_m")
         if self.focal_length_m is None and self.fovy_deg is None and self.intrinsics is None:
-            object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run states it
+            # so that the scenario as run states it
+            object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)
         if not self.resampled:
             return
         u, v = self.width - 0.5, self.height - 0.5
         half = np.array([[-0.5, v / 2], [u, v / 2], [u / 2, -0.5], [u / 2, v]])
         border = np.concatenate([half, [[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]]])
         xy = self.normalise(border)
-        back, field = self._distort(xy) * self.focal + self.centre, "distortion" if self.intrinsics is None else "intrinsics.distortion"
+        back, field = (
+            self._distort(xy) * self.focal + self.centre,
+            "distortion" if self.intrinsics is None else "intrinsics.distortion",
+        )
         if not np.allclose(back, border, atol=1e-3) or not (lengths(xy) ** 2 < self.reach2).all():
             words = "folds the picture over itself before its corners; use smaller coefficients"
             raise ParameterError(field, words, self.lens_coefficients)
-        # The pinhole picture from which the distorted one is resampled covers the undistorted border.
+        # The pinhole picture from which the distorted one is resampled covers the undistorted
+        # border.
         side, most = float(np.ptp(xy, axis=0).max()) * self.f, 2 * LARGEST_PX
         if side > most:
             words = f"a rendered picture of {side:.4g} px, and {most} are the most"
-            raise ParameterError.needs(field, words, self.lens_coefficients, works="smaller coefficients or a smaller picture")
+            raise ParameterError.needs(
+                field,
+                words,
+                self.lens_coefficients,
+                works="smaller coefficients or a smaller picture",
+            )
 
     @cached_property
     def resampled(self) -> bool:
-        """Only with distortion, or pixels that are no squares: a pinhole image is rendered directly."""
+        """Only with distortion, or pixels that are no squares: a pinhole image is rendered
+        directly.
+        """
         return bool(self.lens_coefficients) or not isinstance(self.focal, float)
 
     @cached_property
     def lens_coefficients(self) -> tuple[float, ...]:
-        """Coefficients of the distortion in OpenCV's order, 5 or, of the rational model, 8; () without distortion."""
+        """Coefficients of the distortion in OpenCV's order, 5 or, of the rational model, 8; ()
+        without distortion.
+        """
         if self.intrinsics is None:
             return self.distortion or ()
         k = self.intrinsics.distortion
@@ -108,19 +135,33 @@ class Perspective(Camera):
             return self.focal_length_m / self.pixel_size_m
         return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
 
-    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
+    def miscalibrated(
+        self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
+    ) -> Perspective:
         if self.intrinsics is not None:
-            return replace(self, intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion))
+            return replace(
+                self,
+                intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion),
+            )
         f, pixel = self.f * (1 + focal_error), self.pixel_size_m
-        given: dict[str, float | None] = {"fovy_deg": math.degrees(2 * math.atan(self.height / 2 / f))}
+        given: dict[str, float | None] = {
+            "fovy_deg": math.degrees(2 * math.atan(self.height / 2 / f))
+        }
         if pixel is not None:
             given = {"fovy_deg": None, "focal_length_m": f * pixel}
         elif not focal_error:
             given = {}
-        return replace(self, **given, principal_px=principal_px, distortion=None if ignores_distortion else self.distortion)
+        return replace(
+            self,
+            **given,
+            principal_px=principal_px,
+            distortion=None if ignores_distortion else self.distortion,
+        )
 
     def with_intrinsics(self, intrinsics: Intrinsics) -> Perspective:
-        given: dict[str, Any] = dict.fromkeys(("fovy_deg", "focal_length_m", "pixel_size_m", "distortion", "principal_px"))
+        given: dict[str, Any] = dict.fromkeys(
+            ("fovy_deg", "focal_length_m", "pixel_size_m", "distortion", "principal_px")
+        )
         return replace(self, **given, intrinsics=intrinsics)
 
     @cached_property
@@ -131,8 +172,9 @@ class Perspective(Camera):
 
     @cached_property
     def reach2(self) -> float:
-        """Largest x^2 + y^2 up to which the distorted radius rises: the first positive root of 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6. Of the
-        rational model, r N/D, that of N D + 2 r^2 (N' D - N D') with derivatives by r^2, unless D has one before.
+        """Largest x^2 + y^2 up to which the distorted radius rises: the first positive root of 1 +
+        3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6. Of the rational model, r N/D, that of N D + 2 r^2 (N' D - N
+        D') with derivatives by r^2, unless D has one before.
         """
         k1, k2, _, _, k3, *below = self.lens_coefficients or (0.0,) * 5
         if not any(below):
@@ -142,7 +184,9 @@ class Perspective(Camera):
         return min(first_root(rises.coeffs.tolist()), first_root(D.coeffs.tolist()))
 
     def project(self, p_camera: Array) -> Array:
-        """Pixels uv (..., N, 2) of points (..., N, 3); NaN at or behind the lens (Z <= 0), and beyond the distortion's reach."""
+        """Pixels uv (..., N, 2) of points (..., N, 3); NaN at or behind the lens (Z <= 0), and
+        beyond the distortion's reach.
+        """
         z = p_camera[..., 2:]
         # Short cut for the usual case, all points in front of a pinhole: no NaN to be placed.
         if not self.resampled and np.logical_and.reduce(z > 0, axis=None):
@@ -155,11 +199,15 @@ class Perspective(Camera):
         return xy * self.focal + self.centre
 
     def across(self, p_camera: Array) -> tuple[Array, Array]:
-        """The camera's x and y (3,), whatever the point: in a plane picture a marker extends along the plane."""
+        """The camera's x and y (3,), whatever the point: in a plane picture a marker extends along
+        the plane.
+        """
         return X_AXIS, Y_AXIS
 
     def whole(self, p_camera: Array, radius: float, margin: float = 0.0) -> NDArray[np.bool_]:
-        """As `Camera.whole`, for points (..., N, 3); without distortion a radius is f radius/Z pixels on all sides."""
+        """As `Camera.whole`, for points (..., N, 3); without distortion a radius is f radius/Z
+        pixels on all sides.
+        """
         if self.resampled:
             return super().whole(p_camera, radius, margin)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -202,7 +250,9 @@ class Perspective(Camera):
         return N / D, (slope - 2 * N / D * (k4 + r2 * (2 * k5 + r2 * 3 * k6))) / D
 
     def _undistort(self, xy_d: Array) -> Array:
-        """Invert `_distort` by Newton's method with the analytic Jacobian (quadratic: 10 rounds reach rounding)."""
+        """Invert `_distort` by Newton's method with the analytic Jacobian (quadratic: 10 rounds
+        reach rounding).
+        """
         _, _, p1, p2, *_ = self.lens_coefficients
         xy = xy_d.copy()
         for _ in range(10):
@@ -214,6 +264,12 @@ class Perspective(Camera):
             d = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
             residual = self._distort(xy) - xy_d
             det = a * d - b * b
-            step = np.stack([d * residual[..., 0] - b * residual[..., 1], a * residual[..., 1] - b * residual[..., 0]], axis=-1)
+            step = np.stack(
+                [
+                    d * residual[..., 0] - b * residual[..., 1],
+                    a * residual[..., 1] - b * residual[..., 0],
+                ],
+                axis=-1,
+            )
             xy = xy - step / det[..., None]
         return xy

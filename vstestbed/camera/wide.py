@@ -1,4 +1,6 @@
-"""Wide lenses: fisheye, catadioptric and spherical cameras, and the faces of the cube on which their pictures are drawn."""
+"""Wide lenses: fisheye, catadioptric and spherical cameras, and the faces of the cube on which
+their pictures are drawn.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,12 @@ from vstestbed.core.quantity import Coefficient, PositiveAngle, PositivePixels, 
 from vstestbed.core.spec import spec
 
 
-# The six directions in which a camera that sees all around is drawn: how the faces of a cube stand in the camera.
+# The six directions in which a camera that sees all around is drawn: how the faces of a cube stand
+# in the camera.
 def _face(x: tuple[int, int, int], y: tuple[int, int, int]) -> Array:
-    """R_camera_face (3, 3) from the face's right and down, in camera axes; it looks along right x down."""
+    """R_camera_face (3, 3) from the face's right and down, in camera axes; it looks along right x
+    down.
+    """
     return np.stack([x, y, np.cross(x, y)], axis=1).astype(float)
 
 
@@ -34,20 +39,26 @@ CUBE: dict[str, Array] = {
     "up": _face((1, 0, 0), (0, 0, 1)),
     "down": _face((1, 0, 0), (0, 0, -1)),
 }
-"""R_camera_face (3, 3) by name, in the order of panels: axes x right, y down, z forward as a camera's. Going right from
-the front one comes to right, back, left; `up` and `down` stand at the front's upper and lower border as one looks there."""
+"""R_camera_face (3, 3) by name, in the order of panels: axes x right, y down, z forward as a
+camera's. Going right from the front one comes to right, back, left; `up` and `down` stand at the
+front's upper and lower border as one looks there.
+"""
 
 
-# Wide lenses with radial symmetry: image radius as a function of the angle from the optical axis, up to 180 degrees.
+# Wide lenses with radial symmetry: image radius as a function of the angle from the optical axis,
+# up to 180 degrees.
 @spec
 class Radial(Camera):
-    """Lens with a symmetric picture, u = f m(theta) cos(phi) + cx, v = f m(theta) sin(phi) + cy; square pixels.
+    """Lens with a symmetric picture, u = f m(theta) cos(phi) + cx, v = f m(theta) sin(phi) + cy;
+    square pixels.
 
-    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one about it.
+    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one
+    about it.
 
     Args:
-        focal_length_px: f [px]; by default such that the image circle, of radius f m(theta_max), touches the borders of the
-            picture's shorter side, as seen from its middle: f = min(W, H) / 2 / m(theta_max); e.g. `150`.
+        focal_length_px: f [px]; by default such that the image circle, of radius f m(theta_max),
+            touches the borders of the picture's shorter side, as seen from its middle: f = min(W,
+            H) / 2 / m(theta_max); e.g. `150`.
     """
 
     focal_length_px: PositivePixels | None = None
@@ -59,11 +70,15 @@ class Radial(Camera):
 
     @abstractmethod
     def radius(self, theta: Array) -> Array:
-        """Distance m from the principal point in focal lengths [1] of angles theta (...) within the lens's reach [rad]."""
+        """Distance m from the principal point in focal lengths [1] of angles theta (...) within the
+        lens's reach [rad].
+        """
 
     @abstractmethod
     def angle(self, radius: Array) -> Array:
-        """Angles theta (...) [rad] of distances m (...) from the principal point: the inverse of `radius`."""
+        """Angles theta (...) [rad] of distances m (...) from the principal point: the inverse of
+        `radius`.
+        """
 
     @cached_property
     def ring(self) -> tuple[float, float]:
@@ -76,14 +91,23 @@ class Radial(Camera):
         """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
         return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
 
-    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
-        """As `Camera.miscalibrated`; without a distortion to be ignored, unless the lens has one."""
+    def miscalibrated(
+        self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
+    ) -> Radial:
+        """As `Camera.miscalibrated`; without a distortion to be ignored,
+        unless the lens has one.
+        """
         if ignores_distortion:
-            raise ParameterError.only_for("calibration.ignores_distortion", "the lenses perspective and fisheye, which have one")
+            raise ParameterError.only_for(
+                "calibration.ignores_distortion",
+                "the lenses perspective and fisheye, which have one",
+            )
         return replace(self, focal_length_px=self.f * (1 + focal_error), principal_px=principal_px)
 
     def project(self, p_camera: Array) -> Array:
-        """Pixels uv (..., N, 2) of points (..., N, 3); NaN out of the lens's reach, and at the lens itself."""
+        """Pixels uv (..., N, 2) of points (..., N, 3); NaN out of the lens's reach, and at the lens
+        itself.
+        """
         theta_phi = angles(p_camera)
         m = self.radius(_within(theta_phi[..., 0], self.reach))
         phi = theta_phi[..., 1]
@@ -93,42 +117,61 @@ class Radial(Camera):
         return joined(m * np.cos(phi), m * np.sin(phi)) * self.focal + self.centre
 
     def ray(self, uv: Array) -> Array:
-        """Unit rays (..., N, 3) of pixels uv (..., N, 2); NaN outside the image circle and in its blind middle."""
+        """Unit rays (..., N, 3) of pixels uv (..., N, 2); NaN outside the image circle and in its
+        blind middle.
+        """
         m = (uv - self.centre) / self.focal
         theta = self.angle(_within(np.hypot(m[..., 0], m[..., 1]), self.ring))
         return direction(joined(theta, np.arctan2(m[..., 1], m[..., 0])))
 
     def borders(self, uv: Array) -> tuple[Array, Array]:
-        """As of any camera, and of the image circle; of the blind middle too, where the lens has one."""
+        """As of any camera, and of the image circle; of the blind middle too, where the lens has
+        one.
+        """
         distance, inwards = super().borders(uv)
         d = (uv - self.centre) * (self.f / self.focal)
         r = np.linalg.norm(d, axis=1, keepdims=True)
         out, (inner, outer) = d / np.maximum(r, 1e-9), (self.f * m for m in self.ring)
         distance, inwards = np.hstack([distance, outer - r]), np.hstack([inwards, -out[:, None]])
-        return (distance, inwards) if inner == 0 else (np.hstack([distance, r - inner]), np.hstack([inwards, out[:, None]]))
+        return (
+            (distance, inwards)
+            if inner == 0
+            else (np.hstack([distance, r - inner]), np.hstack([inwards, out[:, None]]))
+        )
 
 
 def _within(value: Array, limits: tuple[float, float]) -> Array:
     """`value` clipped to limits that it exceeds by rounding, NaN where it exceeds them by more."""
     low, high = limits
     slack = 1e-9 * high
-    return np.where((value >= low - slack) & (value <= high + slack), np.minimum(np.maximum(value, low), high), np.nan)
+    return np.where(
+        (value >= low - slack) & (value <= high + slack),
+        np.minimum(np.maximum(value, low), high),
+        np.nan,
+    )
 
 
-# The fisheye lens: equidistant, or with a calibrated polynomial in the angle (OpenCV's fisheye model).
+# The fisheye lens: equidistant, or with a calibrated polynomial in the angle (OpenCV's fisheye
+# model).
 @spec
 class Fisheye(Radial):
-    """Kannala and Brandt's lens, m(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+    """Kannala and Brandt's lens, m(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4
+    theta^8).
 
-    The numbers of OpenCV's `fisheye` calibration fit as they are (f = fx = fy; no skew), and here they go on beyond 90 degrees.
+    The numbers of OpenCV's `fisheye` calibration fit as they are (f = fx = fy; no skew), and here
+    they go on beyond 90 degrees.
 
     Args:
-        fov_deg: full field of view [deg]; nothing is seen beyond it. Without focal_length_px it also sets the scale.
-        coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1]; all 0: the equidistant lens m = theta.
-        intrinsics: those of a calibrated lens, in place of these, `focal_length_px` and `principal_px`; a block, or the name of a file
-            of ROS or OpenCV (`Intrinsics`); e.g. `camera_info.yaml`.
+        fov_deg: full field of view [deg]; nothing is seen beyond it. Without focal_length_px it
+            also sets the scale.
+        coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1]; all 0: the
+            equidistant lens m = theta.
+        intrinsics: those of a calibrated lens, in place of these, `focal_length_px` and
+            `principal_px`; a block, or the name of a file of ROS or OpenCV (`Intrinsics`); e.g.
+            `camera_info.yaml`.
 
-    Reference: Kannala & Brandt 2006, eq. 6 with its first coefficient in f, doi:10.1109/TPAMI.2006.153.
+    Reference: Kannala & Brandt 2006, eq. 6 with its first coefficient in f,
+    doi:10.1109/TPAMI.2006.153.
     """
 
     kind: Literal["fisheye"] = "fisheye"
@@ -138,21 +181,32 @@ class Fisheye(Radial):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [name for name in ("focal_length_px", "principal_px") if getattr(self, name) is not None]
+        given = [
+            name for name in ("focal_length_px", "principal_px") if getattr(self, name) is not None
+        ]
         given += ["coefficients"] * any(self.coefficients)
         if self.intrinsics is not None and given:
             raise ParameterError.conflict(given[0], "intrinsics, which say it")
         if self.intrinsics is not None:
             self.intrinsics.check("fisheye", self.width, self.height, "intrinsics")
         if self.reach[1] >= self.turn:
-            words = f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller coefficients or a fov_deg below"
+            words = (
+                f"fold the picture over itself within fov_deg = {self.fov_deg:g};"
+                " use smaller coefficients or a fov_deg below"
+            )
             field = "coefficients" if self.intrinsics is None else "intrinsics.distortion"
-            raise ParameterError(field, f"{words} {math.degrees(2 * self.turn):.4g}", self.lens_coefficients)
+            raise ParameterError(
+                field, f"{words} {math.degrees(2 * self.turn):.4g}", self.lens_coefficients
+            )
 
     @cached_property
     def lens_coefficients(self) -> tuple[float, ...]:
         """The coefficients (k1, k2, k3, k4), the intrinsics' where there are some."""
-        return self.coefficients if self.intrinsics is None else self.intrinsics.distortion or (0.0,) * 4
+        return (
+            self.coefficients
+            if self.intrinsics is None
+            else self.intrinsics.distortion or (0.0,) * 4
+        )
 
     @cached_property
     def f(self) -> float:
@@ -161,14 +215,29 @@ class Fisheye(Radial):
 
     def with_intrinsics(self, intrinsics: Intrinsics) -> Fisheye:
         """As `Camera.with_intrinsics`."""
-        return replace(self, focal_length_px=None, principal_px=None, coefficients=(0.0,) * 4, intrinsics=intrinsics)
+        return replace(
+            self,
+            focal_length_px=None,
+            principal_px=None,
+            coefficients=(0.0,) * 4,
+            intrinsics=intrinsics,
+        )
 
-    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+    def miscalibrated(
+        self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
+    ) -> Radial:
         """As `Camera.miscalibrated`; without its distortion it is the equidistant lens."""
         if self.intrinsics is not None:
-            return replace(self, intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion))
+            return replace(
+                self,
+                intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion),
+            )
         lens = super().miscalibrated(focal_error, principal_px, ignores_distortion=False)
-        return replace(lens, coefficients=(0.0,) * 4) if isinstance(lens, Fisheye) and ignores_distortion else lens
+        return (
+            replace(lens, coefficients=(0.0,) * 4)
+            if isinstance(lens, Fisheye) and ignores_distortion
+            else lens
+        )
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -177,7 +246,9 @@ class Fisheye(Radial):
 
     @cached_property
     def turn(self) -> float:
-        """Angle up to which m rises [rad]: the first positive root of dm/dtheta = 1 + 3 k1 theta^2 + ... + 9 k4 theta^8."""
+        """Angle up to which m rises [rad]: the first positive root of dm/dtheta = 1 + 3 k1
+        theta^2 + ... + 9 k4 theta^8.
+        """
         k1, k2, k3, k4 = self.lens_coefficients
         return math.sqrt(first_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]))
 
@@ -188,17 +259,22 @@ class Fisheye(Radial):
         return theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
 
     def angle(self, radius: Array) -> Array:
-        """Angles theta (...) [rad] of distances m (...): Newton's method, kept between two knots of a table."""
+        """Angles theta (...) [rad] of distances m (...): Newton's method, kept between two knots of
+        a table.
+        """
         if not any(self.lens_coefficients):
             return radius
         k1, k2, k3, k4 = self.lens_coefficients
         knots, radii = self._table
         after = np.clip(np.searchsorted(radii, radius), 1, len(knots) - 1)
         theta = np.interp(radius, radii, knots)
-        for _ in range(8):  # 3 reach rounding, 8 next to an angle where the polynomial has its maximum
+        # 3 reach rounding, 8 next to an angle where the polynomial has its maximum
+        for _ in range(8):
             t2 = theta * theta
             slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
-            theta = np.clip(theta - (self.radius(theta) - radius) / slope, knots[after - 1], knots[after])
+            theta = np.clip(
+                theta - (self.radius(theta) - radius) / slope, knots[after - 1], knots[after]
+            )
         return theta
 
     @cached_property
@@ -209,19 +285,25 @@ class Fisheye(Radial):
 
 @spec
 class Catadioptric(Radial):
-    """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then to (Xs, Ys) / (Zs + xi).
+    """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then
+    to (Xs, Ys) / (Zs + xi).
 
-    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by theta = atan(m) + asin(xi m / sqrt(1 + m^2)). f is
-    the generalised focal length (mirror and lens together). xi = 0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one
-    under an orthographic lens, m = tan(theta/2); xi > 1 fits fisheyes. The model is valid for Zs > -xi (for xi > 1: Zs > -1/xi).
-    The z axis points from the mirror to the lens; the mirror's reversal of the image is taken as undone (u rises with X).
+    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by theta = atan(m)
+    + asin(xi m / sqrt(1 + m^2)). f is the generalised focal length (mirror and lens together). xi =
+    0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one under an orthographic
+    lens, m = tan(theta/2); xi > 1 fits fisheyes. The model is valid for Zs > -xi (for xi > 1: Zs >
+    -1/xi). The z axis points from the mirror to the lens; the mirror's reversal of the image is
+    taken as undone (u rises with X).
 
     Args:
         xi: the mirror's parameter [1].
-        fov_deg: full field of view [deg], within the model's validity; without focal_length_px it also sets the scale.
-        blind_deg: angle from the axis [deg] within which the mirror shows only the camera itself: NaN.
+        fov_deg: full field of view [deg], within the model's validity; without focal_length_px it
+            also sets the scale.
+        blind_deg: angle from the axis [deg] within which the mirror shows only the camera itself:
+            NaN.
 
-    References: Geyer & Daniilidis 2000, doi:10.1007/3-540-45053-X_29; Mei & Rives 2007, doi:10.1109/ROBOT.2007.364084.
+    References: Geyer & Daniilidis 2000, doi:10.1007/3-540-45053-X_29; Mei & Rives 2007,
+    doi:10.1109/ROBOT.2007.364084.
     """
 
     kind: Literal["catadioptric"] = "catadioptric"
@@ -233,9 +315,14 @@ class Catadioptric(Radial):
         super().__post_init__()
         end = 2 * math.degrees(math.acos(-self.xi if self.xi <= 1 else -1 / self.xi))
         if self.fov_deg >= end:
-            raise ParameterError.bound("fov_deg", "below", f"{end:.4g} with xi = {self.xi:g}", self.fov_deg)
+            raise ParameterError.bound(
+                "fov_deg", "below", f"{end:.4g} with xi = {self.xi:g}", self.fov_deg
+            )
         if self.blind_deg >= self.fov_deg / 2:
-            words = f"hides the whole field of view; it must be below fov_deg / 2 = {self.fov_deg / 2:g}"
+            words = (
+                "hides the whole field of view;"
+                f" it must be below fov_deg / 2 = {self.fov_deg / 2:g}"
+            )
             raise ParameterError("blind_deg", words, self.blind_deg)
 
     @property
@@ -249,20 +336,23 @@ class Catadioptric(Radial):
 
     def angle(self, radius: Array) -> Array:
         """Angles theta (...) [rad] of distances m (...) from the principal point."""
-        # sin(theta_m) of the closed form; rounding may take it above 1 at the edge of the field of view.
+        # sin(theta_m) of the closed form; rounding may take it above 1 at the edge of the field of
+        # view.
         sine = self.xi * radius / np.hypot(1.0, radius)
         return np.arctan(radius) + np.arcsin(np.minimum(sine, 1.0))
 
 
 @spec
 class SphericalCamera(Radial):
-    """The full sphere; its own picture is the azimuthal equidistant map about the optical axis, m(theta) = theta.
+    """The full sphere; its own picture is the azimuthal equidistant map about the optical axis,
+    m(theta) = theta.
 
-    What lies straight behind, theta = pi, is the map's whole border, and is projected to its point at phi = 0. By default
-    f = min(W, H) / 2 / pi.
+    What lies straight behind, theta = pi, is the map's whole border, and is projected to its point
+    at phi = 0. By default f = min(W, H) / 2 / pi.
 
     Args:
-        face_px: side of the six square pictures [px], the panels, in which markers are found and from which films are made.
+        face_px: side of the six square pictures [px], the panels, in which markers are found and
+            from which films are made.
 
     Reference: Snyder 1987, Map Projections: a Working Manual, section 25, doi:10.3133/pp1395.
     """
@@ -274,16 +364,30 @@ class SphericalCamera(Radial):
     def panels(self) -> tuple[Panel, ...]:
         """The six pictures in which markers are looked for, in the order of `CUBE`.
 
-        Each is 10 degrees wider than a cube's face, so that a marker at a seam, up to 5 degrees in radius, is whole in one of the two. More
-        would cost pixels in the middle: a face has face_px / 2 / tan(50 deg) to the radian there.
+        Each is 10 degrees wider than a cube's face, so that a marker at a seam, up to 5 degrees in
+        radius, is whole in one of the two. More would cost pixels in the middle: a face has
+        face_px / 2 / tan(50 deg) to the radian there.
         """
-        same = {name: getattr(self, name) for name in ("rate_hz", "multisampling", "anisotropy", "shadows")}
+        same = {
+            name: getattr(self, name)
+            for name in ("rate_hz", "multisampling", "anisotropy", "shadows")
+        }
         lens = Perspective(width=self.face_px, height=self.face_px, fovy_deg=100.0, **same)
         return tuple(Panel(lens, R) for R in CUBE.values())
 
-    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
-        """Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them."""
-        raise ParameterError("calibration", "may have no lens errors with camera spherical, which has no one lens; mount_error it may")
+    def miscalibrated(
+        self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
+    ) -> Radial:
+        """Refused: markers are found in the panels, whose rays are known; the map of the sphere is
+        only what is shown of them.
+        """
+        raise ParameterError(
+            "calibration",
+            (
+                "may have no lens errors with camera spherical,"
+                " which has no one lens; mount_error it may"
+            ),
+        )
 
     @property
     def reach(self) -> tuple[float, float]:

@@ -33,7 +33,12 @@ if TYPE_CHECKING:
     from vstestbed.tasks.frame import Frame
 
 FilmChoice = Literal["camera", "overview", "both", "none"]
-Fine = Annotated[bool, typer.Option("--fine", help="Films of 1280x720 with shadows and every frame, in place of quick drafts.")]
+Fine = Annotated[
+    bool,
+    typer.Option(
+        "--fine", help="Films of 1280x720 with shadows and every frame, in place of quick drafts."
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 
 
@@ -46,8 +51,13 @@ def _version(value: bool) -> None:
 
 
 def _options(
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks; may stand anywhere.")] = False,  # taken out by `main`
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+    # taken out by `main`
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show tracebacks; may stand anywhere.")
+    ] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
     """Options of the program itself."""
 
@@ -55,8 +65,13 @@ def _options(
 def run(
     scenario: ScenarioName,
     set_: Settings = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/SCENARIO/NUMBER]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the results. [default: runs/SCENARIO/NUMBER]"),
+    ] = None,
     video: Annotated[FilmChoice, typer.Option(help="Which films to make.")] = "both",
     fine: Fine = False,
     as_json: Json = False,
@@ -83,7 +98,9 @@ def run(
 
 @contextmanager
 def _interrupts() -> Iterator[Watcher]:
-    """The first Ctrl-C (SIGTERM, SIGHUP) ends the run at the next frame, with a complete folder; the second one ends it at once."""
+    """The first Ctrl-C (SIGTERM, SIGHUP) ends the run at the next frame, with a complete folder;
+    the second one ends it at once.
+    """
     import signal
 
     class _Stop:
@@ -96,11 +113,16 @@ def _interrupts() -> Iterator[Watcher]:
 
         def frame(self, frame: Frame) -> None:
             if self.asked:
-                raise KeyboardInterrupt  # inside the loop, which turns it into the outcome `interrupted`
+                # inside the loop, which turns it into the outcome `interrupted`
+                raise KeyboardInterrupt
 
     stop = _Stop()
     # one that is ignored (`nohup`, `&` in a script) stays so
-    before = {number: handler for number in STOPS if (handler := signal.getsignal(number)) != signal.SIG_IGN}
+    before = {
+        number: handler
+        for number in STOPS
+        if (handler := signal.getsignal(number)) != signal.SIG_IGN
+    }
     for number in before:
         signal.signal(number, stop.ask)
     try:
@@ -112,15 +134,27 @@ def _interrupts() -> Iterator[Watcher]:
 
 def render(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run's folder.")],
-    camera: Annotated[str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")] = "overview",
+    camera: Annotated[
+        str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")
+    ] = "overview",
     view: Annotated[
         str | None,
-        typer.Option(metavar="AZ,EL,DIST[,X,Y,Z]", help="Look from there, as MuJoCo's viewer says it [deg, deg, m], at a point [m]."),
+        typer.Option(
+            metavar="AZ,EL,DIST[,X,Y,Z]",
+            help="Look from there, as MuJoCo's viewer says it [deg, deg, m], at a point [m].",
+        ),
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the film in pixels.")] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Size of the film in pixels.")
+    ] = None,
     fine: Fine = False,
-    gif: Annotated[bool, typer.Option("--gif", help="Make a GIF under 3 MB that repeats, for a README.")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The film. [default: RUN_DIR/NAME.mp4 or .gif]")] = None,
+    gif: Annotated[
+        bool, typer.Option("--gif", help="Make a GIF under 3 MB that repeats, for a README.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The film. [default: RUN_DIR/NAME.mp4 or .gif]"),
+    ] = None,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
@@ -134,10 +168,17 @@ def render(
 
     size_px, ending = _size_of(size), ".gif" if gif else ".mp4"
     if out is not None and out.suffix.lower() != ending:
-        raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif", str(out))
+        raise ParameterError(
+            "--out",
+            f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif",
+            str(out),
+        )
     if view is not None and camera != "overview":
         raise ParameterError.fixed("--camera", "overview", camera, where="with --view")
-    seen_from, path = view_of(view), out or run_dir / f"{camera if view is None else 'view'}{ending}"
+    seen_from, path = (
+        view_of(view),
+        out or run_dir / f"{camera if view is None else 'view'}{ending}",
+    )
     _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
     scenario = load_run(run_dir, plugin or [])
     log = open_log(run_dir, scenario)
@@ -148,10 +189,13 @@ def render(
     def make(path: Path) -> Path | None:
         return film_log(scenario, log, camera, path, quality, size_px, verdict, seen_from)
 
-    with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
+    # a film elsewhere changes nothing in the run's folder
+    with only_writer(run_dir) if path.parent == run_dir else nullcontext():
         film = gif_of(make, path) if gif else make(path)
     if film is None:
-        raise RunFolderError(run_dir, "has a log without frames; there is nothing to film", NOTHING_RAN)
+        raise RunFolderError(
+            run_dir, "has a log without frames; there is nothing to film", NOTHING_RAN
+        )
     if not quiet:
         typer.echo(str(film), err=True)
 
@@ -161,13 +205,20 @@ def _size_of(words: str | None) -> tuple[int, int] | None:
     if words is None:
         return None
     width, _, height = words.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
+    if not (
+        width.isdigit()
+        and height.isdigit()
+        and 16 <= int(width) <= 7680
+        and 16 <= int(height) <= 4320
+    ):
         raise ParameterError.form("--size", "WIDTHxHEIGHT in pixels, such as 1280x720", words)
     return int(width), int(height)
 
 
 def view_of(words: str | None) -> FixedView | None:
-    """The view of `--view`. Raises ParameterError: other than three or six numbers, or no distance."""
+    """The view of `--view`. Raises ParameterError:
+    other than three or six numbers, or no distance.
+    """
     import numpy as np
 
     from vstestbed.sim.scene.follow import FixedView
@@ -178,8 +229,15 @@ def view_of(words: str | None) -> FixedView | None:
         numbers = [float(part) for part in words.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) not in (3, 6) or not all(map(math.isfinite, numbers)) or not 0 < numbers[2] <= 1e4:
-        form = "AZIMUTH,ELEVATION,DISTANCE[,X,Y,Z] in degrees and metres, such as 120,-20,3 or 120,-20,3,0.5,0,0.8"
+    if (
+        len(numbers) not in (3, 6)
+        or not all(map(math.isfinite, numbers))
+        or not 0 < numbers[2] <= 1e4
+    ):
+        form = (
+            "AZIMUTH,ELEVATION,DISTANCE[,X,Y,Z] in degrees and metres,"
+            " such as 120,-20,3 or 120,-20,3,0.5,0,0.8"
+        )
         raise ParameterError.form("--view", form, words)
     return FixedView(*numbers[:3], at=np.array(numbers[3:]) if numbers[3:] else None)
 
@@ -188,15 +246,26 @@ def _must_hold(folder: Path, *names: str) -> None:
     try:
         if any((folder / name).is_file() for name in names):
             return
-        found = "no run here" if folder.is_dir() else "is a file, and no run's folder" if folder.exists() else "no such folder"
+        found = (
+            "no run here"
+            if folder.is_dir()
+            else "is a file, and no run's folder"
+            if folder.exists()
+            else "no such folder"
+        )
     except OSError as error:
         found = f"cannot be read ({error.strerror})"
     raise RunFolderError(folder, found)
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, a comparison's or a search's.")],
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="A comparison's figures for a paper, too.")] = True,
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A run's folder, a comparison's or a search's.")
+    ],
+    figures: Annotated[
+        bool,
+        typer.Option("--figures/--no-figures", help="A comparison's figures for a paper, too."),
+    ] = True,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
@@ -225,14 +294,43 @@ def report(
 COMMANDS: dict[str, Callable[..., None]] = {
     command.__name__.rstrip("_").replace("_", "-"): command
     for command in (
-        *(run, render, report, export, compare, suite, submit, tune, basin, gain_limit, sweep, ros, replay, calibrate, excite, identify),
-        *(tools.live, tools.new, tools.list_, tools.schema, tools.describe, tools.doctor, tools.optical_flow, bench, grade),
+        *(
+            run,
+            render,
+            report,
+            export,
+            compare,
+            suite,
+            submit,
+            tune,
+            basin,
+            gain_limit,
+            sweep,
+            ros,
+            replay,
+            calibrate,
+            excite,
+            identify,
+        ),
+        *(
+            tools.live,
+            tools.new,
+            tools.list_,
+            tools.schema,
+            tools.describe,
+            tools.doctor,
+            tools.optical_flow,
+            bench,
+            grade,
+        ),
     )
 }
 
 
 def program(*names: str) -> typer.Typer:
-    """The command line with these commands, by default all: typer takes 0.1 s to read the signatures of all."""
+    """The command line with these commands, by default all: typer takes 0.1 s to read the
+    signatures of all.
+    """
     app = typer.Typer(
         help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
         no_args_is_help=True,
@@ -247,14 +345,22 @@ def program(*names: str) -> typer.Typer:
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 5 worse than the baseline,
-    130 interrupted.
+    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4
+    environment, 5 worse than the baseline, 130 interrupted.
     """
-    gc.set_threshold(100_000, 50, 100)  # importing makes 10^5 objects that stay: looking through them takes a tenth of a start
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # the search for plugins reads the metadata of every installed package
+    # importing makes 10^5 objects that stay: looking through them takes a tenth of a start
+    gc.set_threshold(100_000, 50, 100)
+    # the search for plugins reads the metadata of every installed package
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     arguments = sys.argv[1:] if argv is None else argv
     if complete.asked(arguments):
         program()(arguments, prog_name="vstestbed")
-    given = [argument for argument in arguments if argument != "--debug"]  # --debug may stand anywhere
+    # --debug may stand anywhere
+    given = [argument for argument in arguments if argument != "--debug"]
     app = program(*(name for name in given[:1] if name in COMMANDS))
-    sys.exit(exit_code(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(arguments)))
+    sys.exit(
+        exit_code(
+            lambda: app(given, prog_name="vstestbed", standalone_mode=False),
+            debug=len(given) < len(arguments),
+        )
+    )

@@ -1,4 +1,6 @@
-"""The commands `compare`, `suite` and `submit`: runs in parallel, and what they conclude. Heavy imports are inside the functions."""
+"""The commands `compare`, `suite` and `submit`: runs in parallel, and what they conclude. Heavy
+imports are inside the functions.
+"""
 
 from __future__ import annotations
 
@@ -28,67 +30,176 @@ if TYPE_CHECKING:
 def compare(
     scenarios: Annotated[
         list[str] | None,
-        typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.", autocompletion=complete.experiments),
+        typer.Argument(
+            metavar="SCENARIO...",
+            help="Scenarios, or one comparison: names or files.",
+            autocompletion=complete.experiments,
+        ),
     ] = None,
-    vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="Run with each of these values.")] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option("--vary", metavar="a.b=v1,v2", help="Run with each of these values."),
+    ] = None,
     set_: SettingsOfAll = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts. [default: the nominal one]")] = None,
-    first_seed: Annotated[int | None, typer.Option(min=0, help="The first of their numbers. [default: 0]")] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Of each task only so many starts, spread over its list.")] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
-    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT.")] = "local",
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/compare/NUMBER]")] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="How many random starts. [default: the nominal one]")
+    ] = None,
+    first_seed: Annotated[
+        int | None, typer.Option(min=0, help="The first of their numbers. [default: 0]")
+    ] = None,
+    limit: Annotated[
+        int | None,
+        typer.Option(min=1, help="Of each task only so many starts, spread over its list."),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")
+    ] = None,
+    executor: Annotated[
+        str,
+        typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT."),
+    ] = "local",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the results. [default: runs/compare/NUMBER]"),
+    ] = None,
     force: Force = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Do what is missing in --out DIR.")] = False,
-    again: Annotated[bool, typer.Option("--again", help="Fly a comparison's folder, the argument, again: do its runs agree?")] = False,
-    shard: Annotated[str | None, typer.Option(metavar="I/N", help="Only share I of N of the runs, for an array of jobs.")] = None,
-    merge: Annotated[bool, typer.Option("--merge", help="Put the shards, the arguments, together.")] = False,
-    film: Annotated[bool, typer.Option("--film/--no-film", help="Film the first seed, side by side.")] = True,
-    baseline: Annotated[Path | None, typer.Option(metavar="OLD", help="An earlier comparison: what changed since, run by run.")] = None,
-    fail: Annotated[bool, typer.Option("--fail-on-regression", help="Exit with 5 where it is worse than --baseline.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Do what is missing in --out DIR.")
+    ] = False,
+    again: Annotated[
+        bool,
+        typer.Option(
+            "--again", help="Fly a comparison's folder, the argument, again: do its runs agree?"
+        ),
+    ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="I/N", help="Only share I of N of the runs, for an array of jobs."),
+    ] = None,
+    merge: Annotated[
+        bool, typer.Option("--merge", help="Put the shards, the arguments, together.")
+    ] = False,
+    film: Annotated[
+        bool, typer.Option("--film/--no-film", help="Film the first seed, side by side.")
+    ] = True,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(metavar="OLD", help="An earlier comparison: what changed since, run by run."),
+    ] = None,
+    fail: Annotated[
+        bool,
+        typer.Option("--fail-on-regression", help="Exit with 5 where it is worse than --baseline."),
+    ] = False,
     tolerance: Annotated[
-        float | None, typer.Option(min=0, metavar="SHARE", help="By how much a mean may be worse. [default: 0.02]")
+        float | None,
+        typer.Option(
+            min=0, metavar="SHARE", help="By how much a mean may be worse. [default: 0.02]"
+        ),
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="The page's figures for a paper, too: PDF, SVG, PNG.")] = True,
+    figures: Annotated[
+        bool,
+        typer.Option(
+            "--figures/--no-figures", help="The page's figures for a paper, too: PDF, SVG, PNG."
+        ),
+    ] = True,
     primary: Annotated[
-        str | None, typer.Option(metavar="METRIC", help="What decides beside success. [default: time to the goal, failures at their limit]")
+        str | None,
+        typer.Option(
+            metavar="METRIC",
+            help=(
+                "What decides beside success. [default: time to the goal, failures at their limit]"
+            ),
+        ),
     ] = None,
-    reference: Annotated[str | None, typer.Option(metavar="NAME", help="Compare each with this one. [default: all pairs]")] = None,
-    plan: Annotated[bool, typer.Option("--plan", help="Fly nothing: say how many starts it needs for a verdict.")] = False,
+    reference: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Compare each with this one. [default: all pairs]"),
+    ] = None,
+    plan: Annotated[
+        bool,
+        typer.Option("--plan", help="Fly nothing: say how many starts it needs for a verdict."),
+    ] = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
+    """Every scenario, with every value that is varied, from every seed: one table, one report, one
+    film.
+    """
     from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.report.comparison.baseline import TOLERANCE
-    from vstestbed.studies.comparison import Baseline, Shard, carry_out, chosen, must_be_known, prepared
+    from vstestbed.studies.comparison import (
+        Baseline,
+        Shard,
+        carry_out,
+        chosen,
+        must_be_known,
+        prepared,
+    )
 
     must_be_known(executor)
     places = [Path(name) for name in scenarios or []]
     if again or merge:
-        _again(places, out, jobs, executor, not quiet) if again else _merge(places, out, figures, as_json, quiet)
+        _again(places, out, jobs, executor, not quiet) if again else _merge(
+            places, out, figures, as_json, quiet
+        )
         return
     if baseline is None and (fail or tolerance is not None):
         option = "--fail-on-regression" if fail else "--tolerance"
-        raise ParameterError.needs(option, "the earlier results", why="--baseline OLD, a comparison's folder")
-    before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
-    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
+        raise ParameterError.needs(
+            option, "the earlier results", why="--baseline OLD, a comparison's folder"
+        )
+    before, settings, shown = (
+        None if baseline is None else Baseline.read(baseline),
+        settings_of(set_),
+        not quiet and not as_json,
+    )
+    fields = {
+        "seeds": seeds,
+        "limit": limit,
+        "primary": primary,
+        "reference": reference,
+        "first_seed": first_seed,
+    }
     if plan and scenarios:
         asked = chosen(scenarios, settings, vary_of(vary), plugin or [], **fields)
         typer.echo("\n".join(_plan_lines(asked, force)))
         return
     share = None if shard is None else Shard.read(shard)
-    ready = prepared(scenarios or [], vary_of(vary), out, resume, settings, plugin or [], film, force, before, fields, shard=share)
+    ready = prepared(
+        scenarios or [],
+        vary_of(vary),
+        out,
+        resume,
+        settings,
+        plugin or [],
+        film,
+        force,
+        before,
+        fields,
+        shard=share,
+    )
     with ready as (runner, comparison):
         show_notes(not quiet)
         total = len(runner.jobs)
         try:
             with Counter(total, runner.done, shown) as counter:
-                table = carry_out(runner, comparison, jobs, executor, counter.run_done, counter.say, baseline=before, figures=figures)
+                table = carry_out(
+                    runner,
+                    comparison,
+                    jobs,
+                    executor,
+                    counter.run_done,
+                    counter.say,
+                    baseline=before,
+                    figures=figures,
+                )
         except KeyboardInterrupt:
             # counted in the folder: finished runs are there in full, others not at all
-            words = f"interrupted: {runner.done} of {total} runs are done; go on with: vstestbed compare --resume --out {runner.folder}"
+            words = (
+                f"interrupted: {runner.done} of {total} runs are done;"
+                f" go on with: vstestbed compare --resume --out {runner.folder}"
+            )
             typer.echo(words, err=True)
             raise typer.Exit(INTERRUPTED) from None
     _tell(table, as_json, quiet)
@@ -119,7 +230,9 @@ def _tell(table: ComparisonTable, as_json: bool, quiet: bool) -> None:
 
 
 def _as_json(table: ComparisonTable) -> str:
-    """The runs, the verdicts as they stand in `verdicts.json`, and the changes against a baseline where one was given."""
+    """The runs, the verdicts as they stand in `verdicts.json`, and the changes against a baseline
+    where one was given.
+    """
     from vstestbed.report.comparison.records import VERDICTS
 
     parts = {"runs": table.write_json()}
@@ -131,11 +244,14 @@ def _as_json(table: ComparisonTable) -> str:
 
 
 def _tell_changes(changes: BaselineChanges, tolerance: float, fail: bool, shown: bool) -> None:
-    """Say what changed against the baseline; exit 5 where something got worse and that is to fail."""
+    """Say what changed against the baseline;
+    exit 5 where something got worse and that is to fail.
+    """
     from vstestbed.report.comparison.baseline import text
 
     worse = [f"worse: {words}" for words in changes.regressions(tolerance)]
-    lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail  # the reason for 5 is always told
+    # the reason for 5 is always told
+    lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail
     for line in lines:
         typer.echo(line, err=True)
     if fail and worse:
@@ -150,11 +266,20 @@ def _merge(places: list[Path], out: Path | None, figures: bool, as_json: bool, q
     if not places:
         raise ParameterError.missing("--merge", "name the shards' folders, e.g. shards/*")
     show_notes(not quiet)
-    table = merge(places, out, (lambda words: None) if quiet or as_json else lambda words: typer.echo(f"{words} ...", err=True), figures)
+    table = merge(
+        places,
+        out,
+        (lambda words: None)
+        if quiet or as_json
+        else lambda words: typer.echo(f"{words} ...", err=True),
+        figures,
+    )
     _tell(table, as_json, quiet)
 
 
-def _again(places: list[Path], out: Path | None, jobs: int | None, executor: str, shown: bool) -> None:
+def _again(
+    places: list[Path], out: Path | None, jobs: int | None, executor: str, shown: bool
+) -> None:
     """Fly a folder again, and say which rows agree; exit 5 where some do not."""
     import polars as pl
 
@@ -163,9 +288,15 @@ def _again(places: list[Path], out: Path | None, jobs: int | None, executor: str
     from vstestbed.studies.comparison.record import must_be_comparison
 
     if len(places) != 1:
-        raise ParameterError.count("--again", "one", "folder of a comparison, as the argument", list(map(str, places)))
+        raise ParameterError.count(
+            "--again", "one", "folder of a comparison, as the argument", list(map(str, places))
+        )
     must_be_comparison(places[0])
-    with Counter(pl.scan_parquet(places[0] / "comparison.parquet").select(pl.len()).collect().item(), 0, shown) as counter:
+    with Counter(
+        pl.scan_parquet(places[0] / "comparison.parquet").select(pl.len()).collect().item(),
+        0,
+        shown,
+    ) as counter:
         folder, found = again(places[0], out, jobs, executor, counter.run_done)
     for line in (*found.lines(), f"  results   {folder}"):
         typer.echo(line, err=True)
@@ -174,7 +305,9 @@ def _again(places: list[Path], out: Path | None, jobs: int | None, executor: str
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
-    """The lists of values of `--vary` by dotted path: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
+    """The lists of values of `--vary` by dotted path: `1,2`, `[0, 1], [1, 0]`,
+    `{kind: oracle}, blobs`.
+    """
     from vstestbed.scenario.yaml_marks import read_value
 
     pairs: list[tuple[str, str]] = []
@@ -187,41 +320,89 @@ def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
         raise ParameterError.twice("--vary", "a field", options)
     # in brackets it is a YAML list, whose reader knows which commas are inside nested brackets
     values = {path: read_value(f"[{text}]") for path, text in pairs}
-    return {path: tuple(found) if isinstance(found, list) else (found,) for path, found in values.items()}
+    return {
+        path: tuple(found) if isinstance(found, list) else (found,)
+        for path, found in values.items()
+    }
 
 
 def _summary_text(table: DataFrame, folder: Path) -> str:
     from vstestbed.report.comparison.tables import statistics_text
 
     done, good = len(table), int(table["success"].sum())
-    reached = f"{good} of {done} runs reached the goal{f'; {done - good} did not reach the goal' if good < done else ''}"
+    reached = (
+        f"{good} of {done} runs reached the"
+        f" goal{f'; {done - good} did not reach the goal' if good < done else ''}"
+    )
     opened = " (open report.html)" if (folder / "report.html").exists() else ""
-    return "\n".join(filter(None, (reached, statistics_text(folder), f"  results   {folder}{opened}")))
+    return "\n".join(
+        filter(None, (reached, statistics_text(folder), f"  results   {folder}{opened}"))
+    )
 
 
 # The commands `suite` and `submit`: the same tasks for any law.
 def suite(
     law: Annotated[
         str | None,
-        typer.Argument(metavar="[LAW_FILE]", help="A law of your own: a plugin with one law, or a YAML file with law and plugins."),
+        typer.Argument(
+            metavar="[LAW_FILE]",
+            help="A law of your own: a plugin with one law, or a YAML file with law and plugins.",
+        ),
     ] = None,
-    name: Annotated[str, typer.Option("--suite", metavar="NAME", help="The suite, by name or file.")] = "VS-1",
-    quick: Annotated[bool, typer.Option("--quick", help="One or two starts of each of a task's lists.")] = False,
-    alone: Annotated[
-        bool, typer.Option("--alone", help="Fly LAW_FILE alone; the suite's own laws stand beside it with the runs that are kept.")
+    name: Annotated[
+        str, typer.Option("--suite", metavar="NAME", help="The suite, by name or file.")
+    ] = "VS-1",
+    quick: Annotated[
+        bool, typer.Option("--quick", help="One or two starts of each of a task's lists.")
     ] = False,
-    word: Annotated[str | None, typer.Option(metavar="WORD", help="Draw the random starts by a word that was not known before.")] = None,
-    check: Annotated[Path | None, typer.Option(metavar="FILE", help="Fly drawn runs of a submission again: do they agree?")] = None,
-    shard: Annotated[str | None, typer.Option(metavar="I/N", help="Fly the share I of N of each task, into its own DIR.")] = None,
-    merge: Annotated[
-        list[Path] | None, typer.Option("--merge", metavar="DIR", help="Put shards together: the folder of one; repeat it for each.")
+    alone: Annotated[
+        bool,
+        typer.Option(
+            "--alone",
+            help=(
+                "Fly LAW_FILE alone; the suite's own laws stand beside it"
+                " with the runs that are kept."
+            ),
+        ),
+    ] = False,
+    word: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WORD", help="Draw the random starts by a word that was not known before."
+        ),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
-    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT.")] = "local",
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; one that is there goes on.")] = None,
+    check: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Fly drawn runs of a submission again: do they agree?"),
+    ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="I/N", help="Fly the share I of N of each task, into its own DIR."),
+    ] = None,
+    merge: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--merge",
+            metavar="DIR",
+            help="Put shards together: the folder of one; repeat it for each.",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")
+    ] = None,
+    executor: Annotated[
+        str,
+        typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT."),
+    ] = "local",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the results; one that is there goes on."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
 ) -> None:
-    """Fly the suite's tasks by its laws and yours: successes, times and ranks, each with its interval."""
+    """Fly the suite's tasks by its laws and yours: successes, times and ranks, each with its
+    interval.
+    """
     from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.core.files import make_folder, new_folder
     from vstestbed.studies.comparison import Shard, must_be_known
@@ -229,11 +410,23 @@ def suite(
 
     must_be_known(executor)
     if check is not None:
-        _check(check, new_folder(Path("runs") / "suite", out, "give a new one"), jobs, (name, quick, word))
+        _check(
+            check,
+            new_folder(Path("runs") / "suite", out, "give a new one"),
+            jobs,
+            (name, quick, word),
+        )
         return
-    entry, share = opened(law, name, quick, word, alone), None if shard is None else Shard.read(shard)
+    entry, share = (
+        opened(law, name, quick, word, alone),
+        None if shard is None else Shard.read(shard),
+    )
     show_notes(not quiet)
-    folder = make_folder(out if out is not None and out.exists() else new_folder(Path("runs") / "suite", out, "give a new one"))
+    folder = make_folder(
+        out
+        if out is not None and out.exists()
+        else new_folder(Path("runs") / "suite", out, "give a new one")
+    )
     entry.mark(folder)
     say = (lambda words: None) if quiet else lambda words: typer.echo(words, err=True)
     if merge:
@@ -248,7 +441,13 @@ def suite(
             typer.echo(f"interrupted; go on with the same command and --out {folder}", err=True)
             raise typer.Exit(INTERRUPTED) from None
     if share is not None:
-        typer.echo(f"shard {share} is in {folder}; `vstestbed suite ... --merge DIR --merge DIR` puts all together", err=True)
+        typer.echo(
+            (
+                f"shard {share} is in {folder};"
+                " `vstestbed suite ... --merge DIR --merge DIR` puts all together"
+            ),
+            err=True,
+        )
         return
     found = entry.write(folder, runs)
     if quiet:
@@ -263,7 +462,10 @@ def _ranking(found: Sequence[Score]) -> Iterator[str]:
 
     for one in overall(found):
         rank = f"mean rank {one.rank.mean:.1f} [{one.rank.low:.1f}, {one.rank.high:.1f}]"
-        yield f"{one.law}: {rank} over {one.tasks} tasks, place {one.place} of the {one.of} laws that flew them"
+        yield (
+            f"{one.law}: {rank} over {one.tasks} tasks,"
+            f" place {one.place} of the {one.of} laws that flew them"
+        )
 
 
 def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, str | None]) -> None:
@@ -272,17 +474,32 @@ def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, s
 
     found = check(file, folder, jobs, asked=Asked(*asked))
     agree = found.runs - len(found.otherwise)
-    lines = [*found.otherwise, f"{agree} of {found.runs} runs that were flown again agree", *_ranking(found.scores)]
-    typer.echo("\n".join([*lines, f"  results   {folder} (open report.html: the runs as they were handed in)"]), err=True)
+    lines = [
+        *found.otherwise,
+        f"{agree} of {found.runs} runs that were flown again agree",
+        *_ranking(found.scores),
+    ]
+    typer.echo(
+        "\n".join(
+            [*lines, f"  results   {folder} (open report.html: the runs as they were handed in)"]
+        ),
+        err=True,
+    )
     if found.otherwise:
         raise typer.Exit(NOT_REACHED)
 
 
 def submit(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A suite's folder, with a law of your own.")],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The file. [default: DIR.zip]")] = None,
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A suite's folder, with a law of your own.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The file. [default: DIR.zip]")
+    ] = None,
 ) -> None:
-    """Pack a suite's results with the law, the versions and the machine into one file, which `suite --check` flies again in part."""
+    """Pack a suite's results with the law, the versions and the machine into one file, which
+    `suite --check` flies again in part.
+    """
     from vstestbed.core.files import must_be_new
     from vstestbed.studies.submission import pack
 

@@ -1,7 +1,8 @@
-"""What a shell offers after Tab: names of scenarios, comparisons and kinds, and the dotted paths of `--set`.
+"""What a shell offers after Tab: names of scenarios, comparisons and kinds, and the dotted paths of
+`--set`.
 
-It reads names of files and the bundled schema alone, since each Tab starts a process; kinds of plugins are therefore missing. Names of
-metrics stand in neither, and take half a second.
+It reads names of files and the bundled schema alone, since each Tab starts a process; kinds of
+plugins are therefore missing. Names of metrics stand in neither, and take half a second.
 """
 
 from __future__ import annotations
@@ -17,8 +18,12 @@ VARIABLE = "_VSTESTBED_COMPLETE"  # environment variable by which a shell's comp
 
 
 def asked(arguments: Sequence[str]) -> bool:
-    """Whether a shell asks for words, or a user for its completion: typer does either, and ends the process by itself."""
-    return VARIABLE in os.environ or any(word.startswith(("--install-completion", "--show-completion")) for word in arguments)
+    """Whether a shell asks for words, or a user for its completion: typer does either, and ends the
+    process by itself.
+    """
+    return VARIABLE in os.environ or any(
+        word.startswith(("--install-completion", "--show-completion")) for word in arguments
+    )
 
 
 def scenarios(incomplete: str) -> list[str]:
@@ -28,7 +33,9 @@ def scenarios(incomplete: str) -> list[str]:
 
 def experiments(incomplete: str) -> list[str]:
     """Names of bundled scenarios and comparisons."""
-    return scenarios(incomplete) + [name for name in bundled_comparisons() if name.startswith(incomplete)]
+    return scenarios(incomplete) + [
+        name for name in bundled_comparisons() if name.startswith(incomplete)
+    ]
 
 
 def figures(incomplete: str) -> list[str]:
@@ -39,21 +46,32 @@ def figures(incomplete: str) -> list[str]:
 
 
 def kinds(incomplete: str) -> list[str]:
-    """Words that `describe` knows: kinds, the fields of a scenario, and after `camera.` the kinds and fields of that block."""
+    """Words that `describe` knows: kinds, the fields of a scenario, and after `camera.` the kinds
+    and fields of that block.
+    """
     whole = _schema()
     if "." in incomplete:
         owner, rules = incomplete.rpartition(".")[0], [whole]
         for part in owner.split("."):
             rules = [child for name, child in _within(rules, whole) if name == part]
-        below = {f"{owner}.{rule['const'] if name == 'kind' else name}" for name, rule in _within(rules, whole)}
+        below = {
+            f"{owner}.{rule['const'] if name == 'kind' else name}"
+            for name, rule in _within(rules, whole)
+        }
         return sorted(word for word in below if word.startswith(incomplete))
     words = set(whole["properties"])
-    words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
+    words |= {
+        block["properties"]["kind"]["const"]
+        for block in whole["$defs"].values()
+        if "kind" in block["properties"]
+    }
     return sorted(word for word in words if word.startswith(incomplete))
 
 
 def paths(incomplete: str) -> list[str]:
-    """Fields of a scenario of any kinds, by their dotted paths; what is in a block once its name stands there."""
+    """Fields of a scenario of any kinds, by their dotted paths; what is in a block once its name
+    stands there.
+    """
     whole = _schema()
     *parts, last = incomplete.split(".")
     rules, prefix = [whole], "".join(f"{part}." for part in parts)
@@ -68,8 +86,12 @@ def paths(incomplete: str) -> list[str]:
         prefix, last = f"{prefix}{next(iter(found))}.", ""
 
 
-def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """The fields of these blocks whose names begin so, each with its rule in every block that has it."""
+def _begun(
+    begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]
+) -> dict[str, list[dict[str, Any]]]:
+    """The fields of these blocks whose names begin so, each with its rule in every block that has
+    it.
+    """
     found: dict[str, list[dict[str, Any]]] = {}
     for name, child in _within(rules, whole):
         if name.startswith(begin):
@@ -77,7 +99,9 @@ def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -
     return found
 
 
-def _within(rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _within(
+    rules: Iterable[dict[str, Any]], whole: dict[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
     for rule in rules:
         if "$ref" in rule:
             rule = whole["$defs"][rule["$ref"].rpartition("/")[2]]

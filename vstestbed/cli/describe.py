@@ -1,4 +1,6 @@
-"""What `describe` prints: equation, source, fields, use and an example of a kind or a block, in the width of the terminal."""
+"""What `describe` prints: equation, source, fields, use and an example of a kind or a block, in the
+width of the terminal.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,21 @@ from vstestbed.scenario.dump import block_text, flow_text
 from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 
 _ITEM = re.compile(r"- |\d+\. |\S.{0,15}?  ")
-"""The beginning of an item of a list, or of a row of definitions, whose few first words are set off: `xn, yn, an     xg/sqrt(a)`."""
+"""The beginning of an item of a list, or of a row of definitions, whose few first words are set
+off: `xn, yn, an     xg/sqrt(a)`.
+"""
+
+
+_WORD = re.compile(r"`[^`]*`\S*|\S*")
+"""The first word of a line, or what stands in backquotes there, which stays in one piece."""
+FILLED = 96
+"""Columns that a class's docstring fills: the 100 of a line less its indentation."""
 
 
 def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) -> None:
-    """Print all that is known of an entry; `entries`: the whole catalogue, for the names of the blocks in it."""
+    """Print all that is known of an entry; `entries`: the whole catalogue, for the names of the
+    blocks in it.
+    """
     console.print(Text(entry.name, style="bold"))
     cls = entry.cls
     if cls is None:
@@ -43,13 +55,16 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
     console.print(table)
     if entry.registry is not None and _common(entry.registry) is not None:
         console.print()
-        _wrapped(f"vstestbed describe {entry.registry.what} has what all kinds have in common.", console)
+        _wrapped(
+            f"vstestbed describe {entry.registry.what} has what all kinds have in common.", console
+        )
     _use(entry, console)
 
 
 def describe_record(word: str, console: Console) -> None:
-    """Print what a run's record holds: `log` its columns, `log.NAME` one of them, `summary` the numbers of `summary.json`, and `table`
-    the columns of `comparison.parquet`. Raises ParameterError: there is no such column.
+    """Print what a run's record holds: `log` its columns, `log.NAME` one of them, `summary` the
+    numbers of `summary.json`, and `table` the columns of `comparison.parquet`. Raises
+    ParameterError: there is no such column.
     """
     console.print(Text(word, style="bold"))
     console.print()
@@ -60,7 +75,12 @@ def describe_record(word: str, console: Console) -> None:
             raise ParameterError.unknown(word, "column of a log", nearest(word[4:], names))
         table = _table("column", "unit", "of", "what it is")
         for text in filter(None, found):
-            table.add_row(Text(text.shown, style="cyan"), Text(text.unit), Text(text.whose), Text(f"{text.words}."))
+            table.add_row(
+                Text(text.shown, style="cyan"),
+                Text(text.unit),
+                Text(text.whose),
+                Text(f"{text.words}."),
+            )
     else:
         table = _table("number", "shown in", "better", "what it is")
         for name, words in RUN_COLUMNS.items() if word == "table" else ():
@@ -68,16 +88,28 @@ def describe_record(word: str, console: Console) -> None:
         for metric in (*KNOWN.values(), *own_metrics().values()):
             better = {1: "more", -1: "less", 0: ""}[metric.better]
             words = f"{metric.title}{f'; only of {metric.where}' if metric.where else ''}."
-            table.add_row(Text(metric.name, style="cyan"), Text(metric.unit), Text(better), Text(words))
+            table.add_row(
+                Text(metric.name, style="cyan"), Text(metric.unit), Text(better), Text(words)
+            )
     console.print(table)
     if word == "log":
         console.print()
-        _wrapped("An effect or a law may add columns of its own: vstestbed describe KIND says which.", console)
+        _wrapped(
+            "An effect or a law may add columns of its own: vstestbed describe KIND says which.",
+            console,
+        )
 
 
 def _text(cls: type, console: Console) -> None:
     words = class_text(cls)
-    for paragraph in filter(None, [words.summary, *words.text.split("\n\n"), *(f"Source: {source}" for source in words.sources)]):
+    for paragraph in filter(
+        None,
+        [
+            words.summary,
+            *words.text.split("\n\n"),
+            *(f"Source: {source}" for source in words.sources),
+        ],
+    ):
         console.print()
         for line in _lines(paragraph):
             _wrapped(line, console)
@@ -89,17 +121,23 @@ def _common(registry: Registry) -> type | None:
 
 
 def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Console) -> None:
-    """Print a field: its sentence, default, unit and an example, and the blocks that have it; then the block that it holds."""
+    """Print a field: its sentence, default, unit and an example, and the blocks that have it; then
+    the block that it holds.
+    """
     names, cls = _names(entries), next(iter(field.owners.values()))
     console.print(Text(field.path, style="bold"))
     console.print()
-    rows: dict[tuple[str, ...], list[str]] = {}  # one row where all blocks say the same of a field, else one for each that differs
+    # one row where all blocks say the same of a field, else one for each that differs
+    rows: dict[tuple[str, ...], list[str]] = {}
     for name, owner in field.owners.items():
         rows.setdefault(tuple(map(str, _cells(owner, field.name, names))), []).append(name)
     alike = len(rows) == 1
     table = _field_table("field" if alike else "field of")
     for same in rows.values():
-        table.add_row(Text(field.name if alike else "\n".join(same), style="cyan"), *_cells(field.owners[same[0]], field.name, names))
+        table.add_row(
+            Text(field.name if alike else "\n".join(same), style="cyan"),
+            *_cells(field.owners[same[0]], field.name, names),
+        )
     console.print(table)
     console.print()
     if alike and "scenario" not in field.owners:
@@ -107,9 +145,15 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
     example = next(examples_of(cls, field.name, bundled_uses()), None)
     if example is not None:
         text = flow_text(example)
-        shown = f"--set {shlex.quote(f'{field.path}={text}')}" if field.settable else f"{field.name}: {text}"
+        shown = (
+            f"--set {shlex.quote(f'{field.path}={text}')}"
+            if field.settable
+            else f"{field.name}: {text}"
+        )
         _wrapped(f"Example: {shown}", console)
-    held = list(dict.fromkeys(_inner(fields(cls)[field.name], names) for cls in field.owners.values()))
+    held = list(
+        dict.fromkeys(_inner(fields(cls)[field.name], names) for cls in field.owners.values())
+    )
     if len(held) == 1 and held[0]:
         console.print()
         describe_entry(entries[held[0]], entries, console)
@@ -129,18 +173,29 @@ def _kinds(entry: Entry, registry: Registry, console: Console) -> None:
     console.print()
     field = entry.field.removesuffix("[]")
     place = "" if field == registry.what else f" In a scenario the field is called {field}."
-    _wrapped(f"vstestbed describe {registry.what}.{next(iter(registry.members))} shows one of them.{place}", console)
+    _wrapped(
+        (
+            f"vstestbed describe {registry.what}.{next(iter(registry.members))} shows"
+            f" one of them.{place}"
+        ),
+        console,
+    )
 
 
 def _lines(paragraph: str) -> Iterator[str]:
-    """The lines of a paragraph as they are to be wrapped: those that a docstring's width has ended are joined."""
+    """The lines of a paragraph as they are to be wrapped: those that a docstring's width has ended
+    are joined.
+    """
     whole = ""
-    for line in paragraph.splitlines():
+    lines = paragraph.splitlines()
+    for line, following in zip(lines, [*lines[1:], ""], strict=True):
         if whole and _ITEM.match(line):
             yield whole
             whole = ""
         whole = f"{whole} {line.strip()}" if whole else line
-        if len(line) < 100:  # a shorter line ends where its writer wanted it to end, as a line of an equation does
+        # A line with room for the next word ends where its writer wanted it to end, as a line of an
+        # equation does.
+        if len(line) + 1 + len(_WORD.match(following.lstrip())[0]) <= FILLED:
             yield whole
             whole = ""
     if whole:
@@ -149,8 +204,20 @@ def _lines(paragraph: str) -> Iterator[str]:
 
 def _wrapped(line: str, console: Console) -> None:
     number = re.match(r"- |\d+\. ", line)
-    indent = " " * len(number[0]) if number else "  " if "  " in line or line.startswith(("Source:", "Used in:")) else ""
-    for part in textwrap.wrap(line, console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False):
+    indent = (
+        " " * len(number[0])
+        if number
+        else "  "
+        if "  " in line or line.startswith(("Source:", "Used in:"))
+        else ""
+    )
+    for part in textwrap.wrap(
+        line,
+        console.width,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    ):
         console.print(Text(part), soft_wrap=True)
 
 
@@ -182,7 +249,9 @@ def _cells(cls: type, name: str, names: dict[type, str]) -> tuple[Text, Text, Te
 
 
 def _default(field: SchemaField) -> str:
-    """A default in few characters: of a block its kind, or the number that is a shorthand for it."""
+    """A default in few characters: of a block its kind,
+    or the number that is a shorthand for it.
+    """
     value = field.default
     if not isinstance(value, dict):
         return "none" if value is None else flow_text(value)
@@ -194,8 +263,16 @@ def _default(field: SchemaField) -> str:
 
 
 def _inner(field: SchemaField, names: dict[type, str]) -> str:
-    """The name of the block, or of the list of kinds, that a field holds; "" where it holds none."""
-    return next((names[inner] if registry is None else registry.what for registry, inner in field.node.blocks()), "")
+    """The name of the block, or of the list of kinds, that a field holds;
+    "" where it holds none.
+    """
+    return next(
+        (
+            names[inner] if registry is None else registry.what
+            for registry, inner in field.node.blocks()
+        ),
+        "",
+    )
 
 
 def _use(entry: Entry, console: Console) -> None:
@@ -215,5 +292,9 @@ def _use(entry: Entry, console: Console) -> None:
     while key.endswith("[]"):
         key, shown = key[:-2], [shown]
     console.print(title)
-    text = block_text({key: shown}, console.width - 6) if isinstance(shown, dict | list) else f"{key}: {flow_text(shown)}"
+    text = (
+        block_text({key: shown}, console.width - 6)
+        if isinstance(shown, dict | list)
+        else f"{key}: {flow_text(shown)}"
+    )
     console.print(Padding(Text(text, style="green"), (0, 0, 0, 2)), soft_wrap=True)

@@ -1,4 +1,6 @@
-"""Checks of the installation: what works on this machine, and the command that repairs what does not."""
+"""Checks of the installation: what works on this machine, and the command that repairs what does
+not.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,9 @@ if TYPE_CHECKING:
     from vstestbed.core.geometry import Array
 
 PIXEL_TOLERANCE_PX = 0.1
-"""Tolerance between rendered and projected balls [px]: well above the detector's own error (0.02 to 0.04 px on multisampled balls),
-well below the 0.5 px of a wrong pixel convention."""
+"""Tolerance between rendered and projected balls [px]: well above the detector's own error (0.02 to
+0.04 px on multisampled balls), well below the 0.5 px of a wrong pixel convention.
+"""
 
 
 STATUS_WIDTH, MISSING = 9, "missing"
@@ -40,29 +43,41 @@ class Finding:
     remedy: str = ""
 
     def lines(self, width: int | None) -> Iterator[str]:
-        """What was found, and where the check failed the remedy after an arrow; set off and wrapped, None: not wrapped."""
+        """What was found, and where the check failed the remedy after an arrow; set off and
+        wrapped, None: not wrapped.
+        """
         head = f"{'ok' if self.works else MISSING:{STATUS_WIDTH}}{self.what:13}"
         remedy = [] if self.works else self.remedy.splitlines()
         for text in [*(self.found or "-").splitlines(), *(f"-> {line}" for line in remedy)]:
             room = None if width is None or text.startswith(" ") else max(width - len(head), 20)
-            for line in [text] if room is None else textwrap.wrap(text, room, break_on_hyphens=False):
+            for line in (
+                [text] if room is None else textwrap.wrap(text, room, break_on_hyphens=False)
+            ):
                 yield f"{head}{line}".rstrip()
                 head = " " * len(head)
 
 
 def show(all_messages: Iterable[Finding]) -> bool:
-    """Print findings as they come, and a line that counts them; whether all is well. Coloured and wrapped on a terminal alone."""
+    """Print findings as they come, and a line that counts them; whether all is well. Coloured and
+    wrapped on a terminal alone.
+    """
     console, works = Console(highlight=False), list[bool]()
     for finding in all_messages:
         works.append(finding.works)
-        for number, line in enumerate(finding.lines(console.width if console.is_terminal else None)):
+        for number, line in enumerate(
+            finding.lines(console.width if console.is_terminal else None)
+        ):
             text = Text(line)
             if number == 0:
                 text.stylize("green" if finding.works else "bold red", 0, STATUS_WIDTH)
             elif line.lstrip().startswith("-> "):
                 text.stylize("yellow")
             console.print(text, soft_wrap=True)
-    end = f"all {len(works)} are well" if all(works) else f"{works.count(False)} of {len(works)} to mend, see ->"
+    end = (
+        f"all {len(works)} are well"
+        if all(works)
+        else f"{works.count(False)} of {len(works)} to mend, see ->"
+    )
     console.print(Text(end, style="bold"))
     return all(works)
 
@@ -70,16 +85,38 @@ def show(all_messages: Iterable[Finding]) -> bool:
 def examine() -> Iterator[Finding]:
     """Check everything that a run needs, in turn."""
     # every check gives a finding, also a failed one: one broken part must not hide the others
-    yield Finding("python", sys.version_info >= (3, 11), sys.version.split()[0], "install Python 3.11 or newer")
+    yield Finding(
+        "python",
+        sys.version_info >= (3, 11),
+        sys.version.split()[0],
+        "install Python 3.11 or newer",
+    )
     found, remedy = versions(), "pip install vstestbed again"
     major, whole = found["mujoco"].split(".")[0], MISSING not in found.values()
     if major.isdigit() and int(major) >= 4:
-        whole, remedy = False, "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'"
-    yield Finding("packages", whole, ", ".join(f"{name} {version}" for name, version in found.items() if name != "python"), remedy)
-    yield Finding("cores", True, f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}")
+        whole, remedy = (
+            False,
+            "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'",
+        )
+    yield Finding(
+        "packages",
+        whole,
+        ", ".join(f"{name} {version}" for name, version in found.items() if name != "python"),
+        remedy,
+    )
+    yield Finding(
+        "cores",
+        True,
+        f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}",
+    )
     try:
         names = list(bundled_scenarios())
-        yield Finding("scenarios", bool(names), f"{len(names)} bundled (vstestbed list scenarios)", "install vstestbed again")
+        yield Finding(
+            "scenarios",
+            bool(names),
+            f"{len(names)} bundled (vstestbed list scenarios)",
+            "install vstestbed again",
+        )
     except VstestbedError as error:
         yield Finding("scenarios", False, str(error))
     try:
@@ -91,27 +128,46 @@ def examine() -> Iterator[Finding]:
 
 
 def _pictures() -> Iterator[Finding]:
-    """OpenGL (ray casting where it does not work), then the pixel convention: rendered against projected positions of balls."""
+    """OpenGL (ray casting where it does not work), then the pixel convention: rendered against
+    projected positions of balls.
+    """
     from vstestbed.sim import gl_probe as gl
 
     try:
         errors, renderer = pixel_convention("gl")
     except (VstestbedError, ImportError) as error:
         lack = gl.explain(error) if isinstance(error, ImportError) else error
-        problem, _, remedy = str(lack or error).partition("; ")  # the form of every message of this package
+        # the form of every message of this package
+        problem, _, remedy = str(lack or error).partition("; ")
         yield Finding("OpenGL", False, f"{problem}; {gl.RAYS_INSTEAD}", remedy)
         errors, renderer = pixel_convention("rays")
     else:
         yield Finding("OpenGL", True, renderer)
-    seen = np.isfinite(errors).all(axis=1)  # rendered minus projected positions (N, 2) [px], NaN where a ball was not found
-    remedy = "this OpenGL driver does not render correctly; try another MUJOCO_GL, or another driver"
+    # rendered minus projected positions (N, 2) [px], NaN where a ball was not found
+    seen = np.isfinite(errors).all(axis=1)
+    remedy = (
+        "this OpenGL driver does not render correctly; try another MUJOCO_GL, or another driver"
+    )
     if renderer.startswith("rays"):
-        remedy = "this MuJoCo does not cast rays correctly; install the version in requirements.lock"
+        remedy = (
+            "this MuJoCo does not cast rays correctly; install the version in requirements.lock"
+        )
     if not seen.all():
-        yield Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
+        yield Finding(
+            "pixels",
+            False,
+            (
+                f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were"
+                " found in the picture"
+            ),
+            remedy,
+        )
         return
     worst = float(np.abs(errors).max())  # over both coordinates of all balls
-    found = f"{len(errors)} rendered balls within {worst:.3f} px of the camera model ({PIXEL_TOLERANCE_PX} allowed)"
+    found = (
+        f"{len(errors)} rendered balls within {worst:.3f} px of the camera model"
+        f" ({PIXEL_TOLERANCE_PX} allowed)"
+    )
     found += f", by {renderer}" if renderer.startswith("rays") else ""
     yield Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)
 
@@ -123,17 +179,28 @@ def _codec() -> Finding:
     try:
         av.Codec("libx264", "w")
     except (av.error.FFmpegError, ValueError) as error:
-        return Finding("video", False, f"no libx264 encoder ({error})", "pip install --force-reinstall --only-binary :all: av")
+        return Finding(
+            "video",
+            False,
+            f"no libx264 encoder ({error})",
+            "pip install --force-reinstall --only-binary :all: av",
+        )
     return Finding("video", True, f"libx264 through PyAV {av.__version__}")
 
 
-# Check of the pixel convention: balls of known position are rendered, detected and compared with the camera model.
-BALLS = tuple((x, y, z) for z, y in ((0.0, -0.35), (0.3, 0.0), (-0.2, 0.35)) for x in (-0.5, -0.17, 0.17, 0.5))
+# Check of the pixel convention: balls of known position are rendered, detected and compared with
+# the camera model.
+BALLS = tuple(
+    (x, y, z) for z, y in ((0.0, -0.35), (0.3, 0.0), (-0.2, 0.35)) for x in (-0.5, -0.17, 0.17, 0.5)
+)
 """Twelve balls over the whole image at several depths, in the target frame [m]."""
 
 
-def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None) -> tuple[Array, str]:
-    """Render twelve balls and detect them: measured minus predicted pixels of their centres (N, 2) [px], and the renderer's name.
+def pixel_convention(
+    renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None
+) -> tuple[Array, str]:
+    """Render twelve balls and detect them: measured minus predicted pixels of their centres (N, 2)
+    [px], and the renderer's name.
 
     Raises EnvironmentLackError: renderer is gl, and OpenGL does not work here.
     """
@@ -159,5 +226,7 @@ def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: C
         stage.place(0.0, target.pose.T, np.zeros(0), np.eye(4))
         image = drawing.full_image()
         detector = Blobs()
-        _, found = detector.detect(detector.init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0))
+        _, found = detector.detect(
+            detector.init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0)
+        )
     return found.uv - camera.project(transform(target.pose.T, target.points)), drawing.name

@@ -1,4 +1,6 @@
-"""How a command ends: its exit code, and one sentence for every error that is foreseen or that a plugin brings."""
+"""How a command ends: its exit code, and one sentence for every error that is foreseen or that a
+plugin brings.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ from typing import Any, TextIO, cast
 
 import typer
 
-from vstestbed.core.errors import EnvironmentLackError, VstestbedError, lack_of, shortage, take_early
+from vstestbed.core.errors import (
+    EnvironmentLackError,
+    VstestbedError,
+    lack_of,
+    shortage,
+    take_early,
+)
 from vstestbed.core.shares import STOPS
 
 
@@ -28,7 +36,8 @@ class Stream:
     def __init__(self, stream: TextIO | None):
         self._stream: Any = open(os.devnull, "w", encoding="utf-8") if stream is None else stream  # noqa: SIM115, PTH123 - open to the end
         if hasattr(self._stream, "reconfigure"):
-            self._stream.reconfigure(errors="backslashreplace")  # in a locale without the degree sign it is \xb0
+            # in a locale without the degree sign it is \xb0
+            self._stream.reconfigure(errors="backslashreplace")
         self.lack: OSError | None = None
 
     def __getattr__(self, name: str) -> Any:
@@ -48,16 +57,24 @@ class Stream:
     def _tried(self, action: Callable[[], object]) -> None:
         try:
             action()
-        except OSError as error:  # EPIPE: the reader has gone; ENOSPC: `> /dev/full`; EIO: the terminal has gone
+        except OSError as error:
+            # EPIPE: the reader has gone; ENOSPC: `> /dev/full`; EIO: the terminal has gone
             self.lack = self.lack or error
             with contextlib.suppress(OSError), open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - os.devnull is no path on Windows
-                os.dup2(nowhere.fileno(), self._stream.fileno())  # for the rest of the buffer, which Python flushes at its end
+                # for the rest of the buffer, which Python flushes at its end
+                os.dup2(nowhere.fileno(), self._stream.fileno())
 
     @property
     def failed(self) -> str:
-        """Why text was lost; empty where nothing was, or where the reader chose to read no further (`| head`)."""
+        """Why text was lost; empty where nothing was, or where the reader chose to read no further
+        (`| head`).
+        """
         self.flush()
-        return "" if self.lack is None or self.lack.errno == errno.EPIPE else self.lack.strerror or str(self.lack)
+        return (
+            ""
+            if self.lack is None or self.lack.errno == errno.EPIPE
+            else self.lack.strerror or str(self.lack)
+        )
 
 
 @contextmanager
@@ -75,17 +92,22 @@ def standard_streams() -> Iterator[Stream]:
 
 
 class Said(int):
-    """An exit code of a command that has said why it ends; an equal number need not come from one."""
+    """An exit code of a command that has said why it ends;
+    an equal number need not come from one.
+    """
 
 
-GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, REGRESSED, INTERRUPTED = 0, 1, 2, 3, 5, Said(130)  # 128 + SIGINT, as shells have it
+# 128 + SIGINT, as shells have it
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, REGRESSED, INTERRUPTED = 0, 1, 2, 3, 5, Said(130)
 LACK = EnvironmentLackError.exit_code
-UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
+# click.ClickException, also where typer brings a copy of click
+UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 def exit_code(command: Callable[[], object], debug: bool = False) -> int:
-    """Do a command; its exit code, also where the reader of its output goes away. A command that reached its goal, but could not write all
-    its text because standard output is full or closed, ends with LACK.
+    """Do a command; its exit code, also where the reader of its output goes away. A command that
+    reached its goal, but could not write all its text because standard output is full or closed,
+    ends with LACK.
     """
     with standard_streams() as out, _stopped_by_signals(), _after_all() as ignored:
         code = _guarded(command, debug)
@@ -93,15 +115,19 @@ def exit_code(command: Callable[[], object], debug: bool = False) -> int:
             gc.collect()  # what the command has left half made
             ignored.clear()
         if out.failed:
-            typer.echo(f"standard output: {out.failed}, so that text was lost; give it another place", err=True)
+            typer.echo(
+                f"standard output: {out.failed}, so that text was lost; give it another place",
+                err=True,
+            )
             return code or LACK
     return code
 
 
 @contextmanager
 def _after_all() -> Iterator[list[str]]:
-    """What finalisers raise, and Python ignores, is said after the command: for want of something, objects are left half made, whose
-    finalisers fail for reasons that are no news beside the want itself, which is known only at the end.
+    """What finalisers raise, and Python ignores, is said after the command: for want of something,
+    objects are left half made, whose finalisers fail for reasons that are no news beside the want
+    itself, which is known only at the end.
     """
     said: list[str] = []
 
@@ -109,7 +135,8 @@ def _after_all() -> Iterator[list[str]]:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
             hook(unraisable)
             return
-        with redirect_stderr(io.StringIO()) as text:  # as text: to keep the object itself would bring it back to life
+        # as text: to keep the object itself would bring it back to life
+        with redirect_stderr(io.StringIO()) as text:
             hook(unraisable)
         said.append(text.getvalue())
 
@@ -124,7 +151,9 @@ def _after_all() -> Iterator[list[str]]:
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP interrupt as Ctrl-C does; a signal that is ignored (`nohup`, `&` in a script) stays so."""
+    """SIGTERM and SIGHUP interrupt as Ctrl-C does; a signal that is ignored (`nohup`, `&` in a
+    script) stays so.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -133,8 +162,9 @@ def _stopped_by_signals() -> Iterator[None]:
         raise KeyboardInterrupt
 
     def again(unraisable: sys.UnraisableHookArgs) -> None:
-        # Raised in a finaliser or a callback of a weak reference, the interrupt is ignored by Python: it is sent once more, from
-        # another thread and a little later, since here it would be ignored again.
+        # Raised in a finaliser or a callback of a weak reference, the interrupt is ignored by
+        # Python: it is sent once more, from another thread and a little later, since here it would
+        # be ignored again.
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
             threading.Timer(0.05, _thread.interrupt_main).start()
         else:
@@ -158,10 +188,14 @@ def _guarded(command: Callable[[], object], debug: bool) -> int:
         take_early()
         code = command()
         if code == INTERRUPTED and not isinstance(code, Said):
-            raise KeyboardInterrupt  # which typer turned into its 130, without a word: while modules are imported, for example
+            # which typer turned into its 130, without a word: while modules are imported, for
+            # example
+            raise KeyboardInterrupt
         return code if isinstance(code, int) else GOAL_REACHED
     except VstestbedError as error:
-        told = lack_of(error) or error  # a file that cannot be read or written for want of descriptors: another place would not help
+        # a file that cannot be read or written for want of descriptors: another place would not
+        # help
+        told = lack_of(error) or error
         return _failed(error, str(told), told.exit_code, debug)
     except UsageMistake as error:
         error.show()  # type: ignore[attr-defined] - a ClickException, which typer hands on untyped
@@ -174,25 +208,38 @@ def _guarded(command: Callable[[], object], debug: bool) -> int:
 
 
 def _unforeseen(error: BaseException, debug: bool) -> int:
-    if isinstance(error, ImportError):  # the OpenGL bindings look for their driver when they are imported
+    # the OpenGL bindings look for their driver when they are imported
+    if isinstance(error, ImportError):
         from vstestbed.sim import gl_probe as gl
 
         if (lack := gl.explain(error)) is not None:
             return _failed(error, str(lack), lack.exit_code, debug)
     if (lack := lack_of(error) or shortage()) is not None:
         return _failed(error, str(lack), lack.exit_code, debug)
-    what = f"called sys.exit({error.code!r})" if isinstance(error, SystemExit) else f"raised {type(error).__name__}: {error}"
+    what = (
+        f"called sys.exit({error.code!r})"
+        if isinstance(error, SystemExit)
+        else f"raised {type(error).__name__}: {error}"
+    )
     place = _place_in_plugin(error)
     if place is None and not isinstance(error, SystemExit):
         return _failed(error, "this is a bug of vstestbed", BUG, debug=True)
-    return _failed(error, f"{place or 'a plugin'} {what}; mend it (--debug shows the traceback)", BUG, debug)
+    return _failed(
+        error, f"{place or 'a plugin'} {what}; mend it (--debug shows the traceback)", BUG, debug
+    )
 
 
 def _place_in_plugin(error: BaseException) -> str | None:
-    """The innermost line of a plugin in a traceback, with the plugin's module: of a package that has registered a kind."""
+    """The innermost line of a plugin in a traceback, with the plugin's module: of a package that
+    has registered a kind.
+    """
     from vstestbed.core.registry import REGISTRIES
 
-    packages = {member.__module__.partition(".")[0] for kinds in REGISTRIES for member in kinds.members.values()} - {"vstestbed"}
+    packages = {
+        member.__module__.partition(".")[0]
+        for kinds in REGISTRIES
+        for member in kinds.members.values()
+    } - {"vstestbed"}
     place = None
     for frame, line in traceback.walk_tb(error.__traceback__):
         module = str(frame.f_globals.get("__name__"))

@@ -24,8 +24,8 @@ Only = Literal["all", "successes"]
 
 @dataclass(frozen=True)
 class Exported:
-    """What is exported: the folders of the runs. within: the comparison's folder, and table: of its runs, None of one run. left_out: what
-    is missing or cut off.
+    """What is exported: the folders of the runs. within: the comparison's folder, and table: of its
+    runs, None of one run. left_out: what is missing or cut off.
     """
 
     folder: Path
@@ -38,24 +38,50 @@ class Exported:
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
-    to: Annotated[
-        Format, typer.Option("--to", help="mcap: Foxglove, PlotJuggler, rerun. rosbag2: ROS 2. lerobot: a dataset v3.0. csv: tables.")
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")
     ],
-    out: Annotated[Path | None, typer.Option(metavar="PATH", help="A new file or folder. [default: beside DIR]")] = None,
-    only: Annotated[Only, typer.Option("--only", help="Of a comparison all runs, or the successes: demonstrations.")] = "all",
+    to: Annotated[
+        Format,
+        typer.Option(
+            "--to",
+            help=(
+                "mcap: Foxglove, PlotJuggler, rerun. rosbag2: ROS 2."
+                " lerobot: a dataset v3.0. csv: tables."
+            ),
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="A new file or folder. [default: beside DIR]"),
+    ] = None,
+    only: Annotated[
+        Only,
+        typer.Option("--only", help="Of a comparison all runs, or the successes: demonstrations."),
+    ] = "all",
     task: Annotated[
-        str | None, typer.Option(metavar="TEXT", help="lerobot: what all episodes are to do. [default: the scenario's description]")
+        str | None,
+        typer.Option(
+            metavar="TEXT",
+            help="lerobot: what all episodes are to do. [default: the scenario's description]",
+        ),
     ] = None,
     start: Annotated[
-        float | None, typer.Option(min=0, metavar="SECONDS", help="mcap, rosbag2: what t = 0 is, since 1970. [default: 0]")
+        float | None,
+        typer.Option(
+            min=0, metavar="SECONDS", help="mcap, rosbag2: what t = 0 is, since 1970. [default: 0]"
+        ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
+    """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time
+    series.
+    """
     if start is not None and to not in ("mcap", "rosbag2"):
-        raise ParameterError.only_for("--start", "--to mcap and rosbag2; the times of other formats begin at 0")
+        raise ParameterError.only_for(
+            "--start", "--to mcap and rosbag2; the times of other formats begin at 0"
+        )
     if task is not None and to != "lerobot":
         raise ParameterError.only_for("--task", "--to lerobot")
     from rich.progress import Progress, TimeRemainingColumn
@@ -79,7 +105,14 @@ def export(
         typer.echo("\n".join([*found.left_out, str(path)]), err=True)
 
 
-def _write(found: Exported, to: Format, path: Path, task: str | None, start_s: float, tick: Callable[[], None]) -> None:
+def _write(
+    found: Exported,
+    to: Format,
+    path: Path,
+    task: str | None,
+    start_s: float,
+    tick: Callable[[], None],
+) -> None:
     from vstestbed.report.export.source import RecordedRun, opened, write_csv, write_each
 
     runs = opened(found.runs, found.plugins)  # one at a time
@@ -105,10 +138,18 @@ def _write(found: Exported, to: Format, path: Path, task: str | None, start_s: f
 
 
 def _found(folder: Path, plugins: list[str], only: Only = "all") -> Exported:
-    """What a folder holds. Raises RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame."""
+    """What a folder holds. Raises RunFolderError: neither a run nor a comparison, a damaged one, or
+    one without a frame.
+    """
     if folder.is_file():  # a person may name one of its files
-        if not any((folder.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
-            raise RunFolderError(folder, "is a file, and not one of a run's or a comparison's folder", f"give the folder: {WORKS}")
+        if not any(
+            (folder.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")
+        ):
+            raise RunFolderError(
+                folder,
+                "is a file, and not one of a run's or a comparison's folder",
+                f"give the folder: {WORKS}",
+            )
         folder = folder.parent
     if (folder / "comparison.yaml").is_file():
         return _comparison(folder, plugins, only)
@@ -118,7 +159,16 @@ def _found(folder: Path, plugins: list[str], only: Only = "all") -> Exported:
 
     run = RecordedRun.of(folder, plugins)
     frames = len(run.log)
-    cut = () if run.summary else (f"{folder}: the run has no summary: it was cut off, or goes on; its {frames} frames so far are exported",)
+    cut = (
+        ()
+        if run.summary
+        else (
+            (
+                f"{folder}: the run has no summary: it was cut off, or goes on;"
+                f" its {frames} frames so far are exported"
+            ),
+        )
+    )
     return Exported(folder, None, (folder,), frames, None, cut, tuple(plugins))
 
 
@@ -128,9 +178,17 @@ def _comparison(folder: Path, plugins: list[str], only: Only) -> Exported:
     comparison, every, total = stored(folder, plugins)
     table = every.filter("success") if only == "successes" else every
     if table.is_empty():
-        raise RunFolderError(folder, f"has no success among {len(every)} runs; there is nothing to export", "leave --only out")
+        raise RunFolderError(
+            folder,
+            f"has no success among {len(every)} runs; there is nothing to export",
+            "leave --only out",
+        )
     places = [folder / name for name in table["folder"].to_list()]
-    runs = tuple(place for place in places if (place / "log.parquet").is_file() or (place / "log.part").is_file())
+    runs = tuple(
+        place
+        for place in places
+        if (place / "log.parquet").is_file() or (place / "log.part").is_file()
+    )
     if not runs:
         raise RunFolderError(folder, "has no run with a log; there is nothing to export", WORKS)
     words = []
@@ -139,6 +197,9 @@ def _comparison(folder: Path, plugins: list[str], only: Only) -> Exported:
     if failed := len(every) - len(table):
         words.append(f"{failed} of {len(every)} runs are no successes, and are left out")
     if left := total - len(every):
-        words.append(f"{left} of {total} runs are not done yet; vstestbed compare --resume --out {folder} does them")
+        words.append(
+            f"{left} of {total} runs are not done yet;"
+            f" vstestbed compare --resume --out {folder} does them"
+        )
     frames = int(table["frames"].sum()) if "frames" in table.columns else 0
     return Exported(folder, folder, runs, frames, table, tuple(words), comparison.plugins)

@@ -20,14 +20,25 @@ if TYPE_CHECKING:
 
 
 class ProgressBar:
-    """A progress bar on standard error, one task; hidden if that is no terminal, or `shown` is False."""
+    """A progress bar on standard error, one task; hidden if that is no terminal, or `shown` is
+    False.
+    """
 
-    def __init__(self, columns: Sequence[str | ProgressColumn], shown: bool, what: str, total: float, **fields: Any):
+    def __init__(
+        self,
+        columns: Sequence[str | ProgressColumn],
+        shown: bool,
+        what: str,
+        total: float,
+        **fields: Any,
+    ):
         from rich.console import Console
         from rich.progress import Progress as Bar
 
         console = Console(stderr=True)
-        self._bar = Bar(*columns, console=console, disable=not (shown and console.is_terminal), transient=True)
+        self._bar = Bar(
+            *columns, console=console, disable=not (shown and console.is_terminal), transient=True
+        )
         self._task = self._bar.add_task(what, total=total, **fields)
 
     def say(self, words: str) -> None:
@@ -42,7 +53,12 @@ class ProgressBar:
         self._bar.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._bar.stop()
 
 
@@ -63,13 +79,21 @@ class Progress(ProgressBar):
 
 
 class Counter(ProgressBar):
-    """Progress bar of a comparison: runs done, failures, time left. done: number of runs that were done before (`--resume`)."""
+    """Progress bar of a comparison: runs done, failures, time left. done: number of runs that were
+    done before (`--resume`).
+    """
 
     def __init__(self, total: int, done: int, shown: bool):
         from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
         state = "runs   {task.fields[failed]} failed   left"
-        columns = "{task.description}", BarColumn(), MofNCompleteColumn(), state, TimeRemainingColumn()
+        columns = (
+            "{task.description}",
+            BarColumn(),
+            MofNCompleteColumn(),
+            state,
+            TimeRemainingColumn(),
+        )
         super().__init__(columns, shown, "comparing", total, completed=done, failed=0)
         self._failed = 0
 
@@ -80,11 +104,14 @@ class Counter(ProgressBar):
 
 
 def show_notes(shown: bool) -> None:
-    """Print the library's warnings (such as ray casting in place of OpenGL) on standard error, or suppress them."""
+    """Print the library's warnings (such as ray casting in place of OpenGL) on standard error, or
+    suppress them.
+    """
     logger = logging.getLogger("vstestbed")
     logger.setLevel(logging.WARNING if shown else logging.ERROR)
     if logging.lastResort is not None:
-        logger.addHandler(logging.lastResort)  # prints the bare message, without level and logger name
+        # prints the bare message, without level and logger name
+        logger.addHandler(logging.lastResort)
         logger.propagate = False
 
 
@@ -96,13 +123,26 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
         lines.append("  error     not a single frame was seen")
     else:
         lines.append(f"  judged    {_judged(s)}")
-        if s["judged_by"] != "truth":  # where the truth decided, the pose at the end is that of no goal
+        # where the truth decided, the pose at the end is that of no goal
+        if s["judged_by"] != "truth":
             lines.append(f"  error     {_error_text(recording)}")
-            since, ratio = s["time_to_converge_s"], "" if s["path_ratio"] is None else f"; {s['path_ratio']:.2f} times the straight line"
+            since, ratio = (
+                s["time_to_converge_s"],
+                ""
+                if s["path_ratio"] is None
+                else f"; {s['path_ratio']:.2f} times the straight line",
+            )
             reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
-            lines.append(f"  path      {reached}{ratio}; largest retreat {_number(s, 'max_retreat_m', digits=_digits(s))}")
-    speed = _number(s, "real_time_factor", " real time", digits=1) + (" with films and log" if filmed else " with its log")
-    lines.append(f"  time      {_number(s, 'sim_time_s')} simulated in {_number(s, 'wall_time_s')}: {speed}")
+            lines.append(
+                f"  path      {reached}{ratio};"
+                f" largest retreat {_number(s, 'max_retreat_m', digits=_digits(s))}"
+            )
+    speed = _number(s, "real_time_factor", " real time", digits=1) + (
+        " with films and log" if filmed else " with its log"
+    )
+    lines.append(
+        f"  time      {_number(s, 'sim_time_s')} simulated in {_number(s, 'wall_time_s')}: {speed}"
+    )
     lines.append(f"  results   {folder} (open report.html)")
     return "\n".join(lines)
 
@@ -112,33 +152,51 @@ def _judged(summary: Mapping[str, Any]) -> str:
 
     limit, unit = in_words_unit(summary["judged_limit"], summary["judged_unit"])
     error = summary["judged_error"]
-    value = "unknown at the end" if error is None else f"{in_words_unit(error, summary['judged_unit'])[0]:.4f} {unit}"
+    value = (
+        "unknown at the end"
+        if error is None
+        else f"{in_words_unit(error, summary['judged_unit'])[0]:.4f} {unit}"
+    )
     return f"by {MEASURED_BY[summary['judged_by']]}: {value}, limit {limit:.3g} {unit}"
 
 
 def _error_text(recording: Recording) -> str:
     s = recording.summary()
-    error = _number(s, "final_error_px", " in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
+    error = (
+        _number(s, "final_error_px", " in the image", digits=3)
+        if s["final_error_px"] is not None
+        else _why_no_error(recording)
+    )
     if "error_grey" in recording.columns and np.isfinite(recording["error_grey"][-1]):
         error = f"{recording['error_grey'][-1]:.3f} grey levels in the picture"
-    pose = f"{_number(s, 'final_position_error_m', digits=_digits(s))} and {_number(s, 'final_rotation_error_deg', digits=3)} from the goal"
+    pose = (
+        f"{_number(s, 'final_position_error_m', digits=_digits(s))} and"
+        f" {_number(s, 'final_rotation_error_deg', digits=3)} from the goal"
+    )
     free = recording.scenario.free_motions
     if free:
         pose += f", where {free} motion{'s are' if free > 1 else ' is'} free (law.redundant)"
-    return f"{error}; true pose of the {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
+    return (
+        f"{error}; true pose of the"
+        f" {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
+    )
 
 
 def _why_no_error(recording: Recording) -> str:
     if recording.outcome.name == "law_failed":
         return "not known, since the law failed"
     seen = [name for name in recording.columns if name.startswith("u_") and name[2:].isdecimal()]
-    if recording.scenario.detector.rows == 0 or any(np.isfinite(recording[name][-1]) for name in seen):
+    if recording.scenario.detector.rows == 0 or any(
+        np.isfinite(recording[name][-1]) for name in seen
+    ):
         return "not known, since the law could not work with what was in sight"
     return "target not in sight"
 
 
 def _digits(summary: Mapping[str, Any]) -> int:
-    """Decimals with which lengths of a run are told: two; of a camera whose way was under 10 cm more, at most six."""
+    """Decimals with which lengths of a run are told: two; of a camera whose way was under 10 cm
+    more, at most six.
+    """
     way = summary["path_length_m"] or 1.0
     return min(6, max(2, 1 - math.floor(math.log10(way))))
 
@@ -148,4 +206,8 @@ def _number(summary: Mapping[str, Any], name: str, more: str = "", digits: int =
     from vstestbed.tasks.metrics import KNOWN
 
     value, unit = summary[name], {"×": "times"}.get(KNOWN[name].unit, KNOWN[name].unit) + more
-    return f"{value * KNOWN[name].scale:.{digits}f} {unit}" if isinstance(value, float) else f"no {unit}"
+    return (
+        f"{value * KNOWN[name].scale:.{digits}f} {unit}"
+        if isinstance(value, float)
+        else f"no {unit}"
+    )

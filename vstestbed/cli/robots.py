@@ -1,4 +1,6 @@
-"""The commands `calibrate`, `excite` and `identify`: what is needed of a real robot. Heavy imports are inside the functions."""
+"""The commands `calibrate`, `excite` and `identify`: what is needed of a real robot. Heavy imports
+are inside the functions.
+"""
 
 from __future__ import annotations
 
@@ -20,25 +22,61 @@ BOARD = "7x5:0.04:0.03:4X4_50"
 
 def calibrate(
     source: Annotated[
-        str, typer.Argument(metavar="RUN|PICTURES|SCENARIO", help="A run's folder; one with poses.csv; with --table a scenario.")
+        str,
+        typer.Argument(
+            metavar="RUN|PICTURES|SCENARIO",
+            help="A run's folder; one with poses.csv; with --table a scenario.",
+        ),
     ],
     board: Annotated[
-        str, typer.Option(metavar="CxR:SQUARE:MARKER:DICT", help="The ChArUco board: squares, sides [m], dictionary.")
+        str,
+        typer.Option(
+            metavar="CxR:SQUARE:MARKER:DICT",
+            help="The ChArUco board: squares, sides [m], dictionary.",
+        ),
     ] = BOARD,
-    robot: Annotated[str | None, typer.Option(metavar="SCENARIO", help="PICTURES: whose arm's joints are in poses.csv.")] = None,
-    setup: Annotated[Literal["hand", "room"], typer.Option(help="Where the camera is: on the flange, or in the room.")] = "hand",
-    model: Annotated[
-        Literal["plumb_bob", "rational_polynomial", "equidistant"] | None, typer.Option(help="The lens. [default: plumb_bob]")
+    robot: Annotated[
+        str | None,
+        typer.Option(metavar="SCENARIO", help="PICTURES: whose arm's joints are in poses.csv."),
     ] = None,
-    intrinsics: Annotated[Path | None, typer.Option(metavar="FILE", help="The lens is known: of a calibration's file.")] = None,
-    corner_px: Annotated[float, typer.Option(min=1e-3, metavar="PX", help="Standard deviation of a corner.")] = 0.1,
-    joint_deg: Annotated[float, typer.Option(min=1e-6, metavar="DEG", help="Standard deviation of a joint's reading.")] = 0.01,
+    setup: Annotated[
+        Literal["hand", "room"],
+        typer.Option(help="Where the camera is: on the flange, or in the room."),
+    ] = "hand",
+    model: Annotated[
+        Literal["plumb_bob", "rational_polynomial", "equidistant"] | None,
+        typer.Option(help="The lens. [default: plumb_bob]"),
+    ] = None,
+    intrinsics: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The lens is known: of a calibration's file."),
+    ] = None,
+    corner_px: Annotated[
+        float, typer.Option(min=1e-3, metavar="PX", help="Standard deviation of a corner.")
+    ] = 0.1,
+    joint_deg: Annotated[
+        float,
+        typer.Option(min=1e-6, metavar="DEG", help="Standard deviation of a joint's reading."),
+    ] = 0.01,
     table: Annotated[
-        bool, typer.Option("--table", help="How exact it will be, by simulated calibrations of SCENARIO's arm and camera.")
+        bool,
+        typer.Option(
+            "--table",
+            help="How exact it will be, by simulated calibrations of SCENARIO's arm and camera.",
+        ),
     ] = False,
-    trials: Annotated[int, typer.Option(min=2, max=10_000, metavar="N", help="--table: calibrations for each line.")] = 50,
-    print_board: Annotated[Path | None, typer.Option("--print", metavar="FILE.png", help="Write the board as a picture, and end.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="A new folder. [default: runs/calibrate/NUMBER]")] = None,
+    trials: Annotated[
+        int,
+        typer.Option(min=2, max=10_000, metavar="N", help="--table: calibrations for each line."),
+    ] = 50,
+    print_board: Annotated[
+        Path | None,
+        typer.Option("--print", metavar="FILE.png", help="Write the board as a picture, and end."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="A new folder. [default: runs/calibrate/NUMBER]"),
+    ] = None,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
@@ -67,7 +105,9 @@ def calibrate(
         shots = room.shots_of_folder(place, scenario.robot if scenario else None)
     known = room.camera_of(intrinsics) if intrinsics else None
     try:
-        made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
+        made = room.calibrated(
+            shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg)
+        )
     except ParameterError as error:
         if error.field != "pictures":
             raise
@@ -80,7 +120,9 @@ def calibrate(
         typer.echo(f"  results   {folder} (calibration.yaml, report.html)", err=True)
 
 
-def _table(source: str, board: Board, trials: int, out: Path | None, quiet: bool, plugin: list[str] | None) -> None:
+def _table(
+    source: str, board: Board, trials: int, out: Path | None, quiet: bool, plugin: list[str] | None
+) -> None:
     from rich.progress import Progress
 
     from vstestbed.cli.progress import ProgressBar
@@ -101,13 +143,25 @@ def _table(source: str, board: Board, trials: int, out: Path | None, quiet: bool
 def excite(
     scenario: ScenarioName,
     set_: Settings = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
-    fly: Annotated[bool, typer.Option("--fly", help="Let the simulated robot do it, and keep what is read: record.parquet.")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="--fly: a new folder. [default: runs/excite/NUMBER]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")
+    ] = None,
+    fly: Annotated[
+        bool,
+        typer.Option(
+            "--fly", help="Let the simulated robot do it, and keep what is read: record.parquet."
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="--fly: a new folder. [default: runs/excite/NUMBER]"),
+    ] = None,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
-    """A motion by which a robot shows its latencies and time constants: steps and sines, as a table of commands."""
+    """A motion by which a robot shows its latencies and time constants: steps and sines, as a table
+    of commands.
+    """
     from vstestbed.studies.folder import study_folder
     from vstestbed.studies.identification import RECORD, motion_of
     from vstestbed.studies.identification import fly as flown
@@ -127,22 +181,40 @@ def excite(
         write_whole(folder / "motion.csv", motion.write_csv())
         write_whole(folder / "scenario.yaml", documents(given)["scenario.yaml"])
     if not quiet:
-        typer.echo(f"{len(record)} of {len(motion)} commands were flown\n{folder / RECORD}", err=True)
+        typer.echo(
+            f"{len(record)} of {len(motion)} commands were flown\n{folder / RECORD}", err=True
+        )
 
 
 def identify(
-    record: Annotated[Path, typer.Argument(metavar="RECORD|BAG", help="Of `excite --fly`; a table with its columns; or a rosbag2.")],
+    record: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORD|BAG", help="Of `excite --fly`; a table with its columns; or a rosbag2."
+        ),
+    ],
     scenario: ScenarioName,
     set_: Settings = None,
     fit: Annotated[
-        list[str] | None, typer.Option(metavar="FIELD=LOW..HIGH", help="What to find; xLOW..xHIGH is a factor. [default: by the robot]")
+        list[str] | None,
+        typer.Option(
+            metavar="FIELD=LOW..HIGH",
+            help="What to find; xLOW..xHIGH is a factor. [default: by the robot]",
+        ),
     ] = None,
-    remap: Annotated[list[str] | None, typer.Option(metavar="TOPIC=OTHER", help="BAG: another name of a topic.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="A new folder. [default: runs/identify/NUMBER]")] = None,
+    remap: Annotated[
+        list[str] | None, typer.Option(metavar="TOPIC=OTHER", help="BAG: another name of a topic.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="A new folder. [default: runs/identify/NUMBER]"),
+    ] = None,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
-    """Latencies, time constants, wheel radii and noise of a robot, from a record of its motion, as a preset for `robot.realism`."""
+    """Latencies, time constants, wheel radii and noise of a robot, from a record of its motion, as
+    a preset for `robot.realism`.
+    """
     from vstestbed.cli.progress import show_notes
     from vstestbed.cli.ros import remapped
     from vstestbed.cli.studies import command_line
@@ -158,7 +230,9 @@ def identify(
         table = record_of(record, given, remapped(remap))
     else:
         table = room.read_record(record)
-    say = (lambda words: None) if quiet else (lambda words: typer.echo(f"  tries {words}", err=True))
+    say = (
+        (lambda words: None) if quiet else (lambda words: typer.echo(f"  tries {words}", err=True))
+    )
     parameters = [room.Parameter.of(words) for words in fit or []]
     try:
         found = room.identify(table, given, parameters, say)
@@ -171,4 +245,11 @@ def identify(
     for line in room.lines_of(found):
         typer.echo(f"{line[0]:40s} {line[1]:>12s}   {line[2]}")
     if not quiet:
-        typer.echo(f"{room.tested(found)}\n{room.INTERVAL}\n  results   {folder} (robot.yaml, report.html)", err=True)
+        typer.echo(
+            (
+                f"{room.tested(found)}\n"
+                f"{room.INTERVAL}\n"
+                f"  results   {folder} (robot.yaml, report.html)"
+            ),
+            err=True,
+        )

@@ -1,4 +1,6 @@
-"""The commands `ros` and `replay`: nodes of ROS 2, and recorded bags. Heavy imports are inside the functions."""
+"""The commands `ros` and `replay`: nodes of ROS 2, and recorded bags. Heavy imports are inside the
+functions.
+"""
 
 from __future__ import annotations
 
@@ -24,34 +26,83 @@ if TYPE_CHECKING:
 Role = Literal["robot", "law", "excite", "start", "stop", "reset"]
 Remap = Annotated[
     list[str] | None,
-    typer.Option("--remap", "-r", metavar="NAME:=OTHER", help="Another name of a topic or service, such as image_raw:=/cam/image."),
+    typer.Option(
+        "--remap",
+        "-r",
+        metavar="NAME:=OTHER",
+        help="Another name of a topic or service, such as image_raw:=/cam/image.",
+    ),
 ]
-RosArgs = Annotated[bool, typer.Option("--ros-args", help="Begins arguments of ROS, of which -r and -p are known.")]
+RosArgs = Annotated[
+    bool, typer.Option("--ros-args", help="Begins arguments of ROS, of which -r and -p are known.")
+]
 Parameters = Annotated[
     list[str] | None,
-    typer.Option("--param", "-p", metavar="NAME:=VALUE", help="A parameter of ROS: use_sim_time alone, which changes nothing here."),
+    typer.Option(
+        "--param",
+        "-p",
+        metavar="NAME:=VALUE",
+        help="A parameter of ROS: use_sim_time alone, which changes nothing here.",
+    ),
 ]
 
 
 def ros(
     scenario: ScenarioName,
     role: Annotated[
-        Role, typer.Option(help="robot: simulate it. law: servo. excite: the motion of `excite`. start, stop, reset: tell nodes.")
+        Role,
+        typer.Option(
+            help=(
+                "robot: simulate it. law: servo. excite: the motion of `excite`."
+                " start, stop, reset: tell nodes."
+            )
+        ),
     ],
     set_: Settings = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
-    backend: Annotated[Literal["auto", "rclpy", "zenoh"], typer.Option(help="auto: rclpy where ROS 2 is, else zenoh.")] = "auto",
-    pace: Annotated[Literal["lockstep", "wall"], typer.Option(help="robot: time waits for commands, or goes with the clock.")] = "lockstep",
-    start: Annotated[bool, typer.Option("--start", help="law: servo at once, without waiting for ~/start.")] = False,
-    watchdog: Annotated[float | None, typer.Option(min=0.01, metavar="SECONDS", help="Rest after so long without the other side.")] = None,
-    bag: Annotated[Path | None, typer.Option(metavar="DIR", help="robot: record what is told and commanded as rosbag2.")] = None,
-    truth: Annotated[bool, typer.Option("--truth", help="robot: tell true poses under /truth.")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="robot: folder of the run. [default: runs/SCENARIO/NUMBER]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")
+    ] = None,
+    backend: Annotated[
+        Literal["auto", "rclpy", "zenoh"],
+        typer.Option(help="auto: rclpy where ROS 2 is, else zenoh."),
+    ] = "auto",
+    pace: Annotated[
+        Literal["lockstep", "wall"],
+        typer.Option(help="robot: time waits for commands, or goes with the clock."),
+    ] = "lockstep",
+    start: Annotated[
+        bool, typer.Option("--start", help="law: servo at once, without waiting for ~/start.")
+    ] = False,
+    watchdog: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01, metavar="SECONDS", help="Rest after so long without the other side."
+        ),
+    ] = None,
+    bag: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="robot: record what is told and commanded as rosbag2."),
+    ] = None,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="robot: tell true poses under /truth.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="robot: folder of the run. [default: runs/SCENARIO/NUMBER]"
+        ),
+    ] = None,
     remap: Remap = None,
     ros_args: RosArgs = False,
     param: Parameters = None,
-    connect: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the other side's address.")] = None,
-    listen: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the address to be found at.")] = None,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the other side's address."),
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the address to be found at."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
 ) -> None:
@@ -60,12 +111,17 @@ def ros(
     from vstestbed.ros.law import command_topic
     from vstestbed.ros.link import connected, rules_of
 
-    idle = ["stop.rest_after_s=null"] if role == "robot" else []  # who waits for commands has not ended
+    # who waits for commands has not ended
+    idle = ["stop.rest_after_s=null"] if role == "robot" else []
     given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
     show_notes(not quiet)
     _heed(param or [])
     # one that is ignored (`nohup`) stays so
-    before = {number: handler for number in STOPS if (handler := signal.getsignal(number)) != signal.SIG_IGN}
+    before = {
+        number: handler
+        for number in STOPS
+        if (handler := signal.getsignal(number)) != signal.SIG_IGN
+    }
     for number in before:
         signal.signal(number, lambda *_: ended.set())
     try:
@@ -78,7 +134,13 @@ def ros(
                 _waits(quiet, "waits for pictures")
                 servo.spin(ended)
                 if not quiet:
-                    typer.echo(f"{len(servo.took_s)} twists{_after(servo.took_s, 'after its picture each')}", err=True)
+                    typer.echo(
+                        (
+                            f"{len(servo.took_s)}"
+                            f" twists{_after(servo.took_s, 'after its picture each')}"
+                        ),
+                        err=True,
+                    )
                     for line in servo.servo.senses.passed.lines():
                         typer.echo(line, err=True)
             elif role == "excite":
@@ -88,7 +150,10 @@ def ros(
                 link.publishes(command_topic(given))
                 motion = motion_of(given).drop("t").to_numpy()
                 _waits(quiet, f"sends {len(motion)} commands, one a picture's period")
-                typer.echo(f"{excite(given, link, motion, ended)} of {len(motion)} commands were sent", err=True)
+                typer.echo(
+                    f"{excite(given, link, motion, ended)} of {len(motion)} commands were sent",
+                    err=True,
+                )
             elif role == "robot":
                 _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended)
             else:
@@ -105,12 +170,21 @@ def _waits(quiet: bool, words: str) -> None:
 
 
 def _heed(parameters: list[str]) -> None:
-    """Parameters of ROS: use_sim_time, which launch files give to every node, is passed over with a word; others are refused."""
+    """Parameters of ROS: use_sim_time, which launch files give to every node, is passed over with a
+    word; others are refused.
+    """
     for words in parameters:
         name, _, value = words.partition(":=")
         if name != "use_sim_time" or value.lower() not in ("true", "false"):
-            raise ParameterError("--param", "is known as use_sim_time:=true or false alone; --set gives fields of the scenario", words)
-        note = "%s changes nothing: nodes go by the stamps of the messages, and waits are counted by this computer's own clock"
+            raise ParameterError(
+                "--param",
+                "is known as use_sim_time:=true or false alone; --set gives fields of the scenario",
+                words,
+            )
+        note = (
+            "%s changes nothing: nodes go by the stamps of the messages,"
+            " and waits are counted by this computer's own clock"
+        )
         logging.getLogger("vstestbed").warning(note, words)
 
 
@@ -125,9 +199,14 @@ def _tell(link: Link, service: str) -> None:
     from vstestbed.ros.link import NODES
 
     link.publishes(*(f"/{name}/{service}" for name in NODES[:2]))
-    answers = [f"{name}: {answer[1]}" for name in NODES[:2] if (answer := link.call(f"/{name}/{service}"))]
+    answers = [
+        f"{name}: {answer[1]}" for name in NODES[:2] if (answer := link.call(f"/{name}/{service}"))
+    ]
     if not answers:
-        raise EnvironmentLackError("no node has answered", "start `vstestbed ros ... --role law`; is --connect its address?")
+        raise EnvironmentLackError(
+            "no node has answered",
+            "start `vstestbed ros ... --role law`; is --connect its address?",
+        )
     typer.echo("\n".join(answers))
 
 
@@ -152,22 +231,32 @@ def _fly(
 
     if bag is not None:
         must_be_new(bag, "give a new folder with --bag")
-    node = RobotNode(given, link, pace, truth, watchdog, ended)  # refuses before anything is written
+    # refuses before anything is written
+    node = RobotNode(given, link, pace, truth, watchdog, ended)
     _waits(quiet, f"simulates {given.name}")
     folder = new_folder(given, out)
-    given = given.but(description=f"{given.description} {BY_HAND} commanded from outside.".strip())  # before it flies: it is written first
-    with Progress(given, shown=not quiet) as progress, nullcontext() if bag is None else Bag(make_parents(bag)) as node.record:
+    # before it flies: it is written first
+    given = given.but(description=f"{given.description} {BY_HAND} commanded from outside.".strip())
+    with (
+        Progress(given, shown=not quiet) as progress,
+        nullcontext() if bag is None else Bag(make_parents(bag)) as node.record,
+    ):
         recording = run_into(folder, given, "none", [progress], progress.say, fly=node.fly)
     if not quiet:
         typer.echo(summary_text(recording, folder, filmed=False), err=True)
-        words = f"{len(node.answered_s)} pictures were answered{_after(node.answered_s, 'after they were sent')}"
+        words = (
+            f"{len(node.answered_s)} pictures were"
+            f" answered{_after(node.answered_s, 'after they were sent')}"
+        )
         dropped = f"; {node.dropped} commands were dropped: {node.refused}" if node.dropped else ""
         typer.echo(f"{words}; at most {node.behind_s:.3f} s behind the clock{dropped}", err=True)
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
 
 
 def remapped(words: list[str] | None) -> dict[str, str]:
-    """Topics of a bag by the names that they have here, the first one of each; errors: as of `rules_of`."""
+    """Topics of a bag by the names that they have here, the first one of each; errors: as of
+    `rules_of`.
+    """
     from vstestbed.ros.link import NODES, expanded, rules_of
 
     found: dict[str, str] = {}
@@ -178,15 +267,26 @@ def remapped(words: list[str] | None) -> dict[str, str]:
 
 
 def replay(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A folder of rosbag2, its MCAP or .db3 file, or one of `export --to mcap`.")],
+    bag: Annotated[
+        Path,
+        typer.Argument(
+            metavar="BAG",
+            help="A folder of rosbag2, its MCAP or .db3 file, or one of `export --to mcap`.",
+        ),
+    ],
     scenario: ScenarioName,
     set_: Settings = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="A new folder for page and table. [default: BAG_replay]")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="A new folder for page and table. [default: BAG_replay]"),
+    ] = None,
     remap: Remap = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """A recorded bag through a scenario's controller: where its twists differ from the recorded ones."""
+    """A recorded bag through a scenario's controller: where its twists differ from the recorded
+    ones.
+    """
     from vstestbed.cli.progress import show_notes
     from vstestbed.cli.studies import command_line
     from vstestbed.core.files import must_be_new, whole_folder
@@ -202,5 +302,9 @@ def replay(
         write_replay(folder, found, bag.name, command_line())
     if not quiet:
         differs = found.differs
-        words = f"; of {len(differs)} recorded twists the largest difference is {differs.max():.3g}" if len(differs) else ""
+        words = (
+            f"; of {len(differs)} recorded twists the largest difference is {differs.max():.3g}"
+            if len(differs)
+            else ""
+        )
         typer.echo(f"{len(found.table)} pictures{words}\n{path / 'report.html'}", err=True)

@@ -1,4 +1,5 @@
-"""The commands `list`, `schema`, `doctor`, `optical-flow`, `new` and `live`, and the options that several commands share.
+"""The commands `list`, `schema`, `doctor`, `optical-flow`, `new` and `live`, and the options that
+several commands share.
 
 Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 """
@@ -41,21 +42,43 @@ Listed = Literal[
     "perturbations",
     "comparisons",
 ]
-Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]
+Plugins = Annotated[
+    list[str] | None,
+    typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds."),
+]
 _SET = {"metavar": "a.b=value", "autocompletion": complete.paths}
-Settings = Annotated[list[str] | None, typer.Option("--set", help="Change a field before it is checked.", **_SET)]
-SettingsOfAll = Annotated[list[str] | None, typer.Option("--set", help="Change a field of all scenarios.", **_SET)]
-ScenarioName = Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios)]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", help="Change a field before it is checked.", **_SET)
+]
+SettingsOfAll = Annotated[
+    list[str] | None, typer.Option("--set", help="Change a field of all scenarios.", **_SET)
+]
+ScenarioName = Annotated[
+    str,
+    typer.Argument(
+        help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios
+    ),
+]
 Experiments = Annotated[
     list[str],
-    typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.", autocompletion=complete.experiments),
+    typer.Argument(
+        metavar="SCENARIO...",
+        help="Scenarios, or one comparison: names or files.",
+        autocompletion=complete.experiments,
+    ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")
+]
 
-Force = Annotated[bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")
+]
 
 
-def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
+def load_scenario(
+    name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None
+) -> Scenario:
     """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""
     from vstestbed.scenario.load import load
     from vstestbed.scenario.yaml_marks import from_option
@@ -79,9 +102,13 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
 
 
 def list_(
-    registry: Annotated[Listed | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None
+    registry: Annotated[
+        Listed | None, typer.Argument(help="What to list. [default: everything]")
+    ] = None,
+    plugin: Plugins = None,
 ) -> None:
     """What there is, one line each."""
+    from vstestbed.core.fields import class_text
     from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
     from vstestbed.scenario import plugins
     from vstestbed.scenario.yaml_marks import bundled_mapping
@@ -93,21 +120,33 @@ def list_(
         if name in ("scenarios", "comparisons"):
             files = bundled_scenarios() if name == "scenarios" else bundled_comparisons()
             # as they are written: an arm's file may be in a package that is not installed
-            entries = [(word, str(bundled_mapping(path)["description"])) for word, path in files.items()]
+            entries = [
+                (word, str(bundled_mapping(path)["description"])) for word, path in files.items()
+            ]
         else:
-            entries = [(word, (cls.__doc__ or "").strip().split("\n")[0]) for word, cls in plugins.registry(name).members.items()]
+            entries = [
+                (word, class_text(cls).summary)
+                for word, cls in plugins.registry(name).members.items()
+            ]
         width = max((len(entry) for entry, _ in entries), default=0)
         if not entries:
-            typer.echo(f"{'' if registry else '  '}none; those of the package are blocks of robots (vstestbed describe puma560)")
+            typer.echo(
+                f"{'' if registry else '  '}none;"
+                " those of the package are blocks of robots (vstestbed describe puma560)"
+            )
         for entry, text in entries:
             typer.echo(f"{'' if registry else '  '}{entry:{width}}  {text}")
 
 
 def schema(
-    comparison: Annotated[bool, typer.Option("--comparison", help="Of a comparison's file, in place of a scenario's.")] = False,
+    comparison: Annotated[
+        bool, typer.Option("--comparison", help="Of a comparison's file, in place of a scenario's.")
+    ] = False,
     plugin: Plugins = None,
 ) -> None:
-    """JSON Schema of a scenario's file for editors: every field with its unit, default and an example."""
+    """JSON Schema of a scenario's file for editors: every field with its unit, default and an
+    example.
+    """
     from vstestbed.scenario.catalogue import schema_of
     from vstestbed.scenario.plugins import load_plugins
 
@@ -124,13 +163,18 @@ def describe(
         str,
         typer.Argument(
             metavar="KIND",
-            help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws; log, log.cmd_vx, summary, table: the results.",
+            help=(
+                "Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws; log,"
+                " log.cmd_vx, summary, table: the results."
+            ),
             autocompletion=complete.kinds,
         ),
     ],
     plugin: Plugins = None,
 ) -> None:
-    """What a law, a robot, a camera or another block takes: its equation, source, fields and an example; or what a field is."""
+    """What a law, a robot, a camera or another block takes: its equation, source, fields and an
+    example; or what a field is.
+    """
     from rich.console import Console
 
     from vstestbed.cli.describe import describe_entry, describe_field, describe_record
@@ -144,7 +188,8 @@ def describe(
     try:
         found = None if of_results else looked_up(kind, entries)
     except ParameterError:
-        from vstestbed.studies.comparison.plan import Comparison  # here: most words are of a scenario, and it takes 0.3 s to import
+        # here: most words are of a scenario, and it takes 0.3 s to import
+        from vstestbed.studies.comparison.plan import Comparison
 
         entries = catalogue(scenario=Scenario, comparison=Comparison)
         found = looked_up(kind, entries)
@@ -156,13 +201,19 @@ def describe(
             describe_entry(found, entries, console)
         else:
             describe_field(found, entries, console)
-    typer.echo("\n".join(line.rstrip() for line in text.get().splitlines()), color=True)  # rich has left colours out where none are wanted
+    # rich has left colours out where none are wanted
+    typer.echo("\n".join(line.rstrip() for line in text.get().splitlines()), color=True)
 
 
 def doctor(
-    model: Annotated[str | None, typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used.")] = None,
+    model: Annotated[
+        str | None,
+        typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used."),
+    ] = None,
 ) -> None:
-    """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not; or what works of an arm's file."""
+    """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not;
+    or what works of an arm's file.
+    """
     from vstestbed.cli.doctor import Finding, examine, show
     from vstestbed.core.named_files import absolute_file
 
@@ -172,13 +223,28 @@ def doctor(
         from vstestbed.sim.scene.model_report import examine_model
 
         sound = show(Finding(*line) for line in examine_model(absolute_file(model, Path.cwd())))
-    raise typer.Exit(0 if sound else EnvironmentLackError.exit_code if model is None else ParameterError.exit_code)
+    raise typer.Exit(
+        0
+        if sound
+        else EnvironmentLackError.exit_code
+        if model is None
+        else ParameterError.exit_code
+    )
 
 
 def optical_flow(
-    feature: Annotated[str, typer.Option(metavar="NAME", help="point, polar or spherical.")] = "point",
-    depth: Annotated[float, typer.Option(metavar="METRES", help="Depth (spherical: distance) of every point.")] = 1.0,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="A .png, .svg or .pdf. [default: runs/optical_flow/NAME.png]")] = None,
+    feature: Annotated[
+        str, typer.Option(metavar="NAME", help="point, polar or spherical.")
+    ] = "point",
+    depth: Annotated[
+        float, typer.Option(metavar="METRES", help="Depth (spherical: distance) of every point.")
+    ] = 1.0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="A .png, .svg or .pdf. [default: runs/optical_flow/NAME.png]"
+        ),
+    ] = None,
 ) -> None:
     """Draw the optical flow of the six camera motions, in a feature's own coordinates."""
     from vstestbed.report.optical_flow import write_flow
@@ -188,33 +254,71 @@ def optical_flow(
 
 
 NewKind = Literal[
-    "law", "feature", "robot", "detector", "keypoints", "lens", "target", "motion", "metric", "noise", "effect", "monitor", "task"
+    "law",
+    "feature",
+    "robot",
+    "detector",
+    "keypoints",
+    "lens",
+    "target",
+    "motion",
+    "metric",
+    "noise",
+    "effect",
+    "monitor",
+    "task",
 ]
-REGISTRY_OF = {"keypoints": "keypoints", "lens": "cameras", "noise": "perturbations", "task": "goals"}
+REGISTRY_OF = {
+    "keypoints": "keypoints",
+    "lens": "cameras",
+    "noise": "perturbations",
+    "task": "goals",
+}
 """The registry (`scenario.plugins.HOMES`) of a kind, where it is not the plural of its word."""
 
 
 def new(
     kind: Annotated[NewKind, typer.Argument(help="What to write.")],
     name: Annotated[str, typer.Argument(help="Its word in a scenario, such as my_law.")],
-    out: Annotated[Path | None, typer.Option(metavar="FILE.py", help="The file. [default: NAME.py]")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.py", help="The file. [default: NAME.py]")
+    ] = None,
 ) -> None:
     """Write a commented file for a kind of one's own, with its test; it runs as it is."""
     path = out or Path(f"{name}.py")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
-        raise ParameterError.form("NAME", f"of a word in small letters, digits and _, such as my_{kind}", name)
-    from vstestbed.scenario.plugins import registry  # after the cheap check: it imports much of the package
+        raise ParameterError.form(
+            "NAME", f"of a word in small letters, digits and _, such as my_{kind}", name
+        )
+    # after the cheap check: it imports much of the package
+    from vstestbed.scenario.plugins import registry
 
     if name in registry(REGISTRY_OF.get(kind, f"{kind}s")).members:
-        raise ParameterError("NAME", f"is bundled already ({kind}); take another, such as my_{name}", name)
+        raise ParameterError(
+            "NAME", f"is bundled already ({kind}); take another, such as my_{name}", name
+        )
     if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
-        raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
+        raise ParameterError(
+            "--out",
+            (
+                "must be a Python file,"
+                f" such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py"
+            ),
+            str(path),
+        )
     if path.exists() or path.is_symlink():
-        raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
+        raise OutputError(
+            path, "is there already, and is not written over", "give another name, or --out FILE.py"
+        )
     if (taken := importlib.util.find_spec(path.stem)) is not None:
         other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
-        words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
-        raise ParameterError("NAME" if out is None else "--out", f"{words}; take another, such as {other}", path.stem)
+        words = (
+            f"is the name of a module that Python finds already ({taken.origin}),"
+            " and pytest would import that in its place"
+        )
+        raise ParameterError(
+            "NAME" if out is None else "--out", f"{words}; take another, such as {other}", path.stem
+        )
     text = text_of(kind, name, str(path))
     from vstestbed.core.files import make_parents, write_whole
 
@@ -227,9 +331,18 @@ def new(
 
 
 def text_of(kind: str, name: str, path: str) -> str:
-    """The file of a kind's template under another name: the word, the class, and the file in its commands."""
-    camel, quoted = "".join(part.capitalize() for part in name.split("_")), f'"{path}"' if " " in path else path
-    text = (Path(__file__).parent / "templates" / f"{kind}.py").read_text(encoding="utf-8").replace(f"my_{kind}.py", quoted)
+    """The file of a kind's template under another name: the word, the class, and the file in its
+    commands.
+    """
+    camel, quoted = (
+        "".join(part.capitalize() for part in name.split("_")),
+        f'"{path}"' if " " in path else path,
+    )
+    text = (
+        (Path(__file__).parent / "templates" / f"{kind}.py")
+        .read_text(encoding="utf-8")
+        .replace(f"my_{kind}.py", quoted)
+    )
     return text.replace(f"my_{kind}", name).replace(f"My{kind.capitalize()}", camel)
 
 
@@ -248,14 +361,22 @@ def live(
         ),
     ],
     set_: Settings = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
-    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port on 127.0.0.1. [default: a free one]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port on 127.0.0.1. [default: a free one]")
+    ] = None,
     no_open: Annotated[bool, typer.Option("--no-open", help="Do not open a browser.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """The run in a browser, with its gains under your fingers; a run's folder is played back. Ctrl-C ends it."""
+    """The run in a browser, with its gains under your fingers; a run's folder is played back.
+    Ctrl-C ends it.
+    """
     if importlib.util.find_spec("viser") is None:
-        raise EnvironmentLackError("the live view needs viser, which is not installed", "pip install 'vstestbed[live]'")
+        raise EnvironmentLackError(
+            "the live view needs viser, which is not installed", "pip install 'vstestbed[live]'"
+        )
     from vstestbed.cli.progress import show_notes
 
     show_notes(True)
@@ -263,7 +384,9 @@ def live(
     app: PlaybackApp | LiveApp
     if (folder / "scenario.yaml").is_file():
         if set_ or seed is not None:
-            raise ParameterError.only_for("--set" if set_ else "--seed", "a scenario; what a folder holds has run already")
+            raise ParameterError.only_for(
+                "--set" if set_ else "--seed", "a scenario; what a folder holds has run already"
+            )
         from vstestbed.live import playback
 
         app = playback.PlaybackApp(folder, port, plugin or [])

@@ -1,14 +1,14 @@
 """The exceptions that vstestbed raises for foreseen failures.
 
     VstestbedError
-    ├── ScenarioError          a scenario file that cannot be run: all mistakes at once      exit 2
-    │   └── PluginError        a plugin that is not there or cannot be imported              exit 2
-    ├── ParameterError         one parameter out of its range (also a ValueError)            exit 2
-    │   └── UnreachableError   a start at which the robot cannot stand                       exit 2
-    ├── OutputError            a result folder that cannot be written                        exit 2 or 4
-    ├── RunFolderError         a folder without a readable run                               exit 2
-    ├── SessionError           a session that cannot do what it is asked in its state        exit 2
-    └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space                exit 4
+    ├── ScenarioError          a scenario file that cannot be run: all mistakes at once  exit 2
+    │   └── PluginError        a plugin that is not there or cannot be imported          exit 2
+    ├── ParameterError         one parameter out of its range (also a ValueError)        exit 2
+    │   └── UnreachableError   a start at which the robot cannot stand                   exit 2
+    ├── OutputError            a result folder that cannot be written                    exit 2 or 4
+    ├── RunFolderError         a folder without a readable run                           exit 2
+    ├── SessionError           a session that cannot do what it is asked in its state    exit 2
+    └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space            exit 4
 
 Each class takes data and composes its own message, which includes a remedy.
 The end of a *run* (target lost, joint limit, ...) is no exception: see `core.outcome.Outcome`.
@@ -36,13 +36,16 @@ class VstestbedError(Exception):
     exit_code = 2
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickled as they are: the constructors take other arguments than the message, and errors come from worker processes."""
+        """Pickled as they are: the constructors take other arguments than the message, and errors
+        come from worker processes.
+        """
         return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class ParameterError(VstestbedError, ValueError):
-    """A parameter outside its domain: its name as the user writes it, the rest of the sentence, and the given value.
-    With one argument alone, an error or its message, it says the same: so Gymnasium's vector environments raise a worker's error again.
+    """A parameter outside its domain: its name as the user writes it, the rest of the sentence, and
+    the given value. With one argument alone, an error or its message, it says the same: so
+    Gymnasium's vector environments raise a worker's error again.
     """
 
     def __init__(self, field: object, problem: str = "", found: object = None):
@@ -50,7 +53,8 @@ class ParameterError(VstestbedError, ValueError):
         got = "" if found is None else f", got {found!r}"
         super().__init__(f"{field} {problem}{got}".rstrip())
 
-    # The sentences that many rooms need, each once. found: what was given. why: the reason. works: what would be accepted.
+    # The sentences that many rooms need, each once. found: what was given. why: the reason. works:
+    # what would be accepted.
 
     @classmethod
     def missing(cls, field: object, why: str, found: object = None) -> Self:
@@ -58,7 +62,9 @@ class ParameterError(VstestbedError, ValueError):
         return cls(field, f"is missing: {why}", found)
 
     @classmethod
-    def needs(cls, field: object, what: str, found: object = None, why: str = "", works: str = "") -> Self:
+    def needs(
+        cls, field: object, what: str, found: object = None, why: str = "", works: str = ""
+    ) -> Self:
         """A value works only together with something that is not there."""
         return cls(field, f"needs {what}{_why(why)}{_works(works)}", found)
 
@@ -68,32 +74,56 @@ class ParameterError(VstestbedError, ValueError):
         return cls(field, f"is for {what}", found)
 
     @classmethod
-    def excluded(cls, field: object, what: str, found: object = None, why: str = "", works: str = "") -> Self:
-        """A value that is valid elsewhere cannot work here. what: the value, and beside what it cannot be."""
+    def excluded(
+        cls, field: object, what: str, found: object = None, why: str = "", works: str = ""
+    ) -> Self:
+        """A value that is valid elsewhere cannot work here. what: the value, and beside what it
+        cannot be.
+        """
         return cls(field, f"may not be {what}{_why(why)}{_works(works)}", found)
 
     @classmethod
-    def fixed(cls, field: object, value: str, found: object = None, where: str = "", why: str = "", works: str = "") -> Self:
+    def fixed(
+        cls,
+        field: object,
+        value: str,
+        found: object = None,
+        where: str = "",
+        why: str = "",
+        works: str = "",
+    ) -> Self:
         """Only one value works here. where: the circumstance, such as "with lit: false"."""
-        return cls(field, f"must be {value}{where and ' ' + where}{_why(why)}{_works(works)}", found)
+        return cls(
+            field, f"must be {value}{where and ' ' + where}{_why(why)}{_works(works)}", found
+        )
 
     @classmethod
-    def choice(cls, field: object, valid: Iterable[object], found: object = None, why: str = "") -> Self:
+    def choice(
+        cls, field: object, valid: Iterable[object], found: object = None, why: str = ""
+    ) -> Self:
         """A value is none of those that are valid here."""
         return cls(field, f"must be one of {', '.join(map(str, valid))}{_why(why)}", found)
 
     @classmethod
     def unknown(cls, field: object, what: str, hint: str, found: object = None) -> Self:
-        """A word names nothing. what: the kind of thing it should name; hint: the nearest words, by `nearest`."""
+        """A word names nothing. what: the kind of thing it should name; hint: the nearest words, by
+        `nearest`.
+        """
         return cls(field, f"is no {what}; {hint}", found)
 
     @classmethod
-    def bound(cls, field: object, relation: str, limit: object, found: object = None, why: str = "") -> Self:
-        """A number is beyond a limit. relation: how the value must stand to it, such as "at most" or ">". limit: with its unit."""
+    def bound(
+        cls, field: object, relation: str, limit: object, found: object = None, why: str = ""
+    ) -> Self:
+        """A number is beyond a limit. relation: how the value must stand to it, such as "at most"
+        or ">". limit: with its unit.
+        """
         return cls(field, f"must be {relation} {limit}{_why(why)}", found)
 
     @classmethod
-    def count(cls, field: object, wanted: object, what: str, found: object = None, why: str = "") -> Self:
+    def count(
+        cls, field: object, wanted: object, what: str, found: object = None, why: str = ""
+    ) -> Self:
         """A list or an array has the wrong number of items."""
         return cls(field, f"must be {wanted} {what}{_why(why)}", found)
 
@@ -142,18 +172,26 @@ class UnreachableError(ParameterError):
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake in a scenario: its position (`FILE:LINE:COL`, or `--set`), the field, and a sentence."""
+    """One mistake in a scenario: its position (`FILE:LINE:COL`, or `--set`), the field, and a
+    sentence.
+    """
 
     where: str
     field: str
     sentence: str
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.field}: {self.sentence}" if self.field else f"{self.where}: {self.sentence}"
+        return (
+            f"{self.where}: {self.field}: {self.sentence}"
+            if self.field
+            else f"{self.where}: {self.sentence}"
+        )
 
 
 class ScenarioError(VstestbedError):
-    """A scenario that cannot be run; `mistakes` has all mistakes, and the message one line for each."""
+    """A scenario that cannot be run; `mistakes` has all mistakes, and the message one line for
+    each.
+    """
 
     def __init__(self, mistakes: Sequence[Mistake]):
         self.mistakes = tuple(mistakes)
@@ -161,9 +199,17 @@ class ScenarioError(VstestbedError):
 
 
 class PluginError(ScenarioError):
-    """A plugin that is not there or cannot be imported: its FILE:LINE, or the place and field that name it; what was found, a remedy."""
+    """A plugin that is not there or cannot be imported: its FILE:LINE, or the place and field that
+    name it; what was found, a remedy.
+    """
 
-    def __init__(self, where: str, found: str, remedy: str = "correct the plugin, or leave it out", field: str = ""):
+    def __init__(
+        self,
+        where: str,
+        found: str,
+        remedy: str = "correct the plugin, or leave it out",
+        field: str = "",
+    ):
         super().__init__([Mistake(where, field, f"{found}; {remedy}")])
 
 
@@ -176,9 +222,16 @@ class OutputError(VstestbedError):
 
 
 class RunFolderError(VstestbedError):
-    """A folder without a run, or a damaged file in one: its path, what was found, what would work."""
+    """A folder without a run, or a damaged file in one:
+    its path, what was found, what would work.
+    """
 
-    def __init__(self, path: object, reason: str, works: str = "a run's folder holds scenario.yaml and log.parquet (or log.part)"):
+    def __init__(
+        self,
+        path: object,
+        reason: str,
+        works: str = "a run's folder holds scenario.yaml and log.parquet (or log.part)",
+    ):
         super().__init__(f"{path}: {reason}; {works}")
 
 
@@ -186,7 +239,9 @@ NOTHING_RAN = "the run ended before its first picture: run the scenario again, i
 
 
 class SessionError(VstestbedError):
-    """A session that cannot do what it is asked in its present state: the state, a remedy; or an error alone, as ParameterError."""
+    """A session that cannot do what it is asked in its present state: the state, a remedy; or an
+    error alone, as ParameterError.
+    """
 
     def __init__(self, state: object, remedy: str = ""):
         super().__init__(f"{state}; {remedy}" if remedy else str(state))
@@ -216,16 +271,26 @@ def short(found: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-# Want of memory and of open files: told as a lack of this machine, whichever library met it and in whose words.
-MEMORY = re.compile(r"(?i)cannot allocate memory|could not allocate|insufficient memory|failed to map segment|bad_alloc|\bMemoryError\b")
-"""What libraries say for want of memory: the loader of shared libraries, MuJoCo, OpenCV, C++, ctypes."""
+# Want of memory and of open files: told as a lack of this machine, whichever library met it and in
+# whose words.
+MEMORY = re.compile(
+    r"(?i)cannot allocate memory|could not allocate|insufficient memory|failed to map"
+    r" segment|bad_alloc|\bMemoryError\b"
+)
+"""What libraries say for want of memory: the loader of shared libraries, MuJoCo, OpenCV, C++,
+ctypes.
+"""
 FILES = re.compile(r"(?i)too ?many ?open ?files")
-SPARE_BYTES, SPARE_FILES = 1 << 28, 8  # What a process that is not short can still have: the largest library takes less memory to load
+# What a process that is not short can still have: the largest library takes less memory to load
+SPARE_BYTES, SPARE_FILES = 1 << 28, 8
 
 
 def lack_of(error: BaseException) -> EnvironmentLackError | None:
-    """The error for want of memory or of open files that an error, or one behind it, comes from; None where it comes from neither."""
-    for one in reversed([*_chain(error)]):  # the first cause says what was wanted, without what later ones advise
+    """The error for want of memory or of open files that an error, or one behind it, comes from;
+    None where it comes from neither.
+    """
+    # the first cause says what was wanted, without what later ones advise
+    for one in reversed([*_chain(error)]):
         number = one.errno if isinstance(one, OSError) else None
         if isinstance(one, MemoryError) or number == errno.ENOMEM or MEMORY.search(str(one)):
             return _memory(one)
@@ -235,7 +300,9 @@ def lack_of(error: BaseException) -> EnvironmentLackError | None:
 
 
 def shortage() -> EnvironmentLackError | None:
-    """The error for what this process cannot have any more, for an error whose words do not tell; None where it is short of nothing."""
+    """The error for what this process cannot have any more, for an error whose words do not tell;
+    None where it is short of nothing.
+    """
     with contextlib.ExitStack() as spare:
         try:
             for _ in range(SPARE_FILES):
@@ -250,9 +317,10 @@ def shortage() -> EnvironmentLackError | None:
 
 
 def take_early() -> None:
-    """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take its memory, while there is some. What
-    OpenBLAS cannot have it asks for again without end, in C code that holds Python's lock: the process hangs, and serves no signal. One
-    thread each: every further one would take 32 MiB.
+    """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take
+    its memory, while there is some. What OpenBLAS cannot have it asks for again without end, in C
+    code that holds Python's lock: the process hangs, and serves no signal. One thread each: every
+    further one would take 32 MiB.
     Raises OSError: there is too little; `lack_of` tells it.
     """
     if sys.platform == "win32":
@@ -279,12 +347,18 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
 
 
 def _memory(error: BaseException) -> EnvironmentLackError:
-    words = "close other programs, raise the limit (ulimit -v), or make what is asked for smaller: fewer --jobs, starts or pixels"
+    words = (
+        "close other programs, raise the limit (ulimit -v), or make what is asked for smaller:"
+        " fewer --jobs, starts or pixels"
+    )
     return EnvironmentLackError(f"not enough memory{_said(error)}", words)
 
 
 def _files(error: BaseException) -> EnvironmentLackError:
-    return EnvironmentLackError(f"too many open files{_said(error)}", "raise the limit (ulimit -n 1024), or use fewer --jobs")
+    return EnvironmentLackError(
+        f"too many open files{_said(error)}",
+        "raise the limit (ulimit -n 1024), or use fewer --jobs",
+    )
 
 
 def _said(error: BaseException) -> str:

@@ -1,5 +1,5 @@
-"""The one way in which files are written: whole, under a temporary name, then renamed; and the errors of files that cannot be written or
-read.
+"""The one way in which files are written: whole, under a temporary name, then renamed; and the
+errors of files that cannot be written or read.
 """
 
 from __future__ import annotations
@@ -34,13 +34,19 @@ NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # disk full, quota exceede
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an OSError while something is written under `path` into EnvironmentLackError (no space left) or OutputError, with a remedy."""
+    """Turn an OSError while something is written under `path` into EnvironmentLackError (no space
+    left) or OutputError, with a remedy.
+    """
     try:
         yield
     except OSError as error:
         if error.errno in NO_SPACE:
-            raise EnvironmentLackError(f"{path}: no space left on the disk", "free some, or choose another place") from error
-        raise OutputError(path, f"cannot be written ({error.strerror or error})", "choose another place") from error
+            raise EnvironmentLackError(
+                f"{path}: no space left on the disk", "free some, or choose another place"
+            ) from error
+        raise OutputError(
+            path, f"cannot be written ({error.strerror or error})", "choose another place"
+        ) from error
 
 
 _flushed: ContextVar[bool] = ContextVar("_flushed", default=True)
@@ -48,7 +54,9 @@ _flushed: ContextVar[bool] = ContextVar("_flushed", default=True)
 
 @contextmanager
 def unflushed() -> Iterator[None]:
-    """Files that are written meanwhile are not flushed to the disk: those of a temporary folder need not outlive a power failure."""
+    """Files that are written meanwhile are not flushed to the disk: those of a temporary folder
+    need not outlive a power failure.
+    """
     before = _flushed.set(False)
     try:
         yield
@@ -57,14 +65,18 @@ def unflushed() -> Iterator[None]:
 
 
 class PartFile:
-    """A file that grows under a temporary name until `keep` gives it its own; a context manager, which keeps or, on an error, discards."""
+    """A file that grows under a temporary name until `keep` gives it its own; a context manager,
+    which keeps or, on an error, discards.
+    """
 
     def __init__(self, path: Path, buffering: int = -1):
         self.path, self.part = path, temporary(path)
         self.file: IO[bytes] = self.part.open("x+b", buffering)
 
     def keep(self) -> None:
-        """Flush the file to the disk, and rename it: it appears whole or not at all, also if the machine loses power."""
+        """Flush the file to the disk, and rename it: it appears whole or not at all, also if the
+        machine loses power.
+        """
         self.file.flush()
         if _flushed.get():
             os.fsync(self.file.fileno())  # else the rename could reach the disk before the content
@@ -80,7 +92,12 @@ class PartFile:
     def __enter__(self) -> PartFile:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Keep, or discard when an exception is on its way: also Ctrl-C leaves no partial file."""
         try:
             if kind is None:
@@ -90,13 +107,17 @@ class PartFile:
 
 
 def temporary(path: Path) -> Path:
-    """A name beside `path` that no other process uses, for what is renamed to `path` when it is complete."""
+    """A name beside `path` that no other process uses, for what is renamed to `path` when it is
+    complete.
+    """
     # Cut, since file systems take names of up to 255 bytes.
     return path.with_name(f"{path.name[:50]}.{secrets.token_hex(8)}.part")
 
 
 def write_whole(path: Path, content: str | bytes) -> Path:
-    """Write a file atomically: it appears whole or not at all. Raises EnvironmentLackError, OutputError: see `writing`."""
+    """Write a file atomically: it appears whole or not at all. Raises EnvironmentLackError,
+    OutputError: see `writing`.
+    """
     with writing(path), PartFile(path) as part:
         part.file.write(content.encode() if isinstance(content, str) else content)
     return path
@@ -109,7 +130,10 @@ def write_json(path: Path, plain: object) -> Path:
 
 def write_table(path: Path, table: polars.DataFrame, row_group_size: int | None = None) -> None:
     """Write a table as PATH.parquet and PATH.csv; errors as of `write_whole`."""
-    for ending, write in (("parquet", partial(table.write_parquet, row_group_size=row_group_size)), ("csv", table.write_csv)):
+    for ending, write in (
+        ("parquet", partial(table.write_parquet, row_group_size=row_group_size)),
+        ("csv", table.write_csv),
+    ):
         file = path.with_name(f"{path.name}.{ending}")
         with writing(file), PartFile(file) as part:
             write(part.file)
@@ -133,7 +157,9 @@ def make_folder(folder: Path) -> Path:
 
 
 def make_parents(path: Path) -> Path:
-    """Make the folders above a new file or folder that a person names, where they are not there; returns the path."""
+    """Make the folders above a new file or folder that a person names, where they are not there;
+    returns the path.
+    """
     # where a file stands in the place of a folder, what writes there says so
     with writing(path), contextlib.suppress(FileExistsError, NotADirectoryError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -141,7 +167,9 @@ def make_parents(path: Path) -> Path:
 
 
 def read_file(path: Path, works: str) -> bytes:
-    """The content of a file of a results folder; RunFolderError with `works`, what would work, where it cannot be read."""
+    """The content of a file of a results folder; RunFolderError with `works`, what would work,
+    where it cannot be read.
+    """
     try:
         if path.is_file():
             return path.read_bytes()
@@ -164,14 +192,23 @@ try:
 except ImportError:  # Windows has no flock
     fcntl = None
 
-DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³")}
-_held: dict[tuple[int, int], int] = {}  # how many nested holds this process has on each folder, by its device and inode
+DEVICES = {
+    "con",
+    "prn",
+    "aux",
+    "nul",
+    *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³"),
+}
+# how many nested holds this process has on each folder, by its device and inode
+_held: dict[tuple[int, int], int] = {}
 
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Hold an existing folder as the only process that writes into it, by flock(2) where there is one; holds of one process may be nested.
-    Raises OutputError: another process holds the folder, which the message names; or there is no such folder.
+    """Hold an existing folder as the only process that writes into it, by flock(2) where there is
+    one; holds of one process may be nested.
+    Raises OutputError: another process holds the folder, which the message names; or there is no
+    such folder.
     """
     with writing(folder):
         found = folder.stat()
@@ -192,13 +229,16 @@ def _lock(folder: Path) -> int | None:
     if fcntl is None:
         return None
     with writing(folder):
-        handle = os.open(folder, os.O_RDONLY)  # not inherited by worker processes, which would keep the lock
+        # not inherited by worker processes, which would keep the lock
+        handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         holder = _holder(os.fstat(handle).st_ino)
         os.close(handle)
-        raise OutputError(folder, f"is in use by {holder}", "wait until it ends, or choose another folder") from None
+        raise OutputError(
+            folder, f"is in use by {holder}", "wait until it ends, or choose another folder"
+        ) from None
     except OSError:  # NFS locks only files that are open for writing
         os.close(handle)
         return None
@@ -206,18 +246,26 @@ def _lock(folder: Path) -> int | None:
 
 
 def _holder(inode: int) -> str:
-    """The process that holds the lock on a file, as far as the kernel tells: its number and its command line."""
+    """The process that holds the lock on a file, as far as the kernel tells: its number and its
+    command line.
+    """
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
             _, kind, _, _, pid, place, *_ = line.split()
             if kind == "FLOCK" and place.endswith(f":{inode}") and int(pid) > 0:
-                words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
-                return f"process {pid} ({' '.join(shlex.join(words[:-1]).split())[:120]})"  # one line
+                words = (
+                    Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+                )
+                return (
+                    f"process {pid} ({' '.join(shlex.join(words[:-1]).split())[:120]})"  # one line
+                )
     return "another process"
 
 
 def must_be_new(out: Path, remedy: str) -> None:
-    """OutputError for a file, or a folder that holds something; where another process is at work there, the message names it."""
+    """OutputError for a file, or a folder that holds something; where another process is at work
+    there, the message names it.
+    """
     with writing(out):
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             if out.is_dir():
@@ -227,18 +275,28 @@ def must_be_new(out: Path, remedy: str) -> None:
 
 
 def file_word(text: str, most: int = 60) -> str:
-    """Any text, such as a scenario's name, as the name of a folder or a part of one: without separators, never `..`, not over `most` bytes;
-    a checksum keeps different long texts distinct.
+    """Any text, such as a scenario's name, as the name of a folder or a part of one: without
+    separators, never `..`, not over `most` bytes; a checksum keeps different long texts distinct.
     """
     word = re.sub(r"[^\w.+-]+", "_", unicodedata.normalize("NFC", text)).strip("._") or "value"
-    return allowed(word if len(word.encode()) <= most else f"{_cut(word, most - 12)}_{zlib.crc32(text.encode(errors='replace')):08x}")
+    return allowed(
+        word
+        if len(word.encode()) <= most
+        else f"{_cut(word, most - 12)}_{zlib.crc32(text.encode(errors='replace')):08x}"
+    )
 
 
 def allowed(name: str, most: int = 150) -> str:
-    """The name of a folder as every system allows it: file systems take 255 bytes, and Windows keeps some words for devices (`con.x`)."""
+    """The name of a folder as every system allows it: file systems take 255 bytes, and Windows
+    keeps some words for devices (`con.x`).
+    """
     if name.partition(".")[0].casefold() in DEVICES:
         name = f"_{name}"
-    return name if len(name.encode()) <= most else f"{_cut(name, most - 17)}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+    return (
+        name
+        if len(name.encode()) <= most
+        else f"{_cut(name, most - 17)}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+    )
 
 
 def _cut(name: str, most: int) -> str:
@@ -246,7 +304,9 @@ def _cut(name: str, most: int) -> str:
 
 
 def distinct(words: Sequence[str]) -> list[str]:
-    """The words, with `_` at the end of those that stand there before; small and large letters count as equal, as on Windows and macOS."""
+    """The words, with `_` at the end of those that stand there before; small and large letters
+    count as equal, as on Windows and macOS.
+    """
     seen: dict[str, str] = {}
     for word in words:
         while (known := unicodedata.normalize("NFKC", word).casefold()) in seen:
@@ -271,7 +331,9 @@ def numbered(parent: Path) -> Path:
 
 
 def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -> Path:
-    """Make a folder for results: `out`, or the next free number in `parent`. Raises OutputError: see `must_be_new` and `writing`."""
+    """Make a folder for results: `out`, or the next free number in `parent`. Raises OutputError:
+    see `must_be_new` and `writing`.
+    """
     if out is None:
         return numbered(parent)
     must_be_new(out, remedy)
@@ -280,7 +342,8 @@ def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -
 
 @contextmanager
 def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
-    """Make a folder that appears under its name when it is complete, or not at all; what it is given to be filled has a temporary name.
+    """Make a folder that appears under its name when it is complete, or not at all; what it is
+    given to be filled has a temporary name.
     Raises OutputError, EnvironmentLackError: see `must_be_new` and `writing`.
     """
     must_be_new(out, remedy)
@@ -291,7 +354,8 @@ def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
         yield part
         with writing(out):
             if out.is_dir():
-                out.rmdir()  # empty, as `must_be_new` has found; where it is not any more, this refuses
+                # empty, as `must_be_new` has found; where it is not any more, this refuses
+                out.rmdir()
             part.rename(out)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
@@ -299,8 +363,9 @@ def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
 
 
 def linked(sources: Iterable[Path], target: Path) -> None:
-    """Make a folder of what several others hold, whole or not at all: links to their files where the file system has them, else copies.
-    Of files of one name in several it has the first. Raises EnvironmentLackError, OutputError: see `writing`.
+    """Make a folder of what several others hold, whole or not at all: links to their files where
+    the file system has them, else copies. Of files of one name in several it has the first. Raises
+    EnvironmentLackError, OutputError: see `writing`.
     """
     part = temporary(target)
     with writing(target):

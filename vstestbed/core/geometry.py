@@ -1,8 +1,10 @@
 """Frames, twists and adjoints.
 
-Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names cancel: `T_world_camera @ T_camera_target`).
-Spatialmath's SE3 is what scripts give and get (`core.spatial`); it takes .8 s to import, so the loop goes without.
-A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says otherwise.
+Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names cancel:
+`T_world_camera @ T_camera_target`). Spatialmath's SE3 is what scripts give and get
+(`core.spatial`); it takes .8 s to import, so the loop goes without.
+A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says
+otherwise.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ if TYPE_CHECKING:
 
 
 def rotation_from_rpy(rpy: Array) -> Array:
-    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the convention of `Pose`."""
+    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the
+    convention of `Pose`.
+    """
     (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
     rows = [
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
@@ -36,9 +40,12 @@ def rotation_from_rpy(rpy: Array) -> Array:
 
 
 def rpy_of(R: list[list[float]]) -> Angles:
-    """Roll, pitch, yaw [deg] of a rotation matrix R = Rz(yaw) Ry(pitch) Rx(roll) of rows; roll is 0 at a pitch of 90 degrees."""
+    """Roll, pitch, yaw [deg] of a rotation matrix R = Rz(yaw) Ry(pitch) Rx(roll) of rows; roll is 0
+    at a pitch of 90 degrees.
+    """
     angles = _rpy_from_largest(R)
-    # near a pitch of 90 degrees roll and yaw, each taken alone, are uncertain, and the two errors must cancel
+    # near a pitch of 90 degrees roll and yaw, each taken alone, are uncertain, and the two errors
+    # must cancel
     if abs(R[2][0]) > 1 - 1e-4 and np.abs(rotation_from_rpy(np.radians(angles)) - R).max() > 1e-14:
         # each angle from what the ones before leave: R is met at every pitch, to rounding
         (xx, xy, xz), (yx, yy, yz), (zx, _, _) = R
@@ -57,7 +64,10 @@ def _rpy_from_largest(R: list[list[float]]) -> Angles:
         return 0.0, -math.asin(min(max(zx, -1.0), 1.0)) * (180 / math.pi), yaw * (180 / math.pi)
     roll, yaw = math.atan2(zy, zz), math.atan2(yx, xx)
     # the largest of the four that are the pitch's cosine times a sine or cosine of another angle
-    largest, of_angle = max(((xx, math.cos(yaw)), (yx, math.sin(yaw)), (zy, math.sin(roll)), (zz, math.cos(roll))), key=lambda p: abs(p[0]))
+    largest, of_angle = max(
+        ((xx, math.cos(yaw)), (yx, math.sin(yaw)), (zy, math.sin(roll)), (zz, math.cos(roll))),
+        key=lambda p: abs(p[0]),
+    )
     rad = roll, -math.atan(zx * of_angle / largest), yaw
     return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType] - three, as `rad` has
 
@@ -66,14 +76,17 @@ Image = NDArray[np.uint8]  # a picture (H, W, 3), RGB
 DepthImage = NDArray[np.float32]  # depths (H, W) [m] along the axis
 Images = tuple[Image | None, ...]
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and back: its own inverse."""
+"""From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and
+back: its own inverse.
+"""
 
 
 @spec
 class Pose:
     """A pose in YAML, a translation and a rotation R = Rz(yaw) Ry(pitch) Rx(roll).
 
-    In Python every field of this class also takes spatialmath's SE3 or a matrix (4, 4), whose rotation the angles have to 1e-14.
+    In Python every field of this class also takes spatialmath's SE3 or a matrix (4, 4), whose
+    rotation the angles have to 1e-14.
 
     Args:
         xyz: translation (x, y, z) [m].
@@ -96,7 +109,8 @@ class Pose:
             turn, c, s = np.eye(3), math.cos(math.radians(angle)), math.sin(math.radians(angle))
             i, j = (axis + 1) % 3, (axis + 2) % 3
             turn[i, i], turn[j, j], turn[i, j], turn[j, i] = c, c, -s, s
-            T[:3, :3] = T[:3, :3] @ turn  # not `rotation_from_rpy`, whose last bits are others: a log is made again byte for byte
+            # not `rotation_from_rpy`, whose last bits are others: a log is made again byte for byte
+            T[:3, :3] = T[:3, :3] @ turn
         T[:3, 3] = self.xyz
         T.setflags(write=False)  # kept: who writes to it would move the pose for good
         return T
@@ -107,27 +121,40 @@ class Pose:
 
     @classmethod
     def of(cls, T: Array | SE3) -> Pose:
-        """The pose with a homogeneous matrix (4, 4), or of a spatialmath object (`pose_matrix`); at a pitch of 90 degrees roll is 0."""
+        """The pose with a homogeneous matrix (4, 4), or of a spatialmath object (`pose_matrix`); at
+        a pitch of 90 degrees roll is 0.
+        """
         matrix = pose_matrix(T, "T")
         return cls(xyz=tuple(matrix[:3, 3].tolist()), rpy_deg=rpy_of(matrix[:3, :3].tolist()))
 
 
 def pose_block(value: Any) -> dict[str, Any]:
-    """The fields of the Pose of an SE3 or a matrix (4, 4), without the last digits of rounding (`pose_matrix`)."""
+    """The fields of the Pose of an SE3 or a matrix (4, 4), without the last digits of rounding
+    (`pose_matrix`).
+    """
     T = pose_matrix(value)
-    return {"xyz": tidy_position(T), "rpy_deg": [tidy(angle, 12) for angle in rpy_of(T[:3, :3].tolist())]}
+    return {
+        "xyz": tidy_position(T),
+        "rpy_deg": [tidy(angle, 12) for angle in rpy_of(T[:3, :3].tolist())],
+    }
 
 
-FEW = 32  # numbers up to which a sum in Python takes less time than the call of numpy's: 0.5 us in place of 1.3 for eight
+# numbers up to which a sum in Python takes less time than the call of numpy's: 0.5 us in place of
+# 1.3 for eight
+FEW = 32
 
 
 def all_finite(a: Array) -> bool:
-    """Whether all numbers are finite, by their sum, which must not overflow: the usual test takes more time in a frame."""
+    """Whether all numbers are finite, by their sum, which must not overflow: the usual test takes
+    more time in a frame.
+    """
     return math.isfinite(sum(a.ravel().tolist()) if a.size <= FEW else np.add.reduce(a, axis=None))
 
 
 def joined(*parts: Any) -> Array:
-    """Numbers, or arrays (...), side by side (..., n): as `np.stack(parts, axis=-1)`, in a third of the time for a few numbers."""
+    """Numbers, or arrays (...), side by side (..., n): as `np.stack(parts, axis=-1)`, in a third of
+    the time for a few numbers.
+    """
     out = np.empty((*np.shape(parts[0]), len(parts)))
     for i, part in enumerate(parts):
         out[..., i] = part
@@ -135,7 +162,9 @@ def joined(*parts: Any) -> Array:
 
 
 def lengths(p: Array) -> Array:
-    """Lengths (..., 1) of vectors p (..., n): as `np.linalg.norm`, whose checks take twice as long as the rest for a few vectors."""
+    """Lengths (..., 1) of vectors p (..., n): as `np.linalg.norm`, whose checks take twice as long
+    as the rest for a few vectors.
+    """
     return np.sqrt(np.add.reduce(p * p, axis=-1, keepdims=True))
 
 
@@ -143,15 +172,23 @@ ORDINARY_M = 1 / 32, 32.0  # lengths that are computed with in metres [m]
 
 
 def unit_of(length: float) -> float:
-    """The unit [m] in which something of a length [m] is computed, so that no tolerance and no rank depends on its scale.
+    """The unit [m] in which something of a length [m] is computed, so that no tolerance and no rank
+    depends on its scale.
 
-    The metre for what is of the size of a hand or a room, else a power of two, which costs no digit.
+    The metre for what is of the size of a hand or a room, else a power of two, which costs no
+    digit.
     """
-    return 1.0 if not length or ORDINARY_M[0] <= length <= ORDINARY_M[1] else math.ldexp(1.0, math.frexp(length)[1] - 1)
+    return (
+        1.0
+        if not length or ORDINARY_M[0] <= length <= ORDINARY_M[1]
+        else math.ldexp(1.0, math.frexp(length)[1] - 1)
+    )
 
 
 def clip(x: float, lowest: float, highest: float) -> float:
-    """A number within its bounds; NaN becomes the highest. A third of the time of `max(lowest, min(highest, x))`."""
+    """A number within its bounds; NaN becomes the highest. A third of the time of
+    `max(lowest, min(highest, x))`.
+    """
     return x if lowest <= x <= highest else lowest if x < lowest else highest
 
 
@@ -171,7 +208,8 @@ def inverse(T: Array) -> Array:
         second = (xy, yy, zy, -(xy * x + yy * y + zy * z))
         third = (xz, yz, zz, -(xz * x + yz * y + zz * z))
         return np.array([first, second, third, (0.0, 0.0, 0.0, 1.0)])
-    R_t = np.swapaxes(T[..., :3, :3], -1, -2)  # of a rigid transform: cheaper and more exact than a matrix inverse
+    # of a rigid transform: cheaper and more exact than a matrix inverse
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
     out = np.zeros_like(T)
     out[..., :3, :3] = R_t
     out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
@@ -199,12 +237,17 @@ def exp(xi: Array) -> Array:
         if theta < 1e-4:
             a, b, c = 1 - theta2 / 6, 0.5 - theta2 / 24, 1 / 6 - theta2 / 120
         else:
-            a, b, c = math.sin(theta) / theta, 2 * math.sin(theta / 2) ** 2 / theta2, (theta - math.sin(theta)) / (theta2 * theta)
+            a, b, c = (
+                math.sin(theta) / theta,
+                2 * math.sin(theta / 2) ** 2 / theta2,
+                (theta - math.sin(theta)) / (theta2 * theta),
+            )
         return np.array([*_exp_entries(vx, vy, vz, x, y, z, a, b, c), (0.0, 0.0, 0.0, 1.0)])
     vx, vy, vz, x, y, z = np.moveaxis(xi, -1, 0)
     theta2 = x * x + y * y + z * z
     theta = np.sqrt(theta2)
-    small = theta < 1e-4  # there the series are exact to rounding, and 1 - cos would lose all its digits
+    # there the series are exact to rounding, and 1 - cos would lose all its digits
+    small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
     sine = np.sin(safe)
     a = np.where(small, 1 - theta2 / 6, sine / safe)
@@ -218,8 +261,12 @@ def exp(xi: Array) -> Array:
     return out
 
 
-def _exp_entries(vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: Any, c: Any) -> tuple[tuple[Any, ...], ...]:
-    """The first three rows of `exp`, from numbers or from arrays; S^2 v = w (w.v) - theta^2 v, S v = w x v."""
+def _exp_entries(
+    vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: Any, c: Any
+) -> tuple[tuple[Any, ...], ...]:
+    """The first three rows of `exp`, from numbers or from arrays; S^2 v = w (w.v) - theta^2 v, S
+    v = w x v.
+    """
     bx, by, bz = b * x, b * y, b * z
     xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
     ax, ay, az = a * x, a * y, a * z
@@ -239,7 +286,8 @@ def log(T: Array) -> Array:
     """
     q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
     sine = float(np.linalg.norm(q[1:]))
-    half = math.atan2(sine, float(q[0]))  # theta/2, exact near 0 and near pi, where an arc cosine loses half of the digits
+    # theta/2, exact near 0 and near pi, where an arc cosine loses half of the digits
+    half = math.atan2(sine, float(q[0]))
     small = half < 1e-4
     S = skew(w := q[1:] * (2.0 if small else 2 * half / sine))
     share = 1 / 12 if small else (1 - half / math.tan(half)) / (4 * half * half)
@@ -258,9 +306,11 @@ def adjoint(T_a_b: Array) -> Array:
 
 
 def angles(p: Array) -> Array:
-    """Directions p (..., 3), of any length, as colatitude and longitude (theta, phi) (..., 2) [rad].
+    """Directions p (..., 3), of any length, as colatitude and longitude (theta, phi) (..., 2)
+    [rad].
 
-    theta = atan2(hypot(X, Y), Z) in [0, pi], phi = atan2(Y, X): exact also near the axis; on it phi = 0. NaN for p = 0.
+    theta = atan2(hypot(X, Y), Z) in [0, pi], phi = atan2(Y, X): exact also near the axis; on it
+    phi = 0. NaN for p = 0.
     """
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
     across = np.hypot(x, y)
@@ -276,20 +326,28 @@ def direction(theta_phi: Array) -> Array:
 
 
 def rotation_angle(R: Array) -> Array:
-    """Angle of a rotation (..., 3, 3) in [0, pi] rad; exact near 0 and near pi (half-angle arc tangent)."""
-    sine = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    """Angle of a rotation (..., 3, 3) in [0, pi] rad; exact near 0 and near pi (half-angle arc
+    tangent).
+    """
+    sine = np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
+        axis=-1,
+    )
     return np.arctan2(np.linalg.norm(sine, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1)
 
 
 def quaternion_wxyz(R: Array) -> Array:
-    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3). The column of 4 q q^T with the largest diagonal
-    element, normalised, which never divides by a small number. Reference: Shepperd 1978, doi:10.2514/3.55767b.
+    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3). The column
+    of 4 q q^T with the largest diagonal element, normalised, which never divides by a small number.
+    Reference: Shepperd 1978, doi:10.2514/3.55767b.
     """
     if R.ndim == 2:  # one, for the time loop, as in `exp`
         columns = _quaternion_columns(*R.tolist())
         largest = max(range(4), key=lambda i: columns[i][i])
         q = columns[largest]
-        size = math.copysign(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), q[0] if q[0] else 1.0)
+        size = math.copysign(
+            math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), q[0] if q[0] else 1.0
+        )
         return np.array([q[0] / size, q[1] / size, q[2] / size, q[3] / size])
     columns = _quaternion_columns(*(np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0)))
     four = np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)  # 4 q q^T

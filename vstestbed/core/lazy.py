@@ -1,7 +1,8 @@
 """OpenCV, imported when one of its functions is first used.
 
-A run of an ideal camera with exact pixels works without OpenCV, MuJoCo and OpenGL, for example in a browser. OpenCV keeps to one thread: a
-run's numbers do not depend on the machine's cores, and parallel runs do not fight for them.
+A run of an ideal camera with exact pixels works without OpenCV, MuJoCo and OpenGL, for example in a
+browser. OpenCV keeps to one thread: a run's numbers do not depend on the machine's cores, and
+parallel runs do not fight for them.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ import os
 from typing import TYPE_CHECKING, Any
 
 MOST_PIXELS = 1 << 26
-"""Of a picture that is read: a file of some kilobytes may claim a thousand million, and OpenCV's own bound is as high."""
+"""Of a picture that is read: a file of some kilobytes may claim a thousand million, and OpenCV's
+own bound is as high.
+"""
 
 if TYPE_CHECKING:
     import cv2
@@ -18,7 +21,8 @@ else:
 
     class _OpenCV:
         def __getattr__(self, name: str) -> Any:
-            os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))  # read when it is imported
+            # read when it is imported
+            os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
             import cv2
 
             cv2.setNumThreads(1)

@@ -15,17 +15,25 @@ from types import ModuleType
 from vstestbed.core.errors import OutputError, ParameterError
 from vstestbed.core.foreign import MOST_BYTES, foreign, of_field, plain_file
 
-ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json|ya?ml)$|\.py:\w+$", re.IGNORECASE)
-"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a calibration, a function in a Python file."""
+ENDINGS = re.compile(
+    r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json|ya?ml)$|\.py:\w+$", re.IGNORECASE
+)
+"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a
+calibration, a function in a Python file.
+"""
 CALIBRATED = "intrinsics", "mount", "calibration", "realism"
-"""Fields that the name of a file may stand for, which is read with the scenario: of a calibration, of a robot's imperfections."""
+"""Fields that the name of a file may stand for, which is read with the scenario: of a calibration,
+of a robot's imperfections.
+"""
 FILE_FIELDS = "file", "scenery", "picture", "texture", *CALIBRATED
 """Fields that name a file; the blocks `scenery` and `picture` may be their file's name alone."""
 PACKAGE = "package:"
 
 
 def absolute_file(file: str, folder: Path) -> str:
-    """A file's name without reference to the folder; one inside a package (`package:NAME/path`) as it is."""
+    """A file's name without reference to the folder; one inside a package (`package:NAME/path`) as
+    it is.
+    """
     if file.startswith(PACKAGE):
         return file
     try:
@@ -36,7 +44,9 @@ def absolute_file(file: str, folder: Path) -> str:
 
 
 def is_there(path: Path) -> bool:
-    """Whether a path is a file; no for one that cannot be the name of any, such as one that is too long."""
+    """Whether a path is a file; no for one that cannot be the name of any, such as one that is too
+    long.
+    """
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -52,12 +62,18 @@ def _is_special(path: Path) -> bool:
 
 
 def place_of_file(file: str) -> Path:
-    """The path of a file named absolutely or inside a package, which is not imported; ParameterError where it is not there."""
+    """The path of a file named absolutely or inside a package, which is not imported;
+    ParameterError where it is not there.
+    """
     path = Path(file)
     if file.startswith(PACKAGE):
         name, _, inside = file.removeprefix(PACKAGE).partition("/")
         if not (name and inside):
-            raise ParameterError.form("file", "package:NAME/path, the name by which Python imports the package and a file in it", file)
+            raise ParameterError.form(
+                "file",
+                "package:NAME/path, the name by which Python imports the package and a file in it",
+                file,
+            )
         try:
             found = importlib.util.find_spec(name)
         except (ImportError, ValueError):  # its parent is not there, or it is no name of a package
@@ -67,15 +83,18 @@ def place_of_file(file: str) -> Path:
         path = Path(found.submodule_search_locations[0]) / inside
     if not (is_there(path) or _is_special(path)):
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
-        words = "give its path: absolute, or relative to the scenario's file (with --set to this folder)"
+        words = (
+            "give its path: absolute,"
+            " or relative to the scenario's file (with --set to this folder)"
+        )
         raise ParameterError("file", f"is not there{where}; {words}", file)
     return plain_file(path, "a regular file, and a smaller one", refusal=of_field("file"))
 
 
 @contextmanager
 def named_file(field: str, file: str, works: str, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
-    """The path of a plain file that a field names. Whatever is wrong with it, and whatever a library raises that reads
-    it in the block, is a ParameterError of the field.
+    """The path of a plain file that a field names. Whatever is wrong with it, and whatever a
+    library raises that reads it in the block, is a ParameterError of the field.
     """
     refusal = of_field(field, file)
     try:
@@ -88,22 +107,37 @@ def named_file(field: str, file: str, works: str, most_bytes: int = MOST_BYTES) 
 
 
 def _no_package(name: str, inside: str) -> str:
-    """Why there is no package of a name that holds a file, and what to write: a distribution is often imported by another name."""
+    """Why there is no package of a name that holds a file, and what to write: a distribution is
+    often imported by another name.
+    """
     from importlib import metadata  # here: `--help` imports this module
 
     try:
         files = [path.as_posix() for path in metadata.distribution(name).files or ()]
     except (metadata.PackageNotFoundError, ValueError):
-        remedy = f"pip install --no-deps {name}, if that is its name there (only its files are read), or give the file's path"
+        remedy = (
+            f"pip install --no-deps {name}, if that is its name there (only its files are read),"
+            " or give the file's path"
+        )
         return f"names the package {name}, which is not installed; {remedy}"
-    # the outermost folder with an __init__.py that holds the file: packages of several distributions may share a namespace
-    packages = sorted((path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")), key=len)
+    # the outermost folder with an __init__.py that holds the file: packages of several
+    # distributions may share a namespace
+    packages = sorted(
+        (path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")),
+        key=len,
+    )
     there = next((path for path in files if path.endswith(f"/{inside}")), "")
     package = next((one for one in packages if not there or there.startswith(f"{one}/")), "")
     if not package:
-        return f"names the distribution {name}, which is installed and has no such package; give the file's path"
+        return (
+            f"names the distribution {name}, which is installed and has no such package;"
+            " give the file's path"
+        )
     dotted, at = package.replace("/", "."), there.removeprefix(f"{package}/") or "PATH"
-    return f"names the distribution {name}, which is installed, and is imported as {dotted}; write {PACKAGE}{dotted}/{at}"
+    return (
+        f"names the distribution {name}, which is installed, and is imported as {dotted};"
+        f" write {PACKAGE}{dotted}/{at}"
+    )
 
 
 def kept_at(source: Path, what: str = "target") -> str:
@@ -115,16 +149,23 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def folder(name: str) -> Path:
-    """The folder `models`, `scenarios`, or `docs/guides`: `vstestbed/_data/<name>` in a wheel, `<checkout>/<name>` otherwise."""
-    # The wheel's copy first: beside an installed package, a folder of this name would belong to somebody else.
+    """The folder `models`, `scenarios`, or `docs/guides`: `vstestbed/_data/<name>` in a wheel,
+    `<checkout>/<name>` otherwise.
+    """
+    # The wheel's copy first: beside an installed package, a folder of this name would belong to
+    # somebody else.
     for candidate in (_PACKAGE / "_data" / name, _PACKAGE.parent / name):
         if candidate.is_dir():
             return candidate
-    raise OutputError(_PACKAGE, f"the folder {name}/ is missing from the installation", "install vstestbed again")
+    raise OutputError(
+        _PACKAGE, f"the folder {name}/ is missing from the installation", "install vstestbed again"
+    )
 
 
 def model_path(name: str) -> Path:
-    """The MJCF file `name` in models/, or a robot's own by its whole path, or inside a package (`package:NAME/path`)."""
+    """The MJCF file `name` in models/, or a robot's own by its whole path, or inside a package
+    (`package:NAME/path`).
+    """
     return place_of_file(name) if name.startswith(PACKAGE) else folder("models") / name
 
 
@@ -153,8 +194,8 @@ def _files(place: Path, changed_ns: int) -> dict[str, Path]:
     return {p.stem: p for p in sorted(place.glob("*.yaml"))}
 
 
-# Python files of others, loaded as modules: plugins, and policies.
-# The import of ONNX Runtime alone, also by a plugin or a policy, starts telemetry, which keeps a database in the user's cache.
+# Python files of others, loaded as modules: plugins, and policies. The import of ONNX Runtime
+# alone, also by a plugin or a policy, starts telemetry, which keeps a database in the user's cache.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
@@ -163,13 +204,18 @@ def module_of(path: Path) -> ModuleType | None:
     target = path.resolve()
     for module in list(sys.modules.values()):
         file = getattr(module, "__file__", None)
-        if isinstance(file, str) and file.endswith((path.name, target.name)) and Path(file).resolve() == target:
+        if (
+            isinstance(file, str)
+            and file.endswith((path.name, target.name))
+            and Path(file).resolve() == target
+        ):
             return module
     return None
 
 
 def load_file(path: Path) -> ModuleType:
-    """The module of a file, loaded if it is not yet. Its folder joins Python's path, at the end, for what the file imports.
+    """The module of a file, loaded if it is not yet. Its folder joins Python's path, at the end,
+    for what the file imports.
     Raises ImportError: it is no Python file. Whatever the file raises while it is loaded.
     """
     if (known := module_of(path)) is not None:
@@ -183,7 +229,8 @@ def load_file(path: Path) -> ModuleType:
         raise ImportError("it is not a Python file; its name must end in .py")
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # known before it runs: dataclasses look their module up
+    # known before it runs: dataclasses look their module up
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except BaseException:
@@ -193,11 +240,17 @@ def load_file(path: Path) -> ModuleType:
 
 
 def line_of(error: BaseException, name: str, path: Path | None) -> str:
-    """FILE:LINE where an error was raised in a file: the last line of it that was at work; `name` where it has no part in it."""
+    """FILE:LINE where an error was raised in a file: the last line of it that was at work; `name`
+    where it has no part in it.
+    """
     import traceback  # here: `--help` imports this module
 
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
-    lines = [f"{f.filename}:{f.lineno}" for f in frames if path is not None and Path(f.filename).resolve() == path.resolve()]
+    lines = [
+        f"{f.filename}:{f.lineno}"
+        for f in frames
+        if path is not None and Path(f.filename).resolve() == path.resolve()
+    ]
     return lines[-1] if lines else name

@@ -16,7 +16,9 @@ class Outcome(Enum):
     unstable = "the loop swung or grew until the time ran out"
     target_lost = "the target was out of sight for too long"
     joint_limit = "a joint stood at its limit and the law asked for more"
-    singular = "the robot stood at a singular configuration and the law asked for a motion it cannot make"
+    singular = (
+        "the robot stood at a singular configuration and the law asked for a motion it cannot make"
+    )
     local_minimum = "the law orders rest away from the goal"
     diverged = "the camera left for the far distance"
     collided = "the robot touched something"

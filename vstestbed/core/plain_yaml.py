@@ -10,7 +10,9 @@ import yaml
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without aliases, of which a short file can hold millions of values, and without fields that come twice."""
+    """YAML without aliases, of which a short file can hold millions of values, and without fields
+    that come twice.
+    """
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -25,7 +27,9 @@ OTHER_BASE = re.compile(r"[-+]?0[0-7_]+|.*:.*")
 
 
 def _number(loader: _Loader, node: Any) -> Any:
-    """A number, but a text of one that YAML 1.1 reads by a base of 8 or 60, and other readers do not: 0640 is 416 there, 10:00 600."""
+    """A number, but a text of one that YAML 1.1 reads by a base of 8 or 60, and other readers do
+    not: 0640 is 416 there, 10:00 600.
+    """
     if OTHER_BASE.fullmatch(node.value):
         return f"{node.value} (by YAML 1.1 of base 8 or 60)"
     if node.tag.endswith("float"):
@@ -38,7 +42,9 @@ for _kind in ("int", "float"):
 
 
 def plain_documents(text: str) -> list[Any]:
-    """The documents of a YAML text that hold anything. ValueError, yaml.YAMLError, RecursionError: for `foreign`."""
+    """The documents of a YAML text that hold anything. ValueError, yaml.YAMLError, RecursionError:
+    for `foreign`.
+    """
     documents = yaml.load_all(text, _Loader)
     return [document for document in documents if document is not None]
 

@@ -1,4 +1,6 @@
-"""SE(2): places (x, y, heading) on the floor in the world frame [m, rad], their composition, and motions between them."""
+"""SE(2): places (x, y, heading) on the floor in the world frame [m, rad], their composition, and
+motions between them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from vstestbed.core.spec import spec
 class GroundPose:
     """A place on the floor in YAML.
 
-    In Python every field of this class also takes spatialmath's SE2, and an SE3 that stands upright at height 0.
+    In Python every field of this class also takes spatialmath's SE2, and an SE3 that stands upright
+    at height 0.
 
     Args:
         x, y: coordinates in the world [m].
@@ -52,10 +55,18 @@ class GroundPose:
 
 
 def block_of(value: Any) -> Any:
-    """A pose (SE3 or (4, 4)) or a place (SE2 or (3, 3)) as the plain block of a scenario; any other value as it is."""
-    if not is_matrix(value) or (isinstance(value, np.ndarray) and value.shape not in ((3, 3), (4, 4))):
+    """A pose (SE3 or (4, 4)) or a place (SE2 or (3, 3)) as the plain block of a scenario; any other
+    value as it is.
+    """
+    if not is_matrix(value) or (
+        isinstance(value, np.ndarray) and value.shape not in ((3, 3), (4, 4))
+    ):
         return value
-    return place_block(value) if class_of(value) == "SE2" or np.shape(value) == (3, 3) else pose_block(value)
+    return (
+        place_block(value)
+        if class_of(value) == "SE2" or np.shape(value) == (3, 3)
+        else pose_block(value)
+    )
 
 
 def place_block(value: Any) -> dict[str, Any]:
@@ -64,7 +75,9 @@ def place_block(value: Any) -> dict[str, Any]:
 
 
 def pose_on_ground(place: Array) -> Array:
-    """T_world_base (..., 4, 4) of places (x, y, heading) (..., 3): at height 0, without roll and pitch."""
+    """T_world_base (..., 4, 4) of places (x, y, heading) (..., 3): at height 0, without roll and
+    pitch.
+    """
     place = np.asarray(place, dtype=float)
     c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
     T = np.zeros((*place.shape[:-1], 4, 4))
@@ -76,7 +89,9 @@ def pose_on_ground(place: Array) -> Array:
 
 
 def place_of(T: Array) -> Array:
-    """Places (x, y, heading) (..., 3) of poses T (..., 4, 4): the heading is that of the x axis, projected on the floor."""
+    """Places (x, y, heading) (..., 3) of poses T (..., 4, 4): the heading is that of the x axis,
+    projected on the floor.
+    """
     return joined(T[..., 0, 3], T[..., 1, 3], np.arctan2(T[..., 1, 0], T[..., 0, 0]))
 
 
@@ -86,7 +101,9 @@ def wrapped(angle: Array | float) -> Array:
 
 
 def relative(here: Array, there: Array) -> Array:
-    """The place `there` (..., 3) relative to `here` (..., 3): (ahead, left, turn), shape (..., 3) [m, m, rad]."""
+    """The place `there` (..., 3) relative to `here` (..., 3): (ahead, left, turn), shape (..., 3)
+    [m, m, rad].
+    """
     d = there - here  # in world axes; the rotation by -heading turns it into the axes of `here`
     c, s = np.cos(here[..., 2]), np.sin(here[..., 2])
     return joined(c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrapped(d[..., 2]))
@@ -101,9 +118,11 @@ def composed(place: Array, step: Array) -> Array:
 
 
 def arc(motion: Array, duration: float) -> Array:
-    """The step (ahead, left, turn) (..., 3) of a constant motion (vx, vy, wz) in the vehicle frame: an exact arc.
+    """The step (ahead, left, turn) (..., 3) of a constant motion (vx, vy, wz) in the vehicle frame:
+    an exact arc.
 
-    With theta = wz t: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t, a = sin(theta)/theta, b = (1 - cos(theta))/theta.
+    With theta = wz t: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t, a = sin(theta)/theta, b = (1 -
+    cos(theta))/theta.
     Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
     """
     step = np.asarray(motion, dtype=float) * duration
@@ -118,14 +137,21 @@ def moved(place: Array, motion: Array, duration: float) -> Array:
 
 
 def motion_between(before: Array, now: Array, duration: float) -> Array:
-    """The constant motion (vx, vy, wz) (..., 3) between two places in a duration [s]: the inverse of `arc`, with a turn in [-pi, pi)."""
-    dx, dy, theta = np.moveaxis(relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0)
+    """The constant motion (vx, vy, wz) (..., 3) between two places in a duration [s]: the inverse
+    of `arc`, with a turn in [-pi, pi).
+    """
+    dx, dy, theta = np.moveaxis(
+        relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0
+    )
     a, b = _chord(theta)
-    # The inverse of the matrix [[a, -b], [b, a]] of `arc`; its determinant is 0 only for a full turn.
+    # The inverse of the matrix [[a, -b], [b, a]] of `arc`; its determinant is 0 only for a full
+    # turn.
     size = a * a + b * b
     return joined((a * dx + b * dy) / size, (a * dy - b * dx) / size, theta) / duration
 
 
 def _chord(theta: Array) -> tuple[Array, Array]:
-    """sin(theta)/theta and (1 - cos(theta))/theta, exact also at 0 (np.sinc has the limit there)."""
+    """sin(theta)/theta and (1 - cos(theta))/theta,
+    exact also at 0 (np.sinc has the limit there).
+    """
     return np.sinc(theta / np.pi), np.sin(theta / 2) * np.sinc(theta / (2 * np.pi))

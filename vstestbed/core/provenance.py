@@ -6,7 +6,12 @@ import functools
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-PACKAGES = {"mujoco": "mujoco", "dm_control": "dm-control", "opencv": "opencv-python-headless", "numpy": "numpy"}
+PACKAGES = {
+    "mujoco": "mujoco",
+    "dm_control": "dm-control",
+    "opencv": "opencv-python-headless",
+    "numpy": "numpy",
+}
 
 
 def vstestbed_version() -> str:
@@ -19,7 +24,9 @@ def vstestbed_version() -> str:
 
 @functools.cache  # it takes 5 ms, and a process may do thousands of runs
 def versions() -> dict[str, str]:
-    """Versions of vstestbed, mujoco, dm_control, opencv, numpy and python, which nobody may change."""
+    """Versions of vstestbed, mujoco, dm_control, opencv, numpy and python,
+    which nobody may change.
+    """
     found = {"vstestbed": vstestbed_version()}
     for name, package in PACKAGES.items():
         try:

@@ -1,11 +1,14 @@
 """Physical quantities of a scenario as types: a number with its bounds, and the reason for them.
 
-Every number in a spec is of one of these types or has bounds of its own. The bounds are far beyond any experiment, and keep what is
-computed from the numbers finite and in memory. Without them 1e308 is a valid length, its square is infinite, and a singular value
-decomposition of infinities may never return.
+Every number in a spec is of one of these types or has bounds of its own. The bounds are far beyond
+any experiment, and keep what is computed from the numbers finite and in memory. Without them 1e308
+is a valid length, its square is infinite, and a singular value decomposition of infinities may
+never return.
 
-    radius: PositiveLength = 0.02                       # of a physical quantity
-    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 1.0    # with a tighter bound of this one field
+    radius: PositiveLength = 0.02
+        # of a physical quantity
+    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 1.0
+        # with a tighter bound of this one field
 """
 
 from __future__ import annotations
@@ -22,8 +25,9 @@ from vstestbed.core.errors import ParameterError
 
 @dataclass(frozen=True)
 class Bounded:
-    """Bounds of a quantity, for `Annotated`: a number beyond them is refused with a sentence that has both and says `why`.
-    unit: as messages show it; "" for a pure number, and where fields of several units share the type.
+    """Bounds of a quantity, for `Annotated`: a number beyond them is refused with a sentence that
+    has both and says `why`. unit: as messages show it; "" for a pure number, and where fields of
+    several units share the type.
     """
 
     low: float
@@ -31,41 +35,65 @@ class Bounded:
     unit: str
     why: str
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         number = core_schema.int_schema if source is int else core_schema.float_schema
-        words = f"must be {_shown(self.low)} to {_shown(self.high)}{self.unit and ' '}{self.unit} ({self.why})"
-        bounds = core_schema.custom_error_schema(number(ge=self.low, le=self.high), "out_of_bounds", custom_error_message=words)  # pyright: ignore[reportArgumentType]
+        words = (
+            f"must be {_shown(self.low)}"
+            f" to {_shown(self.high)}{self.unit and ' '}{self.unit} ({self.why})"
+        )
+        bounds = core_schema.custom_error_schema(
+            number(ge=self.low, le=self.high), "out_of_bounds", custom_error_message=words
+        )  # pyright: ignore[reportArgumentType]
         return core_schema.chain_schema([handler(source), bounds])
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         inner = handler(schema)
-        low, high = max(self.low, inner.get("minimum", self.low)), min(self.high, inner.get("maximum", self.high))
+        low, high = (
+            max(self.low, inner.get("minimum", self.low)),
+            min(self.high, inner.get("maximum", self.high)),
+        )
         return inner | {"minimum": low, "maximum": high}
 
 
 @dataclass(frozen=True)
 class TighterBounds:
-    """Tighter bounds of one field of a quantity, for `Annotated` of its type: pydantic's own would be missing in the JSON Schema."""
+    """Tighter bounds of one field of a quantity, for `Annotated` of its type: pydantic's own would
+    be missing in the JSON Schema.
+    """
 
     gt: float | None = None
     ge: float | None = None
     lt: float | None = None
     le: float | None = None
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         schema: Any = handler(source)
-        schema["steps"][0].update({name: bound for name, bound in vars(self).items() if bound is not None})
+        schema["steps"][0].update(
+            {name: bound for name, bound in vars(self).items() if bound is not None}
+        )
         return schema
 
 
 @dataclass(frozen=True)
 class Broadcast:
-    """For `Annotated` of a list with a value for each joint: a number alone stands for the list of it, which holds for all joints."""
+    """For `Annotated` of a list with a value for each joint: a number alone stands for the list of
+    it, which holds for all joints.
+    """
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         return core_schema.no_info_before_validator_function(self._listed, handler(source))
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         listed = handler(schema)
         return {"anyOf": [listed, listed["items"]]}
 
@@ -74,7 +102,9 @@ class Broadcast:
         if isinstance(value, int | float) and not isinstance(value, bool):
             return (value,)
         if not isinstance(value, list | tuple):
-            raise PydanticCustomError("one_for_all", "must be a number for all joints, or a list with one for each")
+            raise PydanticCustomError(
+                "one_for_all", "must be a number for all joints, or a list with one for each"
+            )
         return value
 
 
@@ -82,11 +112,15 @@ def check_ordered(block: Any, low: str, high: str, equal: bool = True) -> None:
     """Refuse a field of a block that is over another one of it; equal: both may be the same."""
     smaller, larger = getattr(block, low), getattr(block, high)
     if smaller > larger or (smaller == larger and not equal):
-        raise ParameterError.bound(low, "at most" if equal else "under", f"{high} = {larger:g}", smaller)
+        raise ParameterError.bound(
+            low, "at most" if equal else "under", f"{high} = {larger:g}", smaller
+        )
 
 
 def check_range(block: Any, name: str, equal: bool = True) -> None:
-    """Refuse a pair of numbers that is not the smallest and the largest value; equal: both may be the same."""
+    """Refuse a pair of numbers that is not the smallest and the largest value; equal: both may be
+    the same.
+    """
     smallest, largest = getattr(block, name)
     if smallest > largest or (smallest == largest and not equal):
         raise ParameterError.form(name, "[smallest, largest]", [smallest, largest])
@@ -101,28 +135,49 @@ _FAR = "five times the 200 m at which a camera counts as diverged"
 Length = Annotated[float, Bounded(-1e3, 1e3, "m", _FAR)]  # a coordinate or an offset [m]
 Distance = Annotated[float, Ge(0), Bounded(0.0, 1e3, "m", _FAR)]  # a length that may be 0 [m]
 PositiveLength = Annotated[float, Gt(0), Bounded(1e-9, 1e3, "m", f"a nanometre to {_FAR}")]
-Position = Annotated[tuple[Length, ...], Len(3, 3)]  # Three coordinates, amplitudes, or half widths of a box [m]
+# Three coordinates, amplitudes, or half widths of a box [m]
+Position = Annotated[tuple[Length, ...], Len(3, 3)]
 
 _TURNS = "100 turns; beyond them an angle loses digits of its direction"
 Angle = Annotated[float, Bounded(-36e3, 36e3, "deg", _TURNS)]  # an angle [deg]
 AngleWidth = Annotated[float, Ge(0), Bounded(0.0, 36e3, "deg", _TURNS)]
-PositiveAngle = Annotated[float, Gt(0), Bounded(1e-6, 36e3, "deg", f"4 milliarcseconds to {_TURNS}")]
+PositiveAngle = Annotated[
+    float, Gt(0), Bounded(1e-6, 36e3, "deg", f"4 milliarcseconds to {_TURNS}")
+]
 Angles = Annotated[tuple[Angle, ...], Len(3, 3)]  # three angles [deg]
 
 _FAST = "in one second as far as any length"
 Speed = Annotated[float, Ge(0), Bounded(0.0, 1e3, "m/s", _FAST)]  # a speed that may be 0 [m/s]
-PositiveSpeed = Annotated[float, Gt(0), Bounded(1e-6, 1e3, "m/s", f"a micrometre a second to a kilometre, {_FAST}")]
+PositiveSpeed = Annotated[
+    float, Gt(0), Bounded(1e-6, 1e3, "m/s", f"a micrometre a second to a kilometre, {_FAST}")
+]
 Velocity = Annotated[tuple[Annotated[float, Bounded(-1e3, 1e3, "m/s", _FAST)], ...], Len(3, 3)]
-PositiveRate = Annotated[float, Gt(0), Bounded(1e-6, 1e3, "rad/s", "up to 160 turns a second, more than any robot makes")]
-PositiveRateDeg = Annotated[float, Gt(0), Bounded(1e-4, 36e3, "deg/s", "up to 100 turns a second, more than any robot makes")]
+PositiveRate = Annotated[
+    float, Gt(0), Bounded(1e-6, 1e3, "rad/s", "up to 160 turns a second, more than any robot makes")
+]
+PositiveRateDeg = Annotated[
+    float,
+    Gt(0),
+    Bounded(1e-4, 36e3, "deg/s", "up to 100 turns a second, more than any robot makes"),
+]
 
 _AGES = "30 years, longer than any run"
-Time = Annotated[float, Ge(0), Bounded(0.0, 1e9, "s", _AGES)]  # a time or a duration that may be 0 [s]
+# a time or a duration that may be 0 [s]
+Time = Annotated[float, Ge(0), Bounded(0.0, 1e9, "s", _AGES)]
 PositiveTime = Annotated[float, Gt(0), Bounded(1e-6, 1e9, "s", f"a microsecond to {_AGES}")]
-Duration = Annotated[float, Gt(0), Bounded(1e-6, 86_400.0, "s", "a microsecond to a day, which a run is simulated at most")]
+Duration = Annotated[
+    float,
+    Gt(0),
+    Bounded(1e-6, 86_400.0, "s", "a microsecond to a day, which a run is simulated at most"),
+]
 _PERIOD = "a period of three hours to one of a millisecond, a physics step"
 Frequency = Annotated[float, Gt(0), Bounded(1e-4, 1e3, "Hz", _PERIOD)]  # a frequency [Hz]
-Frequencies = Annotated[tuple[Annotated[float, Bounded(-1e3, 1e3, "Hz", "a period of a millisecond, a physics step")], ...], Len(3, 3)]
+Frequencies = Annotated[
+    tuple[
+        Annotated[float, Bounded(-1e3, 1e3, "Hz", "a period of a millisecond, a physics step")], ...
+    ],
+    Len(3, 3),
+]
 """The frequency along each axis; a negative one runs backwards [Hz]."""
 
 _QUICK = "a time constant of a microsecond, a thousandth of a physics step"
@@ -131,7 +186,8 @@ GainOrZero = Annotated[float, Ge(0), Bounded(0.0, 1e6, "", _QUICK)]
 PositiveGain = Annotated[float, Gt(0), Bounded(1e-9, 1e6, "", f"one of 30 years to {_QUICK}")]
 
 _STRONG = "a micronewton metre to a giganewton metre, more than any joint has"
-Torque = Annotated[float, Gt(0), Bounded(1e-6, 1e9, "", _STRONG)]  # The torque of a hinge [Nm], or the force of a joint that slides [N]
+# The torque of a hinge [Nm], or the force of a joint that slides [N]
+Torque = Annotated[float, Gt(0), Bounded(1e-6, 1e9, "", _STRONG)]
 Stiffness = Annotated[float, Gt(0), Bounded(1e-9, 1e9, "", "more than any servo has")]
 
 _NOISE = "a larger error than any sensor's"
@@ -142,8 +198,12 @@ Bias = Annotated[tuple[Annotated[float, Bounded(-1e3, 1e3, "", _NOISE)], ...], L
 _WIDE = "ten times the largest picture"
 Pixels = Annotated[float, Ge(0), Bounded(0.0, 1e5, "px", _WIDE)]
 """A length in a picture that may be 0 [px], an area [px^2], or a speed in it [px/s]."""
-PositivePixels = Annotated[float, Gt(0), Bounded(1e-12, 1e5, "px", f"far under what can be measured to {_WIDE}")]
-PositiveGrey = Annotated[float, Gt(0), Bounded(1e-6, 255.0, "", "the range of a picture's grey levels")]
+PositivePixels = Annotated[
+    float, Gt(0), Bounded(1e-12, 1e5, "px", f"far under what can be measured to {_WIDE}")
+]
+PositiveGrey = Annotated[
+    float, Gt(0), Bounded(1e-6, 255.0, "", "the range of a picture's grey levels")
+]
 Pixel = Annotated[tuple[Annotated[float, Bounded(-1e5, 1e5, "px", _WIDE)], ...], Len(2, 2)]
 """A place in a picture (u, v), or the distance of two [px]."""
 

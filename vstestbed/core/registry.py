@@ -1,6 +1,8 @@
-"""What is registered: the spec classes, and the registries with the kinds of each block; and spec objects as plain values.
+"""What is registered: the spec classes, and the registries with the kinds of each block; and spec
+objects as plain values.
 
-MARKERS = Registry("marker", Disc, Sphere)   # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
+MARKERS = Registry("marker", Disc, Sphere)
+    # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
 marker: Annotated[Marker, MARKERS]
 """
 
@@ -35,9 +37,11 @@ class Registry:
     """The kinds of one block of a scenario: a tagged union by `kind`, which plugins extend.
 
     Args:
-        what: the name of the field ("law"); plugins are found under the entry-point group `vstestbed.<what>s`.
+        what: the name of the field ("law"); plugins are found under the entry-point group
+            `vstestbed.<what>s`.
         members: the spec classes; each has `kind: Literal["..."] = "..."`.
-        number: (kind, field) for which a bare number is a shorthand; None where numbers are refused.
+        number: (kind, field) for which a bare number is a shorthand; None where numbers are
+            refused.
         default: the kind of a block without `kind`; None where `kind` is required.
         fields: the kind of a block without `kind` that has the given field, by field.
         contract: what each member must have; None where any spec class may be a member.
@@ -52,7 +56,13 @@ class Registry:
         fields: Mapping[str, str] | None = None,
         contract: Contract | None = None,
     ):
-        self.what, self.number, self.default, self.fields, self.contract = what, number, default, dict(fields or {}), contract
+        self.what, self.number, self.default, self.fields, self.contract = (
+            what,
+            number,
+            default,
+            dict(fields or {}),
+            contract,
+        )
         self._members: dict[str, type] = {}
         self._left_out: str | None = None
         REGISTRIES.append(self)
@@ -67,95 +77,159 @@ class Registry:
         return {kind: member for kind, member in self._members.items() if kind != self._left_out}
 
     def without(self, kind: str) -> Registry:
-        """The same registry for a field in the block of one of its kinds, which may not hold another of that kind."""
+        """The same registry for a field in the block of one of its kinds, which may not hold
+        another of that kind.
+        """
         other = copy.copy(self)  # with the same members, also those that are added later
         other._left_out = kind
         return other
 
     @property
     def base(self) -> type | None:
-        """The spec class from which all kinds come, and which is none of them; None where there is none."""
+        """The spec class from which all kinds come, and which is none of them; None where there is
+        none.
+        """
         kinds = self.members.values()
-        return next((cls for cls in SPECS if kinds and cls not in kinds and all(issubclass(kind, cls) for kind in kinds)), None)
+        return next(
+            (
+                cls
+                for cls in SPECS
+                if kinds and cls not in kinds and all(issubclass(kind, cls) for kind in kinds)
+            ),
+            None,
+        )
 
     def implied(self, block: Mapping[str, Any]) -> str | None:
         """The kind of a block without `kind`, by one of its fields; None where none tells it."""
         return next((kind for field, kind in self.fields.items() if field in block), None)
 
     def expanded(self, value: Any) -> Any:
-        """A word, a number or a block as a block with its `kind`, None where it has none; any other value as it is."""
+        """A word, a number or a block as a block with its `kind`, None where it has none; any other
+        value as it is.
+        """
         if isinstance(value, str):
             return {"kind": value}
         # Python's bool is an int: without the exception `gain: true` would be a gain of 1.
         if self.number and isinstance(value, int | float) and not isinstance(value, bool):
             return {"kind": self.number[0], self.number[1]: value}
-        return {**value, "kind": value.get("kind", self.implied(value) or self.default)} if isinstance(value, dict) else value
+        return (
+            {**value, "kind": value.get("kind", self.implied(value) or self.default)}
+            if isinstance(value, dict)
+            else value
+        )
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
-        Raises ParameterError: the class is no spec, its word is taken, or it breaks the contract of the registry.
+        Raises ParameterError: the class is no spec, its word is taken, or it breaks the contract of
+        the registry.
         """
         self._check(member)
         self.members[kind_of(member)] = member
         return member
 
     def _check(self, member: type) -> None:
-        # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
+        # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields
+        # would be ignored.
         if not any(member is known for known in SPECS):
             name = getattr(member, "__name__", repr(member))
-            raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
+            raise ParameterError(
+                name,
+                (
+                    f"is not a spec; a {self.what} is a class"
+                    " with @spec directly above it, below any `add`"
+                ),
+            )
         kind = kind_of(member)
         known = self.members.get(kind, member)
         home = known.__module__
         # a notebook's cell that is run once more after a change defines its class again
-        again = home == member.__module__ == "__main__" and known.__qualname__ == member.__qualname__
+        again = (
+            home == member.__module__ == "__main__" and known.__qualname__ == member.__qualname__
+        )
         if known is not member and not again:
-            place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
+            place = (
+                home
+                if home.startswith("vstestbed.")
+                else getattr(sys.modules.get(home), "__file__", home)
+            )
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
-        if self.contract is not None and not member.__module__.startswith("vstestbed."):  # of those a test checks it once for all starts
+        # of those a test checks it once for all starts
+        if self.contract is not None and not member.__module__.startswith("vstestbed."):
             self.contract.check(member)
 
     def load_entry_points(self, installed: EntryPoints) -> bool:
-        """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
+        """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any
+        was new.
+        """
         before = len(self.members)
         for entry in installed.select(group=f"vstestbed.{self.what}s"):
             self.add(entry.load())
         return len(self.members) > before
 
     def _made(self, value: Any) -> Any:
-        """A value as an object of the class of its kind; objects that are members already pass unchanged."""
+        """A value as an object of the class of its kind; objects that are members already pass
+        unchanged.
+        """
         if isinstance(value, tuple(self.members.values())):
             return value
         if not self.members:
-            words = f"must not be given: there is no kind of {self.what}; a plugin may add one (`--plugin FILE.py`)"
+            words = (
+                f"must not be given: there is no kind of {self.what};"
+                " a plugin may add one (`--plugin FILE.py`)"
+            )
             raise PydanticCustomError("block", "{words}", {"words": words})
         block, words = self.expanded(value), ", ".join(sorted(self.members))
         if not isinstance(block, dict):
-            raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
+            raise PydanticCustomError(
+                "block",
+                "must be a {what} block or one of the words: {words}",
+                {"what": self.what, "words": words},
+            )
         kind = block["kind"]
         if kind is None:
-            needs = f"one of the fields {', '.join(self.fields)}, or a kind" if self.fields else "a kind"
-            raise PydanticCustomError("no_kind", "needs {words}", {"words": f"{needs}; valid kinds: {words}"})
+            needs = (
+                f"one of the fields {', '.join(self.fields)}, or a kind"
+                if self.fields
+                else "a kind"
+            )
+            raise PydanticCustomError(
+                "no_kind", "needs {words}", {"words": f"{needs}; valid kinds: {words}"}
+            )
         if not isinstance(kind, str) or kind not in self.members:
-            raise PydanticCustomError("unknown_kind", "is no {what}; {hint}", {"what": self.what, "hint": f"valid kinds: {words}"})
+            raise PydanticCustomError(
+                "unknown_kind",
+                "is no {what}; {hint}",
+                {"what": self.what, "hint": f"valid kinds: {words}"},
+            )
         return validator_of(self.members[kind]).validate_python(block)
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         if not (_WHOLE and self.members):
             return core_schema.no_info_plain_validator_function(self._made)
-        choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
+        choices: dict[Any, CoreSchema] = {
+            k: handler.generate_schema(m) for k, m in self.members.items()
+        }
         return core_schema.tagged_union_schema(choices, "kind")
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         if not self.members:
             return {"not": {}}
         blocks = handler(schema)["oneOf"]
-        # In the classes `kind` has a default and would be optional: without it, a block that needs a kind would pass the schema.
+        # In the classes `kind` has a default and would be optional: without it, a block that needs
+        # a kind would pass the schema.
         needs = {} if self.default or self.fields else {"required": ["kind"]}
         choices: list[dict[str, Any]] = [block | needs for block in blocks]
         # A bare word is a block of defaults only, so it needs a kind without required fields.
-        words = sorted(kind for kind, member in self.members.items() if not any(_is_needed(f) for f in dataclasses.fields(member)))
+        words = sorted(
+            kind
+            for kind, member in self.members.items()
+            if not any(_is_needed(f) for f in dataclasses.fields(member))
+        )
         if words:
             choices.append({"enum": words})
         if self.number:
@@ -180,8 +254,8 @@ def kind_of(cls: type) -> str:
 
 @functools.cache
 def validator_of(cls: type) -> Any:
-    """Pydantic's validator of a spec class, built when it is first used. The kinds in a registry are looked up when a block is
-    validated, so that a validator stays valid when a plugin adds one.
+    """Pydantic's validator of a spec class, built when it is first used. The kinds in a registry
+    are looked up when a block is validated, so that a validator stays valid when a plugin adds one.
     """
     return pydantic.TypeAdapter(cls).validator
 
@@ -190,7 +264,9 @@ _WHOLE: list[bool] = []  # not empty while a schema is built with the blocks of 
 
 
 def whole_adapter(hint: Any) -> pydantic.TypeAdapter[Any]:
-    """Pydantic's adapter of a type with the blocks of all kinds in it, from which it makes a JSON Schema."""
+    """Pydantic's adapter of a type with the blocks of all kinds in it, from which it makes a JSON
+    Schema.
+    """
     _WHOLE.append(True)
     try:
         return pydantic.TypeAdapter(hint)
@@ -200,7 +276,9 @@ def whole_adapter(hint: Any) -> pydantic.TypeAdapter[Any]:
 
 @contextmanager
 def undone_on_error() -> Iterator[None]:
-    """Take back what was defined and registered within where an error ends it: a plugin is there as a whole, or not at all."""
+    """Take back what was defined and registered within where an error ends it: a plugin is there as
+    a whole, or not at all.
+    """
     specs, members = len(SPECS), [(registry, dict(registry.members)) for registry in REGISTRIES]
     try:
         yield
@@ -213,10 +291,14 @@ def undone_on_error() -> Iterator[None]:
 
 
 def to_mapping(value: Any) -> Any:
-    """A spec as plain mappings, lists and scalars with all defaults written out: the content of `resolved.yaml`."""
+    """A spec as plain mappings, lists and scalars with all defaults written out: the content of
+    `resolved.yaml`.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         # `kind` first, as people write it; the sort is stable and keeps the order of the others.
-        names = sorted((f.name for f in dataclasses.fields(value) if f.init), key=lambda name: name != "kind")
+        names = sorted(
+            (f.name for f in dataclasses.fields(value) if f.init), key=lambda name: name != "kind"
+        )
         return {name: to_mapping(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):
         return [to_mapping(v) for v in value]
@@ -226,10 +308,15 @@ def to_mapping(value: Any) -> Any:
 
 
 def brief_mapping(value: Any) -> Any:
-    """A spec as people write it: without defaults and what `preset_values` stand for, whole numbers without `.0`, with shorthands."""
+    """A spec as people write it: without defaults and what `preset_values` stand for, whole numbers
+    without `.0`, with shorthands.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         preset = getattr(value, "preset_values", {})
-        block = {name: _brief_part(getattr(value, name), preset.get(name)) for name in _kept_fields(value, preset)}
+        block = {
+            name: _brief_part(getattr(value, name), preset.get(name))
+            for name in _kept_fields(value, preset)
+        }
         kind = getattr(value, "kind", None)
         return block if kind is None else _with_kind(kind, block, registries_of(type(value)))
     if isinstance(value, tuple | list):
@@ -242,19 +329,26 @@ def brief_mapping(value: Any) -> Any:
 
 
 def _brief_part(value: Any, preset: Any) -> Any:
-    """A field's value; of a block that a preset fills, the fields alone in which it differs from the preset's."""
+    """A field's value; of a block that a preset fills, the fields alone in which it differs from
+    the preset's.
+    """
     if dataclasses.is_dataclass(value) and type(value) is type(preset):
-        different = [f.name for f in dataclasses.fields(value) if f.init and getattr(value, f.name) != getattr(preset, f.name)]
+        different = [
+            f.name
+            for f in dataclasses.fields(value)
+            if f.init and getattr(value, f.name) != getattr(preset, f.name)
+        ]
         return {name: brief_mapping(getattr(value, name)) for name in different}
     return brief_mapping(value)
 
 
 def _kept_fields(value: Any, preset: Mapping[str, Any]) -> list[str]:
-    """The fields that are not at their default, or at what a preset of the block fills in its place. Of a block without a kind, which needs
-    something in it, the first one at least.
+    """The fields that are not at their default, or at what a preset of the block fills in its
+    place. Of a block without a kind, which needs something in it, the first one at least.
     """
     fields = [f for f in dataclasses.fields(value) if f.init and f.name != "kind"]
-    # What makes it this kind comes before what all kinds have, as people write it: a square's side before its pose.
+    # What makes it this kind comes before what all kinds have, as people write it: a square's side
+    # before its pose.
     own = sorted(fields, key=lambda f: f.name not in type(value).__annotations__)
     return [f.name for f in own if getattr(value, f.name) != preset.get(f.name, _default(f))] or [
         f.name for f in own[: not hasattr(value, "kind")]
@@ -275,14 +369,20 @@ def _is_needed(field: dataclasses.Field[Any]) -> bool:
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
-    return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
+    return (
+        field.default_factory()
+        if field.default_factory is not dataclasses.MISSING
+        else field.default
+    )
 
 
-# A plugin that lacks a method would otherwise run until the loop first calls that method, and end with a traceback there.
+# A plugin that lacks a method would otherwise run until the loop first calls that method, and end
+# with a traceback there.
 @dataclass(frozen=True)
 class Contract:
-    """What a class must have to be a member of a registry: the public methods and attributes of `protocol`, which may have defaults.
-    base: a class with defaults for most of them, or None. words: the valid items of attributes that are tuples of words, by name.
+    """What a class must have to be a member of a registry: the public methods and attributes of
+    `protocol`, which may have defaults. base: a class with defaults for most of them, or None.
+    words: the valid items of attributes that are tuples of words, by name.
     """
 
     protocol: type
@@ -290,7 +390,9 @@ class Contract:
     words: Mapping[str, Collection[str]] = field(default_factory=dict)
 
     def check(self, member: type) -> None:
-        """Refuse a class that breaks the contract. member: a dataclass; its fields count as attributes."""
+        """Refuse a class that breaks the contract. member: a dataclass; its fields count as
+        attributes.
+        """
         required = _public_members(self.protocol)
         missing = [name for name in required if not self._has(member, name)]
         if missing:
@@ -302,38 +404,62 @@ class Contract:
             _check_words(member, name, valid)
 
     def _has(self, member: type, name: str) -> bool:
-        """Whether a class has a member that is no stub: neither abstract, nor inherited from a `typing.Protocol`."""
+        """Whether a class has a member that is no stub: neither abstract, nor inherited from a
+        `typing.Protocol`.
+        """
         own = inspect.getattr_static(member, name, None)
         if own is None:
             return hasattr(member, name) or name in getattr(member, "__dataclass_fields__", {})
-        inherited = own is vars(self.protocol).get(name) and getattr(self.protocol, "_is_protocol", False)
-        return not inherited and not getattr(getattr(own, "func", own), "__isabstractmethod__", False)  # func: of a cached property
+        inherited = own is vars(self.protocol).get(name) and getattr(
+            self.protocol, "_is_protocol", False
+        )
+        # func: of a cached property
+        return not inherited and not getattr(
+            getattr(own, "func", own), "__isabstractmethod__", False
+        )
 
     def _remedy(self, member: type) -> str:
         if self.base is None or issubclass(member, self.base):
             return f"add what is missing (see {self.protocol.__module__}.{self.protocol.__name__})"
         rest = [name for name in _public_members(self.protocol) if not self._has(self.base, name)]
-        return f"derive it from {self.base.__module__}.{self.base.__name__}, which has defaults for all but {' and '.join(rest)}"
+        return (
+            f"derive it from {self.base.__module__}.{self.base.__name__},"
+            f" which has defaults for all but {' and '.join(rest)}"
+        )
 
 
 def _public_members(protocol: type) -> dict[str, Callable[..., Any] | None]:
     found: dict[str, Callable[..., Any] | None] = {}
     for cls in reversed(protocol.__mro__):
-        found |= dict.fromkeys(name for name in inspect.get_annotations(cls) if not name.startswith("_"))
-        found |= {name: value if inspect.isfunction(value) else None for name, value in vars(cls).items() if not name.startswith("_")}
+        found |= dict.fromkeys(
+            name for name in inspect.get_annotations(cls) if not name.startswith("_")
+        )
+        found |= {
+            name: value if inspect.isfunction(value) else None
+            for name, value in vars(cls).items()
+            if not name.startswith("_")
+        }
     return found
 
 
 def _shown(name: str, method: Callable[..., Any] | None) -> str:
-    return name if method is None else f"{name}({', '.join(list(inspect.signature(method).parameters)[1:])})"
+    return (
+        name
+        if method is None
+        else f"{name}({', '.join(list(inspect.signature(method).parameters)[1:])})"
+    )
 
 
 def _check_shape(member: type, name: str, method: Callable[..., Any] | None) -> None:
-    """Refuse a method where an attribute belongs, an attribute where a method belongs, and a wrong number of parameters."""
+    """Refuse a method where an attribute belongs, an attribute where a method belongs, and a wrong
+    number of parameters.
+    """
     own, where = inspect.getattr_static(member, name, None), f"{member.__name__}.{name}"
     if method is None:
         if inspect.isfunction(own):
-            raise ParameterError(where, "must be an attribute, and is a method; write @property above it")
+            raise ParameterError(
+                where, "must be an attribute, and is a method; write @property above it"
+            )
         return
     if not callable(getattr(member, name, None)):
         raise ParameterError(where, f"must be a method {_shown(name, method)}")
@@ -343,21 +469,29 @@ def _check_shape(member: type, name: str, method: Callable[..., Any] | None) -> 
     try:
         signature.bind(*arguments)
     except TypeError:
-        raise ParameterError(where, f"must take the arguments of {_shown(name, method)}; it has the signature {signature}") from None
+        raise ParameterError(
+            where,
+            f"must take the arguments of {_shown(name, method)}; it has the signature {signature}",
+        ) from None
 
 
 def _check_words(member: type, name: str, valid: Collection[str]) -> None:
-    """Refuse an unknown word in a tuple of words. A property is read from an object made of the defaults alone; of a class that has none
-    such, its words stay unchecked.
+    """Refuse an unknown word in a tuple of words. A property is read from an object made of the
+    defaults alone; of a class that has none such, its words stay unchecked.
     """
     words = getattr(member, name, ())
     if isinstance(words, property):
         try:
             words = getattr(member(), name)
-        except (TypeError, ParameterError):  # a field without a default, or defaults that need another value beside them
+        except (TypeError, ParameterError):
+            # a field without a default, or defaults that need another value beside them
             return
     if not isinstance(words, tuple):
-        raise ParameterError(f"{member.__name__}.{name}", "must be a tuple of words, such as ('xy', 'depth')", words)
+        raise ParameterError(
+            f"{member.__name__}.{name}", "must be a tuple of words, such as ('xy', 'depth')", words
+        )
     for word in words:
         if word not in valid:
-            raise ParameterError.unknown(f"{member.__name__}.{name}: {word!r}", "valid word", nearest(str(word), valid))
+            raise ParameterError.unknown(
+                f"{member.__name__}.{name}: {word!r}", "valid word", nearest(str(word), valid)
+            )

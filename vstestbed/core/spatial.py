@@ -1,6 +1,8 @@
-"""Poses and twists as the field writes them in Python: spatialmath's SE3, SE2 and Twist3, in and out.
+"""Poses and twists as the field writes them in Python: spatialmath's SE3, SE2 and Twist3, in and
+out.
 
-Spatialmath takes .8 s to import. What is given is recognised by its class, which the caller has imported; what is returned imports it.
+Spatialmath takes .8 s to import. What is given is recognised by its class, which the caller has
+imported; what is returned imports it.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 RIGID, LEVEL = 1e-6, 1e-9
-"""Largest entry of R^T R - I of a rotation (one written with six digits has some 1e-6); largest height [m] and tilt [rad] on the floor."""
+"""Largest entry of R^T R - I of a rotation (one written with six digits has some 1e-6); largest
+height [m] and tilt [rad] on the floor.
+"""
 
 
 def class_of(value: object) -> str:
@@ -27,28 +31,52 @@ def class_of(value: object) -> str:
 
 
 def is_matrix(value: object) -> bool:
-    """Whether a value stands for a pose or a place as a matrix: an array, or an object of spatialmath."""
+    """Whether a value stands for a pose or a place as a matrix: an array, or an object of
+    spatialmath.
+    """
     return isinstance(value, np.ndarray) or class_of(value) != ""
 
 
 def pose_matrix(value: Any, name: str = "") -> Array:
-    """The homogeneous matrix (4, 4) of an SE3 of one pose, or of an array that is one. name: the parameter's, for messages.
-    Raises ParameterError: several poses, a place in the plane (SE2), a rotation alone, a matrix that is no rigid motion.
+    """The homogeneous matrix (4, 4) of an SE3 of one pose, or of an array that is one. name: the
+    parameter's, for messages.
+    Raises ParameterError: several poses, a place in the plane (SE2), a rotation alone, a matrix
+    that is no rigid motion.
     """
     kind = class_of(value)
     if kind == "SE2":
-        raise ParameterError(name, "is a place in the plane (SE2), and here a pose in space belongs; its SE3() lifts it to height 0")
+        raise ParameterError(
+            name,
+            (
+                "is a place in the plane (SE2), and here a pose in space belongs;"
+                " its SE3() lifts it to height 0"
+            ),
+        )
     if kind not in ("", "SE3"):
-        raise ParameterError(name, f"must be a pose (SE3), got {_a(kind)}; SE3.Rt(R, [x, y, z]) has a rotation and a place")
-    return _rigid(_one(value, kind, 4, "a pose: an SE3, or a homogeneous matrix (4, 4)", name), name)
+        raise ParameterError(
+            name,
+            (
+                f"must be a pose (SE3), got {_a(kind)};"
+                " SE3.Rt(R, [x, y, z]) has a rotation and a place"
+            ),
+        )
+    return _rigid(
+        _one(value, kind, 4, "a pose: an SE3, or a homogeneous matrix (4, 4)", name), name
+    )
 
 
 def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
-    """Place and heading (x [m], y [m], heading [deg]) of an SE2 (or its (3, 3)), or of an SE3 (or its (4, 4)) that stands on the floor.
+    """Place and heading (x [m], y [m], heading [deg]) of an SE2 (or its (3, 3)), or of an SE3 (or
+    its (4, 4)) that stands on the floor.
     Raises ParameterError: several places, a pose off the floor, a matrix that is no rigid motion.
     """
     if class_of(value) == "SE2" or (np.shape(value) == (3, 3) and not class_of(value)):
-        T = _rigid(_one(value, class_of(value), 3, "a place: an SE2, or a homogeneous matrix (3, 3)", name), name)
+        T = _rigid(
+            _one(
+                value, class_of(value), 3, "a place: an SE2, or a homogeneous matrix (3, 3)", name
+            ),
+            name,
+        )
         return tidy(T[0, 2], 15), tidy(T[1, 2], 15), heading_of(T)
     (x, y, z), heading = upright(value, name)
     if abs(z) > LEVEL:
@@ -57,33 +85,49 @@ def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
 
 
 def heading_of(T: Array) -> float:
-    """The heading [deg] of the x axis of a matrix (3, 3) or (4, 4), without the last digits of rounding."""
+    """The heading [deg] of the x axis of a matrix (3, 3) or (4, 4), without the last digits of
+    rounding.
+    """
     return tidy(math.degrees(math.atan2(T[1, 0], T[0, 0])), 12)
 
 
 def upright(value: Any, name: str = "") -> tuple[list[float], float]:
-    """Position [m] and heading [deg] of a pose whose z axis points up. Raises ParameterError: it is tilted; see `pose_matrix`."""
+    """Position [m] and heading [deg] of a pose whose z axis points up. Raises ParameterError: it is
+    tilted; see `pose_matrix`.
+    """
     T = pose_matrix(value, name)
     if max(abs(T[0, 2]), abs(T[1, 2])) > LEVEL or T[2, 2] < 0:
         axis = T[:3, 2].round(3).tolist()
-        raise ParameterError(name, f"must be upright, turned about the world's z axis alone; the z axis of this pose is {axis}")
+        raise ParameterError(
+            name,
+            (
+                "must be upright, turned about the world's z axis alone;"
+                f" the z axis of this pose is {axis}"
+            ),
+        )
     return tidy_position(T), heading_of(T)
 
 
 def tidy_position(T: Array) -> list[float]:
-    """The translation of a pose (4, 4) [m] without the last digits of rounding, which nobody wants to read in YAML."""
+    """The translation of a pose (4, 4) [m] without the last digits of rounding, which nobody wants
+    to read in YAML.
+    """
     return [tidy(x, 15) for x in T[:3, 3].tolist()]
 
 
 def twist_numbers(value: Any, name: str = "command") -> Any:
-    """The numbers (6,) of a Twist3, S = (v, w); any other value as it is. ParameterError for several twists, or another object."""
+    """The numbers (6,) of a Twist3, S = (v, w); any other value as it is. ParameterError for
+    several twists, or another object.
+    """
     kind = class_of(value)
     if not kind:
         return value
     if kind != "Twist3":
         raise ParameterError(name, f"must be a twist (Twist3) or numbers, got {_a(kind)}")
     if len(value) != 1:
-        raise ParameterError.count(name, "one", "twist", len(value), why="take one of them, as twists[0]")
+        raise ParameterError.count(
+            name, "one", "twist", len(value), why="take one of them, as twists[0]"
+        )
     return np.asarray(value.S, dtype=float)
 
 
@@ -103,13 +147,19 @@ def as_twist3(S: Array) -> Twist3:
 
 def _one(value: Any, kind: str, size: int, wanted: str, name: str) -> Array:
     if kind and len(value) != 1:
-        raise ParameterError.count(name, "one", "pose", len(value), why="take one of them, as poses[0]")
+        raise ParameterError.count(
+            name, "one", "pose", len(value), why="take one of them, as poses[0]"
+        )
     try:
         T = np.array(value.A if kind else value, dtype=float)
     except (TypeError, ValueError):
         T = np.zeros(0)
     if T.shape != (size, size):
-        raise ParameterError(name, f"must be {wanted}, got {type(value).__name__}" + (f" of shape {T.shape}" if T.size else ""))
+        raise ParameterError(
+            name,
+            f"must be {wanted}, got {type(value).__name__}"
+            + (f" of shape {T.shape}" if T.size else ""),
+        )
     return T
 
 
@@ -119,17 +169,26 @@ def _rigid(T: Array, name: str) -> Array:
         raise ParameterError.infinite(name, "a pose with other numbers")
     off = float(np.abs(T[:n, :n].T @ T[:n, :n] - np.eye(n)).max())
     if off > RIGID:
-        words = f"is no rigid motion: its axes are not perpendicular unit vectors (off by {off:.2g}); SE{n}.norm() makes them so"
+        words = (
+            f"is no rigid motion: its axes are not perpendicular unit vectors (off by {off:.2g});"
+            f" SE{n}.norm() makes them so"
+        )
         raise ParameterError(name, words)
     if np.linalg.det(T[:n, :n]) < 0:
-        raise ParameterError(name, "is no rigid motion: it mirrors (its axes are left-handed); reverse one of them")
+        raise ParameterError(
+            name, "is no rigid motion: it mirrors (its axes are left-handed); reverse one of them"
+        )
     if np.abs(T[n] - np.eye(n + 1)[n]).max() > LEVEL:
-        raise ParameterError(name, f"must end with the row {'0 ' * n}1; perhaps it is the transpose of a pose")
+        raise ParameterError(
+            name, f"must end with the row {'0 ' * n}1; perhaps it is the transpose of a pose"
+        )
     return T
 
 
 def tidy(x: float, digits: int) -> float:
-    """A number without the last digits of rounding: with 12 digits 90 for 90.00000000000001 degrees, which moves a pose less than 1e-14."""
+    """A number without the last digits of rounding: with 12 digits 90 for 90.00000000000001
+    degrees, which moves a pose less than 1e-14.
+    """
     return round(float(x), digits) + 0.0  # -0.0 becomes 0.0
 
 

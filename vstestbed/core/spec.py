@@ -1,8 +1,8 @@
 """@spec: the classes that a block of a scenario may become.
 
-A spec is a frozen keyword-only dataclass whose constructor validates its values; the same class is the YAML block, the object
-that runs, and the JSON Schema. Pydantic validates; `core.messages` turns its errors into ParameterError. The kinds of a block are in its
-registry (`core.registry`).
+A spec is a frozen keyword-only dataclass whose constructor validates its values; the same class is
+the YAML block, the object that runs, and the JSON Schema. Pydantic validates; `core.messages` turns
+its errors into ParameterError. The kinds of a block are in its registry (`core.registry`).
 
     @spec
     class Disc:
@@ -30,27 +30,45 @@ from vstestbed.core.messages import message, refuse_conversions
 from vstestbed.core.registry import SPECS, validator_of
 
 T = TypeVar("T")
-# Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.yaml_marks` refuses other conversions.
-_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
+# Not strict: YAML has lists where a spec has tuples, and integers where it has floats.
+# `scenario.yaml_marks` refuses other conversions.
+_CONFIG = ConfigDict(
+    extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False
+)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def spec(cls: type[T]) -> type[T]:
-    """Make `cls` a frozen keyword-only dataclass whose constructor refuses unknown, mistyped and out-of-range values. Raises (from the
-    constructor): ParameterError with the field, what is valid, and the value given.
+    """Make `cls` a frozen keyword-only dataclass whose constructor refuses unknown, mistyped and
+    out-of-range values. Raises (from the constructor): ParameterError with the field, what is
+    valid, and the value given.
     """
-    # The methods are the same for all specs: dataclass would compile five for each class, which takes half of the time of a start.
+    # The methods are the same for all specs: dataclass would compile five for each class, which
+    # takes half of the time of a start.
     made: Any = dataclasses.dataclass(cls, init=False, repr=False, eq=False, kw_only=True)  # pyright: ignore[reportCallIssue, reportArgumentType] - of any class
     made.__pydantic_config__ = _CONFIG
-    if "<locals>" in made.__qualname__:  # the names in its annotations may be those of a function, which later nobody finds
-        types = typing.get_type_hints(made, localns=dict(sys._getframe(1).f_locals), include_extras=True)
+    # the names in its annotations may be those of a function, which later nobody finds
+    if "<locals>" in made.__qualname__:
+        types = typing.get_type_hints(
+            made, localns=dict(sys._getframe(1).f_locals), include_extras=True
+        )
         for field in dataclasses.fields(made):
             field.type = types[field.name]
-    # Whether the defaults alone make no object: a field has none, or a validator of pydantic's checks what has been made. One in the mode
-    # "before" reads what is given, and has nothing to read then.
-    has_more = any(field.init and field.default is field.default_factory is dataclasses.MISSING for field in dataclasses.fields(made))
-    checks = (getattr(member, "decorator_info", None) for base in made.__mro__ for member in vars(base).values())
-    has_more |= any(check is not None and getattr(check, "mode", "") != "before" for check in checks)
+    # Whether the defaults alone make no object: a field has none, or a validator of pydantic's
+    # checks what has been made. One in the mode "before" reads what is given, and has nothing to
+    # read then.
+    has_more = any(
+        field.init and field.default is field.default_factory is dataclasses.MISSING
+        for field in dataclasses.fields(made)
+    )
+    checks = (
+        getattr(member, "decorator_info", None)
+        for base in made.__mro__
+        for member in vars(base).values()
+    )
+    has_more |= any(
+        check is not None and getattr(check, "mode", "") != "before" for check in checks
+    )
 
     def init(self: Any, *nameless: Any, **values: Any) -> None:
         construct(self, made, has_more, nameless, values)
@@ -58,7 +76,8 @@ def spec(cls: type[T]) -> type[T]:
     made.__init__, made.__signature__ = init, _Signature()
     made.__setattr__ = made.__delattr__ = _frozen
     for name, method in (("__eq__", _equal), ("__hash__", _hashed), ("__repr__", _shown)):
-        if name not in vars(cls) or vars(cls)[name] is None:  # a class with __eq__ alone has None for the other
+        # a class with __eq__ alone has None for the other
+        if name not in vars(cls) or vars(cls)[name] is None:
             setattr(made, name, method)
     SPECS.append(made)
     return made
@@ -77,7 +96,9 @@ def _equal(self: Any, other: object) -> Any:
     if other.__class__ is not self.__class__:
         return NotImplemented
     mine, others = self.__dict__, other.__dict__
-    return [mine[name] for name in _compared(type(self))] == [others[name] for name in _compared(type(self))]
+    return [mine[name] for name in _compared(type(self))] == [
+        others[name] for name in _compared(type(self))
+    ]
 
 
 def _hashed(self: Any) -> int:
@@ -87,7 +108,11 @@ def _hashed(self: Any) -> int:
 
 
 def _shown(self: Any) -> str:
-    values = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in dataclasses.fields(self) if field.repr)
+    values = ", ".join(
+        f"{field.name}={getattr(self, field.name)!r}"
+        for field in dataclasses.fields(self)
+        if field.repr
+    )
     return f"{type(self).__qualname__}({values})"
 
 
@@ -96,7 +121,12 @@ class _Signature:
 
     def __get__(self, made: object, cls: type) -> inspect.Signature:
         given = [field for field in dataclasses.fields(cls) if field.init]
-        own = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=_default(f), annotation=f.type) for f in given]
+        own = [
+            inspect.Parameter(
+                f.name, inspect.Parameter.KEYWORD_ONLY, default=_default(f), annotation=f.type
+            )
+            for f in given
+        ]
         return inspect.Signature(own)
 
 
@@ -106,11 +136,19 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     return inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
 
 
-def construct(made: Any, cls: type, has_more: bool, nameless: tuple[Any, ...], values: dict[str, Any]) -> None:
-    """Fill an object of a spec class with checked values. has_more: its defaults alone do not make one."""
+def construct(
+    made: Any, cls: type, has_more: bool, nameless: tuple[Any, ...], values: dict[str, Any]
+) -> None:
+    """Fill an object of a spec class with checked values. has_more: its defaults alone do not make
+    one.
+    """
     if nameless:
         first = next((name for name in fields(cls) if name != "kind"), "kind")
-        raise ParameterError(cls.__name__, f"takes its fields by their names, such as {cls.__name__}({first}=...)", nameless)
+        raise ParameterError(
+            cls.__name__,
+            f"takes its fields by their names, such as {cls.__name__}({first}=...)",
+            nameless,
+        )
     if not (values or has_more):  # defaults need no check
         made.__dict__.update((field.name, _default(field)) for field in dataclasses.fields(cls))
         if hasattr(made, "__post_init__"):
@@ -125,35 +163,57 @@ def construct(made: Any, cls: type, has_more: bool, nameless: tuple[Any, ...], v
 
 @dataclasses.dataclass(frozen=True)
 class Shorthand:
-    """For `Annotated` of a spec: a text stands for the block that has it in one field. field: its name."""
+    """For `Annotated` of a spec: a text stands for the block that has it in one field. field: its
+    name.
+    """
 
     field: str
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(lambda v: {self.field: v} if isinstance(v, str) else v, handler(source))
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(
+            lambda v: {self.field: v} if isinstance(v, str) else v, handler(source)
+        )
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         return {"anyOf": [handler(schema), {"type": "string"}]}
 
 
 @dataclasses.dataclass(frozen=True)
 class FromFile:
-    """For `Annotated` of a spec: the name of a file stands for the block that it holds. read: from the name to the block's values."""
+    """For `Annotated` of a spec: the name of a file stands for the block that it holds. read: from
+    the name to the block's values.
+    """
 
     read: Callable[[str], Any]
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(lambda v: self.read(v) if isinstance(v, str) else v, handler(source))
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(
+            lambda v: self.read(v) if isinstance(v, str) else v, handler(source)
+        )
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         return {"anyOf": [handler(schema), {"type": "string"}]}
 
 
 class OrText:
-    """For `Annotated` of a field whose class reads another text than those listed, such as a file's name, before it is validated."""
+    """For `Annotated` of a field whose class reads another text than those listed, such as a file's
+    name, before it is validated.
+    """
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         return handler(source)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         return {"anyOf": [handler(schema), {"type": "string"}]}

@@ -1,4 +1,5 @@
-"""The imperfections of one quadrotor in one run: its blocks as forces, torques, orders and vibration.
+"""The imperfections of one quadrotor in one run: its blocks as forces, torques, orders and
+vibration.
 
 It knows the truth, which the simulator gives it, and the flight loops know nothing of it.
 """
@@ -16,50 +17,72 @@ from annotated_types import Ge, Le
 from vstestbed.core.quantity import PositiveTime, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
-from vstestbed.effects.rotors import ROTOR_M, Battery, MotorSpread, RotorInertia, Vibration, _Craft, _four
+from vstestbed.effects.rotors import (
+    ROTOR_M,
+    Battery,
+    MotorSpread,
+    RotorInertia,
+    Vibration,
+    _Craft,
+    _four,
+)
 
-# Aerodynamics of the rotors: the ground below them, the drag of blades in a cross wind, the wake that comes back.
-# T = b w^2 is a rotor's thrust, R its radius, z its height over what is straight below it.
+# Aerodynamics of the rotors: the ground below them, the drag of blades in a cross wind, the wake
+# that comes back. T = b w^2 is a rotor's thrust, R its radius, z its height over what is straight
+# below it.
 AIR = 1.184  # density of the air [kg/m^3] at 25 degrees, as in models/quadrotor.xml
 Share = Annotated[float, Ge(0), Le(1)]
 
 
 @spec
 class GroundEffect:
-    """More thrust near the ground: T / T_inf = 1 / (1 - k (R/4z)^2 / (1 + (v/v_i)^2)), v_i^2 = T / (2 rho pi R^2).
+    """More thrust near the ground: T / T_inf = 1 / (1 - k (R/4z)^2 / (1 + (v/v_i)^2)), v_i^2 = T /
+    (2 rho pi R^2).
 
-    v is the rotor's speed along its disc. z is taken straight below four points of each disc, at R / sqrt(2), which halves its area,
-    and the gain is their mean: over the edge of a deck a disc loses it by parts, and the rotors that are still over the deck tilt the
-    craft. Below z = R/2, where the equation ceases to hold, z counts as R/2. What lies below is a plane to the equation: left out are
-    the mirror images of the other rotors and the fountain between them, for which measured quadrotors have a `strength` over 1.
+    v is the rotor's speed along its disc. z is taken straight below four points of each disc, at R
+    / sqrt(2), which halves its area, and the gain is their mean: over the edge of a deck a disc
+    loses it by parts, and the rotors that are still over the deck tilt the craft. Below z = R/2,
+    where the equation ceases to hold, z counts as R/2. What lies below is a plane to the equation:
+    left out are the mirror images of the other rotors and the fountain between them, for which
+    measured quadrotors have a `strength` over 1.
 
     Args:
         strength: k, how strong it is; 1 is the equation [1].
 
-    Reference: Cheeseman & Bennett 1955, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021; over an edge and
-        of several rotors Sanchez-Cuevas, Heredia & Ollero 2017, doi:10.1155/2017/1823056.
+    Reference: Cheeseman & Bennett 1955, The effect of the ground on a helicopter rotor in forward
+        flight, ARC R&M 3021; over an edge and of several rotors Sanchez-Cuevas, Heredia & Ollero
+        2017, doi:10.1155/2017/1823056.
     """
 
     strength: Annotated[float, Ge(0), Le(3)] = 1.0
 
     def gain(self, nearness: float, radius: float, thrust: float, speed: float) -> float:
-        """T / T_inf. nearness: (R/z)^2 [1]; radius: R [m]; thrust: T [N]; speed: along the disc [m/s]."""
+        """T / T_inf. nearness: (R/z)^2 [1]; radius: R [m]; thrust: T [N]; speed: along the disc
+        [m/s].
+        """
         induced = thrust / (2 * AIR * math.pi * radius * radius)
-        return 1.0 / (1.0 - self.strength * nearness / 16.0 * induced / (induced + speed * speed)) if induced > 0 else 1.0
+        return (
+            1.0 / (1.0 - self.strength * nearness / 16.0 * induced / (induced + speed * speed))
+            if induced > 0
+            else 1.0
+        )
 
 
 @spec
 class RotorDrag:
-    """Drag of the rotors against a cross wind, by flapping of the blades and by induced drag: F = -sum_i k w_i P v_i, k = C b / R.
+    """Drag of the rotors against a cross wind, by flapping of the blades and by induced drag: F =
+    -sum_i k w_i P v_i, k = C b / R.
 
-    v_i is the hub's velocity against the air and P drops its part along the rotor's axis. With the advance ratio mu = v / (w R) it is
-    F = C mu T. The X-4's blades flap by a1 = .31 mu (models/quadrotor.xml derives it), and induced drag of stiff blades is taken to be as
-    much again: C = .62. Without this block both are part of `parameters.drag_area_m2`, which grows with v^2.
+    v_i is the hub's velocity against the air and P drops its part along the rotor's axis. With the
+    advance ratio mu = v / (w R) it is F = C mu T. The X-4's blades flap by a1 = .31 mu
+    (models/quadrotor.xml derives it), and induced drag of stiff blades is taken to be as much
+    again: C = .62. Without this block both are part of `parameters.drag_area_m2`, which grows with
+    v^2.
 
     Args:
         coefficient: C, drag over thrust and advance ratio [1].
-        body_share: share of `parameters.drag_area_m2` that remains, since the rest stands for what is modelled here; the X-4's hub,
-            arms and legs have .55 of it [1].
+        body_share: share of `parameters.drag_area_m2` that remains, since the rest stands for what
+            is modelled here; the X-4's hub, arms and legs have .55 of it [1].
 
     Reference: Mahony, Kumar & Corke 2012, doi:10.1109/MRA.2012.2206474.
     """
@@ -70,13 +93,16 @@ class RotorDrag:
 
 @spec
 class Downwash:
-    """The wake that the ground, or a deck, throws back into the rotors: each thrust fluctuates, T (1 + s (R/z)^2 x).
+    """The wake that the ground, or a deck, throws back into the rotors: each thrust fluctuates, T
+    (1 + s (R/z)^2 x).
 
-    x is a first-order Gauss-Markov process of unit variance, of each rotor its own. The decay is that of the ground effect; there is no
-    published law of its size, so both values are chosen. Left out: steady forces along the deck, and the push on the deck itself.
+    x is a first-order Gauss-Markov process of unit variance, of each rotor its own. The decay is
+    that of the ground effect; there is no published law of its size, so both values are chosen.
+    Left out: steady forces along the deck, and the push on the deck itself.
 
     Args:
-        turbulence: s, standard deviation of a rotor's thrust one radius over the ground, as a share of it [1].
+        turbulence: s, standard deviation of a rotor's thrust one radius over the ground, as a share
+            of it [1].
         turbulence_s: correlation time of the fluctuation [s].
     """
 
@@ -85,27 +111,35 @@ class Downwash:
 
 
 def nearness(z: float, radius: float) -> float:
-    """(R/z)^2 of a height z [m], 0 over nothing; under R/2 Cheeseman & Bennett's equation, infinite at R/4, does not hold: R/2 counts."""
+    """(R/z)^2 of a height z [m], 0 over nothing; under R/2 Cheeseman & Bennett's equation, infinite
+    at R/4, does not hold: R/2 counts.
+    """
     ratio = radius / z if z > 0.5 * radius else 2.0
     return ratio * ratio
 
 
 # All blocks of a craft together.
-ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)  # where front, right, back and left are, along x and y, in arms
+
+# where front, right, back and left are, along x and y, in arms
+ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)
 NOTHING: Vector = (0.0, 0.0, 0.0)
 ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
 
 
 @spec
 class FlightBlocks:
-    """The imperfections of a craft that flies; each block is off where it is not given, and costs nothing then.
+    """The imperfections of a craft that flies; each block is off where it is not given, and costs
+    nothing then.
 
     Args:
         ground_effect: more thrust near the ground; e.g. `{strength: 1}`.
-        rotor_drag: drag of the rotors against a cross wind, linear in the velocity; e.g. `{coefficient: 0.62}`.
-        downwash: thrust that fluctuates where the wake comes back from the ground, or from a deck; e.g. `{turbulence: 0.05}`.
+        rotor_drag: drag of the rotors against a cross wind, linear in the velocity; e.g.
+            `{coefficient: 0.62}`.
+        downwash: thrust that fluctuates where the wake comes back from the ground, or from a deck;
+            e.g. `{turbulence: 0.05}`.
         rotor_inertia: gyroscopic and reaction torque of the rotors; e.g. `{inertia_kgm2: 6.5e-5}`.
-        battery: voltage that falls under load and with the charge, and the rotors' speed with it; e.g. `{charge: 0.4}`.
+        battery: voltage that falls under load and with the charge, and the rotors' speed with it;
+            e.g. `{charge: 0.4}`.
         vibration: of the inertial measurement unit, by the rotors; e.g. `{imbalance_mps2: 8}`.
         motors: rotors that differ in thrust and in their limit; e.g. `{thrust_sigma: 0.03}`.
     """
@@ -128,14 +162,24 @@ LAB: dict[str, object] = {
     "vibration": Vibration(),
     "motors": MotorSpread(),
 }
-"""Preset of a craft with balanced rotors and a full battery; values as in the blocks' own defaults."""
+"""Preset of a craft with balanced rotors and a full battery;
+values as in the blocks' own defaults.
+"""
 FIELD: dict[str, object] = LAB | {
     "downwash": Downwash(turbulence=0.05),
     "battery": Battery(charge=0.25, resistance_ohm=0.04),
-    "vibration": Vibration(imbalance_mps2=4.0, blade_pass_mps2=4.0, gyro_radps=0.04, accel_sigma_mps2=1.5, gyro_sigma_radps=0.015),
+    "vibration": Vibration(
+        imbalance_mps2=4.0,
+        blade_pass_mps2=4.0,
+        gyro_radps=0.04,
+        accel_sigma_mps2=1.5,
+        gyro_sigma_radps=0.015,
+    ),
     "motors": MotorSpread(thrust_sigma=0.04, limit_sigma=0.04),
 }
-"""Preset of a worn craft late in its flight: chipped rotors, a nearly empty battery that is old; values chosen."""
+"""Preset of a worn craft late in its flight: chipped rotors, a nearly empty battery that is old;
+values chosen.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +198,16 @@ class FlightEffects(Effect):
 
 
 class Airframe:
-    """The imperfections of one craft in one run in plain floats, since it is computed at the rate of the onboard controller.
+    """The imperfections of one craft in one run in plain floats, since it is computed at the rate
+    of the onboard controller.
 
     Args:
-        craft: its parameters. given: its blocks. rng: draws what differs from run to run, each block from a stream of its own.
+        craft: its parameters. given: its blocks. rng: draws what differs from run to run, each
+            block from a stream of its own.
 
     Attributes:
-        probes: points in the base frame (k, 3) [m] below which the free height is measured; () for none.
+        probes: points in the base frame (k, 3) [m] below which the free height is measured; () for
+            none.
     """
 
     def __init__(self, craft: _Craft, given: FlightBlocks, rng: np.random.Generator):
@@ -174,18 +221,34 @@ class Airframe:
         self._charge, self._voltage = 1.0, 0.0
         if given.battery:
             self._charge = given.battery.charge
-            self._voltage = given.battery.voltage(self._charge, given.battery.power((math.sqrt(craft.hover),) * 4, craft))
-        self._drag = given.rotor_drag.coefficient * craft.thrust_coefficient / craft.rotor_radius_m if given.rotor_drag else 0.0
+            self._voltage = given.battery.voltage(
+                self._charge, given.battery.power((math.sqrt(craft.hover),) * 4, craft)
+            )
+        self._drag = (
+            given.rotor_drag.coefficient * craft.thrust_coefficient / craft.rotor_radius_m
+            if given.rotor_drag
+            else 0.0
+        )
         self._spin = given.rotor_inertia.of(craft) if given.rotor_inertia else 0.0
-        self.probes: Sequence[Vector] = _probes(craft) if given.ground_effect or given.downwash else ()
+        self.probes: Sequence[Vector] = (
+            _probes(craft) if given.ground_effect or given.downwash else ()
+        )
 
     def act(
-        self, air: Vector, rates: Vector, W: Sequence[float], below: Sequence[float], orders: Sequence[float], dt: float
+        self,
+        air: Vector,
+        rates: Vector,
+        W: Sequence[float],
+        below: Sequence[float],
+        orders: Sequence[float],
+        dt: float,
     ) -> tuple[Vector, Vector, Four]:
-        """Force and torque on the base about its origin, base axes (3,) [N, Nm], and what reaches the actuators, for dt [s].
+        """Force and torque on the base about its origin, base axes (3,) [N, Nm], and what reaches
+        the actuators, for dt [s].
 
-        air: velocity of the base's origin against the air, rates: angular velocity, base axes (3,) [m/s, rad/s]. W, orders: squared speeds
-        of the rotors, and those ordered (4,) [(rad/s)^2]. below: how far below each of `probes` something is, inf over nothing [m].
+        air: velocity of the base's origin against the air, rates: angular velocity, base axes (3,)
+        [m/s, rad/s]. W, orders: squared speeds of the rotors, and those ordered (4,) [(rad/s)^2].
+        below: how far below each of `probes` something is, inf over nothing [m].
         """
         self._W = _four([x if x > 0 else 0.0 for x in W])
         speeds = _four([math.sqrt(x) for x in self._W])
@@ -199,35 +262,57 @@ class Airframe:
                 x, y, k = ALONG[i] * arm, ACROSS[i] * arm, self._drag * speeds[i]
                 px, py = -k * (vx + wy * h - wz * y), -k * (vy + wz * x - wx * h)
                 fx, fy, turn = fx + px, fy + py, turn + x * py - y * px
-            force, torque = (force[0] + fx, force[1] + fy, force[2]), (torque[0] - h * fy, torque[1] + h * fx, torque[2] + turn)
+            force, torque = (
+                (force[0] + fx, force[1] + fy, force[2]),
+                (torque[0] - h * fy, torque[1] + h * fx, torque[2] + turn),
+            )
         if self._spin:  # the equation of `RotorInertia`; omega x z = (w_y, -w_x, 0)
             half = 0.5 / self._craft.rotor_lag_s
-            turning = [half * (u - W) / w if w > 1.0 else 0.0 for u, W, w in zip(reached, self._W, speeds, strict=True)]
-            momentum, change = (self._spin * (front - right + back - left) for front, right, back, left in (speeds, turning))
+            turning = [
+                half * (u - W) / w if w > 1.0 else 0.0
+                for u, W, w in zip(reached, self._W, speeds, strict=True)
+            ]
+            momentum, change = (
+                self._spin * (front - right + back - left)
+                for front, right, back, left in (speeds, turning)
+            )
             torque = torque[0] - momentum * wy, torque[1] + momentum * wx, torque[2] - change
         if self._given.vibration:
-            self._angles = _four([(phi + w * dt) % (2 * math.pi) for phi, w in zip(self._angles, speeds, strict=True)])
+            self._angles = _four(
+                [
+                    (phi + w * dt) % (2 * math.pi)
+                    for phi, w in zip(self._angles, speeds, strict=True)
+                ]
+            )
         return force, torque, reached
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
         """The IMU's readings with the vibration, and the battery's `voltage` [V]."""
         if self._given.vibration:
-            shaken, turned = self._given.vibration.at(self._angles, self._W, self._craft.hover, next(self._noise))
-            sensors["accelerometer"] = [x + d for x, d in zip(sensors["accelerometer"], shaken, strict=True)]
+            shaken, turned = self._given.vibration.at(
+                self._angles, self._W, self._craft.hover, next(self._noise)
+            )
+            sensors["accelerometer"] = [
+                x + d for x, d in zip(sensors["accelerometer"], shaken, strict=True)
+            ]
             sensors["gyro"] = [x + d for x, d in zip(sensors["gyro"], turned, strict=True)]
         if self._given.battery:
             sensors["voltage"] = [self._voltage]
         return sensors
 
     def _driven(self, orders: Sequence[float], speeds: Four, dt: float) -> Four:
-        """What the motors make of the orders (4,): less by a battery's voltage, and each up to its own limit."""
+        """What the motors make of the orders (4,): less by a battery's voltage, and each up to its
+        own limit.
+        """
         battery, share, most = self._given.battery, 1.0, self._craft.limit
         if battery:
             power = battery.power(speeds, self._craft)
             self._voltage = battery.voltage(self._charge, power)
             self._charge = battery.drained(self._charge, power / self._voltage, dt)
             share = battery.share(self._voltage, self._craft)
-        return _four([min(most, share * min(u, most * f)) for u, f in zip(orders, self._limit, strict=True)])
+        return _four(
+            [min(most, share * min(u, most * f)) for u, f in zip(orders, self._limit, strict=True)]
+        )
 
     def _lifted(self, air: Vector, below: Sequence[float], dt: float) -> tuple[Vector, Vector]:
         """Force and torque of what the thrusts are more than those of the model's file."""
@@ -238,26 +323,38 @@ class Airframe:
         if wash:
             keep = math.exp(-dt / wash.turbulence_s)
             fresh = math.sqrt(1.0 - keep * keep)
-            self._rough = [keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)]
+            self._rough = [
+                keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)
+            ]
         up = x = y = 0.0
         speed = math.hypot(air[0], air[1])
         for i in range(4):
             usual = b * self._W[i]
             thrust = usual * self._thrust[i]
-            if self.probes:  # the mean over its probes of what the ground, and the wake from it, make of a rotor's thrust
+            # the mean over its probes of what the ground, and the wake from it, make of a rotor's
+            # thrust
+            if self.probes:
                 near = [nearness(z, R) for z in below[4 * i : 4 * i + 4]]
-                gain = 0.25 * sum([ground.gain(n, R, thrust, speed) for n in near]) if ground else 1.0
-                thrust *= gain + (wash.turbulence * 0.25 * sum(near) * self._rough[i] if wash else 0.0)
+                gain = (
+                    0.25 * sum([ground.gain(n, R, thrust, speed) for n in near]) if ground else 1.0
+                )
+                thrust *= gain + (
+                    wash.turbulence * 0.25 * sum(near) * self._rough[i] if wash else 0.0
+                )
             more = thrust - usual
             up, x, y = up + more, x + ACROSS[i] * arm * more, y - ALONG[i] * arm * more
         return (0.0, 0.0, up), (x, y, 0.0)
 
 
 def _probes(craft: _Craft) -> tuple[Vector, ...]:
-    """Four points of each disc, of front, right, back and left in turn, at R / sqrt(2) from its hub, in the base frame (16, 3) [m]."""
+    """Four points of each disc, of front, right, back and left in turn, at R / sqrt(2) from its
+    hub, in the base frame (16, 3) [m].
+    """
     d, r = craft.arm_m, craft.rotor_radius_m / math.sqrt(2)
     return tuple(
-        (x * d + r * u, y * d + r * v, ROTOR_M) for x, y in zip(ALONG, ACROSS, strict=True) for u, v in zip(ALONG, ACROSS, strict=True)
+        (x * d + r * u, y * d + r * v, ROTOR_M)
+        for x, y in zip(ALONG, ACROSS, strict=True)
+        for u, v in zip(ALONG, ACROSS, strict=True)
     )
 
 
@@ -271,7 +368,9 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class OnBase(Actor):
-    """A floating robot with its imperfections. body: the robot, with the free joint `root`. airframe: its imperfections."""
+    """A floating robot with its imperfections. body: the robot, with the free joint `root`.
+    airframe: its imperfections.
+    """
 
     def __init__(self, body: RobotBody, airframe: Airframe):
         model, data = body.model, body.data
@@ -280,9 +379,17 @@ class OnBase(Actor):
         # Views of MuJoCo's own memory, taken once: each takes as long as ten operations on floats.
         self.force = np.zeros(model.nv)
         self._velocity, self._applied = data.qvel[dof : dof + 6], self.force[dof : dof + 6]
-        self._place, self._turn, self._wind = data.xpos[self._body], data.xmat[self._body], model.opt.wind
+        self._place, self._turn, self._wind = (
+            data.xpos[self._body],
+            data.xmat[self._body],
+            model.opt.wind,
+        )
         self._activations, self._acting = data.act, body.at.act.tolist()
-        self._probes, self._below, self._next = airframe.probes, [math.inf] * len(airframe.probes), 0
+        self._probes, self._below, self._next = (
+            airframe.probes,
+            [math.inf] * len(airframe.probes),
+            0,
+        )
         self._from, self._geom = np.zeros(3), np.zeros(1, dtype=np.int32)
 
     def start(self) -> None:
@@ -291,9 +398,13 @@ class OnBase(Actor):
             self._look(i, self._turn.tolist())
 
     def driven(self, orders: Sequence[float], dt: float) -> Sequence[float]:
-        """Put force and torque on the base for the next control period; what the controller's orders (nu,) become."""
+        """Put force and torque on the base for the next control period; what the controller's
+        orders (nu,) become.
+        """
         R = self._turn.tolist()
-        if self._probes:  # one ray a period: of 16 the oldest is as old as 16 ms, in which a craft that lands sinks 5 mm
+        # one ray a period: of 16 the oldest is as old as 16 ms, in which a craft that lands sinks 5
+        # mm
+        if self._probes:
             self._look(self._next, R)
             self._next = (self._next + 1) % len(self._probes)
         vx, vy, vz, p, q, r = self._velocity.tolist()
@@ -302,9 +413,19 @@ class OnBase(Actor):
         x, y, z, activations = vx - wx, vy - wy, vz - wz, self._activations.tolist()
         air = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
         W = [activations[k] for k in self._acting]
-        (x, y, z), (p, q, r), reached = self._airframe.act(air, (p, q, r), W, self._below, orders, dt)
-        # A free joint's generalised force: linear along world axes at the base's origin, angular in the base's own.
-        self._applied[:] = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z, p, q, r
+        (x, y, z), (p, q, r), reached = self._airframe.act(
+            air, (p, q, r), W, self._below, orders, dt
+        )
+        # A free joint's generalised force: linear along world axes at the base's origin, angular in
+        # the base's own.
+        self._applied[:] = (
+            a * x + b * y + c * z,
+            d * x + e * y + f * z,
+            g * x + h * y + i * z,
+            p,
+            q,
+            r,
+        )
         return reached
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
@@ -318,5 +439,7 @@ class OnBase(Actor):
         a, b, c, d, e, f, g, h, i = R
         self._from[:] = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
         self._from += self._place
-        hit = mujoco.mj_ray(self._model, self._data, self._from, DOWN, None, 1, self._body, self._geom)
+        hit = mujoco.mj_ray(
+            self._model, self._data, self._from, DOWN, None, 1, self._body, self._geom
+        )
         self._below[number] = hit if hit >= 0 else math.inf

@@ -1,10 +1,12 @@
 """An uneven floor: a random field of heights of given size and correlation length.
 
-Its heights are Gaussian, with the autocorrelation R(d) = rms^2 exp(-d^2 / l^2): white noise through the filter whose transfer function is
-rms sqrt(pi) l exp(-k^2 l^2 / 8), k the wave number [rad/m]. The slopes along an axis have the standard deviation sqrt(2) rms / l.
+Its heights are Gaussian, with the autocorrelation R(d) = rms^2 exp(-d^2 / l^2): white noise through
+the filter whose transfer function is rms sqrt(pi) l exp(-k^2 l^2 / 8), k the wave number [rad/m].
+The slopes along an axis have the standard deviation sqrt(2) rms / l.
 
-Reference: Thorsos 1988, "The validity of the Kirchhoff approximation for rough surface scattering using a Gaussian roughness spectrum",
-doi:10.1121/1.396188 (the spectrum and its generation in one dimension; here in two).
+Reference: Thorsos 1988, "The validity of the Kirchhoff approximation for rough surface scattering
+using a Gaussian roughness spectrum", doi:10.1121/1.396188 (the spectrum and its generation in one
+dimension; here in two).
 """
 
 from __future__ import annotations
@@ -29,10 +31,11 @@ HALF_M = 20.0  # half the edge of the height field, as far as the floor is drawn
 
 @spec
 class UnevenFloor(Effect):
-    """Heights of the floor under a vehicle, for 20 m around the origin of the world; the wheels alone meet them.
+    """Heights of the floor under a vehicle, for 20 m around the origin of the world; the wheels
+    alone meet them.
 
-    No picture shows them: heights of millimetres are below what a pixel of the camera or of a film shows, and lines and targets lie on
-    the drawn plane.
+    No picture shows them: heights of millimetres are below what a pixel of the camera or of a film
+    shows, and lines and targets lie on the drawn plane.
 
     Args:
         rms_m: standard deviation of the heights [m].
@@ -50,7 +53,8 @@ class UnevenFloor(Effect):
         return self if self.seed is not None else replace(self, seed=int(rng.integers(MOST_SEED)))
 
     def heights(self, half_m: float) -> Array:
-        """The heights (n, n) [m] of a square of 2 half_m from edge to edge, rows along y, columns along x.
+        """The heights (n, n) [m] of a square of 2 half_m from edge to edge, rows along y, columns
+        along x.
 
         Before a seed is drawn they are those of seed 0.
         """
@@ -60,25 +64,51 @@ class UnevenFloor(Effect):
         along, across = np.fft.rfftfreq(n, cell) * 2 * np.pi, np.fft.fftfreq(n, cell) * 2 * np.pi
         of_one = [np.exp(-(k**2) * self.correlation_m**2 / 8) for k in (across, along)]
         noise = np.fft.rfft2(np.random.default_rng(self.seed or 0).standard_normal((n, n)))
-        filtered = noise * of_one[0][:, None] * of_one[1] * (self.rms_m * np.sqrt(np.pi) * self.correlation_m / cell)
+        filtered = (
+            noise
+            * of_one[0][:, None]
+            * of_one[1]
+            * (self.rms_m * np.sqrt(np.pi) * self.correlation_m / cell)
+        )
         return np.asarray(np.fft.irfft2(filtered, (n, n)), dtype=np.float64)
 
     def edit(self, robot: RobotModel) -> None:
-        """The height field in place of the floor's contacts. Beyond its edge a plane at its lowest height takes over; neither is drawn."""
+        """The height field in place of the floor's contacts. Beyond its edge a plane at its lowest
+        height takes over; neither is drawn.
+        """
         import mujoco
 
         scene, heights = robot.scene, self.heights(HALF_M)
         low, high, n = float(heights.min()), float(heights.max()), len(heights)
         scene.meshdir = ASSETS
         size = [HALF_M, HALF_M, high - low, 0.1]  # the last: thickness under the lowest place [m]
-        scene.add_hfield(name=RELIEF, file=f"{RELIEF}.bin", content_type="image/vnd.mujoco.hfield", size=size)
+        scene.add_hfield(
+            name=RELIEF, file=f"{RELIEF}.bin", content_type="image/vnd.mujoco.hfield", size=size
+        )
         floor = scene.geom("floor")
         # As the plane has them, also where the scenario has its friction.
-        alike = {"friction": floor.friction, "contype": floor.contype, "conaffinity": floor.conaffinity, "group": RANGE_GROUP}
+        alike = {
+            "friction": floor.friction,
+            "contype": floor.contype,
+            "conaffinity": floor.conaffinity,
+            "group": RANGE_GROUP,
+        }
         at = [0, 0, floor.pos[2] + low]
-        scene.worldbody.add_geom(name=RELIEF, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=RELIEF, pos=at, **alike)
-        scene.worldbody.add_geom(name=f"{RELIEF}_around", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 5], pos=at, **alike)
+        scene.worldbody.add_geom(
+            name=RELIEF, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=RELIEF, pos=at, **alike
+        )
+        scene.worldbody.add_geom(
+            name=f"{RELIEF}_around",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[0, 0, 5],
+            pos=at,
+            **alike,
+        )
         floor.contype = floor.conaffinity = 0
-        # MuJoCo's binary format: numbers of rows and columns, then the heights, which it stretches to [0, 1].
-        data = np.array([n, n], dtype=np.int32).tobytes() + ((heights - low) / (high - low)).astype(np.float32).tobytes()
+        # MuJoCo's binary format: numbers of rows and columns, then the heights, which it stretches
+        # to [0, 1].
+        data = (
+            np.array([n, n], dtype=np.int32).tobytes()
+            + ((heights - low) / (high - low)).astype(np.float32).tobytes()
+        )
         robot.assets[f"{ASSETS}/{RELIEF}.bin"] = data

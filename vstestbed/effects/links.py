@@ -1,4 +1,6 @@
-"""An arm's true links in its model: displaced where its geometry is wrong, with the load at its flange."""
+"""An arm's true links in its model: displaced where its geometry is wrong, with the load at its
+flange.
+"""
 
 from __future__ import annotations
 
@@ -19,21 +21,24 @@ Offsets = Annotated[tuple[Pose, ...], Len(0, 7)]
 
 @spec
 class GeometryError(Effect):
-    """The true geometry of the arm differs from the one that it computes with: the next joint, or the flange, is displaced on its link.
+    """The true geometry of the arm differs from the one that it computes with: the next joint, or
+    the flange, is displaced on its link.
 
-    T_i = A_i(q_i) D_i, with the nominal motion A_i of joint i and the displacement D_i in the frame of its link (of the Puma, standard
-    Denavit-Hartenberg frame i: errors of a and alpha are those along and about x, those of d and theta along and about z of frame
-    i - 1, D_i = A_i(0)^-1 Tz(dd) Rz(dtheta) A_i(0)). To first order the flange's twist error is sum Ad(T_i,flange^-1) d_i, with
+    T_i = A_i(q_i) D_i, with the nominal motion A_i of joint i and the displacement D_i in the frame
+    of its link (of the Puma, standard Denavit-Hartenberg frame i: errors of a and alpha are those
+    along and about x, those of d and theta along and about z of frame i - 1, D_i = A_i(0)^-1 Tz(dd)
+    Rz(dtheta) A_i(0)). To first order the flange's twist error is sum Ad(T_i,flange^-1) d_i, with
     T_i,flange from behind link i's displacement to the flange.
 
-    Reference: Hayati & Mirmirani 1985, Improving the absolute positioning accuracy of robot manipulators, Journal of Robotic
-    Systems 2(4), 397-413.
+    Reference: Hayati & Mirmirani 1985, Improving the absolute positioning accuracy of robot
+    manipulators, Journal of Robotic Systems 2(4), 397-413.
 
     Args:
-        sigma_m: standard deviation of each link's displacement along each of its axes [m]; drawn with the scenario's seed.
+        sigma_m: standard deviation of each link's displacement along each of its axes [m]; drawn
+            with the scenario's seed.
         sigma_deg: the same about each axis [deg].
-        offsets: the displacement of each link, x, y, z and roll, pitch, yaw, where it is not drawn; e.g.
-            `[{xyz: [0.001, 0, 0]}, {}, {}, {}, {}, {rpy_deg: [0, 0, 0.1]}]`.
+        offsets: the displacement of each link, x, y, z and roll, pitch, yaw, where it is not drawn;
+            e.g. `[{xyz: [0.001, 0, 0]}, {}, {}, {}, {}, {rpy_deg: [0, 0, 0.1]}]`.
     """
 
     sigma_m: Annotated[float, Ge(0), Le(0.1)] = 0.0
@@ -43,7 +48,9 @@ class GeometryError(Effect):
     def __post_init__(self) -> None:
         if self.draws and self.offsets:
             words = "with sigma_m or sigma_deg > 0, which draw them, also those of a preset"
-            raise ParameterError.fixed("offsets", "empty", where=words, works="both 0 beside the list")
+            raise ParameterError.fixed(
+                "offsets", "empty", where=words, works="both 0 beside the list"
+            )
 
     @property
     def draws(self) -> bool:
@@ -51,22 +58,34 @@ class GeometryError(Effect):
         return self.sigma_m > 0 or self.sigma_deg > 0
 
     def drawn(self, n: int, rng: np.random.Generator) -> GeometryError:
-        """With displacements of n links listed that are drawn from `rng`; itself where both sigmas are 0."""
+        """With displacements of n links listed that are drawn from `rng`; itself where both sigmas
+        are 0.
+        """
         if not self.draws:
             return self
-        xyz, rpy = (np.round(scale * rng.standard_normal((n, 3)), 9).tolist() for scale in (self.sigma_m, self.sigma_deg))
-        return GeometryError(offsets=tuple(Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)))
+        xyz, rpy = (
+            np.round(scale * rng.standard_normal((n, 3)), 9).tolist()
+            for scale in (self.sigma_m, self.sigma_deg)
+        )
+        return GeometryError(
+            offsets=tuple(
+                Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)
+            )
+        )
 
     def displacements(self, n: int) -> Array | None:
         """D_i (n, 4, 4); None without any. Raises ParameterError: another number of links."""
         if not self.offsets:
             return None
         if len(self.offsets) != n:
-            raise ParameterError.count("geometry_error.offsets", n, "items, one for each link", len(self.offsets))
+            raise ParameterError.count(
+                "geometry_error.offsets", n, "items, one for each link", len(self.offsets)
+            )
         return np.array([pose.T for pose in self.offsets])
 
     def edit(self, robot: RobotModel) -> None:
-        """Displace the body of each joint but the first by D of the link before it, in the frame of that link, and the flange.
+        """Displace the body of each joint but the first by D of the link before it, in the frame of
+        that link, and the flange.
 
         Raises ParameterError: the file has a joint whose place cannot be changed alone.
         """
@@ -78,8 +97,15 @@ class GeometryError(Effect):
         for name, D in zip(robot.joints[1:], displaced[:-1], strict=True):
             body = robot.spec.joint(name).parent
             if len(body.joints) > 1 or body.frame is not None:
-                where = "shares its body with another joint" if len(body.joints) > 1 else "is inside a <frame>"
-                words = f"cannot displace {name}, which {where} in the file; works: a body for each joint"
+                where = (
+                    "shares its body with another joint"
+                    if len(body.joints) > 1
+                    else "is inside a <frame>"
+                )
+                words = (
+                    f"cannot displace {name}, which {where} in the file;"
+                    " works: a body for each joint"
+                )
                 raise ParameterError("robot.geometry_error", words)
             number = compiled.jnt_bodyid[compiled.joint(name).id]
             R, T = np.zeros(9), np.eye(4)
@@ -113,13 +139,17 @@ class Payload(Effect):
         """A body without geoms at the flange."""
         T = robot.T_body_flange
         at = T[:3, :3] @ np.array(self.com_m) + T[:3, 3]
-        body = robot.flange.add_body(name=PAYLOAD, pos=at, quat=quaternion_wxyz(T[:3, :3]), mass=self.mass_kg)
+        body = robot.flange.add_body(
+            name=PAYLOAD, pos=at, quat=quaternion_wxyz(T[:3, :3]), mass=self.mass_kg
+        )
         body.inertia, body.explicitinertial = [self.mass_kg * self.edge_m**2 / 6] * 3, True
         body.ipos = np.zeros(3)
         body.gravcomp = robot.carried if self.declared else 0.0
 
     def remedy(self, body: RobotBody, weight: Array, holds: Array) -> tuple[str, str, float]:
-        """The largest payload m that the motors hold there: |without + m a_kilogram| <= holds in every joint."""
+        """The largest payload m that the motors hold there: |without + m a_kilogram| <= holds in
+        every joint.
+        """
         import mujoco
 
         # What a kilogram asks of each joint: -J^T g, with the Jacobian J of its centre.
@@ -128,9 +158,22 @@ class Payload(Effect):
         a_kilogram = -(J.T @ model.opt.gravity)[body.at.qvel]
         without = weight - self.mass_kg * a_kilogram
         if (np.abs(without) > holds).any():
-            return "robot.payload.mass_kg", "another start, for it falls without a payload, too", self.mass_kg
+            return (
+                "robot.payload.mass_kg",
+                "another start, for it falls without a payload, too",
+                self.mass_kg,
+            )
         with np.errstate(divide="ignore", invalid="ignore"):
-            each = np.where(a_kilogram == 0, np.inf, (holds - np.sign(a_kilogram) * without) / np.abs(a_kilogram))
+            each = np.where(
+                a_kilogram == 0,
+                np.inf,
+                (holds - np.sign(a_kilogram) * without) / np.abs(a_kilogram),
+            )
         most = float(np.nanmin(each))
-        unit = 10.0 ** (np.floor(np.log10(most)) - 2)  # three digits; rounded up it would be too much
-        return "robot.payload.mass_kg", f"at most {np.floor(most / unit) * unit:.3g} kg here", self.mass_kg
+        # three digits; rounded up it would be too much
+        unit = 10.0 ** (np.floor(np.log10(most)) - 2)
+        return (
+            "robot.payload.mass_kg",
+            f"at most {np.floor(most / unit) * unit:.3g} kg here",
+            self.mass_kg,
+        )

@@ -15,16 +15,21 @@ from vstestbed.core.quantity import Mass, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, RobotBody, RobotModel
 
-PLUG, FORCE, TORQUE = "plug", "wrist_force", "wrist_torque"  # names of the geom and of the sensors in the robot's model
-CONTACT, NET_FORCE = "plug_contact", (2, 3, 1)  # a sensor of MuJoCo, and its parameters: force, the net one of all contacts, one
+# names of the geom and of the sensors in the robot's model
+PLUG, FORCE, TORQUE = "plug", "wrist_force", "wrist_torque"
+# a sensor of MuJoCo, and its parameters: force, the net one of all contacts, one
+CONTACT, NET_FORCE = "plug_contact", (2, 3, 1)
 STEEL = [0.72, 0.72, 0.75, 1.0]
 TOOL_GROUP = 2  # of geoms that every camera sees
-SOFT_S = 0.004  # time constant of the contact, two physics steps of 2 ms: shorter, and it would swing (MuJoCo's own is .02)
+# time constant of the contact, two physics steps of 2 ms: shorter, and it would swing (MuJoCo's own
+# is .02)
+SOFT_S = 0.004
 
 
 @spec
 class Plug:
-    """A round plug of steel with a hemispherical nose, along the z axis of the flange from its origin on.
+    """A round plug of steel with a hemispherical nose, along the z axis of the flange from its
+    origin on.
 
     Args:
         radius: of the cylinder and of the nose [m].
@@ -41,7 +46,8 @@ class Plug:
 
 @spec
 class WristSensor:
-    """A sensor of force and moment between the flange and what it carries; what that weighs is part of its reading.
+    """A sensor of force and moment between the flange and what it carries; what that weighs is part
+    of its reading.
 
     Args:
         noise_n: standard deviation of each force [N].
@@ -52,16 +58,19 @@ class WristSensor:
     noise_nm: Annotated[float, Ge(0), Le(1e3)] = 0.0
 
     def read(self, sensors: Mapping[str, list[float]], rng: np.random.Generator) -> Array:
-        """The wrench (6,) on the tool, force and moment at the flange's origin in the flange's frame [N, Nm]."""
-        true = -np.array([*sensors[FORCE], *sensors[TORQUE]])  # MuJoCo's are those of the flange on the tool
+        """The wrench (6,) on the tool, force and moment at the flange's origin in the flange's
+        frame [N, Nm].
+        """
+        # MuJoCo's are those of the flange on the tool
+        true = -np.array([*sensors[FORCE], *sensors[TORQUE]])
         sigma = np.repeat([self.noise_n, self.noise_nm], 3)
         return true + sigma * rng.standard_normal(6) if sigma.any() else true
 
 
 @dataclass(frozen=True)
 class Tool(Effect):
-    """A plug at the flange and the wrist's sensor, each where there is one. `plug_force_n`: the largest force of contacts of the plug
-    since the last picture [N].
+    """A plug at the flange and the wrist's sensor, each where there is one. `plug_force_n`: the
+    largest force of contacts of the plug since the last picture [N].
     """
 
     plug: Plug | None
@@ -80,10 +89,20 @@ class Tool(Effect):
         body = robot.flange.add_body(name="tool", pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
         if (plug := self.plug) is not None:
             r, end = plug.radius, plug.length - plug.radius
-            geom = body.add_geom(name=PLUG, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[r, 0, 0], fromto=[0, 0, r, 0, 0, end], rgba=STEEL)
+            geom = body.add_geom(
+                name=PLUG,
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=[r, 0, 0],
+                fromto=[0, 0, r, 0, 0, end],
+                rgba=STEEL,
+            )
             geom.material = ""  # and not that of its body's class
             geom.mass, geom.group, geom.contype, geom.conaffinity = plug.mass_kg, TOOL_GROUP, 1, 1
-            geom.friction, geom.solref, geom.condim = [plug.friction, 0.005, 0.0001], [SOFT_S, 1.0], 4
+            geom.friction, geom.solref, geom.condim = (
+                [plug.friction, 0.005, 0.0001],
+                [SOFT_S, 1.0],
+                4,
+            )
             spec_.add_sensor(
                 name=CONTACT,
                 type=mujoco.mjtSensor.mjSENS_CONTACT,
@@ -91,13 +110,19 @@ class Tool(Effect):
                 objname=PLUG,
                 intprm=[*NET_FORCE],
             )
-            for other in spec_.bodies:  # it does not touch its own arm, whose hand may enclose its foot
+            # it does not touch its own arm, whose hand may enclose its foot
+            for other in spec_.bodies:
                 if other.name and other.name not in ("world", "tool"):
                     spec_.add_exclude(bodyname1="tool", bodyname2=other.name)
         if self.wrist is not None:
             body.add_site(name="wrist", group=4, size=[0.005] * 3)
-            for name, kind in ((FORCE, mujoco.mjtSensor.mjSENS_FORCE), (TORQUE, mujoco.mjtSensor.mjSENS_TORQUE)):
-                spec_.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="wrist")
+            for name, kind in (
+                (FORCE, mujoco.mjtSensor.mjSENS_FORCE),
+                (TORQUE, mujoco.mjtSensor.mjSENS_TORQUE),
+            ):
+                spec_.add_sensor(
+                    name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="wrist"
+                )
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
         return None if self.plug is None else PlugForce(body)

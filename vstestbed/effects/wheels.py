@@ -2,22 +2,24 @@
 
 Tyres are a transient brush model in plain numbers, which `TyreForces` applies.
 
-A tyre's contact patch is deflected by u = (along, across) [m] against the wheel. With the patch's sliding velocity V_s, the speed
-V of the wheel over the floor and the relaxation length sigma
+A tyre's contact patch is deflected by u = (along, across) [m] against the wheel. With the patch's
+sliding velocity V_s, the speed V of the wheel over the floor and the relaxation length sigma
 
     du/dt = -V_s - (V / sigma) u
 
-so that a held slip V_s / V builds up over the way sigma, and a tyre at rest is a spring of stiffness C / sigma. The slip u / sigma gives
-the force by a brush with parabolic pressure, in its direction and never more than mu F_z:
+so that a held slip V_s / V builds up over the way sigma, and a tyre at rest is a spring of
+stiffness C / sigma. The slip u / sigma gives the force by a brush with parabolic pressure, in its
+direction and never more than mu F_z:
 
     F = mu F_z (1 - (1 - x)^3),  x = min(1, C |u / sigma| / (3 mu F_z))
 
-which has the slope C at zero: the cornering stiffness. The coefficient of the tyre is c = C / F_z [1/rad], so that C grows with the load.
-Below LOW_SPEED a damper acts beside the spring, without which a car that stands would sway for long; it fades out with
-(1 + cos(pi V / LOW_SPEED)) / 2.
+which has the slope C at zero: the cornering stiffness. The coefficient of the tyre is c = C / F_z
+[1/rad], so that C grows with the load. Below LOW_SPEED a damper acts beside the spring, without
+which a car that stands would sway for long; it fades out with (1 + cos(pi V / LOW_SPEED)) / 2.
 
-Reference: Pacejka 2012, Tire and Vehicle Dynamics, third edition, chapters 3 (brush), 7 (single contact point) and 8 (low speed);
-Bernard & Clover 1995, "Tire modeling for low-speed and high-speed calculations", SAE 950311.
+Reference: Pacejka 2012, Tire and Vehicle Dynamics, third edition, chapters 3 (brush), 7 (single
+contact point) and 8 (low speed); Bernard & Clover 1995, "Tire modeling for low-speed and high-speed
+calculations", SAE 950311.
 """
 
 from __future__ import annotations
@@ -42,12 +44,14 @@ Errors = Annotated[tuple[RadiusError, ...], Len(4, 4)]
 
 @spec
 class WheelSpread:
-    """How far the true radius of each wheel is from the nominal one, which the vehicle knows: listed, or drawn with the scenario's seed.
+    """How far the true radius of each wheel is from the nominal one, which the vehicle knows:
+    listed, or drawn with the scenario's seed.
 
     Args:
-        sigma: standard deviation of the relative errors that are drawn, one for each wheel [1]; e.g. `0.003`.
-        errors: relative errors of the radii, front left, front right, rear left, rear right [1]; none: they are drawn;
-            e.g. `[0, 0, 0.004, -0.004]`.
+        sigma: standard deviation of the relative errors that are drawn, one for each wheel [1];
+            e.g. `0.003`.
+        errors: relative errors of the radii, front left, front right, rear left, rear right [1];
+            none: they are drawn; e.g. `[0, 0, 0.004, -0.004]`.
     """
 
     sigma: Annotated[float, Ge(0), Le(0.05)] = 0.0
@@ -56,7 +60,13 @@ class WheelSpread:
     def __post_init__(self) -> None:
         if self.sigma and self.errors is not None:
             words = "with sigma > 0, which draws them, also that of robot.realism"
-            raise ParameterError.fixed("errors", "none", list(self.errors), where=words, works="sigma 0 beside the listed errors")
+            raise ParameterError.fixed(
+                "errors",
+                "none",
+                list(self.errors),
+                where=words,
+                works="sigma 0 beside the listed errors",
+            )
 
     def drawn(self, rng: np.random.Generator) -> WheelSpread:
         """With four errors listed that are drawn from `rng`; itself where sigma is 0."""
@@ -72,7 +82,8 @@ class WheelSpread:
 
 
 LOW_SPEED = 0.5  # speed below which the damper acts [m/s]; chosen
-STIFFEST = 200.0  # largest stiffness / relaxation_m [1/m]: beyond, a wheel swings too fast for physics steps of 2 ms
+# largest stiffness / relaxation_m [1/m]: beyond, a wheel swings too fast for physics steps of 2 ms
+STIFFEST = 200.0
 Pair = tuple[float, float]  # along and across a wheel
 
 
@@ -80,12 +91,14 @@ Pair = tuple[float, float]  # along and across a wheel
 class Tyres(Effect):
     """Tyres that slip: a brush with relaxation length. Without them a tyre has friction alone.
 
-    In the robot's file the wheels are the bodies `<wheel>_wheel` of `wheels.WHEELS` with geoms `<wheel>_contact`, which slide on joints
-    `<wheel>_spring`.
+    In the robot's file the wheels are the bodies `<wheel>_wheel` of `wheels.WHEELS` with geoms
+    `<wheel>_contact`, which slide on joints `<wheel>_spring`.
 
     Args:
-        stiffness: c, cornering stiffness over load; also that of longitudinal slip [1/rad]; e.g. `10`.
-        rear_stiffness: that of the rear wheels [1/rad]; none: as the front's; a car with softer front tyres understeers; e.g. `8`.
+        stiffness: c, cornering stiffness over load; also that of longitudinal slip [1/rad]; e.g.
+            `10`.
+        rear_stiffness: that of the rear wheels [1/rad]; none: as the front's; a car with softer
+            front tyres understeers; e.g. `8`.
         relaxation_m: sigma, the way over which the force follows the slip [m]; e.g. `0.15`.
     """
 
@@ -97,15 +110,26 @@ class Tyres(Effect):
         stiffest = max(self.stiffness, self.rear_stiffness or 0.0)
         if stiffest > STIFFEST * self.relaxation_m:
             words = f"{stiffest / STIFFEST:.3g} m at a stiffness of {stiffest:g}"
-            raise ParameterError.bound("relaxation_m", "at least", words, self.relaxation_m, why="a stiffer patch needs shorter steps")
+            raise ParameterError.bound(
+                "relaxation_m",
+                "at least",
+                words,
+                self.relaxation_m,
+                why="a stiffer patch needs shorter steps",
+            )
 
     @property
     def rear(self) -> Tyres:
         """Those of the rear wheels, as a pair of their own."""
-        return self if self.rear_stiffness is None else replace(self, stiffness=self.rear_stiffness, rear_stiffness=None)
+        return (
+            self
+            if self.rear_stiffness is None
+            else replace(self, stiffness=self.rear_stiffness, rear_stiffness=None)
+        )
 
     def deflected(self, u: Pair, sliding: Pair, speed: float, friction: float, dt: float) -> Pair:
-        """The deflection [m] after dt [s]: the exact solution of du/dt for constant velocities, within what a sliding patch has.
+        """The deflection [m] after dt [s]: the exact solution of du/dt for constant velocities,
+        within what a sliding patch has.
 
         u: present one [m]. sliding: V_s [m/s]. speed: V >= 0 [m/s]. friction: mu [1]. dt: [s].
         """
@@ -113,13 +137,15 @@ class Tyres(Effect):
         keep = math.exp(-a)
         gain = dt * (1 - keep) / a if a > 1e-9 else dt
         along, across = keep * u[0] - gain * sliding[0], keep * u[1] - gain * sliding[1]
-        # A patch that slides is not deflected further: else it would have to wind back before the force could turn.
+        # A patch that slides is not deflected further: else it would have to wind back before the
+        # force could turn.
         most = 3 * friction * self.relaxation_m / self.stiffness
         share = min(1.0, most / max(math.hypot(along, across), 1e-12))
         return along * share, across * share
 
     def force(self, u: Pair, sliding: Pair, speed: float, friction: float, load: float) -> Pair:
-        """The force of the floor on a wheel, along and across it [N]: the brush's, and the damper's at low speed, mu F_z at most.
+        """The force of the floor on a wheel, along and across it [N]: the brush's, and the damper's
+        at low speed, mu F_z at most.
 
         u: deflection [m]. sliding, speed, friction: as in `deflected`. load: F_z [N].
         """
@@ -128,7 +154,11 @@ class Tyres(Effect):
         x = min(1.0, slip * self.stiffness / (3 * friction))
         spring = most * (1 - (1 - x) ** 3) / slip if slip > 1e-9 else self.stiffness * load
         spring /= self.relaxation_m
-        damper = self._damper * load * (0.5 + 0.5 * math.cos(math.pi * speed / LOW_SPEED)) if speed < LOW_SPEED else 0.0
+        damper = (
+            self._damper * load * (0.5 + 0.5 * math.cos(math.pi * speed / LOW_SPEED))
+            if speed < LOW_SPEED
+            else 0.0
+        )
         along, across = spring * u[0] - damper * sliding[0], spring * u[1] - damper * sliding[1]
         share = min(1.0, most / max(math.hypot(along, across), 1e-12))
         return along * share, across * share
@@ -138,24 +168,36 @@ class Tyres(Effect):
 
     @cached_property
     def _damper(self) -> float:
-        """Of a tyre at rest, over its load [s/m]: .22 of the critical one (chosen), so that a wheel let go stops after two swings."""
+        """Of a tyre at rest, over its load [s/m]: .22 of the critical one (chosen), so that a wheel
+        let go stops after two swings.
+        """
         return 2 * 0.22 * math.sqrt(self.stiffness / (self.relaxation_m * GRAVITY))
 
 
 class TyreForces(Actor):
-    """Applies the forces where the wheels touch the floor. Their contacts carry the load alone, without friction.
+    """Applies the forces where the wheels touch the floor. Their contacts carry the load alone,
+    without friction.
 
-    The load of a wheel is the force of constraints on the slide of its spring, in the last step: that of its contact.
+    The load of a wheel is the force of constraints on the slide of its spring, in the last step:
+    that of its contact.
 
     body: the vehicle. tyres: of all its wheels.
     """
 
     def __init__(self, body: RobotBody, tyres: Tyres):
-        model, self._data, self._model, self._tyres = body.model, body.data, body.model, (tyres, tyres, tyres.rear, tyres.rear)
+        model, self._data, self._model, self._tyres = (
+            body.model,
+            body.data,
+            body.model,
+            (tyres, tyres, tyres.rear, tyres.rear),
+        )
         self._bodies = [int(model.body(f"robot/{name}_wheel").id) for name in WHEELS]
         self._slides = np.array([model.joint(f"robot/{name}_spring").dofadr[0] for name in WHEELS])
         contacts = [model.geom(f"robot/{name}_contact").id for name in WHEELS]
-        self._radius, self._friction = model.geom_size[contacts, 0].tolist(), model.geom_friction[contacts, 0].tolist()
+        self._radius, self._friction = (
+            model.geom_size[contacts, 0].tolist(),
+            model.geom_friction[contacts, 0].tolist(),
+        )
         self._deflection: list[Pair] = [(0.0, 0.0)] * len(WHEELS)
         self._twist, self._wrench = np.zeros(6), np.zeros((len(WHEELS), 6))
 
@@ -165,14 +207,21 @@ class TyreForces(Actor):
 
         # Plain numbers, wheel by wheel: arrays of four take five times as long.
         data, twist = self._data, self._twist
-        loads, axles = data.qfrc_constraint[self._slides].tolist(), data.xmat[self._bodies][:, [1, 4]].tolist()
+        loads, axles = (
+            data.qfrc_constraint[self._slides].tolist(),
+            data.xmat[self._bodies][:, [1, 4]].tolist(),
+        )
         for i, body in enumerate(self._bodies):
             mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_XBODY, body, twist, 0)
             self._wrench[i] = self._wheel(i, loads[i], axles[i], twist.tolist(), dt)
         data.xfrc_applied[self._bodies] = self._wrench
 
-    def _wheel(self, i: int, load: float, axle: list[float], twist: list[float], dt: float) -> tuple[float, ...]:
-        """Force and torque at the centre of wheel i [N, Nm], from the horizontal part of its axle and its twist (w, v)."""
+    def _wheel(
+        self, i: int, load: float, axle: list[float], twist: list[float], dt: float
+    ) -> tuple[float, ...]:
+        """Force and torque at the centre of wheel i [N, Nm], from the horizontal part of its axle
+        and its twist (w, v).
+        """
         if load <= 0:  # in the air: it lands with a patch that is not deflected
             self._deflection[i] = 0.0, 0.0
             return (0.0,) * 6
@@ -182,7 +231,9 @@ class TyreForces(Actor):
         # Of the point of the wheel under its centre: v + w x (0, 0, -r).
         px, py = vx - r * wy, vy + r * wx
         sliding, speed = (px * x + py * y, py * x - px * y), abs(vx * x + vy * y)
-        u = self._deflection[i] = tyre.deflected(self._deflection[i], sliding, speed, self._friction[i], dt)
+        u = self._deflection[i] = tyre.deflected(
+            self._deflection[i], sliding, speed, self._friction[i], dt
+        )
         along, across = tyre.force(u, sliding, speed, self._friction[i], load)
         fx, fy = along * x - across * y, along * y + across * x
         return fx, fy, 0.0, r * fy, -r * fx, 0.0

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 @spec
 class Gust:
-    """A gust that comes and goes: v(t) = velocity/2 (1 - cos(2 pi (t - from)/duration)), the discrete gust of flight testing.
+    """A gust that comes and goes: v(t) = velocity/2 (1 - cos(2 pi (t - from)/duration)), the
+    discrete gust of flight testing.
 
     Args:
         from_s, duration_s: when it begins, and how long it lasts [s].
@@ -35,12 +36,17 @@ class Gust:
     def at(self, t: float) -> Array:
         """Its velocity (3,) at a time [s]."""
         share = (t - self.from_s) / self.duration_s
-        return np.array(self.velocity_mps) * (0.5 - 0.5 * math.cos(2 * math.pi * share)) if 0 < share < 1 else np.zeros(3)
+        return (
+            np.array(self.velocity_mps) * (0.5 - 0.5 * math.cos(2 * math.pi * share))
+            if 0 < share < 1
+            else np.zeros(3)
+        )
 
 
 @spec
 class Wind(Effect):
-    """The air's motion: a mean, gusts, and turbulence as a first-order Gauss-Markov process on each axis.
+    """The air's motion: a mean, gusts, and turbulence as a first-order Gauss-Markov process on each
+    axis.
 
     Args:
         mean_mps: along world axes [m/s].
@@ -48,7 +54,8 @@ class Wind(Effect):
         turbulence_mps: standard deviation of the turbulence [m/s].
         turbulence_s: its correlation time [s]: L/V of Dryden's longitudinal spectrum.
 
-    Reference: Dryden's spectra as in MIL-F-8785C 1980; a hovering craft meets the longitudinal one at V = 0 only by the mean wind.
+    Reference: Dryden's spectra as in MIL-F-8785C 1980; a hovering craft meets the longitudinal one
+    at V = 0 only by the mean wind.
     """
 
     mean_mps: Velocity = (0.0, 0.0, 0.0)
@@ -71,7 +78,8 @@ class Wind(Effect):
 
 
 class WindField(Actor):
-    """Mean and gusts by the clock, turbulence u with du = -u dt/T + sigma sqrt(2/T) dW, discretised exactly.
+    """Mean and gusts by the clock, turbulence u with du = -u dt/T + sigma sqrt(2/T) dW, discretised
+    exactly.
 
     wind: parameters. model: receives it as `opt.wind`. rng: generator of the turbulence.
     """
@@ -80,8 +88,11 @@ class WindField(Actor):
 
     def __init__(self, wind: Wind, model: mujoco.MjModel, rng: np.random.Generator):
         self._wind, self._model, self._rng = wind, model, rng
-        # Drawn from the stationary distribution: started at 0, turbulence would take some correlation times to reach its size.
-        self._rough = rng.standard_normal(3) * wind.turbulence_mps if wind.turbulence_mps else np.zeros(3)
+        # Drawn from the stationary distribution: started at 0, turbulence would take some
+        # correlation times to reach its size.
+        self._rough = (
+            rng.standard_normal(3) * wind.turbulence_mps if wind.turbulence_mps else np.zeros(3)
+        )
         self.act(0.0, 0.0)
 
     def act(self, t: float, dt: float) -> None:

@@ -1,12 +1,15 @@
-"""Environments for learners: every scenario as a Gymnasium and as a dm_env environment, over `vstestbed.Session`.
+"""Environments for learners: every scenario as a Gymnasium and as a dm_env environment, over
+`vstestbed.Session`.
 
     import gymnasium, vstestbed.env
 
-    env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels")  # one id for each bundled scenario
+    # One id for each bundled scenario:
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels")
     env = vstestbed.env.make("my.yaml", reward="sparse")  # any other
     env = vstestbed.env.dm("arm_ibvs")  # a dm_env.Environment
 
-To import this registers the ids. Gymnasium is an extra (`pip install 'vstestbed[env]'`), dm_env is not.
+To import this registers the ids. Gymnasium is an extra (`pip install 'vstestbed[env]'`), dm_env is
+not.
 """
 
 from __future__ import annotations
@@ -24,13 +27,16 @@ if TYPE_CHECKING:
     from vstestbed.env.deepmind import DmServo
     from vstestbed.scenario.scenario import Scenario
 
-ANY = "vstestbed/scenario-v0"  # the id of any scenario, whose keyword `scenario` names it: for `gymnasium.make_vec` of one's own file
+# the id of any scenario, whose keyword `scenario` names it: for `gymnasium.make_vec` of one's own
+# file
+ANY = "vstestbed/scenario-v0"
 REMEDY = "pip install 'vstestbed[env]'"
 
 
 def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict[str, Any], Any]:
-    """A Gymnasium environment of any scenario (a YAML file, a bundled name, or a loaded one), `gymnasium.make` of the id ANY.
-    settings: as of `GymServo` or `gymnasium.make`. Errors: those of `GymServo`; EnvironmentLackError where Gymnasium is not installed.
+    """A Gymnasium environment of any scenario (a YAML file, a bundled name, or a loaded one),
+    `gymnasium.make` of the id ANY. settings: as of `GymServo` or `gymnasium.make`. Errors: those of
+    `GymServo`; EnvironmentLackError where Gymnasium is not installed.
     """
     if find_spec("gymnasium") is None:
         raise EnvironmentLackError("Gymnasium is not installed", REMEDY)
@@ -41,8 +47,10 @@ def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict
 
 def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: Any) -> DmServo:
     """A dm_env environment of any scenario (a YAML file, a bundled name, or a loaded one).
-    settings: as of `rollout.Rollout`. seed: of the seeds that episodes get, one after the other; None: other ones each time.
-    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    settings: as of `rollout.Rollout`. seed: of the seeds that episodes get, one after the other;
+    None: other ones each time.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the
+    possible ones.
     """
     from vstestbed.env.deepmind import DmServo
     from vstestbed.env.rollout import Rollout

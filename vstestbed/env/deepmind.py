@@ -14,11 +14,13 @@ from vstestbed.env.rollout import MOST_SEED, Bounds, Rollout
 
 
 class DmServo(dm_env.Environment):
-    """A scenario as a dm_env environment; observations and actions: see `Rollout`, rewards: `Reward`.
+    """A scenario as a dm_env environment; observations and actions: see `Rollout`, rewards:
+    `Reward`.
 
-    Not dm_control's `rl.control.Environment`: that one holds a time loop of its own, a fixed number of physics steps for each action,
-    with the observation taken at the end of them. Here pictures have an exposure, a latency and jitter, may be missing, and commands
-    take effect later; the one time loop that does this, `Session`, gives a frame when a picture arrives.
+    Not dm_control's `rl.control.Environment`: that one holds a time loop of its own, a fixed number
+    of physics steps for each action, with the observation taken at the end of them. Here pictures
+    have an exposure, a latency and jitter, may be missing, and commands take effect later; the one
+    time loop that does this, `Session`, gives a frame when a picture arrives.
 
     A success or failure ends an episode with discount 0, a time-out with discount 1.
 
@@ -43,14 +45,18 @@ class DmServo(dm_env.Environment):
         return dm_env.restart(step.observation)
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """One camera frame; after the end, or before the first episode, a new one, whatever the action. Errors: see `Rollout.step`."""
+        """One camera frame; after the end, or before the first episode, a new one, whatever the
+        action. Errors: see `Rollout.step`.
+        """
         if self._last:
             return self.reset()
         step = self.rollout.step(action)
         self._last, self.info = step.terminated or step.truncated, step.info
         if not self._last:
             return dm_env.transition(step.reward, step.observation)
-        return (dm_env.termination if step.terminated else dm_env.truncation)(step.reward, step.observation)
+        return (dm_env.termination if step.terminated else dm_env.truncation)(
+            step.reward, step.observation
+        )
 
     def observation_spec(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env says Any nested
         """The entries of an observation."""

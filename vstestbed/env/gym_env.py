@@ -19,35 +19,45 @@ from vstestbed.scenario.scenario import Scenario
 
 
 class SpecWithLength:
-    """Gymnasium's `spec` of an environment, with `max_episode_steps`: the scenario's own clock ends an episode, and needs no wrapper."""
+    """Gymnasium's `spec` of an environment, with `max_episode_steps`: the scenario's own clock ends
+    an episode, and needs no wrapper.
+    """
 
     def __get__(self, env: Any, owner: type | None = None) -> Any:
         return None if env is None else env.__dict__.get("_spec")
 
     def __set__(self, env: Any, spec: Any) -> None:
-        env.__dict__["_spec"] = None if spec is None else replace(spec, max_episode_steps=env._max_episode_steps)
+        env.__dict__["_spec"] = (
+            None if spec is None else replace(spec, max_episode_steps=env._max_episode_steps)
+        )
 
 
 class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
-    """A scenario as a Gymnasium environment; observations, actions and info: see `Rollout`, rewards: `Reward`.
+    """A scenario as a Gymnasium environment; observations, actions and info: see `Rollout`,
+    rewards: `Reward`.
 
-    `reset(seed=k)` is the run of `vstestbed run --seed k`, byte for byte;
-    without a seed, `np_random` draws one (`info["seed"]`), so that episodes differ, and a seeded first reset makes all that follow the
-    same. `reset(options={"overrides": {"world.light.brightness": 0.5}})` changes values by dotted path for one episode. Keys are LeRobot's:
-    `pixels`, `agent_pos`, `info["is_success"]`, `task_description`, `_max_episode_steps`; `spec.max_episode_steps` is that of the clock.
+    `reset(seed=k)` is the run of `vstestbed run --seed k`, byte for byte; without a seed,
+    `np_random` draws one (`info["seed"]`), so that episodes differ, and a seeded first reset makes
+    all that follow the same. `reset(options={"overrides": {"world.light.brightness": 0.5}})`
+    changes values by dotted path for one episode. Keys are LeRobot's: `pixels`, `agent_pos`,
+    `info["is_success"]`, `task_description`, `_max_episode_steps`; `spec.max_episode_steps` is that
+    of the clock.
 
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
         render_mode: None, or `rgb_array`, the scene from outside.
-        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, action_repeat, picture_px, as `Rollout`
-            has them.
-    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss,
+            action_repeat, picture_px, as `Rollout` has them.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the
+    possible ones.
     """
 
     spec = SpecWithLength()  # pyright: ignore[reportAssignmentType] - the base class has a plain attribute
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - the base class has it so
 
-    def __init__(self, scenario: str | Path | Scenario, *, render_mode: str | None = None, **settings: Any):
+    def __init__(
+        self, scenario: str | Path | Scenario, *, render_mode: str | None = None, **settings: Any
+    ):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError.fixed("render_mode", "None or rgb_array", render_mode)
         self.render_mode = render_mode
@@ -57,16 +67,27 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         self._max_episode_steps = self._rollout.most_steps
         self.metadata = self.metadata | {"render_fps": self.scenario.camera.rate_hz}
         self.observation_space = _space(self._rollout.bounds())
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._rollout.action_unit.shape, np.float32)
+        self.action_space = gymnasium.spaces.Box(
+            -1.0, 1.0, self._rollout.action_unit.shape, np.float32
+        )
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode: its observation and info. options: `overrides`, see `Rollout.reset`; others have no effect."""
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode: its observation and info. options: `overrides`, see `Rollout.reset`;
+        others have no effect.
+        """
         super().reset(seed=seed)
-        step = self._rollout.reset(int(self.np_random.integers(MOST_SEED)) if seed is None else seed, (options or {}).get("overrides"))
+        step = self._rollout.reset(
+            int(self.np_random.integers(MOST_SEED)) if seed is None else seed,
+            (options or {}).get("overrides"),
+        )
         return step.observation, step.info
 
     def step(self, action: NDArray[Any]) -> Step:
-        """One camera frame: observation, reward, terminated, truncated, info. Errors: see `Rollout.step`."""
+        """One camera frame: observation, reward, terminated, truncated, info. Errors: see
+        `Rollout.step`.
+        """
         return self._rollout.step(action)
 
     def expert(self) -> NDArray[Any]:
@@ -89,6 +110,9 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
 def _space(bounds: Mapping[str, Bounds | dict[str, Bounds]]) -> gymnasium.spaces.Dict:
     """The space of an observation, or of the pictures of several cameras in it."""
     spaces: dict[str, gymnasium.Space[Any]] = {
-        name: _space(b) if isinstance(b, dict) else gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype) for name, b in bounds.items()
+        name: _space(b)
+        if isinstance(b, dict)
+        else gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype)
+        for name, b in bounds.items()
     }
     return gymnasium.spaces.Dict(spaces)

@@ -1,4 +1,6 @@
-"""Rollout: a session as learners want it, with observations, actions in [-1, 1], rewards and info."""
+"""Rollout: a session as learners want it, with observations, actions in [-1, 1],
+rewards and info.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class Bounds(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a step gives: observation, reward, whether the episode has ended, whether by the clock, and info."""
+    """What a step gives: observation, reward, whether the episode has ended, whether by the clock,
+    and info.
+    """
 
     observation: dict[str, Any]
     reward: float
@@ -54,44 +58,66 @@ class Step(NamedTuple):
 
 
 def marker_bounds(scenario: Scenario, camera: Camera, detector: Detector[Any]) -> Bounds:
-    """Of the markers (N, 2) [px] that a camera's detector finds: the picture's borders, wide ones where its field of view is unlimited."""
-    shape, wide = (scenario.rows, 2), isinstance(detector, Oracle) and detector.field_of_view != "limited"
-    ends = (np.full(2, -MOST_PX), np.full(2, MOST_PX)) if wide else (np.full(2, -0.5), np.array([camera.width, camera.height]) - 0.5)
+    """Of the markers (N, 2) [px] that a camera's detector finds: the picture's borders, wide ones
+    where its field of view is unlimited.
+    """
+    shape, wide = (
+        (scenario.rows, 2),
+        isinstance(detector, Oracle) and detector.field_of_view != "limited",
+    )
+    ends = (
+        (np.full(2, -MOST_PX), np.full(2, MOST_PX))
+        if wide
+        else (np.full(2, -0.5), np.array([camera.width, camera.height]) - 0.5)
+    )
     low, high = (np.broadcast_to(end, shape).astype(np.float32) for end in ends)
     return Bounds(shape, np.float32, low, high)
 
 
 class Rollout:
-    """A session as learners want it; the Gymnasium and the dm_env environment are this in their words.
+    """A session as learners want it; the Gymnasium and the dm_env environment are this in their
+    words.
 
-    Observation: `markers` (N, 2) [px], 0 for one not seen, and `seen` (N,); `goal` (N, 2), where the markers are to be now [px] (it
-    changes with via points, descents and paths); `agent_pos` (k,), what the robot's own sensors tell (`Robot.proprioception`), where
-    it has any; `pixels` (H, W, 3) uint8. Of further cameras, those of their last pictures, all 0 before the first: `markers_NAME`,
-    `seen_NAME`; and `pixels` is then a picture of each by its name, the law's own under `camera`. It is what a law of the scenario gets,
-    and no truth. Mode `markers` has no pixels, `pixels` no markers, `both` has all. Numbers are float32; markers lie within the picture's
-    borders, or where noise has put them beyond, on them.
+    Observation: `markers` (N, 2) [px], 0 for one not seen, and `seen` (N,); `goal` (N, 2), where
+    the markers are to be now [px] (it changes with via points, descents and paths); `agent_pos`
+    (k,), what the robot's own sensors tell (`Robot.proprioception`), where it has any; `pixels` (H,
+    W, 3) uint8. Of further cameras, those of their last pictures, all 0 before the first:
+    `markers_NAME`, `seen_NAME`; and `pixels` is then a picture of each by its name, the law's own
+    under `camera`. It is what a law of the scenario gets, and no truth. Mode `markers` has no
+    pixels, `pixels` no markers, `both` has all. Numbers are float32; markers lie within the
+    picture's borders, or where noise has put them beyond, on them.
 
-    Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or of 1 m/s and 1 rad/s where it has
-    none (`laws.policy.action_unit`); clipped. It has the scenario's latency and the robot's limits.
+    Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or
+    of 1 m/s and 1 rad/s where it has none (`laws.policy.action_unit`); clipped. It has the
+    scenario's latency and the robot's limits.
 
-    An episode ends with the run's outcome: truncated by a time-out, terminated by any other. Two of the ends can be switched off for
-    learners, who rest and lose the target often: `local_minimum` (and `stuck` of the monitor `settles`), and `target_lost`.
+    An episode ends with the run's outcome: truncated by a time-out, terminated by any other. Two of
+    the ends can be switched off for learners, who rest and lose the target often: `local_minimum`
+    (and `stuck` of the monitor `settles`), and `target_lost`.
 
-    Info at every step: `is_success`, `outcome` and `reason` ("" while it runs), `error`, `error_unit`, `error_limit`, `error_by`
-    (the judged error in this frame, NaN where unknown, and who measures it), `t` [s], `seed`, `randomised` (what the seed drew for the
-    block `randomise`, by paths), and `truth`: `T_world_camera`, `T_world_target` (4, 4), `twist` (6,) of the camera, `q`. The reward and
-    the end of tasks that the truth decides (`error_by`) are the referee's, computed with it; observations never are.
+    Info at every step: `is_success`, `outcome` and `reason` ("" while it runs), `error`,
+    `error_unit`, `error_limit`, `error_by` (the judged error in this frame, NaN where unknown, and
+    who measures it), `t` [s], `seed`, `randomised` (what the seed drew for the block `randomise`,
+    by paths), and `truth`: `T_world_camera`, `T_world_target` (4, 4), `twist` (6,) of the camera,
+    `q`. The reward and the end of tasks that the truth decides (`error_by`) are the referee's,
+    computed with it; observations never are.
 
     Args:
-        scenario: path of a YAML file, name of a bundled scenario, or a loaded one. Of a file its plugins are run.
+        scenario: path of a YAML file, name of a bundled scenario, or a loaded one. Of a file its
+            plugins are run.
         observation: the mode. reward, discount, success_bonus: of a step, see `Reward`.
         overrides: values by dotted path, as `vstestbed.load`.
-        picture_px: (width, height) of `pixels` [px], to which pictures are scaled, by the mean of pixels where they become fewer; None:
-            their own. The detector works on the camera's own picture.
-        end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s` of `scenario` is None.
-        end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and `stop.lost_after_m` are None.
-        action_repeat: for how many frames an action holds; the reward is that of the step from its first to its last.
-    Raises ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario; those of `Reward`.
+        picture_px: (width, height) of `pixels` [px], to which pictures are scaled, by the mean of
+            pixels where they become fewer; None: their own. The detector works on the camera's own
+            picture.
+        end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s`
+            of `scenario` is None.
+        end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and
+            `stop.lost_after_m` are None.
+        action_repeat: for how many frames an action holds; the reward is that of the step from its
+            first to its last.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a
+    loaded scenario; those of `Reward`.
     """
 
     def __init__(
@@ -111,15 +137,30 @@ class Rollout:
         if observation not in get_args(ObservationMode):
             raise ParameterError.choice("observation", get_args(ObservationMode), observation)
         if isinstance(scenario, Scenario) and overrides:
-            raise ParameterError.only_for("overrides", "a scenario given by name or path; load it with them")
+            raise ParameterError.only_for(
+                "overrides", "a scenario given by name or path; load it with them"
+            )
         if not isinstance(action_repeat, int) or action_repeat < 1:
-            raise ParameterError.bound("action_repeat", "a whole number of at least", 1, action_repeat)
-        if picture_px is not None and (len(picture_px) != 2 or not all(isinstance(n, int) and n > 0 for n in picture_px)):
-            raise ParameterError.count("picture_px", "two", "whole numbers over 0, width and height", picture_px)
+            raise ParameterError.bound(
+                "action_repeat", "a whole number of at least", 1, action_repeat
+            )
+        if picture_px is not None and (
+            len(picture_px) != 2 or not all(isinstance(n, int) and n > 0 for n in picture_px)
+        ):
+            raise ParameterError.count(
+                "picture_px", "two", "whole numbers over 0, width and height", picture_px
+            )
         self.action_repeat, self._picture_px = action_repeat, picture_px
-        self._stop = ({} if end_on_rest else {"rest_after_s": None}) | ({} if end_on_loss else {"lost_after_s": None, "lost_after_m": None})
-        self._name, self._overrides = None if isinstance(scenario, Scenario) else scenario, dict(overrides or {})
-        self.scenario = self._stopped(scenario if isinstance(scenario, Scenario) else load(scenario, overrides))
+        self._stop = ({} if end_on_rest else {"rest_after_s": None}) | (
+            {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
+        )
+        self._name, self._overrides = (
+            None if isinstance(scenario, Scenario) else scenario,
+            dict(overrides or {}),
+        )
+        self.scenario = self._stopped(
+            scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+        )
         self._mode, self.reward = observation, Reward(reward, discount, success_bonus)
         self.action_unit = action_unit(self.scenario.law.limits, self._basis(self.scenario))
         self._session: Session | None = None
@@ -143,28 +184,46 @@ class Rollout:
     def bounds(self) -> dict[str, Bounds | dict[str, Bounds]]:
         """The entries of an observation."""
         s, n = self.scenario, self.scenario.rows
-        found: dict[str, Bounds | dict[str, Bounds]] = {"goal": Bounds((n, 2), np.float32, -MOST_PX, MOST_PX)}
+        found: dict[str, Bounds | dict[str, Bounds]] = {
+            "goal": Bounds((n, 2), np.float32, -MOST_PX, MOST_PX)
+        }
         if self._mode != "pixels":
-            seen = {"": (s.camera, s.detector)} | {f"_{name}": (eye.camera, eye.detector) for name, eye in s.eyes.items()}
+            seen = {"": (s.camera, s.detector)} | {
+                f"_{name}": (eye.camera, eye.detector) for name, eye in s.eyes.items()
+            }
             for end, by in seen.items():
-                found |= {f"markers{end}": marker_bounds(s, *by), f"seen{end}": Bounds((n,), np.float32, 0.0, 1.0)}
+                found |= {
+                    f"markers{end}": marker_bounds(s, *by),
+                    f"seen{end}": Bounds((n,), np.float32, 0.0, 1.0),
+                }
         if self._mode != "markers":
             cameras = {OWN: s.camera} | {name: eye.camera for name, eye in s.eyes.items()}
-            sizes = {name: self._picture_px or (camera.width, camera.height) for name, camera in cameras.items()}
-            each = {name: Bounds((height, width, 3), np.uint8, 0, 255) for name, (width, height) in sizes.items()}
+            sizes = {
+                name: self._picture_px or (camera.width, camera.height)
+                for name, camera in cameras.items()
+            }
+            each = {
+                name: Bounds((height, width, 3), np.uint8, 0, 255)
+                for name, (width, height) in sizes.items()
+            }
             found["pixels"] = each if s.eyes else each[OWN]
         if k := len(s.robot.proprioception_names):
             found["agent_pos"] = Bounds((k,), np.float32, -MOST, MOST)
         return found
 
     def reset(self, seed: int, overrides: Mapping[str, object] | None = None) -> Step:
-        """Begin the episode of a seed: the start and the noise of `run --seed`; of a scenario without random starts the noise alone.
+        """Begin the episode of a seed: the start and the noise of `run --seed`; of a scenario
+        without random starts the noise alone.
 
-        overrides: values by dotted path, of this episode alone. Raises ParameterError: they would change what an observation holds, or
-        the scenario was given loaded; ScenarioError: they have mistakes.
+        overrides: values by dotted path, of this episode alone. Raises ParameterError: they would
+        change what an observation holds, or the scenario was given loaded; ScenarioError: they have
+        mistakes.
         """
-        given, seed = self._of_episode(overrides), int(seed)  # of numpy, in a vector of environments
-        scenario = given.with_seed(seed) if given.robot.start.random is None else given.randomised(seed)
+        # of numpy, in a vector of environments
+        given, seed = self._of_episode(overrides), int(seed)
+        scenario = (
+            given.with_seed(seed) if given.robot.start.random is None else given.randomised(seed)
+        )
         self.close()
         self._randomised = values_of(scenario.given)
         self._session = Session(scenario, pictures=self._mode != "markers")
@@ -179,17 +238,30 @@ class Rollout:
         if self._name is None:
             raise ParameterError.only_for("options.overrides", "a scenario given by name or path")
         made = self._stopped(load(self._name, self._overrides | dict(overrides)))
-        same = [(s.rows, s.robot.kind, s.camera.width, s.camera.height, tuple(s.cameras)) for s in (self.scenario, made)]
-        if same[0] != same[1] or not np.array_equal(action_unit(made.law.limits, self._basis(made)), self.action_unit):
-            raise ParameterError("options.overrides", "must leave markers, robot, limits and size of pictures as they are", dict(overrides))
+        same = [
+            (s.rows, s.robot.kind, s.camera.width, s.camera.height, tuple(s.cameras))
+            for s in (self.scenario, made)
+        ]
+        if same[0] != same[1] or not np.array_equal(
+            action_unit(made.law.limits, self._basis(made)), self.action_unit
+        ):
+            raise ParameterError(
+                "options.overrides",
+                "must leave markers, robot, limits and size of pictures as they are",
+                dict(overrides),
+            )
         return made
 
     def _basis(self, scenario: Scenario) -> Array:
-        return scenario.robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), scenario.robot.start_joints())
+        return scenario.robot.motion_basis(
+            Mount.of(scenario.believed_camera.mount.T), scenario.robot.start_joints()
+        )
 
     def step(self, action: Array) -> Step:
-        """Send the robot the velocities of an action (n,), and simulate until the next picture has arrived.
-        Raises ParameterError: an action of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
+        """Send the robot the velocities of an action (n,), and simulate until the next picture has
+        arrived.
+        Raises ParameterError: an action of another shape, or one that is not finite. SessionError:
+        before `reset`, or after the end.
         """
         u = self.action_unit * np.clip(self._checked(action), -1.0, 1.0)
         session, frame = self._running()
@@ -199,26 +271,39 @@ class Rollout:
             if frame.outcome is None:
                 frame = self._frame = session.step(u)
         outcome, before = frame.outcome, self._phi
-        self._told = outcome is not None  # an episode may have ended with its first frame: the first step tells
+        # an episode may have ended with its first frame: the first step tells
+        self._told = outcome is not None
         error, self._phi = self._judged(frame)
         truncated = outcome is not None and outcome.out_of_time
         terminated = outcome is not None and not truncated
         left = max(0, self.most_steps - self._steps)
-        reward = float(self.reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success, left))
-        return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))
+        reward = float(
+            self.reward.of_step(
+                before, self._phi, terminated, outcome is not None and outcome.success, left
+            )
+        )
+        return Step(
+            self._observation(frame), reward, terminated, truncated, self._info(frame, error)
+        )
 
     def expert(self) -> Array:
-        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration. SessionError without one."""
+        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a
+        demonstration. SessionError without one.
+        """
         return np.clip(self._running()[1].command.u / self.action_unit, -1.0, 1.0)
 
     def recording(self) -> Recording:
-        """The episode so far, as `Session.recording`. Raises SessionError: before `reset`, or after `close`."""
+        """The episode so far, as `Session.recording`. Raises SessionError: before `reset`, or after
+        `close`.
+        """
         if self._session is None:
             raise SessionError("no episode has begun", "call reset() first")
         return self._session.recording()
 
     def render(self) -> Image:
-        """The scene from outside at the last frame, as in a film's draft. SessionError before `reset`."""
+        """The scene from outside at the last frame, as in a film's draft. SessionError before
+        `reset`.
+        """
         if self._frame is None or self._session is None:
             raise SessionError("nothing to draw", "call reset() first")
         if self._overview is None:
@@ -230,7 +315,14 @@ class Rollout:
 
     def close(self) -> None:
         """Free the simulation; `reset` begins another one."""
-        session, replay, self._session, self._replay, self._overview, self._frame = self._session, self._replay, None, None, None, None
+        session, replay, self._session, self._replay, self._overview, self._frame = (
+            self._session,
+            self._replay,
+            None,
+            None,
+            None,
+            None,
+        )
         if replay is not None:
             replay.close()
         if session is not None:
@@ -245,7 +337,9 @@ class Rollout:
         if self._session is None or self._frame is None:
             raise SessionError("no episode has begun", "call reset() first")
         if self._told:
-            raise SessionError(f"the episode has ended: {self._episode.reason}", "call reset() for another one")
+            raise SessionError(
+                f"the episode has ended: {self._episode.reason}", "call reset() for another one"
+            )
         return self._session, self._frame
 
     def _checked(self, action: Array) -> Array:
@@ -254,7 +348,9 @@ class Rollout:
         except (TypeError, ValueError):
             numbers = np.zeros(0)
         if numbers.shape != self.action_unit.shape:
-            raise ParameterError.count("action", len(self.action_unit), "numbers in [-1, 1]", action)
+            raise ParameterError.count(
+                "action", len(self.action_unit), "numbers in [-1, 1]", action
+            )
         if not np.isfinite(numbers).all():  # not their sum: it may overflow
             raise ParameterError.infinite("action", action)
         return numbers
@@ -262,7 +358,11 @@ class Rollout:
     def _observation(self, frame: Frame) -> dict[str, Any]:
         seen, exposure, bounds = frame.observation, self._episode.controller.before, self._bounds
         own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
-        told = observed(replace(seen, proprioception=own if len(own) else None), frame.goal, tuple(self.scenario.cameras))
+        told = observed(
+            replace(seen, proprioception=own if len(own) else None),
+            frame.goal,
+            tuple(self.scenario.cameras),
+        )
         found: dict[str, Any] = {}
         for name, value in told.items():
             if isinstance(within := bounds.get(name), Bounds):
@@ -270,7 +370,9 @@ class Rollout:
                 if name.startswith("markers"):
                     found[name][told[f"seen{name.removeprefix('markers')}"] == 0] = 0.0
         if self._mode != "markers":
-            found["pixels"] = self._picture(frame.image) if not self.scenario.cameras else self._pictures(frame)
+            found["pixels"] = (
+                self._picture(frame.image) if not self.scenario.cameras else self._pictures(frame)
+            )
         return found
 
     def _picture(self, image: Image | None) -> Image:
@@ -282,19 +384,30 @@ class Rollout:
         found = {OWN: self._picture(frame.image)}
         for name, eye in self.scenario.eyes.items():
             image = frame.cameras[name].image if name in frame.cameras else None
-            found[name] = self._picture(np.zeros((eye.camera.height, eye.camera.width, 3), np.uint8) if image is None else image)
+            found[name] = self._picture(
+                np.zeros((eye.camera.height, eye.camera.width, 3), np.uint8)
+                if image is None
+                else image
+            )
         return found
 
     def _judged(self, frame: Frame) -> tuple[JudgedError, float]:
         scenario = self.scenario
-        values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
+        values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {
+            "error_px": frame.error.rms_px
+        }
         error = in_a_frame(scenario.goal.judged, scenario.stop, values)
         return error, potential(error, frame.goal.view, len(scenario.goal_views))
 
     def _info(self, frame: Frame, error: JudgedError) -> dict[str, Any]:
         """What a learner may look at and a policy may not."""
         outcome, truth = frame.outcome, frame.truth
-        true = {"T_world_camera": truth.T_world_camera, "T_world_target": truth.T_world_target, "twist": truth.twist, "q": truth.q}
+        true = {
+            "T_world_camera": truth.T_world_camera,
+            "T_world_target": truth.T_world_target,
+            "twist": truth.twist,
+            "q": truth.q,
+        }
         return {
             "is_success": outcome is not None and outcome.success,
             "outcome": "" if outcome is None else outcome.name,

@@ -1,4 +1,6 @@
-"""Image features: what a law servoes on. Each gives s (`measure`), L (`interaction`) and s - s* (`error`)."""
+"""Image features: what a law servoes on. Each gives s (`measure`), L (`interaction`) and s - s*
+(`error`).
+"""
 
 from dataclasses import fields
 
@@ -11,8 +13,13 @@ from vstestbed.features.points import Point, Polar, Spherical, StereoPoint
 from vstestbed.features.polygon import Polygon
 from vstestbed.features.pose import ThetaU
 
-# A feature is computed for the current view and for the goal view: its inputs must be fields of both.
-_IN_BOTH = {f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__}
+# A feature is computed for the current view and for the goal view: its inputs must be fields of
+# both.
+_IN_BOTH = {
+    f.name
+    for f in fields(Observation)
+    if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__
+}
 _VIEW_FIELDS = sorted({*_IN_BOTH, "xyw"})
 FEATURES = Registry(
     "feature",
@@ -20,7 +27,9 @@ FEATURES = Registry(
     default="point",
     contract=Contract(Feature, words={"inputs": _VIEW_FIELDS}),
 )
-"""Features of image points, for `ibvs`; ThetaU takes a rotation, and other laws combine it with others."""
+"""Features of image points, for `ibvs`; ThetaU takes a rotation, and other laws combine it with
+others.
+"""
 
 __all__ = [
     "FEATURES",

@@ -15,18 +15,20 @@ from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 
-# Least depth of a visible marker by an estimated pose, as a share of the distance in the goal view: propagated by the camera's motion, a
-# pose may drift through the target.
+# Least depth of a visible marker by an estimated pose, as a share of the distance in the goal view:
+# propagated by the camera's motion, a pose may drift through the target.
 NEAREST = 0.01
 
 
 class DepthCues(NamedTuple):
-    """What an observer has computed of one frame; a source takes what it needs, and None stands for what there is not.
+    """What an observer has computed of one frame; a source takes what it needs, and None stands for
+    what there is not.
 
     Attributes:
-        goal: the goal view. xy: normalised coordinates, shape (N, 2), NaN where a marker is not seen.
-        p_estimated, p_true, p_by_size, p_by_pair: markers in the camera frame (N, 3) [m], by the estimated pose, in truth (oracle), by
-            their size, triangulated with a second camera.
+        goal: the goal view. xy: normalised coordinates, shape (N, 2), NaN where a marker is not
+            seen.
+        p_estimated, p_true, p_by_size, p_by_pair: markers in the camera frame (N, 3) [m], by the
+            estimated pose, in truth (oracle), by their size, triangulated with a second camera.
         by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate.
         measured: depths by the depth camera (N,) [m], NaN in its holes (`DepthSource.read`).
     """
@@ -42,32 +44,52 @@ class DepthCues(NamedTuple):
 
 
 class DepthSource:
-    """Where depths Z (along the optical axis) and ranges (along the ray) of the markers come from."""
+    """Where depths Z (along the optical axis)
+    and ranges (along the ray) of the markers come from.
+    """
 
     kind: Any  # the word in a scenario: a field of each
     needs_pose: ClassVar[bool] = False  # the target's pose must be estimated
     needs_size: ClassVar[bool] = False  # the target's known size must tell its place
     true: ClassVar[bool] = False  # depths are the simulator's truth
-    on_floor: ClassVar[bool] = False  # that pose is one of a base that stands upright on the floor: three unknowns
-    preset: ClassVar[bool] = False  # depths are given numbers, not measured: derotation leaves them as they are
-    measured: ClassVar[bool] = False  # depths are read from the picture of a depth camera (`camera.depth_sensor`)
-    camera: Any = ""  # name of the further camera with which depths are triangulated; "" where they come from elsewhere
-    estimator: Any = None  # parameters of the recursive estimate from motion (`Estimate`); None where depths come from elsewhere
+    on_floor: ClassVar[bool] = (
+        False  # that pose is one of a base that stands upright on the floor: three unknowns
+    )
+    preset: ClassVar[bool] = (
+        False  # depths are given numbers, not measured: derotation leaves them as they are
+    )
+    measured: ClassVar[bool] = (
+        False  # depths are read from the picture of a depth camera (`camera.depth_sensor`)
+    )
+    # name of the further camera with which depths are triangulated; "" where they come from
+    # elsewhere
+    camera: Any = ""
+    # parameters of the recursive estimate from motion (`Estimate`); None where depths come from
+    # elsewhere
+    estimator: Any = None
 
     def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
-        """Measured depths (N,) [m] at pixels uv (N, 2) of a depth picture (H, W) [m]; None for a source that needs none."""
+        """Measured depths (N,) [m] at pixels uv (N, 2) of a depth picture (H, W) [m]; None for a
+        source that needs none.
+        """
         return None
 
     def points(self, cues: DepthCues) -> Array | None:
-        """The markers in the camera frame (N, 3) [m] by this source, None where it knows none; by default by the estimated pose."""
+        """The markers in the camera frame (N, 3) [m] by this source, None where it knows none; by
+        default by the estimated pose.
+        """
         return cues.p_estimated
 
     def depths(self, cues: DepthCues) -> Array:
-        """Depth of each marker, shape (N,) [m], NaN where unknown; by default that of `points`, of those seen at least NEAREST."""
+        """Depth of each marker, shape (N,) [m], NaN where unknown; by default that of `points`, of
+        those seen at least NEAREST.
+        """
         p = self.points(cues)
         if p is None:
             return np.full(len(cues.xy), np.nan)
-        return np.where(np.isfinite(cues.xy[:, 0]), np.maximum(p[:, 2], NEAREST * cues.goal.reach_m), p[:, 2])
+        return np.where(
+            np.isfinite(cues.xy[:, 0]), np.maximum(p[:, 2], NEAREST * cues.goal.reach_m), p[:, 2]
+        )
 
     def ranges(self, cues: DepthCues) -> Array:
         """Range of each marker, shape (N,) [m], NaN where unknown; by default that of `points`."""
@@ -77,7 +99,9 @@ class DepthSource:
 
 @spec
 class PnP(DepthSource):
-    """Depth from the target's pose, solved from its known points and the measured pixels (perspective-n-point)."""
+    """Depth from the target's pose, solved from its known points and the measured pixels
+    (perspective-n-point).
+    """
 
     kind: Literal["pnp"] = "pnp"
     needs_pose: ClassVar[bool] = True
@@ -118,9 +142,11 @@ class AtGoal(DepthSource):
 
 @spec
 class Estimate(DepthSource):
-    """Each marker's inverse range by recursive least squares on the flow of its ray under the camera's own motion.
+    """Each marker's inverse range by recursive least squares on the flow of its ray under the
+    camera's own motion.
 
-    The motion is what the robot measures of itself: an arm's encoders; the ideal camera moves as commanded.
+    The motion is what the robot measures of itself: an arm's encoders; the ideal camera moves as
+    commanded.
 
     Args:
         initial_m: depth assumed until the camera has moved enough to tell [m].
@@ -145,13 +171,17 @@ class Estimate(DepthSource):
 
     def _by_flow(self, cues: DepthCues) -> tuple[Array, Array]:
         if cues.by_flow is None:
-            raise ParameterError("state", "does not belong to this depth; begin with Observer.init()")
+            raise ParameterError(
+                "state", "does not belong to this depth; begin with Observer.init()"
+            )
         return cues.by_flow
 
 
 @spec
 class BySize(DepthSource):
-    """For a ball: depth from its known radius. The rays that touch it lie on a cone whose angle is the ball's distance."""
+    """For a ball: depth from its known radius. The rays that touch it lie on a cone whose angle is
+    the ball's distance.
+    """
 
     kind: Literal["size"] = "size"
     needs_size: ClassVar[bool] = True
@@ -169,7 +199,11 @@ class OracleDepth(DepthSource):
 
     def points(self, cues: DepthCues) -> Array:
         if cues.p_true is None:
-            raise ParameterError.excluded("depth", "oracle without detector oracle", works="pnp, constant, goal, estimate or sensor")
+            raise ParameterError.excluded(
+                "depth",
+                "oracle without detector oracle",
+                works="pnp, constant, goal, estimate or sensor",
+            )
         return cues.p_true
 
     def depths(self, cues: DepthCues) -> Array:
@@ -179,10 +213,12 @@ class OracleDepth(DepthSource):
 
 @spec
 class OnFloor(DepthSource):
-    """For a vehicle: depth from its place on the floor, solved from two or more landmarks of known height.
+    """For a vehicle: depth from its place on the floor, solved from two or more landmarks of known
+    height.
 
-    The mount is known, the vehicle stands upright (one that pitches on its suspension is off by as much): three unknowns, where `pnp` has
-    six and needs three markers. Of a single landmark the heading stays as it was.
+    The mount is known, the vehicle stands upright (one that pitches on its suspension is off by as
+    much): three unknowns, where `pnp` has six and needs three markers. Of a single landmark the
+    heading stays as it was.
     """
 
     kind: Literal["floor"] = "floor"
@@ -192,11 +228,13 @@ class OnFloor(DepthSource):
 
 @spec
 class Sensed(DepthSource):
-    """Each marker's depth as the depth camera measures it: the median of the valid pixels in a square round the marker's pixel.
+    """Each marker's depth as the depth camera measures it: the median of the valid pixels in a
+    square round the marker's pixel.
 
-    It is the depth of the surface that is seen, of a ball that of its front. Where fewer than half of the square's pixels are valid there
-    is none: the law does without that marker, unless `missing_m` says which to take. The markers' depths in the goal view are those of its
-    geometry; only points that a detector finds in the goal's picture have theirs from its depth picture.
+    It is the depth of the surface that is seen, of a ball that of its front. Where fewer than half
+    of the square's pixels are valid there is none: the law does without that marker, unless
+    `missing_m` says which to take. The markers' depths in the goal view are those of its geometry;
+    only points that a detector finds in the goal's picture have theirs from its depth picture.
 
     Args:
         window_px: side of the square, odd [px].
@@ -210,10 +248,14 @@ class Sensed(DepthSource):
 
     def __post_init__(self) -> None:
         if self.window_px % 2 == 0:
-            raise ParameterError.fixed("window_px", "odd", self.window_px, why="the marker's pixel is in the middle")
+            raise ParameterError.fixed(
+                "window_px", "odd", self.window_px, why="the marker's pixel is in the middle"
+            )
 
     def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
-        """The medians (N,) [m]; NaN where too few pixels are valid, and for markers that are not seen."""
+        """The medians (N,) [m]; NaN where too few pixels are valid, and for markers that are not
+        seen.
+        """
         return None if depth_image is None else depth_at(depth_image, uv, self.window_px)
 
     def depths(self, cues: DepthCues) -> Array:
@@ -229,7 +271,8 @@ class Sensed(DepthSource):
 
 
 def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Array:
-    """Median (N,) [m] of the valid pixels in squares of odd `side` [px] round pixels uv (N, 2) of a picture (H, W).
+    """Median (N,) [m] of the valid pixels in squares of odd `side` [px] round pixels uv (N, 2) of a
+    picture (H, W).
 
     NaN where under half of a square is valid; what lies outside of the picture is not.
     """
@@ -238,8 +281,11 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
     at = np.rint(np.clip(np.where(known[:, None], uv, -1e6), -1e6, 1e6)).astype(int)
     v, u = (at[:, i, None] + np.arange(-half, half + 1) for i in (1, 0))
     inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
-    values = depth_image[np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]].astype(float)
-    values = np.sort(np.where(inside, values, np.nan).reshape(len(uv), side * side), axis=1)  # NaN last
+    values = depth_image[
+        np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]
+    ].astype(float)
+    # NaN last
+    values = np.sort(np.where(inside, values, np.nan).reshape(len(uv), side * side), axis=1)
     n = np.isfinite(values).sum(axis=1)
     rows, enough = np.arange(len(uv)), 2 * n > side * side
     middle = values[rows, np.maximum(n - 1, 0) // 2] + values[rows, n // 2]
@@ -248,16 +294,18 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
 
 @spec
 class Triangulated(DepthSource):
-    """Each marker's depth by a second camera (stereo): the middle of the shortest line between the rays of both.
+    """Each marker's depth by a second camera (stereo): the middle of the shortest line between the
+    rays of both.
 
-    Of a pair side by side, the baseline b apart, this is Z = b / d with the disparity d = x_l - x_r. A marker that one of the two does
-    not see has no depth, and the law does without it.
+    Of a pair side by side, the baseline b apart, this is Z = b / d with the disparity d = x_l -
+    x_r. A marker that one of the two does not see has no depth, and the law does without it.
 
     Args:
-        camera: name of the second camera (`cameras`), which takes its pictures at the same times; e.g. `right`.
+        camera: name of the second camera (`cameras`), which takes its pictures at the same times;
+            e.g. `right`.
 
-    Reference: Beardsley, Zisserman & Murray 1997, doi:10.1023/A:1007923216416 (midpoint method); against others: Hartley & Sturm 1997,
-    doi:10.1006/cviu.1997.0547.
+    Reference: Beardsley, Zisserman & Murray 1997, doi:10.1023/A:1007923216416 (midpoint method);
+    against others: Hartley & Sturm 1997, doi:10.1006/cviu.1997.0547.
     """
 
     kind: Literal["stereo"] = "stereo"
@@ -268,8 +316,8 @@ class Triangulated(DepthSource):
 
 
 def triangulated(ray: Array, ray_other: Array, T_camera_other: Array) -> Array:
-    """Middles (N, 3) [m], in the first camera's frame, of the shortest lines between rays (N, 3) of two cameras; NaN where one is NaN,
-    where the rays are parallel, or meet behind a camera.
+    """Middles (N, 3) [m], in the first camera's frame, of the shortest lines between rays (N, 3) of
+    two cameras; NaN where one is NaN, where the rays are parallel, or meet behind a camera.
 
     T_camera_other: pose (4, 4) of the second camera in the frame of the first.
     """
@@ -281,5 +329,7 @@ def triangulated(ray: Array, ray_other: Array, T_camera_other: Array) -> Array:
     return np.where(((s > 0) & (r > 0))[:, None], p, np.nan)
 
 
-DEPTHS = Registry("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, Triangulated, OracleDepth)
+DEPTHS = Registry(
+    "depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, Triangulated, OracleDepth
+)
 Depth = Annotated[DepthSource, DEPTHS]

@@ -1,4 +1,6 @@
-"""Moments of a shape in the image: where it is, how large, how it is turned and tilted; the ellipse as the shape of discs and balls."""
+"""Moments of a shape in the image: where it is, how large, how it is turned and tilted; the ellipse
+as the shape of discs and balls.
+"""
 
 from __future__ import annotations
 
@@ -14,21 +16,39 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import MOST_CONDITION, Dual, Feature, angle, checked, condition, require_plane, square, wrap
+from vstestbed.features.base import (
+    MOST_CONDITION,
+    Dual,
+    Feature,
+    angle,
+    checked,
+    condition,
+    require_plane,
+    square,
+    wrap,
+)
 from vstestbed.features.polygon import segments, size, spans_area
 
-Of = Literal["points", "region"]  # moments are sums over points, or integrals over the region within a closed outline
-LEAST_AREA = 1e-12  # area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a pixel wide
-FLAT = 1e-9  # ratio of the scatters of points across and along a line under which they do not tell how a plane is tilted about it
+# moments are sums over points, or integrals over the region within a closed outline
+Of = Literal["points", "region"]
+# area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a
+# pixel wide
+LEAST_AREA = 1e-12
+# ratio of the scatters of points across and along a line under which they do not tell how a plane
+# is tilted about it
+FLAT = 1e-9
 
 
 def image_moments(xy: Array, of: Of, order: int) -> Array:
-    """Moments m_pq = sum of x^p y^q, or the integral over the region, for p + q <= order: [p, q] of (..., order+1, order+1), else 0.
+    """Moments m_pq = sum of x^p y^q, or the integral over the region, for p + q <= order: [p, q] of
+    (..., order+1, order+1), else 0.
 
     Of points, or of the vertices of the outline in order, either way round, xy (..., N, 2).
-    Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the edges of x_i y_i+1 - x_i+1 y_i times the
-    mean of x^p y^q on the edge. Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
-    Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische Universität München, FGBV-96-05.
+    Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the
+    edges of x_i y_i+1 - x_i+1 y_i times the mean of x^p y^q on the edge. Gauss-Legendre nodes on
+    each edge give that mean without error: the result is exact for polygons.
+    Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische
+    Universität München, FGBV-96-05.
     """
     xy = np.asarray(xy, dtype=float)
     if of == "region":
@@ -50,13 +70,16 @@ def image_moments(xy: Array, of: Of, order: int) -> Array:
 
 @cache
 def _nodes(order: int) -> tuple[Array, Array]:
-    """Nodes in (0, 1) and their weights, by which the mean of a polynomial of this degree is exact."""
+    """Nodes in (0, 1) and their weights, by
+    which the mean of a polynomial of this degree is exact.
+    """
     t, weight = np.polynomial.legendre.leggauss(order // 2 + 1)
     return (t + 1) / 2, weight / 2
 
 
 def fitted_plane(xy: Array, depth: Array) -> Array:
-    """The plane 1/Z = A x + B y + C (..., 3) that fits the depths (..., N) [m] of points xy (..., N, 2) best, in 1/Z.
+    """The plane 1/Z = A x + B y + C (..., 3) that fits the depths (..., N) [m] of points xy (...,
+    N, 2) best, in 1/Z.
 
     Points on one line do not tell the tilt about it, which is then taken as zero.
     """
@@ -64,30 +87,38 @@ def fitted_plane(xy: Array, depth: Array) -> Array:
     middle, mean = xy.mean(axis=-2), inverse.mean(axis=-1)
     d = xy - middle[..., None, :]
     scatter = np.swapaxes(d, -1, -2) @ d
-    AB = np.linalg.pinv(scatter, FLAT, hermitian=True) @ (np.swapaxes(d, -1, -2) @ (inverse - mean[..., None])[..., None])
+    AB = np.linalg.pinv(scatter, FLAT, hermitian=True) @ (
+        np.swapaxes(d, -1, -2) @ (inverse - mean[..., None])[..., None]
+    )
     C = mean - np.einsum("...k,...k->...", AB[..., 0], middle)
     return np.concatenate([AB[..., 0], C[..., None]], axis=-1)
 
 
 @dataclass(frozen=True)
 class MomentSet:
-    """The centroid and the central moments of shapes; with a plane, each quantity comes with its rate as a `Dual`, else as an array.
+    """The centroid and the central moments of shapes; with a plane, each quantity comes with its
+    rate as a `Dual`, else as an array.
 
-    m_pq_dot = sum of x^p y^q by the flow of its points, which lie in the plane 1/Z = A x + B y + C. For central moments mu_pq, with
-    d = 1 and k = 4 for a region, d = 0 and k = 1 for points, n_ij = mu_ij/m_00:
+    m_pq_dot = sum of x^p y^q by the flow of its points, which lie in the plane 1/Z = A x + B y + C.
+    For central moments mu_pq, with d = 1 and k = 4 for a region, d = 0 and k = 1 for points, n_ij =
+    mu_ij/m_00:
 
     mu_vx = -(p+d) A mu_pq - p B mu_p-1,q+1
     mu_vy = -q A mu_p+1,q-1 - (q+d) B mu_pq
     mu_vz = -A mu_wy + B mu_wx + (p+q+2d) C mu_pq
-    mu_wx = (p+q+3d) mu_p,q+1 + p xg mu_p-1,q+1 + (p+2q+3d) yg mu_pq - k p n11 mu_p-1,q - k q n02 mu_p,q-1
-    mu_wy = -(p+q+3d) mu_p+1,q - (2p+q+3d) xg mu_pq - q yg mu_p+1,q-1 + k p n20 mu_p-1,q + k q n11 mu_p,q-1
+    mu_wx = (p+q+3d) mu_p,q+1 + p xg mu_p-1,q+1 + (p+2q+3d) yg mu_pq
+            - k p n11 mu_p-1,q - k q n02 mu_p,q-1
+    mu_wy = -(p+q+3d) mu_p+1,q - (2p+q+3d) xg mu_pq - q yg mu_p+1,q-1
+            + k p n20 mu_p-1,q + k q n11 mu_p,q-1
     mu_wz = p mu_p-1,q+1 - q mu_p+1,q-1
 
     Attributes:
-        mu: central moments (..., n+1, n+1) of all orders p + q <= n, element [p, q]; a rate needs those of one order more.
+        mu: central moments (..., n+1, n+1) of all orders p + q <= n, element [p, q]; a rate needs
+            those of one order more.
         centre: the centroid (..., 2). plane: A, B, C (..., 3); None for values without rates.
 
-    Reference: Chaumette 2004, doi:10.1109/TRO.2004.829463; for points: Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500.
+    Reference: Chaumette 2004, doi:10.1109/TRO.2004.829463; for points: Tahri & Chaumette 2005,
+    doi:10.1109/TRO.2005.853500.
     """
 
     mu: Array
@@ -113,7 +144,9 @@ class MomentSet:
 
     @property
     def area(self) -> Any:
-        """The area a of a region; of points mu20 + mu02, which changes with the distance as an area does."""
+        """The area a of a region; of points mu20 + mu02, which changes with the distance as an area
+        does.
+        """
         if self.of == "points":
             return self.central(2, 0) + self.central(0, 2)
         return self.central(0, 0)
@@ -128,7 +161,8 @@ class MomentSet:
         return self._known[p, q]
 
     def complex(self, p: int, q: int) -> Any:
-        """The moment c_pq = sum of z^p conj(z)^q with z = x + i y from the centroid; turned by phi, it turns by (p - q) phi.
+        """The moment c_pq = sum of z^p conj(z)^q with z = x + i y from the centroid; turned by phi,
+        it turns by (p - q) phi.
 
         c_11 = mu20 + mu02,  c_20 = mu20 - mu02 + 2i mu11,  c_21 = mu30 + mu12 + i (mu21 + mu03),
         c_30 = mu30 - 3 mu12 + i (3 mu21 - mu03).
@@ -136,7 +170,11 @@ class MomentSet:
         """
         if ("c", p, q) not in self._known:
             terms = [
-                comb(p, a) * comb(q, b) * 1j ** (p - a) * (-1j) ** (q - b) * self.central(a + b, p + q - a - b)
+                comb(p, a)
+                * comb(q, b)
+                * 1j ** (p - a)
+                * (-1j) ** (q - b)
+                * self.central(a + b, p + q - a - b)
                 for a in range(p + 1)
                 for b in range(q + 1)
             ]
@@ -147,12 +185,16 @@ class MomentSet:
         return self.mu[..., p, q] if min(p, q) >= 0 else np.zeros(self.mu.shape[:-2])
 
     def _normalised(self) -> tuple[Array, Array, Array]:
-        """The terms k n20, k n11, k n02, by which the centroid moves otherwise than a point would."""
+        """The terms k n20, k n11, k n02, by which the centroid moves otherwise than a
+        point would.
+        """
         share = (4 if self.of == "region" else 1) / np.maximum(self._at(0, 0), LEAST_AREA)
         return share * self._at(2, 0), share * self._at(1, 1), share * self._at(0, 2)
 
     def coordinate(self, axis: int) -> Any:
-        """The centroid's xg or yg; its rate is the flow of a point there, and terms of second order."""
+        """The centroid's xg or yg; its rate is the flow of a point there, and terms of second
+        order.
+        """
         value = self.centre[..., axis]
         if self.plane is None:
             return value
@@ -183,11 +225,16 @@ class MomentSet:
         wy = -(p + q + 3 * d) * mu(p + 1, q) - (2 * p + q + 3 * d) * x * here - q * y * under
         wy = wy + p * n20 * mu(p - 1, q) + q * n11 * mu(p, q - 1)
         vx, vy = -(p + d) * A * here - p * B * over, -q * A * under - (q + d) * B * here
-        return np.stack([vx, vy, -A * wy + B * wx + (p + q + 2 * d) * C * here, wx, wy, p * over - q * under], axis=-1)
+        return np.stack(
+            [vx, vy, -A * wy + B * wx + (p + q + 2 * d) * C * here, wx, wy, p * over - q * under],
+            axis=-1,
+        )
 
 
 def place(m: MomentSet, row: str) -> Any:
-    """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a Dual."""
+    """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a
+    Dual.
+    """
     plain = {"g": 1.0, "n": m.area**-0.5}
     if row in ("area", "an"):
         return m.area if row == "area" else plain["n"]
@@ -202,7 +249,9 @@ def over(a: Any, b: Any) -> Any:
 
 
 def _second_order(m: MomentSet) -> dict[str, Any]:
-    """With complex moments: c1 = (|c20|^2 - c11^2) / (4 |c20|^2) = (mu11^2 - mu20 mu02) / |c20|^2, px = |c20|^2 / c11^2."""
+    """With complex moments: c1 = (|c20|^2 - c11^2) / (4 |c20|^2) = (mu11^2 - mu20 mu02) / |c20|^2,
+    px = |c20|^2 / c11^2.
+    """
     c20, c11 = square(m.complex(2, 0)), square(m.complex(1, 1))
     return {"c1": over(0.25 * (c20 - c11), c20), "px": over(c20, c11)}
 
@@ -210,23 +259,34 @@ def _second_order(m: MomentSet) -> dict[str, Any]:
 def _third_order_sizes(m: MomentSet) -> dict[str, Any]:
     """With complex moments: c2 = |c30|^2 / |c21|^2, py = a |c30|^2 / c11^3."""
     c30 = square(m.complex(3, 0))
-    return {"c2": over(c30, square(m.complex(2, 1))), "py": over(m.area * c30, m.complex(1, 1).real ** 3)}
+    return {
+        "c2": over(c30, square(m.complex(2, 1))),
+        "py": over(m.area * c30, m.complex(1, 1).real ** 3),
+    }
 
 
 def _third_order(m: MomentSet) -> dict[str, Any]:
     """With a = |c30|^2, b = |c21|^2, z = c30 conj(c21)^3 and D = (a + 3 b)^2 - 16 Re z:
 
-    c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D,  c4 = 16 Im z / D,  c5 = (b - a) (a - 9 b) / D,  c6 = (a - 9 b)^2 / D.
+    c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D,  c4 = 16 Im z / D,
+    c5 = (b - a) (a - 9 b) / D,               c6 = (a - 9 b)^2 / D.
     """
     c30, c21 = m.complex(3, 0), m.complex(2, 1)
     a, b, z = square(c30), square(c21), c30 * (c21 * c21 * c21).conj()
-    above = {"c3": a * a - 6 * a * b - 3 * b * b + 8 * z.real, "c4": 16 * z.imag, "c5": (b - a) * (a - 9 * b), "c6": (a - 9 * b) ** 2}
+    above = {
+        "c3": a * a - 6 * a * b - 3 * b * b + 8 * z.real,
+        "c4": 16 * z.imag,
+        "c5": (b - a) * (a - 9 * b),
+        "c6": (a - 9 * b) ** 2,
+    }
     below = (a + 3 * b) ** 2 - 16 * z.real
     return {row: over(value, below) for row, value in above.items()}
 
 
 def _fourth_order(m: MomentSet) -> dict[str, Any]:
-    """With a = |c40|^2, b = |c31|^2, c = |c22|^2 and D = a - 4 b + 3 c: c7 = (a + 8 b - 9 c) / D, c8 = 4 (9 c + 4 b - a) / D."""
+    """With a = |c40|^2, b = |c31|^2, c = |c22|^2 and D = a - 4 b + 3 c: c7 = (a + 8 b - 9 c) / D,
+    c8 = 4 (9 c + 4 b - a) / D.
+    """
     a, b, c = (square(m.complex(4 - i, i)) for i in range(3))
     below = a - 4 * b + 3 * c
     return {"c7": over(a + 8 * b - 9 * c, below), "c8": over(4 * (9 * c + 4 * b - a), below)}
@@ -239,9 +299,14 @@ def _fifth_order(m: MomentSet) -> dict[str, Any]:
 
 
 def _tilt(m: MomentSet) -> dict[str, Any]:
-    """With S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)), 0 for a symmetric shape, whose rate is not: sx = Re S, sy = Im S."""
+    """With S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)), 0 for a symmetric shape, whose rate
+    is not: sx = Re S, sy = Im S.
+    """
     c20 = m.complex(2, 0)
-    S = over(1j * m.complex(3, 0) * (c20 * c20).conj() * m.area**0.5, square(c20) * m.complex(1, 1).real ** 1.5)
+    S = over(
+        1j * m.complex(3, 0) * (c20 * c20).conj() * m.area**0.5,
+        square(c20) * m.complex(1, 1).real ** 1.5,
+    )
     return {"sx": S.real, "sy": S.imag}
 
 
@@ -257,26 +322,53 @@ INVARIANTS = {
 }
 """By word, the function that gives it and the highest order of the moments in it.
 
-c1 to c10: Chaumette 2004, doi:10.1109/TRO.2004.829463; sx, sy, px, py: Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500; here
-written in complex moments, in which an invariance is seen at once: the turns of the factors cancel.
+c1 to c10: Chaumette 2004, doi:10.1109/TRO.2004.829463; sx, sy, px, py: Tahri & Chaumette 2005,
+doi:10.1109/TRO.2005.853500; here written in complex moments, in which an invariance is seen at
+once: the turns of the factors cancel.
 """
 
 
 Row = Literal[  # fmt: skip - one name a line would hide the groups
-    "xn", "yn", "an", "xg", "yg", "area", "alpha", "sx", "sy", "px", "py", "c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8", "c9", "c10"
+    "xn",
+    "yn",
+    "an",
+    "xg",
+    "yg",
+    "area",
+    "alpha",
+    "sx",
+    "sy",
+    "px",
+    "py",
+    "c1",
+    "c2",
+    "c3",
+    "c4",
+    "c5",
+    "c6",
+    "c7",
+    "c8",
+    "c9",
+    "c10",
 ]
 DIRECTED = 0.1
-"""Skewness over which third-order moments tell the two ends of the principal axis apart. A tilt of some 20 degrees gives a symmetric shape
-a third of that."""
-ROUND = 0.05  # elongation of a shape in the goal view under which its principal axis counts as undefined
-SYMMETRIC = 0.02  # share of third-order moments in the goal view under which a shape counts as symmetric about its centre
+"""Skewness over which third-order moments tell the two ends of the principal axis apart. A tilt of
+some 20 degrees gives a symmetric shape a third of that.
+"""
+# elongation of a shape in the goal view under which its principal axis counts as undefined
+ROUND = 0.05
+# share of third-order moments in the goal view under which a shape counts as symmetric about its
+# centre
+SYMMETRIC = 0.02
 
 
 @spec
 class Moments(Feature):
-    """Functions of the moments of all markers together, or of the region that they enclose; the rows of e and L are `rows`.
+    """Functions of the moments of all markers together, or of the region that they enclose; the
+    rows of e and L are `rows`.
 
-    m_pq is the sum of x^p y^q over the points, or its integral over the region; mu_pq the same about the centroid (xg, yg).
+    m_pq is the sum of x^p y^q over the points, or its integral over the region; mu_pq the same
+    about the centroid (xg, yg).
 
     xg, yg     the centroid, m10/m00 and m01/m00
     area       a = m00 of a region, mu20 + mu02 of points
@@ -285,27 +377,35 @@ class Moments(Feature):
     alpha      angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
     sx to c10  ratios that tell the tilt; `features/moments.py` has their equations
 
-    Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the camera's motion along x, y and z, a
-    factor that does not depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
+    Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the
+    camera's motion along x, y and z, a factor that does not depend on Z. (In print they have the
+    factor Z* sqrt(a*) of the goal, which makes them metres.)
 
-    Which pair suits for the tilt depends on the shape; one that hardly tells it is refused, with the pair that is conditioned best. sx
-    and sy suit an L, a rectangle and other shapes that are symmetric about their centre; c4 and c6 a whale or an arrow, of which sx and
-    sy are nearly functions of the other rows. px and py, c1 and c2, c4 and c6 need a shape without that symmetry, and px, py and c1, c2
-    one that is not its own mirror image. Of an L px and py converge from farther away than sx and sy, and are some four times as
-    sensitive to noise. All four converge from the most starts with the mean of the matrices (`law.interaction`). An ellipse needs the
+    Which pair suits for the tilt depends on the shape; one that hardly tells it is refused, with
+    the pair that is conditioned best. sx and sy suit an L, a rectangle and other shapes that are
+    symmetric about their centre; c4 and c6 a whale or an arrow, of which sx and sy are nearly
+    functions of the other rows. px and py, c1 and c2, c4 and c6 need a shape without that symmetry,
+    and px, py and c1, c2 one that is not its own mirror image. Of an L px and py converge from
+    farther away than sx and sy, and are some four times as sensitive to noise. All four converge
+    from the most starts with the mean of the matrices (`law.interaction`). An ellipse needs the
     feature `ellipse`.
 
-    alpha is an axis without a direction. Where third-order moments are large enough in both views, they tell its two ends apart, and its
-    error is within half a turn, else within a quarter. To this end s has t = c21 sqrt(m00)/c11^(3/2) behind the rows where alpha is one.
+    alpha is an axis without a direction. Where third-order moments are large enough in both views,
+    they tell its two ends apart, and its error is within half a turn, else within a quarter. To
+    this end s has t = c21 sqrt(m00)/c11^(3/2) behind the rows where alpha is one.
 
-    L is that of the moments (`MomentSet`), with the plane 1/Z = A x + B y + C that fits the depths of the markers, which must lie in one.
+    L is that of the moments (`MomentSet`), with the plane 1/Z = A x + B y + C that fits the depths
+    of the markers, which must lie in one.
 
     Args:
-        of: `points`, sums over the markers; `region`, integrals over the region whose outline the markers are, in order, either way
-            round. It is the polygon of the markers, integrated without error (Green's theorem).
-        rows: features, in this order. Six determine all motions of a camera: three places, two for the tilt, alpha.
+        of: `points`, sums over the markers; `region`, integrals over the region whose outline the
+            markers are, in order, either way round. It is the polygon of the markers, integrated
+            without error (Green's theorem).
+        rows: features, in this order. Six determine all motions of a camera: three places, two for
+            the tilt, alpha.
 
-    References: Chaumette 2004, doi:10.1109/TRO.2004.829463; Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500.
+    References: Chaumette 2004, doi:10.1109/TRO.2004.829463; Tahri & Chaumette 2005,
+    doi:10.1109/TRO.2005.853500.
     """
 
     kind: Literal["moments"] = "moments"
@@ -318,7 +418,9 @@ class Moments(Feature):
             raise ParameterError.twice("rows", twice[0], list(self.rows))
 
     def measure(self, xy: Array) -> Array:
-        """The vector s (..., rows), with t (2) behind the rows where alpha is one of them, of xy (..., N, 2)."""
+        """The vector s (..., rows), with t (2) behind the rows where alpha is one of them, of xy
+        (..., N, 2).
+        """
         m = MomentSet.measured(xy, self.of, self._order)
         values = [self._row(m, row) for row in self.rows]
         if "alpha" in self.rows:
@@ -334,23 +436,31 @@ class Moments(Feature):
         return np.stack([self._row(m, row).rate for row in self.rows], axis=-2)
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error e (..., rows): s - s*, with alpha's in (-pi, pi] rad where its axis has a direction, else in (-pi/2, pi/2]."""
+        """Error e (..., rows): s - s*, with alpha's in (-pi, pi] rad where its axis has a
+        direction, else in (-pi/2, pi/2].
+        """
         s, s_star, n = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float), len(self.rows)
         e = s[..., :n] - s_star[..., :n]
         if "alpha" in self.rows:
             i = self.rows.index("alpha")
             half = wrap(2 * e[..., i]) / 2
-            # Where both vectors t are long enough, half a turn more if that is nearer to the angle between them.
+            # Where both vectors t are long enough, half a turn more if that is nearer to the angle
+            # between them.
             z, z_star = s[..., n] + 1j * s[..., n + 1], s_star[..., n] + 1j * s_star[..., n + 1]
             whole = wrap(half + np.pi * np.round((np.angle(z * np.conj(z_star)) - half) / np.pi))
             e[..., i] = np.where(np.minimum(np.abs(z), np.abs(z_star)) > DIRECTED, whole, half)
         return e
 
     def check_goal(self, xy: Array, depth: Array) -> None:
-        """Refuse a goal view, xy (N, 2) and depth (N,) [m], that leaves a row undefined or the rows dependent on one another."""
+        """Refuse a goal view, xy (N, 2) and depth (N,) [m], that leaves a row undefined or the rows
+        dependent on one another.
+        """
         require_plane(xy, depth, self.kind)
         if self.of == "region" and not spans_area(size(xy), segments(xy)):
-            words = "encloses no area in the goal view, which moments {of: region} need; its markers must be in order around an outline"
+            words = (
+                "encloses no area in the goal view, which moments {of: region} need;"
+                " its markers must be in order around an outline"
+            )
             raise ParameterError("target", words)
         m = MomentSet.measured(xy, self.of, 3)
         if words := self._symmetry(m):
@@ -358,45 +468,83 @@ class Moments(Feature):
         found = self._condition(m, xy, depth)
         if found > MOST_CONDITION:
             # A larger condition than 1e12 is what rounding has made of a singular L.
-            limit = f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)" if found < 1e12 else "no inverse"
-            why = f"they depend on one another in the goal view, where L has {limit}; {self._advice(m, xy, depth)}"
+            limit = (
+                f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)"
+                if found < 1e12
+                else "no inverse"
+            )
+            why = (
+                f"they depend on one another in the goal view, where L has {limit};"
+                f" {self._advice(m, xy, depth)}"
+            )
             raise ParameterError.excluded("law.feature.rows", ", ".join(self.rows), why=why)
 
     def _condition(self, m: MomentSet, xy: Array, depth: Array) -> float:
-        scale = np.abs([place(m, row) if row in ("an", "area") else place(m, "an") if row in ("xn", "yn") else 1.0 for row in self.rows])
+        scale = np.abs(
+            [
+                place(m, row)
+                if row in ("an", "area")
+                else place(m, "an")
+                if row in ("xn", "yn")
+                else 1.0
+                for row in self.rows
+            ]
+        )
         return condition(self.interaction(xy, depth), scale, depth)
 
     def _advice(self, m: MomentSet, xy: Array, depth: Array) -> str:
-        """Which two ratios would work best in place of these; where none would, that the shape may be an ellipse."""
+        """Which two ratios would work best in place of these; where none would, that the shape may
+        be an ellipse.
+        """
         before = [row for row in self.rows if row in INVARIANTS]
         best, pair = MOST_CONDITION, ()
         for names in combinations(INVARIANTS, 2) if before else ():
-            other = replace(self, rows=tuple(row for row in self.rows if row not in INVARIANTS) + names)
+            other = replace(
+                self, rows=tuple(row for row in self.rows if row not in INVARIANTS) + names
+            )
             if other._symmetry(m):
                 continue
             found = other._condition(m, xy, depth)
             if found < best:
                 best, pair = found, names
         if not pair:
-            return "the target may be an ellipse; use fewer rows, feature ellipse, or another target"
-        return f"use {' and '.join(pair)} in place of {' and '.join(before)}, which have the condition {best:.2g}"
+            return (
+                "the target may be an ellipse; use fewer rows, feature ellipse, or another target"
+            )
+        return (
+            f"use {' and '.join(pair)} in place of {' and '.join(before)},"
+            f" which have the condition {best:.2g}"
+        )
 
     def _symmetry(self, m: MomentSet) -> str:
         """Why a symmetry of the shape leaves rows undefined; "" where it does not."""
         c11 = m.complex(1, 1).real
         axial = self._named("alpha", "sx", "sy", "c1")
         if axial and np.abs(m.complex(2, 0)) < ROUND * c11:
-            words = f"may not have {axial}: the target is as wide as long in the goal view (a disc, a square, a regular polygon)"
+            words = (
+                f"may not have {axial}: the target is as wide as long in the goal view"
+                " (a disc, a square, a regular polygon)"
+            )
             return f"{words}, and has no principal axis; leave them out, or use an elongated target"
         odd = self._named("py", "c2", "c3", "c4", "c5", "c6", "c9", "c10")
-        if odd and max(abs(m.complex(3, 0)), abs(m.complex(2, 1))) < SYMMETRIC * c11**1.5 / m.central(0, 0) ** 0.5:
-            words = f"may not have {odd}: the target is symmetric about its centre in the goal view, where moments of odd order vanish"
+        if (
+            odd
+            and max(abs(m.complex(3, 0)), abs(m.complex(2, 1)))
+            < SYMMETRIC * c11**1.5 / m.central(0, 0) ** 0.5
+        ):
+            words = (
+                f"may not have {odd}: the target is symmetric about its centre in the goal view,"
+                " where moments of odd order vanish"
+            )
             return f"{words}; use sx and sy"
         return ""
 
     @property
     def _order(self) -> int:
-        return max(3 if row == "alpha" else INVARIANTS[row][1] if row in INVARIANTS else 2 for row in self.rows)
+        return max(
+            3 if row == "alpha" else INVARIANTS[row][1] if row in INVARIANTS else 2
+            for row in self.rows
+        )
 
     def _named(self, *words: str) -> str:
         return ", ".join(word for word in words if word in self.rows)
@@ -405,44 +553,61 @@ class Moments(Feature):
         if row in INVARIANTS:
             return INVARIANTS[row][0](m)[row]
         if row == "alpha":
-            return 0.5 * angle(m.complex(2, 0), 0.01 * (m.mu[..., 2, 0] + m.mu[..., 0, 2]))  # fades under an elongation |c20|/c11 of .01
+            # fades under an elongation |c20|/c11 of .01
+            return 0.5 * angle(m.complex(2, 0), 0.01 * (m.mu[..., 2, 0] + m.mu[..., 0, 2]))
         return place(m, row)
 
 
-OFF = 0.02  # distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else
+# distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline
+# counts as something else
+OFF = 0.02
 
 
 @spec
 class Ellipse(Feature):
-    """Functions of the ellipse through the markers, which lie on its outline; the rows of e and L are `rows`.
+    """Functions of the ellipse through the markers, which lie on its outline; the rows of e and L
+    are `rows`.
 
     xg, yg         the centre
-    n20, n11, n02  second central moments of the region within, by its area a: for half axes A and B, the first at the angle t,
-                   n20 = (A^2 cos^2 t + B^2 sin^2 t)/4, n11 = (A^2 - B^2) sin t cos t/4, n02 = (A^2 sin^2 t + B^2 cos^2 t)/4
-    xn, yn, an     xg/sqrt(a), yg/sqrt(a), 1/sqrt(a), a = pi A B = 4 pi sqrt(n20 n02 - n11^2), as those of `moments`
+    n20, n11, n02  second central moments of the region within, by its area a: for half axes A and
+                   B, the first at the angle t,
+                   n20 = (A^2 cos^2 t + B^2 sin^2 t)/4,
+                   n11 = (A^2 - B^2) sin t cos t/4,
+                   n02 = (A^2 sin^2 t + B^2 cos^2 t)/4
+    xn, yn, an     xg/sqrt(a), yg/sqrt(a), 1/sqrt(a),
+                   a = pi A B = 4 pi sqrt(n20 n02 - n11^2), as those of `moments`
 
-    The ellipse is the conic that fits the markers best. L is that of the region's moments (`MomentSet`), whose third order vanishes, with
-    the plane of the outline, 1/Z = A x + B y + C, from the depths of the markers; of a ball with centre P and radius R, whose outline is a
-    circle, 1/Z = P . (x, y, 1) / (|P|^2 - R^2).
+    The ellipse is the conic that fits the markers best. L is that of the region's moments
+    (`MomentSet`), whose third order vanishes, with the plane of the outline, 1/Z = A x + B y + C,
+    from the depths of the markers; of a ball with centre P and radius R, whose outline is a circle,
+    1/Z = P . (x, y, 1) / (|P|^2 - R^2).
 
-    A ball tells three motions, and so does a disc that is seen face on: rows [xn, yn, an]. A disc tells five only where the goal view is at
-    a slant to it. On a robot with more motions than that, `law.redundant` leaves the others alone.
+    A ball tells three motions, and so does a disc that is seen face on: rows [xn, yn, an]. A disc
+    tells five only where the goal view is at a slant to it. On a robot with more motions than that,
+    `law.redundant` leaves the others alone.
 
     Args:
         rows: features, in this order.
 
-    Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350; with these moments: Chaumette 2004, doi:10.1109/TRO.2004.829463.
+    Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350; with these moments: Chaumette
+    2004, doi:10.1109/TRO.2004.829463.
     """
 
     kind: Literal["ellipse"] = "ellipse"
-    rows: Annotated[tuple[Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"], ...], Len(1, 8)] = ("xg", "yg", "n20", "n11", "n02")
+    rows: Annotated[
+        tuple[Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"], ...], Len(1, 8)
+    ] = ("xg", "yg", "n20", "n11", "n02")
     least_markers: ClassVar[int] = 5
 
     def measure(self, xy: Array) -> Array:
-        """The vector s (..., rows) of points xy (..., N, 2) on the outline; NaN where the conic that fits them is no ellipse."""
+        """The vector s (..., rows) of points xy (..., N, 2) on the outline; NaN where the conic
+        that fits them is no ellipse.
+        """
         xy = np.asarray(xy, dtype=float)
         if xy.shape[-2] < self.least_markers:
-            raise ParameterError.count("xy", "at least five", "markers", xy.shape, why="fewer do not determine an ellipse")
+            raise ParameterError.count(
+                "xy", "at least five", "markers", xy.shape, why="fewer do not determine an ellipse"
+            )
         m = ellipse_moments(fitted_ellipse(xy))
         return np.stack([_row(m, row) for row in self.rows], axis=-1)
 
@@ -453,19 +618,40 @@ class Ellipse(Feature):
         return np.stack([_row(m, row).rate for row in self.rows], axis=-2)
 
     def check_goal(self, xy: Array, depth: Array) -> None:
-        """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that does not tell what the rows say."""
+        """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that
+        does not tell what the rows say.
+        """
         require_plane(xy, depth, self.kind)
         s = fitted_ellipse(xy)
         d, n = xy - s[:2], np.array([[s[2], s[3]], [s[3], s[4]]])
-        # Distances of the markers from the centre, by that of the ellipse in their direction, are 1 on the outline.
-        if not (np.isfinite(s).all() and np.abs(np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(4 * n), d)) - 1).max() < OFF):
-            words = "must have its markers on the outline of an ellipse for the feature ellipse (a disc, or a ball); use moments or point"
+        # Distances of the markers from the centre, by that of the ellipse in their direction, are 1
+        # on the outline.
+        if not (
+            np.isfinite(s).all()
+            and np.abs(np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(4 * n), d)) - 1).max()
+            < OFF
+        ):
+            words = (
+                "must have its markers on the outline of an ellipse for the feature ellipse"
+                " (a disc, or a ball); use moments or point"
+            )
             raise ParameterError("target", words)
         m = ellipse_moments(s)
-        scale = np.array([s[2] + s[4] if row[0] == "n" else place(m, "an") if row[1] == "n" else 1.0 for row in self.rows])
+        scale = np.array(
+            [
+                s[2] + s[4] if row[0] == "n" else place(m, "an") if row[1] == "n" else 1.0
+                for row in self.rows
+            ]
+        )
         if condition(self.interaction(xy, depth), scale, depth) > MOST_CONDITION:
-            words = f"may not be {', '.join(self.rows)} at this goal, where they depend on one another: a ball, and a disc seen face on"
-            raise ParameterError("law.feature.rows", f"{words}, tell three motions; use [xn, yn, an], or a goal at a slant to a disc")
+            words = (
+                f"may not be {', '.join(self.rows)} at this goal, where they depend on one another:"
+                " a ball, and a disc seen face on"
+            )
+            raise ParameterError(
+                "law.feature.rows",
+                f"{words}, tell three motions; use [xn, yn, an], or a goal at a slant to a disc",
+            )
 
 
 def _row(m: MomentSet, row: str) -> Any:
@@ -473,17 +659,25 @@ def _row(m: MomentSet, row: str) -> Any:
 
 
 def ellipse_moments(s: Array) -> MomentSet:
-    """The moments of the region in an ellipse s = (xg, yg, n20, n11, n02) (..., 5), up to third order."""
+    """The moments of the region in an ellipse s = (xg, yg, n20, n11, n02) (..., 5), up to third
+    order.
+    """
     s = np.asarray(s, dtype=float)
     n20, n11, n02 = np.moveaxis(s[..., 2:], -1, 0)
     area = 4 * np.pi * np.sqrt(n20 * n02 - n11 * n11)
     mu = np.zeros((*s.shape[:-1], 4, 4))
-    mu[..., 0, 0], mu[..., 2, 0], mu[..., 1, 1], mu[..., 0, 2] = area, n20 * area, n11 * area, n02 * area
+    mu[..., 0, 0], mu[..., 2, 0], mu[..., 1, 1], mu[..., 0, 2] = (
+        area,
+        n20 * area,
+        n11 * area,
+        n02 * area,
+    )
     return MomentSet(mu, s[..., :2], "region")
 
 
 def fitted_ellipse(xy: Array) -> Array:
-    """The ellipse (xg, yg, n20, n11, n02) (..., 5) that fits points xy (..., N, 2) best; NaN where the conic is no ellipse.
+    """The ellipse (xg, yg, n20, n11, n02) (..., 5) that fits points xy (..., N, 2) best; NaN where
+    the conic is no ellipse.
 
     About the points' mean, in units of their distance from it: the least squares of
     x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e = 0, an equation that any ellipse has.
@@ -494,10 +688,15 @@ def fitted_ellipse(xy: Array) -> Array:
     unit = np.maximum(np.sqrt(np.square(about).sum(axis=-1).mean(axis=-1)), np.finfo(float).tiny)
     x, y = np.moveaxis(about / unit[..., None, None], -1, 0)
     design = np.stack([x * x - y * y, 2 * x * y, x, y, np.ones_like(x)], axis=-1)
-    a, b, c, d, e = np.moveaxis((np.linalg.pinv(design) @ -(x * x + y * y)[..., None])[..., 0], -1, 0)
+    a, b, c, d, e = np.moveaxis(
+        (np.linalg.pinv(design) @ -(x * x + y * y)[..., None])[..., 0], -1, 0
+    )
     det = 1 - a * a - b * b  # of the quadratic form [[1 + a, b], [b, 1 - a]]
     det = np.where(det > 0, det, np.nan)
     xc, yc = -0.5 * ((1 - a) * c - b * d) / det, -0.5 * ((1 + a) * d - b * c) / det
     level = -(e + 0.5 * (c * xc + d * yc))  # the quadratic form at the ellipse, about its centre
-    n = np.stack([1 - a, -b, 1 + a], axis=-1) * (0.25 * np.where(level > 0, level, np.nan) / det * unit**2)[..., None]
+    n = (
+        np.stack([1 - a, -b, 1 + a], axis=-1)
+        * (0.25 * np.where(level > 0, level, np.nan) / det * unit**2)[..., None]
+    )
     return np.concatenate([middle + np.stack([xc, yc], axis=-1) * unit[..., None], n], axis=-1)

@@ -49,19 +49,23 @@ _POINT = Point()
 
 @spec
 class StereoPoint(Feature):
-    """What a pair of parallel cameras shows of each point: (x, y, d) or (x_l, x_r, y), with the disparity d = x_l - x_r = b / Z.
+    """What a pair of parallel cameras shows of each point: (x, y, d) or (x_l, x_r, y), with the
+    disparity d = x_l - x_r = b / Z.
 
-    The camera of the law is the left one, and the right one b beside it along x. The depth Z by which d is known is that of `law.depth`:
-    with `stereo` the pair measures d itself, also one that is not parallel.
+    The camera of the law is the left one, and the right one b beside it along x. The depth Z by
+    which d is known is that of `law.depth`: with `stereo` the pair measures d itself, also one that
+    is not parallel.
 
-    x_dot, y_dot as of `point`; with w = 1/Z: d_dot = b w_dot,  w_dot = w^2 vz + w y wx - w x wy,  and x_r = x - d.
+    x_dot, y_dot as of `point`; with w = 1/Z:
+    d_dot = b w_dot,  w_dot = w^2 vz + w y wx - w x wy,  and x_r = x - d.
 
     Args:
         form: `disparity`, rows x1, y1, d1, x2, ...; or `pair`, rows x_l1, x_r1, y1, x_l2, ...
         baseline_m: b [m], by which the depth counts against the image coordinates.
 
-    References: Hager, Chang & Morse 1995, doi:10.1109/37.341862 (both pictures of a pair); Cervera, del Pobil, Berry & Martinet 2003,
-    doi:10.1177/027836490302210003 (the triple (x_l, x_r, y) and the point in space).
+    References: Hager, Chang & Morse 1995, doi:10.1109/37.341862 (both pictures of a pair); Cervera,
+    del Pobil, Berry & Martinet 2003, doi:10.1177/027836490302210003 (the triple (x_l, x_r, y) and
+    the point in space).
     """
 
     kind: Literal["stereo"] = "stereo"
@@ -95,11 +99,12 @@ class Bearings(Feature):
     """A feature of which every second row is a bearing about the optical axis.
 
     Args:
-        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
-            reference, and rounding decides the direction of each.
-        centre_weight: the row of phi has the factor w(r)^2 in L and w(r) w(r*) in e, with r the radius, or the sine of theta, and
-            w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond some 4 to 8 pixels or 0.6 degrees: a marker at the centre of
-            the goal's picture then gives no noise. Else w = 1, as in the reference, and the row grows as 1/r.
+        together: near a half turn, all angles get the same sign (`wrap_together`); else each is
+            wrapped by itself, as in the reference, and rounding decides the direction of each.
+        centre_weight: the row of phi has the factor w(r)^2 in L and w(r) w(r*) in e, with r the
+            radius, or the sine of theta, and w(r) = min(1, r/0.01) (`bearing_weight`), which is 1
+            beyond some 4 to 8 pixels or 0.6 degrees: a marker at the centre of the goal's picture
+            then gives no noise. Else w = 1, as in the reference, and the row grows as 1/r.
     """
 
     together: bool = True
@@ -107,28 +112,40 @@ class Bearings(Feature):
     rows_per_marker: ClassVar[int] = 2
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); that of bearings is w w* wrap(phi - phi*), whose derivative at s* = s is w^2 phi_dot."""
+        """Error s - s* (..., 2N); that of bearings is w w* wrap(phi - phi*), whose derivative at
+        s* = s is w^2 phi_dot.
+        """
         s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
         e = s - s_star
-        w, w_star = (bearing_weight(self._off_axis(x), self.centre_weight) for x in (s[..., 0::2], s_star[..., 0::2]))
-        weight = w * w_star  # near a half turn the markers of full weight in both views decide the sign
-        e[..., 1::2] = weight * (wrap_together(e[..., 1::2], weight >= 1) if self.together else wrap(e[..., 1::2]))
+        w, w_star = (
+            bearing_weight(self._off_axis(x), self.centre_weight)
+            for x in (s[..., 0::2], s_star[..., 0::2])
+        )
+        # near a half turn the markers of full weight in both views decide the sign
+        weight = w * w_star
+        e[..., 1::2] = weight * (
+            wrap_together(e[..., 1::2], weight >= 1) if self.together else wrap(e[..., 1::2])
+        )
         return e
 
     def _off_axis(self, first: Array) -> Array:
-        """The radius at which a bearing is, or the sine of its colatitude, from the first row of each point."""
+        """The radius at which a bearing is, or the sine of its colatitude, from the first row of
+        each point.
+        """
         return first
 
 
 @spec
 class Polar(Bearings):
-    """Radius r = hypot(x, y) and angle phi = atan2(y, x) of each normalised point; rows r1, phi1, r2, phi2, ...
+    """Radius r = hypot(x, y) and angle phi = atan2(y, x) of each normalised point; rows r1, phi1,
+    r2, phi2, ...
 
     r_dot   = -(c vx + s vy)/Z + r vz/Z + (1 + r^2) (s wx - c wy)
     phi_dot = (s vx - c vy)/(r Z) + (c wx + s wy)/r - wz,   c = cos phi, s = sin phi
 
-    At the principal point phi is undefined, and its row zero. (The row of r has no direction there, either. If the goal has a marker
-    at the centre, the matrix at the desired view lacks this information: with few other markers, use the current matrix or the mean.)
+    At the principal point phi is undefined, and its row zero. (The row of r has no direction there,
+    either. If the goal has a marker at the centre, the matrix at the desired view lacks this
+    information: with few other markers, use the current matrix or the mean.)
 
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.9, doi:10.1007/978-3-319-54413-7.
     """
@@ -158,13 +175,15 @@ class Polar(Bearings):
 
 @spec
 class Spherical(Bearings):
-    """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows theta1, phi1, theta2, ...
+    """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows
+    theta1, phi1, theta2, ...
 
     theta_dot = -cos theta (c vx + s vy)/R + sin theta vz/R + s wx - c wy
-    phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,   c = cos phi, s = sin phi
+    phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,
+    c = cos phi, s = sin phi
 
-    R is the range, not the depth. theta lies in [0, pi]; an arc sine would map points behind the equator to the front.
-    On the axis, ahead and behind, phi is undefined, and its row zero.
+    R is the range, not the depth. theta lies in [0, pi]; an arc sine would map points behind the
+    equator to the front. On the axis, ahead and behind, phi is undefined, and its row zero.
 
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.15, doi:10.1007/978-3-319-54413-7.
     """
@@ -180,18 +199,29 @@ class Spherical(Bearings):
         return s.reshape(*ray.shape[:-2], 2 * ray.shape[-2])
 
     def interaction(self, ray: Array, range_: Array) -> Array:
-        """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's centre (..., N) [m]."""
+        """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's
+        centre (..., N) [m].
+        """
         ray, range_ = checked(ray, range_, self.inputs)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
         cosines, sines = np.cos(s), np.sin(s)
         cos_t, cos, sin_t, sin = cosines[..., 0], cosines[..., 1], sines[..., 0], sines[..., 1]
         inv_r, weight = 1 / range_, bearing_weight(sin_t, self.centre_weight) ** 2
-        inv_sin = weight / np.where(sin_t > 0, sin_t, 1)  # on the axis the weight is 0, and so is the row
+        # on the axis the weight is 0, and so is the row
+        inv_sin = weight / np.where(sin_t > 0, sin_t, 1)
         L = np.zeros((*s.shape, 6))
-        L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos_t * cos * inv_r, -cos_t * sin * inv_r, sin_t * inv_r
+        L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = (
+            -cos_t * cos * inv_r,
+            -cos_t * sin * inv_r,
+            sin_t * inv_r,
+        )
         L[..., 0, 3], L[..., 0, 4] = sin, -cos
         L[..., 1, 0], L[..., 1, 1] = sin * inv_sin * inv_r, -cos * inv_sin * inv_r
-        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * cos_t * inv_sin, sin * cos_t * inv_sin, -weight
+        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = (
+            cos * cos_t * inv_sin,
+            sin * cos_t * inv_sin,
+            -weight,
+        )
         return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
 
     def _off_axis(self, first: Array) -> Array:

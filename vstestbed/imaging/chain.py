@@ -1,4 +1,6 @@
-"""From the rendered picture to the camera's: lens, exposure, sensor; and the stream to the computer."""
+"""From the rendered picture to the camera's: lens, exposure, sensor; and the stream to the
+computer.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,14 @@ from vstestbed.imaging.sensor import NO_DRIFT, Drift, Floats, ImageNoise, Sensor
 from vstestbed.imaging.stream import VideoStream, round_trip
 
 Change = Callable[[float, Images, DepthImage | None], Images]
-"""One step: from the time [s], the images of all panels, and the true depths (H, W) [m] where a step needs them, to new images."""
+"""One step: from the time [s], the images of all panels, and the true depths (H, W) [m] where a
+step needs them, to new images.
+"""
 
 
 class Imaging:
-    """A camera's lens, exposure, sensor and stream, in the order in which light passes them. It has a state: each run has its own.
+    """A camera's lens, exposure, sensor and stream, in the order in which light passes them. It has
+    a state: each run has its own.
 
     Its random numbers are two: the fixed pattern first, then one seed for each picture.
 
@@ -27,7 +32,8 @@ class Imaging:
         exposed: exposure of the picture last taken; None without `camera.exposure`.
 
     Args:
-        size: width and height of the picture [px]. rate_hz: of the camera [Hz]. rng: of the sensor's noise.
+        size: width and height of the picture [px]. rate_hz: of the camera [Hz]. rng: of the
+            sensor's noise.
     """
 
     def __init__(
@@ -41,9 +47,12 @@ class Imaging:
         rng: np.random.Generator,
     ):
         self._lens, self._control, self._sensor, self._rng = lens, exposure, sensor, rng
-        self.needs_depth = lens is not None and lens.needs_depth  # whether the true depth of each pixel is asked for
+        # whether the true depth of each pixel is asked for
+        self.needs_depth = lens is not None and lens.needs_depth
         self._pattern = None if sensor is None else sensor.pattern(size, rng)
-        self._exposure = ExposureLoop(exposure, 1.0 / rate_hz, 0.0 if sensor is None else sensor.black)
+        self._exposure = ExposureLoop(
+            exposure, 1.0 / rate_hz, 0.0 if sensor is None else sensor.black
+        )
         self._fresh_trip = functools.partial(round_trip, stream, rate_hz)
         self._trip = self._fresh_trip()
         self.exposed: ExposureSetting | None = None
@@ -51,13 +60,16 @@ class Imaging:
     def exposure_s(self, t: float, drawn: Callable[[], tuple[Images, DepthImage | None]]) -> float:
         """Exposure time of the run's next picture [s], known before it is taken.
 
-        drawn: images and true depths now; a camera that has settled looks at them before its first picture.
+        drawn: images and true depths now; a camera that has settled looks at them before its first
+            picture.
         """
         metered = functools.cache(lambda: self._metered(self._light(*drawn())))
         return self._exposure.setting(t, lambda setting: metered()(setting)).time_s
 
     def taken(self, t: float, images: Images, depth: DepthImage | None) -> Images:
-        """The next picture of the run as the sensor gives it, taken at a time t [s]; depth: true ones (H, W) [m]."""
+        """The next picture of the run as the sensor gives it, taken at a time t [s]; depth: true
+        ones (H, W) [m].
+        """
         light = self._light(images, depth)
         setting = self._exposure.setting(t, self._metered(light))
         self.exposed = None if self._control is None else setting
@@ -71,7 +83,9 @@ class Imaging:
         return tuple(None if image is None else self._trip(image) for image in images)
 
     def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
-        """A picture as the camera would give it at rest, as the mean of many; what the run's pictures will be is not changed by it."""
+        """A picture as the camera would give it at rest, as the mean of many; what the run's
+        pictures will be is not changed by it.
+        """
         light = self._light(images, depth)
         setting = self._exposure.settled(t, self._metered(light))
         return (self._fresh_trip()(self._read(light, setting, None)),)
@@ -81,17 +95,30 @@ class Imaging:
         assert image is not None  # a camera with one picture, always whole
         return image.astype(np.float32) if self._lens is None else self._lens.of(image, depth)
 
-    def _read(self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None) -> Image:
-        return plain(light, setting) if self._sensor is None else self._sensor.read(light, setting, self._pattern, rng)
+    def _read(
+        self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None
+    ) -> Image:
+        return (
+            plain(light, setting)
+            if self._sensor is None
+            else self._sensor.read(light, setting, self._pattern, rng)
+        )
 
     def _metered(self, light: Floats) -> Callable[[ExposureSetting], Image]:
-        """What exposure control looks at before the first picture: a part of the pixels, without their noise."""
+        """What exposure control looks at before the first picture: a part of the pixels, without
+        their noise.
+        """
         part, sensor = light[::SKIP, ::SKIP], self._sensor
-        return lambda setting: plain(part, setting) if sensor is None else sensor.upper(sensor.converted(part, setting, None, None))
+        return lambda setting: (
+            plain(part, setting)
+            if sensor is None
+            else sensor.upper(sensor.converted(part, setting, None, None))
+        )
 
 
 class Chain:
-    """All changes of a rendered picture on its way to the detector; `next` gives them in their order.
+    """All changes of a rendered picture on its way to the detector; `next` gives them in their
+    order.
 
     imaging: lens, exposure, sensor and stream; None where the camera has none of them.
     noise, drift: of the scenario. changed: gives further changes of each next picture.
@@ -104,13 +131,24 @@ class Chain:
         drift: Drift = NO_DRIFT,
         changed: Callable[[], Callable[[float, Images], Images]] | None = None,
     ):
-        self.imaging, self._noise, self._drift, self._changed = imaging, noise or ImageNoise(), drift, changed
+        self.imaging, self._noise, self._drift, self._changed = (
+            imaging,
+            noise or ImageNoise(),
+            drift,
+            changed,
+        )
         self.noisy, self.whole = self._noise.acts, imaging is not None
         self.needs_depth = imaging is not None and imaging.needs_depth
 
     def next(self) -> list[Change]:
-        """What becomes of the next picture, step by step; noise and changes are the same however often they are applied to it."""
-        noised, changed, imaging = self._noise.next(), self._changed() if self._changed else None, self.imaging
+        """What becomes of the next picture, step by step; noise and changes are the same however
+        often they are applied to it.
+        """
+        noised, changed, imaging = (
+            self._noise.next(),
+            self._changed() if self._changed else None,
+            self.imaging,
+        )
         steps: list[Change | None] = [
             imaging.taken if imaging else None,
             lambda t, images, depth: noised(images),
@@ -121,7 +159,9 @@ class Chain:
         return [step for step in steps if step is not None]
 
     def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
-        """A picture as the mean of many at rest; what later pictures will be is not changed by it."""
+        """A picture as the mean of many at rest;
+        what later pictures will be is not changed by it.
+        """
         return self.imaging.clean(t, images, depth) if self.imaging else images
 
 
@@ -129,6 +169,7 @@ def scaled(image: Image, size: tuple[int, int]) -> Image:
     """The image at a size (width, height); itself if it has that size."""
     if image.shape[1::-1] == size:
         return image
-    # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where they become more
+    # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where
+    # they become more
     way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)

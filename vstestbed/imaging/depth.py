@@ -1,6 +1,8 @@
-"""Depth cameras: what an RGB-D camera measures of the true depth of each pixel, with noise, steps, holes and limits of range.
+"""Depth cameras: what an RGB-D camera measures of the true depth of each pixel, with noise, steps,
+holes and limits of range.
 
-The depth picture has the pixels of the colour picture, as the maker's driver aligns it (see `lens`), and holds Z along the optical axis.
+The depth picture has the pixels of the colour picture, as the maker's driver aligns it (see
+`lens`), and holds Z along the optical axis.
 """
 
 from __future__ import annotations
@@ -14,19 +16,32 @@ from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, DepthImage
-from vstestbed.core.quantity import Distance, GainOrZero, Pixels, PositiveLength, TighterBounds, check_ordered
+from vstestbed.core.quantity import (
+    Distance,
+    GainOrZero,
+    Pixels,
+    PositiveLength,
+    TighterBounds,
+    check_ordered,
+)
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
 EDGE = 0.03
-"""Depths of neighbouring pixels that differ by more than this share belong to two surfaces: one surface is seen at over 85 degrees then."""
-NEAREST_M = 0.05  # what is nearer casts a shadow as from here [m]: the width of a shadow has no bound otherwise
-STEEPEST = math.radians(89.9)  # Largest angle for which a noise is computed: the formulas grow without bound towards 90 degrees [rad]
+"""Depths of neighbouring pixels that differ by more than this share belong to two surfaces: one
+surface is seen at over 85 degrees then.
+"""
+# what is nearer casts a shadow as from here [m]: the width of a shadow has no bound otherwise
+NEAREST_M = 0.05
+# Largest angle for which a noise is computed: the formulas grow without bound towards 90 degrees
+# [rad]
+STEEPEST = math.radians(89.9)
 
 
 @spec
 class DepthLens:
-    """The pinhole lens of a depth camera whose pictures are not aligned with the colour camera's; both look from the same place.
+    """The pinhole lens of a depth camera whose pictures are not aligned with the colour camera's;
+    both look from the same place.
 
     Args:
         width, height: of its picture, at least the colour picture's [px].
@@ -50,25 +65,32 @@ class DepthLens:
 
 @spec
 class DepthSensor(ABC):
-    """What all depth cameras have in common. From the true depth Z of each pixel, inf where there is nothing, comes the measured one:
+    """What all depth cameras have in common. From the true depth Z of each pixel, inf where there
+    is nothing, comes the measured one:
 
-    1. At an edge between two surfaces a pixel shows the depth of one `lateral_px` away (standard deviation), so that edges are ragged.
-    2. Z + sigma(Z, theta) n, theta the angle between the ray and the surface's normal, and n Gaussian noise of variance 1, the mean
-       of `correlation_px` x `correlation_px` independent numbers times that side.
-    3. The disparity d = f baseline_m / Z, f the camera's focal length [px], is rounded to a multiple of `quantum_px`.
-    4. There are holes beyond `near_m` and `far_m`, where theta is over `grazing_deg`, and in the shadow of what is nearer: the second
-       view (the projector's, or the second camera's) stands at `baseline_m` along the camera's x axis. Beside the left border of a
-       surface at Z1 before one at Z2 the hole is f baseline_m (1 / Z1 - 1 / Z2) px wide.
+    1. At an edge between two surfaces a pixel shows the depth of one `lateral_px` away (standard
+       deviation), so that edges are ragged.
+    2. Z + sigma(Z, theta) n, theta the angle between the ray and the surface's normal, and n
+       Gaussian noise of variance 1, the mean of `correlation_px` x `correlation_px` independent
+       numbers times that side.
+    3. The disparity d = f baseline_m / Z, f the camera's focal length [px], is rounded to a
+       multiple of `quantum_px`.
+    4. There are holes beyond `near_m` and `far_m`, where theta is over `grazing_deg`, and in the
+       shadow of what is nearer: the second view (the projector's, or the second camera's) stands at
+       `baseline_m` along the camera's x axis. Beside the left border of a surface at Z1 before one
+       at Z2 the hole is f baseline_m (1 / Z1 - 1 / Z2) px wide.
 
     Args:
         near_m, far_m: limits of the range [m].
         grazing_deg: largest angle between a ray and the normal of a surface that is measured [deg].
         lateral_px: standard deviation of the place of an edge [px].
-        correlation_px: side of the square over which the noise is correlated [px]: the window that is matched.
+        correlation_px: side of the square over which the noise is correlated [px]: the window that
+            is matched.
         baseline_m: distance of the second view [m]; 0 for no shadows.
         quantum_px: step of the disparity [px]; 0 for no steps, and without a baseline.
-        lens: of a depth picture that nobody has aligned with the colour picture: its pixel (u, v) is taken for that of the colour
-            picture, though it looks elsewhere; None for an aligned one.
+        lens: of a depth picture that nobody has aligned with the colour picture: its pixel (u, v)
+            is taken for that of the colour picture, though it looks elsewhere; None for an aligned
+            one.
     """
 
     kind: Any
@@ -81,15 +103,20 @@ class DepthSensor(ABC):
     quantum_px: Annotated[Pixels, TighterBounds(le=4)] = 0.0
     lens: DepthLens | None = None
     two_pictures: ClassVar[bool] = False
-    """Both views are pictures of one size: what the second one does not hold is not measured (a band at the left border)."""
-    flies: ClassVar[bool] = False  # Pixels at an edge see both surfaces, and measure a depth between
+    """Both views are pictures of one size: what the second one does not hold is not measured (a
+    band at the left border).
+    """
+    flies: ClassVar[bool] = (
+        False  # Pixels at an edge see both surfaces, and measure a depth between
+    )
 
     def __post_init__(self) -> None:
         check_ordered(self, "near_m", "far_m", equal=False)
 
     @abstractmethod
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
-        """Standard deviation of the noise (H, W) [m] at depths z (H, W) [m] and angles theta (H, W) [rad]; None for no noise.
+        """Standard deviation of the noise (H, W) [m] at depths z (H, W) [m] and angles theta (H, W)
+        [rad]; None for no noise.
 
         f: focal length [px].
         """
@@ -100,21 +127,31 @@ class DepthSensor(ABC):
         one = np.ones((1, 1), np.float32)
         return self.flies or self.lateral_px > 0 or self.sigma(one, 0 * one, 500.0) is not None
 
-    def measured(self, z: DepthImage, xy: Array, f: float, rng: np.random.Generator | None) -> DepthImage:
+    def measured(
+        self, z: DepthImage, xy: Array, f: float, rng: np.random.Generator | None
+    ) -> DepthImage:
         """The depth picture (H, W) [m], NaN in holes.
 
-        z: true depths (H, W) [m], inf where there is nothing. xy: normalised coordinates of the pixels, (H, W, 2).
+        z: true depths (H, W) [m], inf where there is nothing. xy: normalised coordinates of the
+            pixels, (H, W, 2).
         f: focal length [px]. rng: of this picture; None for its holes and steps without noise.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             theta = incidence(z, xy, f)
             hole = self._unseen(z, f) | (theta > math.radians(self.grazing_deg))
             z = np.asarray(z if rng is None else self._ragged(z, rng), np.float32)
-            hole |= self._out_of_range(z)  # of the true depth, too: noise must not bring what is far beyond the range back into it
+            # of the true depth, too: noise must not bring what is far beyond the range back into it
+            hole |= self._out_of_range(z)
             if rng is not None:
                 z = _flying(z, rng) if self.flies else z
                 sigma = self.sigma(z, np.minimum(theta, STEEPEST), f)
-                z = z if sigma is None else np.asarray(z + sigma * correlated(z.shape, self.correlation_px, rng), np.float32)
+                z = (
+                    z
+                    if sigma is None
+                    else np.asarray(
+                        z + sigma * correlated(z.shape, self.correlation_px, rng), np.float32
+                    )
+                )
             if self.quantum_px and self.baseline_m:
                 unit = np.float32(f * self.baseline_m / self.quantum_px)
                 z = np.asarray(unit / np.round(unit / z), np.float32)
@@ -136,7 +173,14 @@ class DepthSensor(ABC):
         if not self.lateral_px:
             return z
         v, u = (
-            np.clip(at + np.rint(self.lateral_px * rng.standard_normal(z.shape, dtype=np.float32)).astype(np.int32), 0, size - 1)
+            np.clip(
+                at
+                + np.rint(self.lateral_px * rng.standard_normal(z.shape, dtype=np.float32)).astype(
+                    np.int32
+                ),
+                0,
+                size - 1,
+            )
             for at, size in zip(np.ogrid[: z.shape[0], : z.shape[1]], z.shape, strict=True)
         )
         beside = z[v, u]
@@ -162,8 +206,9 @@ class Ideal(DepthSensor):
 class Stereo(DepthSensor):
     """Two infrared cameras (Intel RealSense D435): sigma = Z^2 subpixel_px / (f baseline_m).
 
-    References: Keselman, Woodfill, Grunnet-Jepsen & Bhowmik 2017, doi:10.1109/CVPRW.2017.167 (disparities in steps of 1/32 px); the
-    maker's paper on the tuning of its D400 series for the formula, and a subpixel error under 0.1 px on a textured surface.
+    References: Keselman, Woodfill, Grunnet-Jepsen & Bhowmik 2017, doi:10.1109/CVPRW.2017.167
+    (disparities in steps of 1/32 px); the maker's paper on the tuning of its D400 series for the
+    formula, and a subpixel error under 0.1 px on a textured surface.
 
     Args:
         subpixel_px: standard deviation of the disparity [px].
@@ -182,7 +227,11 @@ class Stereo(DepthSensor):
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
         """Z^2 subpixel_px / (f baseline_m), whatever the angle."""
-        return np.asarray(z * z * (self.subpixel_px / (f * self.baseline_m)), np.float32) if self.subpixel_px else None
+        return (
+            np.asarray(z * z * (self.subpixel_px / (f * self.baseline_m)), np.float32)
+            if self.subpixel_px
+            else None
+        )
 
 
 @spec
@@ -193,10 +242,11 @@ class StructuredLight(DepthSensor):
 
     sigma = 0.0012 + 0.0019 (Z - 0.4)^2 + 0.0001 theta^2 / (sqrt(Z) (pi/2 - theta)^2),
 
-    an edge's place has a standard deviation of 0.8 px, and disparities have steps of 1/8 px (its own focal length is 580 px).
+    an edge's place has a standard deviation of 0.8 px, and disparities have steps of 1/8 px (its
+    own focal length is 580 px).
 
-    References: Nguyen, Izadi & Lovell 2012, doi:10.1109/3DIMPVT.2012.84 (sigma and the edges); Khoshelham & Elberink 2012,
-    doi:10.3390/s120201437 (steps, baseline).
+    References: Nguyen, Izadi & Lovell 2012, doi:10.1109/3DIMPVT.2012.84 (sigma and the edges);
+    Khoshelham & Elberink 2012, doi:10.3390/s120201437 (steps, baseline).
 
     Args:
         noise_scale: factor on sigma [1].
@@ -226,10 +276,12 @@ class TimeOfFlight(DepthSensor):
 
     sigma = 1.5 - 0.5 Z + 0.3 Z^2 + 0.1 Z^(3/2) theta^2 / (pi/2 - theta)^2.
 
-    A pixel at an edge receives light of both surfaces: its depth lies anywhere between (flying pixels). Light that arrives over several
-    reflections, and the harmonic error of the phase, are left out.
+    A pixel at an edge receives light of both surfaces: its depth lies anywhere between (flying
+    pixels). Light that arrives over several reflections, and the harmonic error of the phase, are
+    left out.
 
-    Reference: Fankhauser, Bloesch, Rodriguez, Kaestner, Hutter & Siegwart 2015, doi:10.1109/ICAR.2015.7251485 (sigma).
+    Reference: Fankhauser, Bloesch, Rodriguez, Kaestner, Hutter & Siegwart 2015,
+    doi:10.1109/ICAR.2015.7251485 (sigma).
 
     Args:
         noise_scale: factor on sigma [1].
@@ -254,10 +306,12 @@ DEPTH_SENSORS = Registry("depth_sensor", Ideal, Stereo, StructuredLight, TimeOfF
 def incidence(z: DepthImage, xy: Array, f: float) -> DepthImage:
     """Angle (H, W) [rad] between each pixel's ray and the normal of the surface that it meets.
 
-    On a plane 1 / Z is linear in x and y: with its gradient (a, b) the normal is along (a, b, 1 / Z - a x - b y), whose product with the
-    ray (x, y, 1) is 1 / Z. Of the differences to both neighbours the smaller counts: the other one may be of another surface.
+    On a plane 1 / Z is linear in x and y: with its gradient (a, b) the normal is along (a, b, 1 /
+    Z - a x - b y), whose product with the ray (x, y, 1) is 1 / Z. Of the differences to both
+    neighbours the smaller counts: the other one may be of another surface.
 
-    z: depths (H, W) [m], inf where there is nothing. xy: normalised coordinates (H, W, 2). f: focal length [px].
+    z: depths (H, W) [m], inf where there is nothing. xy: normalised coordinates (H, W, 2). f: focal
+    length [px].
     """
     w, x, y = (np.asarray(part, np.float32) for part in (1 / z, xy[..., 0], xy[..., 1]))
     a, b = (np.float32(f) * _slope(w, axis) for axis in (1, 0))
@@ -266,21 +320,28 @@ def incidence(z: DepthImage, xy: Array, f: float) -> DepthImage:
 
 
 def _slope(w: DepthImage, axis: int) -> DepthImage:
-    """The difference (H, W) to the next or from the last pixel along an axis, whichever is smaller in size."""
+    """The difference (H, W) to the next or from the last pixel along an axis, whichever is smaller
+    in size.
+    """
     step = np.diff(w, axis=axis)
-    before, after = (np.insert(step, at, np.take(step, at, axis), axis) for at in (0, step.shape[axis] - 1))
+    before, after = (
+        np.insert(step, at, np.take(step, at, axis), axis) for at in (0, step.shape[axis] - 1)
+    )
     return np.where(np.abs(after) < np.abs(before), after, before)
 
 
 def shadowed(disparity: DepthImage) -> NDArray[np.bool_]:
-    """Which pixels (H, W) a second view on the right does not see: a nearer surface covers the column u - d in which they lie there."""
+    """Which pixels (H, W) a second view on the right does not see: a nearer surface covers the
+    column u - d in which they lie there.
+    """
     height, width = disparity.shape
     at = np.arange(width, dtype=np.float32) - disparity
     low = np.floor(at).astype(np.int32)
     first, last = int(low.min()), int(low.max()) + 2
     nearest = np.zeros((2, height, last - first), np.float32)
     rows = np.arange(height)[:, None]
-    # Of the pixels in one column of the second view the rightmost is the nearest, and it is written last.
+    # Of the pixels in one column of the second view the rightmost is the nearest, and it is written
+    # last.
     nearest[0, rows, low - first] = disparity
     nearest[1, rows, low + 1 - first] = disparity
     covers = nearest.max(axis=0)[rows, np.rint(at).astype(np.int32) - first]
@@ -288,14 +349,19 @@ def shadowed(disparity: DepthImage) -> NDArray[np.bool_]:
 
 
 def correlated(shape: tuple[int, ...], side: int, rng: np.random.Generator) -> DepthImage:
-    """Gaussian noise (H, W) of variance 1: sums over squares of `side` px, divided by it, of independent numbers."""
+    """Gaussian noise (H, W) of variance 1: sums over squares of `side` px, divided by it, of
+    independent numbers.
+    """
     grown = shape[0] + side - 1, shape[1] + side - 1
     noise = rng.standard_normal(grown, dtype=np.float32)
     if side == 1:
         return noise
     for axis in (0, 1):
         n = shape[axis]
-        noise = sum((np.take(noise, range(k, k + n), axis=axis) for k in range(1, side)), np.take(noise, range(n), axis=axis))
+        noise = sum(
+            (np.take(noise, range(k, k + n), axis=axis) for k in range(1, side)),
+            np.take(noise, range(n), axis=axis),
+        )
     return noise / np.float32(side)
 
 
@@ -304,7 +370,9 @@ def _apart(z: DepthImage, other: DepthImage) -> NDArray[np.bool_]:
 
 
 def _flying(z: DepthImage, rng: np.random.Generator) -> DepthImage:
-    """The depths with pixels beside another surface anywhere between both; inf where one of both is nothing."""
+    """The depths with pixels beside another surface anywhere between both; inf where one of both is
+    nothing.
+    """
     wide = np.pad(z, 1, mode="edge")
     around = [wide[i : i + z.shape[0], j : j + z.shape[1]] for i in range(3) for j in range(3)]
     near, far = np.minimum.reduce(around), np.maximum.reduce(around)

@@ -1,4 +1,6 @@
-"""The interface of a control law, its Command, and the parts that laws share: gains, limits on the twist, views of a batch."""
+"""The interface of a control law, its Command, and the parts that laws share: gains, limits on the
+twist, views of a batch.
+"""
 
 from __future__ import annotations
 
@@ -27,27 +29,34 @@ from vstestbed.robots.own_model import OwnModel
 
 M = TypeVar("M")
 Motions = tuple[tuple[float, Array], ...]
-"""Motions left to a secondary task, as pairs of a share and camera twists (6, k); see `Command.free`."""
+"""Motions left to a secondary task, as pairs of a share and camera twists (6, k); see
+`Command.free`.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @ u for which it stands.
+    """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @
+    u for which it stands.
 
     Attributes:
-        u: velocities along the robot's motions (n,) [m/s, rad/s]. twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
-        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it, the law
-            cannot measure, and holds its last command.
+        u: velocities along the robot's motions (n,) [m/s, rad/s]. twist: the camera twist (6,), (v,
+            w) in the camera frame [m/s, rad/s].
+        rest_reason: why the law orders rest although the goal is not reached; "" while it works.
+            With a motion beside it, the law cannot measure, and holds its last command.
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
-        free: motions left to a secondary task of the robot, as pairs of a share and camera twists (6, k), which span them as columns; the
-            share is the weight of the task projected on them, and all shares together are 1. None where the law does not compute them.
-        rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the robot
-            finds its own for the twist.
+        free: motions left to a secondary task of the robot, as pairs of a share and camera twists
+            (6, k), which span them as columns; the share is the weight of the task projected on
+            them, and all shares together are 1. None where the law does not compute them.
+        rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose
+            camera twist `twist` is; None: the robot finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
-        error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
-        row: values of the law's own columns in the log (`Law.columns`); (): none are known in this frame.
-        wrench: force and moment (6,) that the tool is to exert at the camera's origin, in the camera's frame [N, Nm], by an arm with
-            `controller: impedance`; None for none.
+        error_grey: RMS of the difference between picture and goal picture, of a law that works on
+            grey levels; NaN else.
+        row: values of the law's own columns in the log (`Law.columns`); (): none are known in this
+            frame.
+        wrench: force and moment (6,) that the tool is to exert at the camera's origin, in the
+            camera's frame [N, Nm], by an arm with `controller: impedance`; None for none.
     """
 
     u: Array
@@ -85,16 +94,19 @@ class ConstantGain:
 
 @spec
 class AdaptiveGain:
-    """High near the goal, low far away: lambda(x) = (l0 - linf) exp(-slope x / (l0 - linf)) + linf, x = |error|_inf.
+    """High near the goal, low far away: lambda(x) = (l0 - linf) exp(-slope x / (l0 - linf)) + linf,
+    x = |error|_inf.
 
-    The error is the remaining motion pinv(L B) e in metres and radians, so that one set of numbers suits all features.
+    The error is the remaining motion pinv(L B) e in metres and radians, so that one set of numbers
+    suits all features.
 
     Args:
         at_zero: l0, gain at zero error [1/s].
         at_infinity: linf, gain at large error [1/s], under at_zero.
         slope_at_zero: descent of the gain at x = 0 [1/s per m or rad].
 
-    Reference: Marchand, Spindler & Chaumette 2005, doi:10.1109/MRA.2005.1577023 (adaptive gain of their library).
+    Reference: Marchand, Spindler & Chaumette 2005, doi:10.1109/MRA.2005.1577023 (adaptive gain of
+    their library).
     """
 
     kind: Literal["adaptive"] = "adaptive"
@@ -109,7 +121,10 @@ class AdaptiveGain:
     def at(self, error: Array) -> Array:
         """The gains (..., 1) [1/s] at error vectors (..., n) in motion space."""
         span = self.at_zero - self.at_infinity
-        return span * np.exp(-self.slope_at_zero / span * np.abs(error).max(axis=-1, keepdims=True)) + self.at_infinity
+        return (
+            span * np.exp(-self.slope_at_zero / span * np.abs(error).max(axis=-1, keepdims=True))
+            + self.at_infinity
+        )
 
 
 GAINS = Registry("gain", ConstantGain, AdaptiveGain, number=("constant", "value"))
@@ -155,7 +170,9 @@ class TwistLimits:
         return (sizes[0] > limits[0] * (1 - 1e-9)) | (sizes[1] > limits[1] * (1 - 1e-9))
 
     def command(self, u: Array, basis: Array) -> Command:
-        """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to within the limits."""
+        """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to
+        within the limits.
+        """
         twist = basis @ u
         factor = self.scale(twist)
         if factor == 1.0:
@@ -164,37 +181,51 @@ class TwistLimits:
 
 
 class Law(Generic[M]):
-    """A control law: parameters frozen in the object, state passed through; with defaults for all but `kind` and `step`.
+    """A control law: parameters frozen in the object, state passed through; with defaults for all
+    but `kind` and `step`.
 
         class Mine(Law):  # with @LAWS.add and @spec
             kind: Literal["mine"] = "mine"
 
             def step(self, state, observation, goal, basis): ...
 
-    In a spec, an annotated attribute is a parameter in YAML, and one without annotation is a constant of the class: a law with
-    `depth = PnP()` has a fixed source of depth, one with `depth: Depth = PnP()` leaves it to the scenario. A law of an error and its
-    Jacobian derives from `ErrorLaw`, and gives these alone.
+    In a spec, an annotated attribute is a parameter in YAML, and one without annotation is a
+    constant of the class: a law with `depth = PnP()` has a fixed source of depth, one with
+    `depth: Depth = PnP()` leaves it to the scenario. A law of an error and its Jacobian derives
+    from `ErrorLaw`, and gives these alone.
 
     Attributes:
         kind: the law's word in a scenario, a field of each law.
-        tasks: the kinds of goals that it can be given: `view`, `path`, `landing`, `pose` (of a vehicle), `gap`, `line`.
-        inputs: the fields of an Observation that it reads, without those of its feedforward and visibility field (`inputs_of`); the costly
-            ones are computed only for laws that name them.
+        tasks: the kinds of goals that it can be given: `view`, `path`, `landing`, `pose` (of a
+            vehicle), `gap`, `line`.
+        inputs: the fields of an Observation that it reads, without those of its feedforward and
+            visibility field (`inputs_of`); the costly ones are computed only for laws that name
+            them.
         depth: the source of the markers' depth (`Depth`), and with it of the target's pose.
-        feature: the image feature (`Feature`) whose error is regulated, for reports; None for a law that has no single one.
-        limits: largest speed and rate of the commanded twist (`TwistLimits`). visibility: the field at the border of the image
-            (`Visibility`). feedforward: the term for a moving target (`Feedforward`).
-        cruise_mps: the constant speed at which the law drives a vehicle along a line [m/s]; None for a law that sets none.
-        rest_m: distance from the goal under which the law stands still for good [m]; 0 for a law that never stops.
-        modes: words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`.
-        columns: names of the law's own columns in the log, such as `law_energy`; `Command.row` has their values in each frame.
-        cameras: further cameras whose equations the law stacks below its own, by name, with their weights.
+        feature: the image feature (`Feature`) whose error is regulated, for reports; None for a law
+            that has no single one.
+        limits: largest speed and rate of the commanded twist (`TwistLimits`). visibility: the field
+            at the border of the image (`Visibility`). feedforward: the term for a moving target
+            (`Feedforward`).
+        cruise_mps: the constant speed at which the law drives a vehicle along a line [m/s]; None
+            for a law that sets none.
+        rest_m: distance from the goal under which the law stands still for good [m]; 0 for a law
+            that never stops.
+        modes: words for what the law may do in a frame; `Command.mode` is the number of one, the
+            log's `law_mode`.
+        columns: names of the law's own columns in the log, such as `law_energy`; `Command.row` has
+            their values in each frame.
+        cameras: further cameras whose equations the law stacks below its own, by name, with their
+            weights.
         stacks: whether it can.
-        needs_same_markers: whether each row must show the same marker in every picture, in the target's order.
-        idle: names of its gains that do nothing with the values of its other fields, and need no tuning.
+        needs_same_markers: whether each row must show the same marker in every picture, in the
+            target's order.
+        idle: names of its gains that do nothing with the values of its other fields, and need no
+            tuning.
     """
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
+    # it is a @spec: `dataclasses.replace` makes variants of it
+    __dataclass_fields__: ClassVar[dict[str, Any]]
     kind: Any
     # Any, so that a kind may have a field or a property in their place.
     tasks: Any = ("view",)
@@ -214,17 +245,23 @@ class Law(Generic[M]):
     idle: Any = ()
 
     def markers_needed(self, basis: Array) -> int:
-        """The least number of visible markers with which `step` can control the robot's motions, basis (6, n).
+        """The least number of visible markers with which `step` can control the robot's motions,
+        basis (6, n).
 
         By default as many as give an equation for each motion, two each.
         """
         return math.ceil(basis.shape[1] / 2)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law
+        cannot work, by a ParameterError.
+        """
 
-    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
-        """Refuse a goal view whose markers are too near to the picture's border: by default for the visibility field.
+    def check_view(
+        self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str
+    ) -> None:
+        """Refuse a goal view whose markers are too near to the picture's border: by default for the
+        visibility field.
 
         called: what messages call a marker. Raises ParameterError: it names a field of the law.
         """
@@ -235,29 +272,45 @@ class Law(Generic[M]):
         return None
 
     def prepare(self) -> None:
-        """Import what the first `step` needs: it must not take longer than the others, for which a robot waits as well."""
+        """Import what the first `step` needs: it must not take longer than the others, for which a
+        robot waits as well.
+        """
         load_lapack()
 
     @abstractmethod
-    def step(self, state: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
-        """One frame: the next state and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
+    def step(
+        self, state: M, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[M, Command]:
+        """One frame: the next state and the command. basis (6, n): camera twists of the robot's n
+        motions, as columns.
+        """
         ...
 
 
 class LawFailedError(VstestbedError):
-    """A law failed that cannot raise its own exception, since it is in another process: what it did, in a sentence."""
+    """A law failed that cannot raise its own exception, since it is in another process: what it
+    did, in a sentence.
+    """
 
 
 LawBase = Law  # the name from which plugins derive
 
 
 def held(limits: TwistLimits, u: Array | None, basis: Array, why: str) -> Command:
-    """A frame without a measurement: the last command u (n,) again, rest where that is None; why: in words."""
-    return Command.rest(basis, why) if u is None else replace(limits.command(u, basis), rest_reason=why)
+    """A frame without a measurement: the last command u (n,) again, rest where that is None; why:
+    in words.
+    """
+    return (
+        Command.rest(basis, why)
+        if u is None
+        else replace(limits.command(u, basis), rest_reason=why)
+    )
 
 
 def inputs_of(law: Law[Any]) -> tuple[str, ...]:
-    """The fields of an Observation that a law reads, with what its feedforward and its repulsive field need."""
+    """The fields of an Observation that a law reads, with what its feedforward and its repulsive
+    field need.
+    """
     motion = ("motion",) if isinstance(law.feedforward, Estimator) else ()
     cameras = ("cameras",) if law.cameras else ()
     return tuple(dict.fromkeys((*law.inputs, *motion, *cameras, *law.visibility.inputs)))
@@ -273,8 +326,10 @@ class Views:
     """M views of the same N markers at one instant; every camera sees all of them.
 
     Attributes:
-        t: time [s]. p: the markers in the camera frame (M, N, 3) [m]. T_camera_target: poses (M, 4, 4).
-        goal: the goal view of these markers. depth_from: the source of depth; `pnp` and `oracle` give the true depth.
+        t: time [s]. p: the markers in the camera frame (M, N, 3) [m]. T_camera_target: poses (M, 4,
+            4).
+        goal: the goal view of these markers. depth_from: the source of depth; `pnp` and `oracle`
+            give the true depth.
         marker_radius_m: of every marker [m].
     """
 
@@ -315,11 +370,16 @@ class Views:
     def radius_px(self) -> Array:
         """Apparent radius of each marker by its depth as known to the law (M, N) [px]."""
         p = self.ray * self.range[..., None]
-        return self.goal.camera.half_size(p.reshape(-1, 3), self.marker_radius_m).max(axis=1).reshape(p.shape[:2])
+        return (
+            self.goal.camera.half_size(p.reshape(-1, 3), self.marker_radius_m)
+            .max(axis=1)
+            .reshape(p.shape[:2])
+        )
 
     @cached_property
     def _reach(self) -> Array:
-        return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))  # the true distance, whatever `depth_from` says
+        # the true distance, whatever `depth_from` says
+        return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))
 
     def _known(self, true: Array, at_goal: Array) -> Array:
         match self.depth_from:
@@ -336,15 +396,23 @@ class Views:
         return self.goal.camera.project(self.p)
 
     def of_run(self, i: int, inputs: tuple[str, ...], moved: Array | None = None) -> Observation:
-        """What the law of run i is shown: of the costly fields those that it names. moved: its last motion (6,); None: none."""
+        """What the law of run i is shown: of the costly fields those that it names. moved: its last
+        motion (6,); None: none.
+        """
         rays = (self.ray[i], self.range[i]) if {"ray", "range"} & set(inputs) else (None, None)
         radius = self.radius_px[i] if "radius_px" in inputs else None
-        robot = OwnModel.of_ideal_camera(self.goal.camera.period, moved) if "robot" in inputs else None
+        robot = (
+            OwnModel.of_ideal_camera(self.goal.camera.period, moved) if "robot" in inputs else None
+        )
         seen = self.xy[i], self.depth[i], self.T_camera_target[i]
         return Observation(self.t, self.uv[i], *seen, *rays, radius_px=radius, robot=robot)
 
 
 def has_batch(law: Any) -> bool:
-    """Whether a law controls a batch by the equations of its own `step`: a class that overrides `step` alone inherits another law's."""
-    first = next((vars(c) for c in type(law).__mro__ if {"step", "step_batch"} & vars(c).keys()), {})
+    """Whether a law controls a batch by the equations of its own `step`: a class that overrides
+    `step` alone inherits another law's.
+    """
+    first = next(
+        (vars(c) for c in type(law).__mro__ if {"step", "step_batch"} & vars(c).keys()), {}
+    )
     return "step_batch" in first

@@ -1,4 +1,6 @@
-"""Quadratic programs of a law, and their constraints: joint limits, the picture's border, the target's plane, limits of twists."""
+"""Quadratic programs of a law, and their constraints: joint limits, the picture's border, the
+target's plane, limits of twists.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from vstestbed.laws.solve import least_squares
 from vstestbed.robots.arm import unit_scale
 from vstestbed.robots.own_model import OwnModel
 
-ITERATIONS = 500  # Most iterations of one program. A count and not a time: the same run gives the same commands on every machine.
+# Most iterations of one program. A count and not a time: the same run gives the same commands on
+# every machine.
+ITERATIONS = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +43,10 @@ class Solution:
     """What a program gave.
 
     Attributes:
-        x: (n,); None where it could not be solved. gave_way: words of the groups that had to, the softest first.
-        bound: whether a bound or an inequality is met with equality. failure: the solver's exit code in words; "" where it solved.
+        x: (n,); None where it could not be solved. gave_way: words of the groups that had to, the
+            softest first.
+        bound: whether a bound or an inequality is met with equality. failure: the solver's exit
+            code in words; "" where it solved.
     """
 
     x: Array | None
@@ -48,11 +54,14 @@ class Solution:
     bound: bool = False
     failure: str = ""
 
-    def command(self, robot: OwnModel, basis: Array, limits: TwistLimits, words: tuple[str, ...]) -> Command:
-        """The command that orders the robot's velocities, which the solution begins with; rest where the program was not solved.
+    def command(
+        self, robot: OwnModel, basis: Array, limits: TwistLimits, words: tuple[str, ...]
+    ) -> Command:
+        """The command that orders the robot's velocities, which the solution begins with; rest
+        where the program was not solved.
 
-        words: of the groups in the order in which they give way. The mode is 0 where nothing binds, 1 where a constraint binds, 2 and more
-        for the last group that gave way (`program_modes`).
+        words: of the groups in the order in which they give way. The mode is 0 where nothing binds,
+        1 where a constraint binds, 2 and more for the last group that gave way (`program_modes`).
         """
         if self.x is None:
             return replace(Command.rest(basis, self.failure), mode=2 + len(words))
@@ -65,30 +74,50 @@ class Solution:
         return Command(u, twist, scale=scale, rates=rates, mode=mode)
 
     def and_accelerations(self, too_quick: bool) -> Solution:
-        """The same; where too_quick, the accelerations had to give way to positions and speeds (`velocity_bounds`)."""
+        """The same; where too_quick, the accelerations had to give way to positions and speeds
+        (`velocity_bounds`).
+        """
         if not too_quick or "acceleration" in self.gave_way:
             return self
         return replace(self, gave_way=(*self.gave_way, "acceleration"))
 
 
 def program_modes(words: tuple[str, ...]) -> tuple[str, ...]:
-    """Words for `Law.modes` of a law whose groups of constraints give way in the order of `words`; the last one is for a rest."""
+    """Words for `Law.modes` of a law whose groups of constraints give way in the order of `words`;
+    the last one is for a rest.
+    """
     return "free", "constrained", *(f"{word} gave way" for word in words), "not solved"
 
 
-def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, ...], units: Array | float = 1.0) -> Solution:
-    """The x (n,) that minimises |A x - b|^2 with low <= x <= high and the inequalities of the groups.
+def minimise(
+    A: Array,
+    b: Array,
+    low: Array,
+    high: Array,
+    groups: tuple[Group, ...],
+    units: Array | float = 1.0,
+) -> Solution:
+    """The x (n,) that minimises |A x - b|^2 with low <= x <= high and the inequalities of the
+    groups.
 
-    Where these contradict each other, groups give way in their order, the first one first: its inequalities are violated as little as the
-    others allow. The bounds never do. The dual active-set method starts at the unconstrained minimum; most frames need no step from there.
+    Where these contradict each other, groups give way in their order, the first one first: its
+    inequalities are violated as little as the others allow. The bounds never do. The dual
+    active-set method starts at the unconstrained minimum; most frames need no step from there.
 
-    A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high. groups: the softest first. units: in which x is sought (n,).
+    A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high. groups: the softest first.
+    units: in which x is sought (n,).
 
-    References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP); for the order in which constraints give
-    way Escande, Mansard & Wieber 2014, doi:10.1177/0278364914521306.
+    References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP);
+    for the order in which constraints give way Escande, Mansard & Wieber 2014,
+    doi:10.1177/0278364914521306.
     """
-    if not all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low)))):
-        return Solution(None, failure="the quadratic program was not solved: it has numbers that are not finite")
+    if not all(
+        all_finite(part)
+        for part in (A, b, *(part for group in groups for part in (group.A, group.low)))
+    ):
+        return Solution(
+            None, failure="the quadratic program was not solved: it has numbers that are not finite"
+        )
     A, low, high = A * units, low / units, high / units
     groups = tuple(replace(group, A=group.A * units) for group in groups if len(group.A))
     H = A.T @ A
@@ -108,17 +137,31 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     code = infeasible
     for level in range(len(groups) + 1):
         if level:
-            sense[firm : firm + len(groups[level - 1].A)] = 8  # the solver's mark of a soft constraint
+            sense[firm : firm + len(groups[level - 1].A)] = (
+                8  # the solver's mark of a soft constraint
+            )
             firm += len(groups[level - 1].A)
         # A squared violation costs 1e6 times the mean curvature of the objective.
-        x, _, code, info = load_solver()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1e-6)
+        x, _, code, info = load_solver()(
+            H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1e-6
+        )
         if code in (1, 2):  # solved, and solved with soft constraints violated
-            rounding = [1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12) for group in groups]
-            gave_way = tuple(g.word for g, share in zip(groups[:level], rounding, strict=False) if (g.A @ x - g.low < -share).any())
+            rounding = [
+                1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12) for group in groups
+            ]
+            gave_way = tuple(
+                g.word
+                for g, share in zip(groups[:level], rounding, strict=False)
+                if (g.A @ x - g.low < -share).any()
+            )
             return Solution(np.clip(x, low, high) * units, gave_way, bool(np.any(info["lam"])))
         if code != infeasible:
             break
-    why = "its bounds contradict each other" if code == infeasible else f"the solver stopped with code {code}"
+    why = (
+        "its bounds contradict each other"
+        if code == infeasible
+        else f"the solver stopped with code {code}"
+    )
     return Solution(None, failure=f"the quadratic program was not solved: {why}")
 
 
@@ -130,18 +173,23 @@ def load_solver() -> Any:
     return daqp.solve
 
 
-# Constraints on a robot's own velocities: joint limits, the picture's border, the target's plane, twist limits.
+# Constraints on a robot's own velocities: joint limits, the picture's border, the target's plane,
+# twist limits.
 
 
-def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate: bool) -> tuple[Array, Array, bool]:
-    """Bounds low, high (n,) of the velocities by positions, speeds and accelerations, and whether the accelerations had to give way.
+def velocity_bounds(
+    robot: OwnModel, margin: float, damper_s: float, accelerate: bool
+) -> tuple[Array, Array, bool]:
+    """Bounds low, high (n,) of the velocities by positions, speeds and accelerations, and whether
+    the accelerations had to give way.
 
-    Speed towards a limit: at most (distance - margin) / damper_s (velocity damper), beyond the margin away from it at that rate;
-    |rates| <= speed; |rates - ordered| <= acceleration period. Bounds of position win over those of speed, these over those of
-    acceleration, so that low <= high always.
+    Speed towards a limit: at most (distance - margin) / damper_s (velocity damper), beyond the
+    margin away from it at that rate; |rates| <= speed; |rates - ordered| <= acceleration period.
+    Bounds of position win over those of speed, these over those of acceleration, so that
+    low <= high always.
 
-    margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a period [s]. accelerate: whether
-    accelerations count.
+    margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a
+    period [s]. accelerate: whether accelerations count.
 
     Reference: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982.
     """
@@ -159,12 +207,15 @@ def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate:
 
 
 def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
-    """A barrier of the smallest singular value s of the arm's Jacobian, lengths in its own unit: h = s - least, h_dot = u^T (dJ/dq x) v.
+    """A barrier of the smallest singular value s of the arm's Jacobian, lengths in its own unit:
+    h = s - least, h_dot = u^T (dJ/dq x) v.
 
-    It keeps an arm in its branch: beyond a singularity of the wrist the goal may need a joint position beyond a limit. Of an arm that
-    starts at a singularity nobody knows which branch is the right one: there is no barrier under half of `least`.
+    It keeps an arm in its branch: beyond a singularity of the wrist the goal may need a joint
+    position beyond a limit. Of an arm that starts at a singularity nobody knows which branch is the
+    right one: there is no barrier under half of `least`.
 
-    Reference: the derivative of a simple singular value: Stewart & Sun 1990, Matrix Perturbation Theory, section IV.2.
+    Reference: the derivative of a simple singular value: Stewart & Sun 1990, Matrix Perturbation
+    Theory, section IV.2.
     """
     n = len(robot.names)
     scale = unit_scale(robot.unit_m)[:, None]
@@ -172,14 +223,18 @@ def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
     if n < 6 or not 0.5 * least < s[-1] < 4 * least:  # beyond, it could not bind within a frame
         return Group.none("singularity", n)
     u, v, step = U[:, len(s) - 1], Vt[len(s) - 1], 1e-6  # of finite differences [rad, m]
-    slopes = [u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / step for d in step * np.eye(n)]
+    slopes = [
+        u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / step for d in step * np.eye(n)
+    ]
     return Group("singularity", np.array([slopes]), np.array([-rate * (s[-1] - least)]))
 
 
 def shared_limits(robot: OwnModel, forward: float) -> Group:
-    """Limits that several velocities share: sums of them (a platform's wheels), and the tightest circle of a vehicle that drives forward.
+    """Limits that several velocities share: sums of them (a platform's wheels), and the tightest
+    circle of a vehicle that drives forward.
 
-    forward: the sign of the wanted speed; the circle is |w| <= v / radius forward, and in reverse with -v.
+    forward: the sign of the wanted speed; the circle is |w| <= v / radius forward, and in reverse
+    with -v.
     """
     A, low = np.vstack([robot.sums, -robot.sums]), -np.concatenate([robot.most, robot.most])
     if robot.turning_radius_m > 0:
@@ -191,7 +246,9 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
 
 
 def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) -> Group:
-    """|v_i| <= speed_mps, |w_i| <= rate_radps (None: no limit) for each component of the camera twist J @ rates: a box."""
+    """|v_i| <= speed_mps, |w_i| <= rate_radps (None: no limit) for each component of the camera
+    twist J @ rates: a box.
+    """
     rows, low = [np.zeros((0, J.shape[1]))], [np.zeros(0)]
     for limit, part in ((speed_mps, J[:3]), (rate_radps, J[3:])):
         if limit is not None:
@@ -200,23 +257,30 @@ def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) ->
     return Group("twist", np.vstack(rows), np.concatenate(low))
 
 
-def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rate: float, target: Array) -> Group:
-    """Barriers h_dot >= -rate h of each visible marker at each border of the picture: h = its edge's distance to it, less the margin [px].
+def border(
+    seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rate: float, target: Array
+) -> Group:
+    """Barriers h_dot >= -rate h of each visible marker at each border of the picture: h = its
+    edge's distance to it, less the margin [px].
 
-    h_dot = n^T L (J rates + target) with n the border's inward normal, L the interaction matrix of the pixel in this lens, at the place
-    where the marker will be when the command takes effect. A marker outside comes back at the rate.
+    h_dot = n^T L (J rates + target) with n the border's inward normal, L the interaction matrix of
+    the pixel in this lens, at the place where the marker will be when the command takes effect. A
+    marker outside comes back at the rate.
 
-    margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s]. target: camera twist (6,) that would move the
-    markers as the target's own motion does.
+    margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s]. target:
+    camera twist (6,) that would move the markers as the target's own motion does.
 
-    Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019, doi:10.23919/ECC.2019.8796030 (barrier functions).
+    Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019,
+    doi:10.23919/ECC.2019.8796030 (barrier functions).
     """
     around = seen.ray is not None and seen.range is not None
     rows = usable_rows(seen, ("ray", "range") if around else ("xy", "depth"), 1)
     if isinstance(rows, str) or len(goal.camera.panels) > 1:
         return Group.none("border", robot.J.shape[1])
     L = pixel_interaction(goal.camera, points(seen)[rows])
-    distance, inwards = goal.camera.borders(seen.uv[rows] + L @ (robot.way + target * robot.underway_s))
+    distance, inwards = goal.camera.borders(
+        seen.uv[rows] + L @ (robot.way + target * robot.underway_s)
+    )
     radius = 0.0 if seen.radius_px is None else seen.radius_px[rows][:, None]
     h = (distance - radius - margin_px).ravel()
     h_dot = np.einsum("nbk,nki->nbi", inwards, L).reshape(len(h), 6)
@@ -224,11 +288,14 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
     return Group("border", (h_dot @ robot.J)[known], (-rate * h - h_dot @ target)[known])
 
 
-def above_plane(seen: Observation, goal: Goal, robot: OwnModel, distance_m: float, rate: float) -> Group:
-    """A barrier of the camera's distance to the plane of the target's markers: h = distance - distance_m [m].
+def above_plane(
+    seen: Observation, goal: Goal, robot: OwnModel, distance_m: float, rate: float
+) -> Group:
+    """A barrier of the camera's distance to the plane of the target's markers: h = distance -
+    distance_m [m].
 
-    The markers in sight span the plane, by the law's own depths; of fewer than three, or of markers on one line, it is the one through
-    their mean that faces the camera.
+    The markers in sight span the plane, by the law's own depths; of fewer than three, or of markers
+    on one line, it is the one through their mean that faces the camera.
     """
     rows = usable_rows(seen, ("xy", "depth"), 1)
     if isinstance(rows, str):
@@ -241,5 +308,6 @@ def above_plane(seen: Observation, goal: Goal, robot: OwnModel, distance_m: floa
     away = float(normal @ middle)
     normal, away = (normal, away) if away > 0 else (-normal, -away)  # towards the target
     h = away - float(normal @ robot.way[:3]) - distance_m
-    # The camera's origin moves with v: its distance to a plane that stands still changes by -normal . v.
+    # The camera's origin moves with v: its distance to a plane that stands still changes by -normal
+    # . v.
     return Group("plane", -(normal @ robot.J[:3])[None], np.array([-rate * h]))

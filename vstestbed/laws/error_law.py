@@ -1,4 +1,6 @@
-"""Laws of an error e and its Jacobian J, e_dot = J v: a law gives its equations, over one view or many; all else stands here."""
+"""Laws of an error e and its Jacobian J, e_dot = J v: a law gives its equations, over one view or
+many; all else stands here.
+"""
 
 from __future__ import annotations
 
@@ -17,26 +19,49 @@ from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, Law, Motions, TwistLimits, Views, held
-from vstestbed.laws.feedforward import Estimator, Feedforward, Integral, NoFeedforward, TargetEstimate, follow, look_ahead
-from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, reckoned_markers, usable_rows
+from vstestbed.laws.feedforward import (
+    Estimator,
+    Feedforward,
+    Integral,
+    NoFeedforward,
+    TargetEstimate,
+    follow,
+    look_ahead,
+)
+from vstestbed.laws.points import (
+    ALL,
+    NO_POSE,
+    TOO_FEW,
+    Rows,
+    Visibility,
+    reckoned_markers,
+    usable_rows,
+)
 from vstestbed.laws.solve import Solve, least_squares, units_of
 
 StackWeight = Annotated[float, Gt(0), Le(1e3)]
 DEAD_RECKON_S = 0.3
-"""How long what is not seen is dead-reckoned by the estimated motion of the target [s]: longer, and what it accelerates by counts."""
+"""How long what is not seen is dead-reckoned by the estimated motion of the target [s]: longer, and
+what it accelerates by counts.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorState:
-    """The state of a law of an error between frames: of the shape of its command, and of the tracker of its feedforward.
+    """The state of a law of an error between frames: of the shape of its command, and of the
+    tracker of its feedforward.
 
     Attributes:
-        extra: numbers (k,) that a law adds to it, NaN before the first frame (`ErrorLaw.extra_size`).
+        extra: numbers (k,) that a law adds to it, NaN before the first frame
+            (`ErrorLaw.extra_size`).
         t0: time of the first command [s]. u0: that command without the smooth start (n,).
-        t: time of the last command [s]. u: that command, before limits (n,). All four only where a later command depends on them.
-        seen: the last observation, with what was dead-reckoned, with which the next is compared; None before the first.
+        t: time of the last command [s]. u: that command, before limits (n,). All four only where a
+            later command depends on them.
+        seen: the last observation, with what was dead-reckoned, with which the next is compared;
+            None before the first.
         known_t: time of the last observation that sufficed for the law [s]; NaN before the first.
-        marker_t: time of the last observation of each marker (N,) [s]; None before the first. target: the estimate of the target's motion.
+        marker_t: time of the last observation of each marker (N,) [s]; None before the first.
+            target: the estimate of the target's motion.
         integral: integral of the remaining motion (n,), for the feedforward `integral`.
     """
 
@@ -54,7 +79,8 @@ class ErrorState:
 
 @spec
 class ErrorLaw(Law[ErrorState], ABC):
-    """u = -gain pinv(J B) e, camera twist v = B u, for an error e with e_dot = J v: a law of one's own gives `equations` alone.
+    """u = -gain pinv(J B) e, camera twist v = B u, for an error e with e_dot = J v: a law of one's
+    own gives `equations` alone.
 
         class Mine(ErrorLaw):  # with @LAWS.add and @spec
             kind: Literal["mine"] = "mine"
@@ -62,27 +88,33 @@ class ErrorLaw(Law[ErrorState], ABC):
 
             def equations(self, view, goal): ... return e, J
 
-    With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau). With `smoothing_s` = T it is filtered:
-    u_k = u_(k-1) + (1 - exp(-dt/T)) (u - u_(k-1)), from the first command on. A goal view that moves along a path adds its own velocity u*.
+    With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau). With
+    `smoothing_s` = T it is filtered: u_k = u_(k-1) + (1 - exp(-dt/T)) (u - u_(k-1)), from the first
+    command on. A goal view that moves along a path adds its own velocity u*.
 
-    With `feedforward` a moving target is tracked without lag, for DEAD_RECKON_S also while it is not visible.
+    With `feedforward` a moving target is tracked without lag, for DEAD_RECKON_S also while it is
+    not visible.
 
     Args:
         gain: lambda [1/s], a number or an adaptive gain of the remaining motion pinv(J B) e.
         solve: inversion of J B (`Solve`), in the estimate of the feedforward, too.
         smooth_start_s: tau [s]; 0 starts with the full command.
-        smoothing_s: time constant of a low-pass filter of the command [s]; 0: none. An exponential average that gives each new command
-            the weight a is -1/(rate ln(1 - a)): 0.0249 s for a = 0.8 at 25 pictures a second.
-        keep_last: where too few markers are seen, go on with the last command in place of rest, until `stop.lost_after_s`.
+        smoothing_s: time constant of a low-pass filter of the command [s]; 0: none. An exponential
+            average that gives each new command the weight a is -1/(rate ln(1 - a)): 0.0249 s for
+            a = 0.8 at 25 pictures a second.
+        keep_last: where too few markers are seen, go on with the last command in place of rest,
+            until `stop.lost_after_s`.
         limits: largest speed and rate of the commanded twist.
         visibility: repulsive field at the border of the image.
         feedforward: the feedforward term for a moving target.
-        cameras: further cameras by name, with the weights of their squared errors: their equations stand below those of the law's own
-            camera, J_i Ad(T_i_camera), and each adds what it sees; e.g. `{right: 1}`.
+        cameras: further cameras by name, with the weights of their squared errors: their equations
+            stand below those of the law's own camera, J_i Ad(T_i_camera), and each adds what it
+            sees; e.g. `{right: 1}`.
 
-    References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; moving target: Chaumette & Hutchinson 2007,
-    doi:10.1109/MRA.2007.339609; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487;
-    several cameras: Malis, Chaumette & Boudet 2000, doi:10.1109/ROBOT.2000.844150.
+    References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; moving target:
+    Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start: Mansard & Chaumette
+    2007, doi:10.1109/TRO.2006.889487; several cameras: Malis, Chaumette & Boudet 2000,
+    doi:10.1109/ROBOT.2000.844150.
     """
 
     gain: Gain = ConstantGain()
@@ -94,16 +126,20 @@ class ErrorLaw(Law[ErrorState], ABC):
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
     cameras: dict[str, StackWeight] = field(default_factory=dict)
-    stacks = True  # whether `cameras` may be given: not to a law whose motion is more than that of e and J
+    # whether `cameras` may be given: not to a law whose motion is more than that of e and J
+    stacks = True
     extra_size = 0  # Numbers k that the law adds to the state (`ErrorState.extra`)
 
     @abstractmethod
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
-        """The error e (..., rows) and J (..., rows, 6) with e_dot = J v, v (6,) the camera twist; J (rows, 6) where all views share it.
+        """The error e (..., rows) and J (..., rows, 6) with e_dot = J v, v (6,) the camera twist; J
+        (rows, 6) where all views share it.
 
-        view: an Observation of one view, or `Views` of many with leading axes: xy (..., N, 2) and depth (..., N) [m], ray (..., N, 3) and
-        range (..., N) [m], T_camera_target (..., 4, 4), as `inputs` names them, of N markers that are all known. goal: a view of the same
-        markers, without leading axes: the goal, or for the feedforward the frame before, which has these fields alone.
+        view: an Observation of one view, or `Views` of many with leading axes: xy (..., N, 2) and
+        depth (..., N) [m], ray (..., N, 3) and range (..., N) [m], T_camera_target (..., 4, 4), as
+        `inputs` names them, of N markers that are all known. goal: a view of the same markers,
+        without leading axes: the goal, or for the feedforward the frame before, which has these
+        fields alone.
         """
 
     def _checked(self, e: Array, J: Array) -> tuple[Array, Array]:
@@ -113,25 +149,36 @@ class ErrorLaw(Law[ErrorState], ABC):
         return e, J
 
     def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
-        """The error of this view from the last one (rows,) and its Jacobian (rows, 6), for the feedforward.
+        """The error of this view from the last one (rows,) and its Jacobian (rows, 6), for the
+        feedforward.
 
-        By default the law's equations with the last view as the goal. With the matrix of one of the views the change is explained to
-        first order in the motion only: J is the mean of both.
+        By default the law's equations with the last view as the goal. With the matrix of one of the
+        views the change is explained to first order in the motion only: J is the mean of both.
         """
         e, J = self.equations(now, before)
         return e, (self.equations(before, now)[1] + J) / 2
 
     def free_motions(self, J: Array, e: Array, x: Array | None, basis: Array) -> Motions:
-        """Motions left to the robot's secondary task, for J (rows, 6), e (rows,) and the remaining motion x (n,): none by default."""
+        """Motions left to the robot's secondary task, for J (rows, 6), e (rows,) and the remaining
+        motion x (n,): none by default.
+        """
         return ()
 
     def motion(
-        self, extra: Array, e: Array, J: Array, view: Any, goal: Goal, basis: Array | None, shift: Array | None
+        self,
+        extra: Array,
+        e: Array,
+        J: Array,
+        view: Any,
+        goal: Goal,
+        basis: Array | None,
+        shift: Array | None,
     ) -> tuple[Array, Array | str, Array | None]:
-        """The law's extra state (..., k), velocities u = -gain x (..., n) or the reason for rest, and x = pinv(J B) e, None if not needed.
+        """The law's extra state (..., k), velocities u = -gain x (..., n) or the reason for rest,
+        and x = pinv(J B) e, None if not needed.
 
-        basis: the robot's motions (6, n); None: all six of the camera. shift: the predicted change of x (n,)
-        until the horizon of the feedforward, None without one.
+        basis: the robot's motions (6, n); None: all six of the camera. shift: the predicted change
+        of x (n,) until the horizon of the feedforward, None without one.
         """
         units = units_of(goal, basis)
         x = self.solve.least_squares((J if basis is None else J @ basis) * units, e)
@@ -139,16 +186,20 @@ class ErrorLaw(Law[ErrorState], ABC):
         return extra, -self.gain.at(ahead) * ahead * units, x * units
 
     def markers_needed(self, basis: Array) -> int:
-        """As many as the robot's motions, basis (6, n), need with two equations each; three for a pose.
+        """As many as the robot's motions, basis (6, n), need with two equations each; three for a
+        pose.
 
-        With three a pose has up to four solutions, and the observer takes the one next to the last pose.
+        With three a pose has up to four solutions, and the observer takes the one next to the last
+        pose.
         """
         return 3 if self._reads[1] else Law.markers_needed(self, basis)
 
     def init(self, goal: Goal) -> ErrorState:
         return ErrorState(np.full(self.extra_size, np.nan))
 
-    def step(self, state: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:
+    def step(
+        self, state: ErrorState, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[ErrorState, Command]:
         """One frame; rest where too few markers are seen, or no pose is known."""
         known, rows, why = self._known(state, observation, goal, basis)
         measured = self._measured(known, rows, goal, basis)
@@ -162,17 +213,33 @@ class ErrorLaw(Law[ErrorState], ABC):
         if isinstance(u, str):
             return self._unseen(state, basis, u)
         if isinstance(self.feedforward, Integral):
-            after, tau = integrated(self.feedforward, after, known, self.solve.least_squares(J @ basis, e) if x is None else x)
+            after, tau = integrated(
+                self.feedforward,
+                after,
+                known,
+                self.solve.least_squares(J @ basis, e) if x is None else x,
+            )
         if tau is not None:
             u = u - tau
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow
-        after, command = self._limited(state, after if extra is state.extra else replace(after, extra=extra), u, observation, goal, basis)
+        after, command = self._limited(
+            state,
+            after if extra is state.extra else replace(after, extra=extra),
+            u,
+            observation,
+            goal,
+            basis,
+        )
         free, why = self.free_motions(J, e, x, basis), "" if self.cameras else why
         return after, replace(command, free=free, rest_reason=why) if free or why else command
 
-    def _measured(self, known: Observation, rows: Rows | str, goal: Goal, basis: Array) -> tuple[Array, Array, Observation, Goal] | str:
-        """The error and its Jacobian, with the views of which they are; or the reason for rest. rows: usable ones, or why none are."""
+    def _measured(
+        self, known: Observation, rows: Rows | str, goal: Goal, basis: Array
+    ) -> tuple[Array, Array, Observation, Goal] | str:
+        """The error and its Jacobian, with the views of which they are; or the reason for rest.
+        rows: usable ones, or why none are.
+        """
         if self.cameras:
             stacked = self._stacked(known, goal, basis)
             return stacked if isinstance(stacked, str) else (*stacked, known, goal)
@@ -182,20 +249,31 @@ class ErrorLaw(Law[ErrorState], ABC):
         return (*self._checked(*self.equations(view, at)), view, at)
 
     def _limited(
-        self, state: ErrorState, after: ErrorState, u: Array, observation: Observation, goal: Goal, basis: Array
+        self,
+        state: ErrorState,
+        after: ErrorState,
+        u: Array,
+        observation: Observation,
+        goal: Goal,
+        basis: Array,
     ) -> tuple[ErrorState, Command]:
-        """The command for the velocities u (n,): shaped, kept from the border of the picture, within the limits."""
+        """The command for the velocities u (n,): shaped, kept from the border of the picture,
+        within the limits.
+        """
         if self._shapes or self.keep_last:
             after, u = self._shaped(after, observation.t, u)
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
-        if command.scale < 1 and after.integral is not None:  # anti-windup: while limits shorten the command, the integral does not grow
+        # anti-windup: while limits shorten the command, the integral does not grow
+        if command.scale < 1 and after.integral is not None:
             after = replace(after, integral=state.integral)
         return after, command
 
     def _stacked(self, own: Observation, goal: Goal, basis: Array) -> tuple[Array, Array] | str:
-        """The error (rows,) and its Jacobian (rows, 6) in all pictures, each with what it shows, or the reason for rest."""
+        """The error (rows,) and its Jacobian (rows, 6) in all pictures, each with what it shows, or
+        the reason for rest.
+        """
         of_markers, of_pose = self._reads
         fewest = self.markers_needed(basis[:, :1])  # that a camera needs to add something
         found, errors, jacobians, views = 0, [], [], own.cameras or {}
@@ -209,18 +287,29 @@ class ErrorLaw(Law[ErrorState], ABC):
             e, J = self._checked(*self.equations(seen.of_rows(rows), at.of_rows(rows)))
             found += len(seen.uv[rows])
             errors.append(math.sqrt(weight) * e)
-            jacobians.append(math.sqrt(weight) * (J if other is None else J @ adjoint(inverse(other.T_camera_this))))
-        return (np.concatenate(errors), np.vstack(jacobians)) if found >= self.markers_needed(basis) else TOO_FEW
+            jacobians.append(
+                math.sqrt(weight)
+                * (J if other is None else J @ adjoint(inverse(other.T_camera_this)))
+            )
+        return (
+            (np.concatenate(errors), np.vstack(jacobians))
+            if found >= self.markers_needed(basis)
+            else TOO_FEW
+        )
 
     @property
     def state_size(self) -> int:
-        """Numbers of the state of one of many runs: the law's extra ones, and u0, u and t of the shape of its command."""
+        """Numbers of the state of one of many runs: the law's extra ones, and u0, u and t of the
+        shape of its command.
+        """
         return self.extra_size + (13 if self._shapes else 0)
 
     def step_batch(self, state: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of M runs: the next state (M, state_size), and the camera twists (M, 6), NaN where the law orders rest.
+        """One frame of M runs: the next state (M, state_size), and the camera twists (M, 6), NaN
+        where the law orders rest.
 
-        state: NaN before the first frame. views: the current views. goal: the goal view of the same markers.
+        state: NaN before the first frame. views: the current views. goal: the goal view of the same
+            markers.
         """
         e, J = self._checked(*self.equations(views, goal))
         extra, u, _ = self.motion(state[:, : self.extra_size], e, J, views, goal, None, None)
@@ -232,7 +321,11 @@ class ErrorLaw(Law[ErrorState], ABC):
             u0 = np.where(np.isnan(u0), u, u0)
             u = u - u0 * math.exp(-views.t / self.smooth_start_s)
         if self.smoothing_s > 0:
-            u = np.where(np.isnan(last), u, last + (1 - np.exp(-(views.t - since) / self.smoothing_s)) * (u - last))
+            u = np.where(
+                np.isnan(last),
+                u,
+                last + (1 - np.exp(-(views.t - since) / self.smoothing_s)) * (u - last),
+            )
         return np.column_stack([extra, u0, u, np.full(len(u), views.t)]), self.limits.within(u)
 
     @cached_property
@@ -247,7 +340,9 @@ class ErrorLaw(Law[ErrorState], ABC):
         return of_markers, tuple(n for n in self.inputs if n in ("T_camera_target", "relative"))
 
     def _shaped(self, before: ErrorState, t: float, u: Array) -> tuple[ErrorState, Array]:
-        """The next state, and the command after smooth start and filter, for the law's u (n,) at a time t [s]."""
+        """The next state, and the command after smooth start and filter, for the law's u (n,) at a
+        time t [s].
+        """
         t0, u0 = before.t0, before.u0
         if self.smooth_start_s > 0:
             t0, u0 = (t, u) if u0 is None else (t0, u0)
@@ -257,17 +352,35 @@ class ErrorLaw(Law[ErrorState], ABC):
         return replace(before, t0=t0, u0=u0, t=t, u=u), u
 
     def _unseen(self, before: ErrorState, basis: Array, why: str) -> tuple[ErrorState, Command]:
-        """A frame without a measurement: rest, from which the next command starts smoothly again, or the last command; why: in words."""
+        """A frame without a measurement: rest, from which the next command starts smoothly again,
+        or the last command; why: in words.
+        """
         if not self.keep_last or before.u is None:
             return ErrorState(before.extra), Command.rest(basis, why)
-        after = ErrorState(before.extra, before.t0, before.u0, before.t, before.u)  # the tracker begins again
+        # the tracker begins again
+        after = ErrorState(before.extra, before.t0, before.u0, before.t, before.u)
         return after, held(self.limits, before.u, basis, why)
 
-    def _known(self, state: ErrorState, seen: Observation, goal: Goal, basis: Array) -> tuple[Observation, Rows | str, str]:
-        """The observation, with what was dead-reckoned; its usable markers, or the reason for rest; what it lacks itself, "" if nothing."""
-        kind, needed, lacks, (of_markers, of_pose) = self.feedforward, self.markers_needed(basis), "", self._reads
+    def _known(
+        self, state: ErrorState, seen: Observation, goal: Goal, basis: Array
+    ) -> tuple[Observation, Rows | str, str]:
+        """The observation, with what was dead-reckoned; its usable markers, or the reason for rest;
+        what it lacks itself, "" if nothing.
+        """
+        kind, needed, lacks, (of_markers, of_pose) = (
+            self.feedforward,
+            self.markers_needed(basis),
+            "",
+            self._reads,
+        )
         if of_pose:
-            lacks = TOO_FEW if np.count_nonzero(seen.seen) < needed else NO_POSE if _without(seen, of_pose) else ""
+            lacks = (
+                TOO_FEW
+                if np.count_nonzero(seen.seen) < needed
+                else NO_POSE
+                if _without(seen, of_pose)
+                else ""
+            )
             if lacks:
                 reckoned = usable_pose(kind, state, seen, goal, basis)
                 if reckoned is None or _without(reckoned, of_pose):
@@ -278,20 +391,34 @@ class ErrorLaw(Law[ErrorState], ABC):
         known, rows, why = usable_markers(kind, state, seen, basis, of_markers, needed)
         return known, rows, lacks or why
 
-    def _estimated(self, before: ErrorState, known: Observation, goal: Goal, basis: Array, why: str) -> tuple[ErrorState, Array, Array]:
-        """The state with the next estimate, how the remaining motion changes until the prediction horizon (n,), and tau (n,)."""
+    def _estimated(
+        self, before: ErrorState, known: Observation, goal: Goal, basis: Array, why: str
+    ) -> tuple[ErrorState, Array, Array]:
+        """The state with the next estimate, how the remaining motion changes until the prediction
+        horizon (n,), and tau (n,).
+        """
         kind, motion = self.feedforward, known.motion
         assert isinstance(kind, Estimator) and motion is not None
         # What was dead-reckoned is no measurement: the estimate goes on without.
         change = None if why or before.target is None else self._change(before, known, goal, basis)
         target = follow(kind, before.target, change, basis, motion, self.solve)
         shift, tau = look_ahead(kind, target, basis, motion)
-        marker_t = np.where(known.seen, known.t, -np.inf if before.marker_t is None else before.marker_t)
+        marker_t = np.where(
+            known.seen, known.t, -np.inf if before.marker_t is None else before.marker_t
+        )
         known_t = before.known_t if why else known.t
-        return replace(before, seen=known, known_t=known_t, marker_t=marker_t, target=target), shift, tau
+        return (
+            replace(before, seen=known, known_t=known_t, marker_t=marker_t, target=target),
+            shift,
+            tau,
+        )
 
-    def _change(self, state: ErrorState, now: Observation, goal: Goal, basis: Array) -> tuple[Array, Array] | None:
-        """`change` since the last frame, by the markers that are known in both; None where they are too few, or a pose is lacking."""
+    def _change(
+        self, state: ErrorState, now: Observation, goal: Goal, basis: Array
+    ) -> tuple[Array, Array] | None:
+        """`change` since the last frame, by the markers that are known in both; None where they are
+        too few, or a pose is lacking.
+        """
         before, (of_markers, of_pose) = state.seen, self._reads
         if before is None or _without(before, of_pose):
             return None
@@ -311,10 +438,14 @@ def _without(seen: Observation, names: tuple[str, ...]) -> bool:
     return any(getattr(seen, name) is None for name in names)
 
 
-def _motion_since(kind: Feedforward, state: ErrorState, seen: Observation, basis: Array) -> Array | None:
-    """The motion (4, 4) of the target in the camera's frame since the last frame; None where it is not known.
+def _motion_since(
+    kind: Feedforward, state: ErrorState, seen: Observation, basis: Array
+) -> Array | None:
+    """The motion (4, 4) of the target in the camera's frame since the last frame; None where it is
+    not known.
 
-    Relative to the target, the camera moves by its own measured twist and the estimated motion of the target, v + B tau.
+    Relative to the target, the camera moves by its own measured twist and the estimated motion of
+    the target, v + B tau.
     """
     target, motion = state.target, seen.motion
     if not isinstance(kind, Estimator) or target is None or motion is None:
@@ -322,12 +453,15 @@ def _motion_since(kind: Feedforward, state: ErrorState, seen: Observation, basis
     return exp(-(motion.twist * motion.since_s + basis @ target.ahead(motion.since_s)[0]))
 
 
-def usable_pose(kind: Feedforward, state: ErrorState, seen: Observation, goal: Goal, basis: Array) -> Observation | None:
-    """An observation without a pose or a homography, with those of the last frame; None where the law is to rest.
+def usable_pose(
+    kind: Feedforward, state: ErrorState, seen: Observation, goal: Goal, basis: Array
+) -> Observation | None:
+    """An observation without a pose or a homography, with those of the last frame; None where the
+    law is to rest.
 
-    They are dead-reckoned by the measured motion of the camera and the estimated one of the target, motion = (dR, dt), for DEAD_RECKON_S at
-    most: the pose T <- motion T, the homography H = R + t n^T/d* from the goal's view by R <- dR R, t <- dR t + dt. Without an estimator
-    the law rests.
+    They are dead-reckoned by the measured motion of the camera and the estimated one of the target,
+    motion = (dR, dt), for DEAD_RECKON_S at most: the pose T <- motion T, the homography H = R + t
+    n^T/d* from the goal's view by R <- dR R, t <- dR t + dt. Without an estimator the law rests.
 
     state: that of the law at the last frame. seen: the observation of this frame.
     """
@@ -344,13 +478,21 @@ def usable_pose(kind: Feedforward, state: ErrorState, seen: Observation, goal: G
 
 
 def usable_markers(
-    kind: Feedforward, state: ErrorState, seen: Observation, basis: Array, inputs: tuple[str, ...], needed: int
+    kind: Feedforward,
+    state: ErrorState,
+    seen: Observation,
+    basis: Array,
+    inputs: tuple[str, ...],
+    needed: int,
 ) -> tuple[Observation, Rows | str, str]:
-    """The observation, for a law of markers; its usable markers, or the reason for rest; and what the law lacks, "" if nothing.
+    """The observation, for a law of markers; its usable markers, or the reason for rest; and what
+    the law lacks, "" if nothing.
 
-    The markers that are not seen are dead-reckoned as poses are (`usable_pose`), each for DEAD_RECKON_S at most (`reckoned_markers`).
+    The markers that are not seen are dead-reckoned as poses are (`usable_pose`), each for
+    DEAD_RECKON_S at most (`reckoned_markers`).
 
-    inputs: the fields of the observation that must be known of a marker. needed: the least number of markers.
+    inputs: the fields of the observation that must be known of a marker. needed: the least number
+    of markers.
     """
     rows = usable_rows(seen, inputs, needed)
     why = rows if isinstance(rows, str) else ""
@@ -359,11 +501,15 @@ def usable_markers(
     motion = _motion_since(kind, state, seen, basis)
     if motion is None or (why and seen.t - state.known_t > DEAD_RECKON_S):
         return seen, rows, why
-    known = reckoned_markers(seen, state.seen, motion, seen.t - state.marker_t, DEAD_RECKON_S, None if why else basis)
+    known = reckoned_markers(
+        seen, state.seen, motion, seen.t - state.marker_t, DEAD_RECKON_S, None if why else basis
+    )
     return known, usable_rows(known, inputs, needed), why
 
 
-def integrated(kind: Integral, state: ErrorState, seen: Observation, x: Array) -> tuple[ErrorState, Array]:
+def integrated(
+    kind: Integral, state: ErrorState, seen: Observation, x: Array
+) -> tuple[ErrorState, Array]:
     """The next state and the feedforward term (n,), for the remaining motion x (n,)."""
     # Without an observation at the last frame nothing is added: the error in between is unknown.
     since = seen.t - state.seen.t if state.seen else 0.0

@@ -21,42 +21,51 @@ from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.points import NO_AREA, check_goal, moved_markers, points
 from vstestbed.laws.solve import least_squares, units_of
 
-COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}  # column of the twist of each motion that a single feature can command
+# column of the twist of each motion that a single feature can command
+COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 Axis = Literal["x", "y", "z", "wz"]
 _POINT, _POLYGON = Point(), Polygon()
-# An angle is known up to a full turn: the candidates beside it are the same orientation, the other way round.
+# An angle is known up to a full turn: the candidates beside it are the same orientation, the other
+# way round.
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
 
 
 @spec
 class Partitioned(ErrorLaw):
-    """Each of the motions `axes` is controlled by one feature of all markers together, the other motions by the points.
+    """Each of the motions `axes` is controlled by one feature of all markers together, the other
+    motions by the points.
 
-    v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,  (v_x, v_y) = gain_xy Z e_middle         those of them in `axes`
-    v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)                                         the others
+    v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,
+    (v_x, v_y) = gain_xy Z e_middle                     those of them in `axes`
+    v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)   the others
 
     With `feedforward` the features are those of the markers where they are predicted.
 
-    `solve` inverts L_rest. Far from the target, with neither x nor y in `axes`, its smallest singular value, of lateral motion together
-    with a tilt, is a hundredth of the largest or less, and the default keeps it: errors there grow, and the camera flies metres sideways.
+    `solve` inverts L_rest. Far from the target, with neither x nor y in `axes`, its smallest
+    singular value, of lateral motion together with a tilt, is a hundredth of the largest or less,
+    and the default keeps it: errors there grow, and the camera flies metres sideways.
 
-    By default `axes` are z and wz (the XY/Z partition of print): size and angle of the markers' polygon drive the camera along and
-    about its axis, the points do the rest.
+    By default `axes` are z and wz (the XY/Z partition of print): size and angle of the markers'
+    polygon drive the camera along and about its axis, the points do the rest.
 
-    e_sigma is positive where the target appears too large: sigma/sigma* - 1 (`ratio`), log(sigma/sigma*) (`log`: that of the
-    depth for a target that faces the camera) or sigma - sigma* (`difference`, of normalised coordinates). e_angle is the angle of the
-    longest segment between two markers from its direction at the goal. e_middle is the error of the mean (x, y) of the markers, which
-    changes with v_x by -mean(1/Z); 1/Z in the equation stands for that mean.
+    e_sigma is positive where the target appears too large: sigma/sigma* - 1 (`ratio`),
+    log(sigma/sigma*) (`log`: that of the depth for a target that faces the camera) or sigma -
+    sigma* (`difference`, of normalised coordinates). e_angle is the angle of the longest segment
+    between two markers from its direction at the goal. e_middle is the error of the mean (x, y) of
+    the markers, which changes with v_x by -mean(1/Z); 1/Z in the equation stands for that mean.
 
-    Where x (or y) is in `axes`, the x (y) coordinates in e and L are those from the markers' mean. Else the law would
-    nearly stand still: for a frontal square of half side a, lateral motion and tilt differ in the image by a^4 alone, and the
-    points' tilt would cancel all but a^4/((1 + a^2)^2 + a^4) of the error of the mean that it caused, a 290th at 1 m from a square
-    of .5 m. From their mean the points do not see lateral motion of a frontal target at all, and tell the tilt by its perspective.
-    For the same reason tilt and pan are not among the axes: with the mean commanding them, nothing would be left for x and y.
+    Where x (or y) is in `axes`, the x (y) coordinates in e and L are those from the markers' mean.
+    Else the law would nearly stand still: for a frontal square of half side a, lateral motion and
+    tilt differ in the image by a^4 alone, and the points' tilt would cancel all but a^4/((1 +
+    a^2)^2 + a^4) of the error of the mean that it caused, a 290th at 1 m from a square of .5 m.
+    From their mean the points do not see lateral motion of a frontal target at all, and tell the
+    tilt by its perspective. For the same reason tilt and pan are not among the axes: with the mean
+    commanding them, nothing would be left for x and y.
 
-    Errata. Corke 2017, section 16.1, prints w_z = gain (theta* - theta), which is unstable: theta_dot = -w_z. In its
-    eq. 16.2 the gain also multiplies L_z (v_z, w_z), so that only a fraction of the actual motion along and about the axis is
-    compensated for the points. A test checks both against finite differences.
+    Errata. Corke 2017, section 16.1, prints w_z = gain (theta* - theta), which is unstable:
+    theta_dot = -w_z. In its eq. 16.2 the gain also multiplies L_z (v_z, w_z), so that only a
+    fraction of the actual motion along and about the axis is compensated for the points. A test
+    checks both against finite differences.
 
     Args:
         gain_z: gain of the size [m/s per unit of e_sigma].
@@ -64,8 +73,9 @@ class Partitioned(ErrorLaw):
         gain_xy: gain of the markers' mean, where x or y is in `axes` [1/s].
         axes: the motions with a feature of their own, among x, y, z and wz.
         sigma: form of the size error.
-        turn_limits_deg: bounds (low, high) [deg] of the camera's rotation about its axis, from its start: the shortest rotation
-            within them is chosen, which may be the longer way round. Without bounds, the shortest; e.g. `[-200, 160]`.
+        turn_limits_deg: bounds (low, high) [deg] of the camera's rotation about its axis, from its
+            start: the shortest rotation within them is chosen, which may be the longer way round.
+            Without bounds, the shortest; e.g. `[-200, 160]`.
         depth: source of Z in L.
 
     Reference: Corke & Hutchinson 2001, doi:10.1109/70.954764.
@@ -81,14 +91,21 @@ class Partitioned(ErrorLaw):
     sigma: Literal["difference", "ratio", "log"] = "ratio"
     turn_limits_deg: Annotated[tuple[Angle, ...], Len(2, 2)] | None = None
     depth: Depth = PnP()
-    extra_size = 1  # the remaining rotation about the optical axis at the last frame [rad], not wrapped
+    extra_size = (
+        1  # the remaining rotation about the optical axis at the last frame [rad], not wrapped
+    )
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
         if len(set(self.axes)) < len(self.axes):
             raise ParameterError.twice("axes", "a motion", list(self.axes))
-        if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
-            raise ParameterError.form("turn_limits_deg", "[low, high] with low <= 0 <= high", self.turn_limits_deg)
+        if (
+            self.turn_limits_deg is not None
+            and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]
+        ):
+            raise ParameterError.form(
+                "turn_limits_deg", "[low, high] with low <= 0 <= high", self.turn_limits_deg
+            )
 
     @property
     def idle(self) -> tuple[str, ...]:
@@ -99,40 +116,67 @@ class Partitioned(ErrorLaw):
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse fewer than four markers, and a goal view without an area (`Polygon.check_goal`).
 
-        Three have the same image from up to four poses: there the points' error vanishes, and with it those of size and angle.
+        Three have the same image from up to four poses: there the points' error vanishes, and with
+        it those of size and angle.
         """
         if len(points) < 4:
-            words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four poses"
+            words = (
+                f"has {len(points)} markers, and law partitioned needs 4 or more:"
+                " three look as at the goal from up to four poses"
+            )
             raise ParameterError("target", words)
         check_goal(_POLYGON, goal)
 
     def markers_needed(self, basis: Array) -> int:
-        """Three span an area: enough while others are hidden for some frames, not enough for a target (`check`).
+        """Three span an area: enough while others are hidden for some frames, not enough for a
+        target (`check`).
         Raises ParameterError: the robot cannot move its camera in all six directions.
         """
         if basis.shape[1] != 6:
-            words = f"partitioned moves a camera in all six directions, and this robot has {basis.shape[1]}; use ibvs"
+            words = (
+                "partitioned moves a camera in all six directions,"
+                f" and this robot has {basis.shape[1]}; use ibvs"
+            )
             raise ParameterError("law.kind", words)
         return 3
 
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
         """Those of all points, which `motion` divides: the error (..., 2N) and L (..., 2N, 6)."""
-        return _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy)), _POINT.interaction(view.xy, view.depth)
+        return _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy)), _POINT.interaction(
+            view.xy, view.depth
+        )
 
     def motion(
-        self, extra: Array, e: Array, J: Array, view: Any, goal: Goal, basis: Array | None, shift: Array | None
+        self,
+        extra: Array,
+        e: Array,
+        J: Array,
+        view: Any,
+        goal: Goal,
+        basis: Array | None,
+        shift: Array | None,
     ) -> tuple[Array, Array | str, Array | None]:
-        """The rotation that is left (..., 1), and the velocities; rest where the markers span no area."""
+        """The rotation that is left (..., 1), and the velocities; rest where the markers span no
+        area.
+        """
         if basis is not None and shift is not None:
-            # The features are no linear function of that motion, so that it moves the markers: by its difference from the horizon's.
+            # The features are no linear function of that motion, so that it moves the markers: by
+            # its difference from the horizon's.
             p = transform(exp(-basis @ shift), points(view))
             view = moved_markers(view, p, np.ones(len(p), dtype=bool))
             e, J = self.equations(view, goal)
-        sigma, d, sigma_star, d_star = size(view.xy), segments(view.xy), size(goal.xy), segments(goal.xy)
+        sigma, d, sigma_star, d_star = (
+            size(view.xy),
+            segments(view.xy),
+            size(goal.xy),
+            segments(goal.xy),
+        )
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         if basis is not None and flat:
             return extra, NO_AREA, None
-        if basis is None:  # of many, those without an area are computed with sigma* instead, and set to NaN at the end: no branches
+        # of many, those without an area are computed with sigma* instead, and set to NaN at the
+        # end: no branches
+        if basis is None:
             sigma = np.where(flat, sigma_star, sigma)
         turn = self._turn(extra[..., 0], angle_error(d, d_star))
         twist = self._twist(e, J, view, goal, size_error(sigma, sigma_star, self.sigma), turn)
@@ -140,8 +184,12 @@ class Partitioned(ErrorLaw):
             twist[flat] = np.nan
         return turn[..., None], twist if basis is None else least_squares(basis, twist), None
 
-    def _twist(self, e: Array, L: Array, view: Any, goal: Goal, too_large: Array, turn: Array) -> Array:
-        """Camera twists (..., 6) for given errors of size and angle (...); e (..., 2N) and L (..., 2N, 6) of the points."""
+    def _twist(
+        self, e: Array, L: Array, view: Any, goal: Goal, too_large: Array, turn: Array
+    ) -> Array:
+        """Camera twists (..., 6) for given errors of size and angle (...); e (..., 2N) and L (...,
+        2N, 6) of the points.
+        """
         twist = np.empty((*e.shape[:-1], 6))
         for axis in self.axes:
             i = COLUMN[axis]
@@ -161,9 +209,12 @@ class Partitioned(ErrorLaw):
         units = np.broadcast_to(units_of(goal, None), 6)
         A = L[..., rest] * units[rest]
         by_points = self.solve.least_squares(A, e)
-        # The motion along and about the axis moves the points, too; the gain must not multiply this part (see the errata).
+        # The motion along and about the axis moves the points, too; the gain must not multiply this
+        # part (see the errata).
         carried = (L[..., given] @ twist[..., given, None])[..., 0]
-        twist[..., rest] = -units[rest] * (self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried))
+        twist[..., rest] = -units[rest] * (
+            self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried)
+        )
         return twist
 
     @cached_property
@@ -172,15 +223,20 @@ class Partitioned(ErrorLaw):
         return given, [i for i in range(6) if i not in given]
 
     def _turn(self, last: Array, angle: Array) -> Array:
-        """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first frame, where `last` is NaN, and kept."""
+        """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first
+        frame, where `last` is NaN, and kept.
+        """
         ways, first = np.asarray(angle)[..., None] + _ROUND, np.isnan(last)
         if not first.any():
-            cost = np.abs(ways - last[..., None])  # near a half turn the wrapped angle would change its sign
+            # near a half turn the wrapped angle would change its sign
+            cost = np.abs(ways - last[..., None])
         elif self.turn_limits_deg is None:
             cost = np.abs(ways - np.where(first, angle, last)[..., None])
         else:
             low, high = (math.radians(limit) for limit in self.turn_limits_deg)
             beyond = np.maximum(np.maximum(low - ways, ways - high), 0.0)
             # Of those that exceed the bounds the least, the shortest.
-            cost = np.where(first[..., None], np.abs(ways) + 1e3 * beyond, np.abs(ways - last[..., None]))
+            cost = np.where(
+                first[..., None], np.abs(ways) + 1e3 * beyond, np.abs(ways - last[..., None])
+            )
         return np.take_along_axis(ways, np.argmin(cost, axis=-1, keepdims=True), axis=-1)[..., 0]

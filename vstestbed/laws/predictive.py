@@ -1,4 +1,6 @@
-"""Visual predictive control: velocities over a horizon that bring the features to the goal, within what joints and picture allow."""
+"""Visual predictive control: velocities over a horizon that bring the features to the goal, within
+what joints and picture allow.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,16 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, Law, TwistLimits
-from vstestbed.laws.constraints import Group, Solution, load_solver, minimise, program_modes, shared_limits, twist_limits, velocity_bounds
+from vstestbed.laws.constraints import (
+    Group,
+    Solution,
+    load_solver,
+    minimise,
+    program_modes,
+    shared_limits,
+    twist_limits,
+    velocity_bounds,
+)
 from vstestbed.laws.error_law import ErrorState, StackWeight
 from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
 from vstestbed.laws.ibvs import IBVS
@@ -34,12 +45,16 @@ STILL = np.zeros(6)
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A robot under a plan, at the ends of the K periods to come; the first begins when this frame's command takes effect.
+    """A robot under a plan, at the ends of the K periods to come; the first begins when this
+    frame's command takes effect.
 
     Attributes:
-        p_begin: the markers in the camera frame at the beginning (N, 3) [m]. p: at the ends (K, N, 3).
-        D: change of the camera's pose, as a twist (v, w) in the camera's own frame, with the plan: (K, 6, B n).
-        q: positions (K, n). Q: their change with the plan (K, n, B n). J: the Jacobian during each period (K, 6, n).
+        p_begin: the markers in the camera frame at the beginning (N, 3) [m]. p: at the ends (K, N,
+            3).
+        D: change of the camera's pose, as a twist (v, w) in the camera's own frame, with the plan:
+            (K, 6, B n).
+        q: positions (K, n). Q: their change with the plan (K, n, B n). J: the Jacobian during each
+            period (K, 6, n).
     """
 
     p_begin: Array
@@ -51,9 +66,11 @@ class Predicted:
 
 
 def blocks_of(horizon: int, blocks: int) -> NDArray[np.intp]:
-    """The block of each period (K,): a plan's velocities are constant over each block, and blocks grow, as the first periods matter most.
+    """The block of each period (K,): a plan's velocities are constant over each block, and blocks
+    grow, as the first periods matter most.
 
-    Reference: Cagienard, Grieder, Kerrigan & Morari 2007, doi:10.1016/j.jprocont.2007.01.001 (move blocking).
+    Reference: Cagienard, Grieder, Kerrigan & Morari 2007, doi:10.1016/j.jprocont.2007.01.001 (move
+    blocking).
     """
     left, lengths, blocks = horizon, [], min(blocks, horizon)
     for after in reversed(range(blocks)):
@@ -75,11 +92,14 @@ def shifted(plan: Array, block: NDArray[np.intp]) -> Array:
 
 
 def lagged(block: NDArray[np.intp], plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
-    """Mean velocities (K, n) in each period of first-order servos, and their change with the blocks' orders, (K, B), alike for each n.
+    """Mean velocities (K, n) in each period of first-order servos, and their change with the
+    blocks' orders, (K, B), alike for each n.
 
-    With a = exp(-1/lag) and g = lag (1 - a): mean = (1 - g) u + g r, and r' = (1 - a) u + a r at the end of the period.
+    With a = exp(-1/lag) and g = lag (1 - a): mean = (1 - g) u + g r, and r' = (1 - a) u + a r at
+    the end of the period.
 
-    block: of each period (K,). plan: (B, n). before: the velocity r at the beginning (n,). lag: time constant in periods.
+    block: of each period (K,). plan: (B, n). before: the velocity r at the beginning (n,). lag:
+    time constant in periods.
     """
     decay = math.exp(-1 / lag) if lag > 0 else 0.0
     kept = lag * (1 - decay)
@@ -94,15 +114,24 @@ def lagged(block: NDArray[np.intp], plan: Array, before: Array, lag: float) -> t
     return np.array(means), np.array(changes)
 
 
-def predict(p: Array, robot: OwnModel, block: NDArray[np.intp], plan: Array, relinearise: bool, target: Array = STILL) -> Predicted:
+def predict(
+    p: Array,
+    robot: OwnModel,
+    block: NDArray[np.intp],
+    plan: Array,
+    relinearise: bool,
+    target: Array = STILL,
+) -> Predicted:
     """What a plan (B, n) does, from markers p (N, 3) [m] in the camera frame at the exposure.
 
-    The camera's pose follows T <- T exp(period J mean) exactly; a small change d of the pose before a period has become
-    Ad(exp(-period J mean)) d at its end, to which period J times the change of the velocity is added, less half of its bracket with the
-    twist: the derivative of the exponential to second order.
+    The camera's pose follows T <- T exp(period J mean) exactly; a small change d of the pose before
+    a period has become Ad(exp(-period J mean)) d at its end, to which period J times the change of
+    the velocity is added, less half of its bracket with the twist: the derivative of the
+    exponential to second order.
 
-    block: of each period (K,). relinearise: J at the predicted positions; else that of now throughout. target: camera twist (6,) that would
-    move the markers as the target's own motion does.
+    block: of each period (K,). relinearise: J at the predicted positions; else that of now
+    throughout. target: camera twist (6,) that would move the markers as the target's own motion
+    does.
     """
     n, period = len(robot.names), robot.period_s
     mean, change = lagged(block, plan, robot.ordered, robot.lag_s / period)
@@ -125,52 +154,71 @@ def predict(p: Array, robot: OwnModel, block: NDArray[np.intp], plan: Array, rel
 
 
 GIVE_WAY = ("border", "positions", "twist", "shared", "acceleration")
-"""Constraints in the order in which they give way; bounds of the next command by joint limits and speeds never do."""
-TRUST = 0.1  # most motion in a period for which the prediction is linearised, in distances of the nearest marker and in rad
+"""Constraints in the order in which they give way; bounds of the next command by joint limits and
+speeds never do.
+"""
+# most motion in a period for which the prediction is linearised, in distances of the nearest marker
+# and in rad
+TRUST = 0.1
 LEAST_DEPTH = 1e-3  # depth under which no feature is computed, in distances at the goal
 PlanState = tuple[Array | None, ErrorState | None]
-"""The velocities planned in the last frame (B, n), and the state of the target's estimated motion; None before the first frame."""
+"""The velocities planned in the last frame (B, n), and the state of the target's estimated motion;
+None before the first frame.
+"""
 
 
 @spec
 class Predictive(Law[PlanState]):
-    """min over u_1 ... u_B of  sum over k = 1 ... K of |e_k - exp(-gain k T) e_0|^2 + effort |u|^2,   of which u_1 is ordered.
+    """min over u_1 ... u_B of  sum over k = 1 ... K of |e_k - exp(-gain k T) e_0|^2 +
+    effort |u|^2,   of which u_1 is ordered.
 
-    e_k = s(p_k) - s* is the error at the end of the k-th camera period T, predicted with the robot's model: servos of first order
-    with their lag, the Jacobian at the joints of that time, the markers moved as rigid bodies. e_0 is that at the time when the command
-    takes effect: latency is part of the model. The prediction is made with the plan of the last frame and linearised about it (one step of
-    sequential quadratic programming a frame); plans are constant over `blocks` of growing length.
+    e_k = s(p_k) - s* is the error at the end of the k-th camera period T, predicted with the
+    robot's model: servos of first order with their lag, the Jacobian at the joints of that time,
+    the markers moved as rigid bodies. e_0 is that at the time when the command takes effect:
+    latency is part of the model. The prediction is made with the plan of the last frame and
+    linearised about it (one step of sequential quadratic programming a frame); plans are constant
+    over `blocks` of growing length.
 
-    Subject to, over the whole horizon: markers' edges `margin_px` inside the picture; joint positions, speeds and accelerations; `limits`
-    of the camera's twist. Where they contradict each other, they give way one after the other: border, positions (of later periods; the
-    next command always stops before a joint limit), twist, shared, acceleration. The log's `law_mode` tells: 0 nothing binds, 1 a
-    constraint binds, 2 to 6 the last of these that gave way, 7 the program was not solved, and the law rests.
+    Subject to, over the whole horizon: markers' edges `margin_px` inside the picture; joint
+    positions, speeds and accelerations; `limits` of the camera's twist. Where they contradict each
+    other, they give way one after the other: border, positions (of later periods; the next command
+    always stops before a joint limit), twist, shared, acceleration. The log's `law_mode` tells: 0
+    nothing binds, 1 a constraint binds, 2 to 6 the last of these that gave way, 7 the program was
+    not solved, and the law rests.
 
-    One linearisation a frame holds for small motions: in a period the camera turns by 0.1 rad at most, and moves by 0.1 of its distance
-    from the nearest marker. A robot without limits of its own needs that.
+    One linearisation a frame holds for small motions: in a period the camera turns by 0.1 rad at
+    most, and moves by 0.1 of its distance from the nearest marker. A robot without limits of its
+    own needs that.
 
-    Without a binding constraint, latency and lag, it moves as `ibvs` of the same gain does with the current interaction matrix.
+    Without a binding constraint, latency and lag, it moves as `ibvs` of the same gain does with the
+    current interaction matrix.
 
     Args:
-        gain: decay of the wanted error [1/s]. Where gain K T is under .5, the wanted way is little more than its beginning, and the camera
-            retreats from a large rotation about its axis as that of `ibvs` does.
+        gain: decay of the wanted error [1/s]. Where gain K T is under .5, the wanted way is little
+            more than its beginning, and the camera retreats from a large rotation about its axis as
+            that of `ibvs` does.
         feature: the feature s.
         horizon: K, number of periods that are predicted [1].
         blocks: B, number of velocities in a plan, at most the horizon [1].
-        model: `global` takes interaction matrix and Jacobian along the predicted way, `local` those of now throughout.
+        model: `global` takes interaction matrix and Jacobian along the predicted way, `local` those
+            of now throughout.
         effort: weight of squared velocities, as a share of the features' largest [1].
-        margin_px: distance of the markers' edges from the border of the picture [px]; None: no such constraint.
-        joint_margin: distance from its limit at which a joint comes to rest [rad; m for one that slides].
+        margin_px: distance of the markers' edges from the border of the picture [px]; None: no such
+            constraint.
+        joint_margin: distance from its limit at which a joint comes to rest [rad; m for one that
+            slides].
         damper_s: in which time a joint may reach that margin [s].
         accelerations: whether the robot's accelerations count.
         depth: source of Z (for `spherical`, of the range).
         limits: largest speed and rate of the camera's twist, here as a constraint.
-        feedforward: estimates the motion of the target, as that of `ibvs` does; it goes on over the horizon.
-        cameras: further cameras by name, whose errors are predicted and count, too, with the weights of their squares; e.g. `{right: 1}`.
+        feedforward: estimates the motion of the target, as that of `ibvs` does; it goes on over the
+            horizon.
+        cameras: further cameras by name, whose errors are predicted and count, too, with the
+            weights of their squares; e.g. `{right: 1}`.
 
-    References: Allibert, Courtial & Chaumette 2010, doi:10.1109/TRO.2010.2056590; Sauvée, Poignet, Dombre & Courtial 2006,
-    doi:10.1109/CDC.2006.377808; one step of sequential quadratic programming a frame: Diehl, Bock & Schlöder 2005,
-    doi:10.1137/S0363012902400713.
+    References: Allibert, Courtial & Chaumette 2010, doi:10.1109/TRO.2010.2056590; Sauvée, Poignet,
+    Dombre & Courtial 2006, doi:10.1109/CDC.2006.377808; one step of sequential quadratic
+    programming a frame: Diehl, Bock & Schlöder 2005, doi:10.1137/S0363012902400713.
     """
 
     kind: Literal["predictive"] = "predictive"
@@ -194,7 +242,11 @@ class Predictive(Law[PlanState]):
     @property
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The inputs of the feature, the robot, and the markers' radii for the border."""
-        return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()))
+        return (
+            *self.feature.inputs,
+            "robot",
+            *(("radius_px",) if self.margin_px is not None else ()),
+        )
 
     @property
     def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -208,14 +260,18 @@ class Predictive(Law[PlanState]):
     def check(self, points: Array, goal: Goal) -> None:
         self._ibvs.check(points, goal)
 
-    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
+    def check_view(
+        self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str
+    ) -> None:
         """Refuse a goal with a marker inside the margin, where the constraint would not let it."""
         if self.margin_px is not None and len(goal.camera.panels) == 1:
             check_margin("law.margin_px", self.margin_px, goal, marker_radius_m, called)
 
     @cached_property
     def _ibvs(self) -> IBVS:
-        """The law with this feature, source of depth and feedforward, whose estimate of the target's motion it takes."""
+        """The law with this feature, source of depth and feedforward, whose estimate of the
+        target's motion it takes.
+        """
         return IBVS(feature=self.feature, depth=self.depth, feedforward=self.feedforward)
 
     def init(self, goal: Goal) -> PlanState:
@@ -225,68 +281,107 @@ class Predictive(Law[PlanState]):
         super().prepare()
         load_solver()
 
-    def step(self, state: PlanState, observation: Observation, goal: Goal, basis: Array) -> tuple[PlanState, Command]:
-        """One frame with the visible markers; rest when they are too few, or where the program was not solved."""
+    def step(
+        self, state: PlanState, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[PlanState, Command]:
+        """One frame with the visible markers; rest when they are too few, or where the program was
+        not solved.
+        """
         rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return (None, None), Command.rest(basis, rows)
         robot, (before, tracked) = observation.robot, state
         assert robot is not None
-        target = STILL  # the camera twist (6,) that would move the markers as the target's own motion does
+        # the camera twist (6,) that would move the markers as the target's own motion does
+        target = STILL
         if isinstance(self.feedforward, Estimator):
             tracked, _ = self._ibvs.step(tracked or self._ibvs.init(goal), observation, goal, basis)
             target = STILL if tracked.target is None else basis @ tracked.target.rate
-        plan = np.tile(robot.ordered, (self._block[-1] + 1, 1)) if before is None else shifted(before, self._block)
+        plan = (
+            np.tile(robot.ordered, (self._block[-1] + 1, 1))
+            if before is None
+            else shifted(before, self._block)
+        )
         solution = self._solved(rows, observation, goal, robot, plan, target)
         command = solution.command(robot, basis, self.limits, GIVE_WAY)
-        return (None, None) if solution.x is None else (solution.x.reshape(plan.shape), tracked), command
+        return (None, None) if solution.x is None else (
+            solution.x.reshape(plan.shape),
+            tracked,
+        ), command
 
     @cached_property
     def _block(self) -> NDArray[np.intp]:
         """The block of each period (K,)."""
         return blocks_of(self.horizon, self.blocks)
 
-    def _solved(self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, plan: Array, target: Array) -> Solution:
+    def _solved(
+        self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, plan: Array, target: Array
+    ) -> Solution:
         """The plan as one vector."""
         p, relinearise = points(seen)[rows], self.model == "global"
         ahead = predict(p, robot, self._block, plan, relinearise, target)
-        if not _in_front(ahead.p, self.feature, goal):  # of a plan that flies through the target nothing can be predicted
+        # of a plan that flies through the target nothing can be predicted
+        if not _in_front(ahead.p, self.feature, goal):
             plan = np.zeros_like(plan)
             ahead = predict(p, robot, self._block, plan, relinearise, target)
             if not _in_front(ahead.p, self.feature, goal):
                 return Solution(None, failure="a marker is predicted behind the camera")
         u = plan.ravel()
         A, b = self._objective(ahead, seen, goal, rows, robot, u)
-        low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
-        later = np.tile(robot.speed, len(plan) - 1)  # only speeds are bounded after the next command
+        low, high, too_quick = velocity_bounds(
+            robot, self.joint_margin, self.damper_s, self.accelerations
+        )
+        # only speeds are bounded after the next command
+        later = np.tile(robot.speed, len(plan) - 1)
         low, high = np.concatenate([low, -later]), np.concatenate([high, later])
         trusted, shared = self._trusted(p, robot.period_s), shared_limits(robot, float(plan[0, 0]))
         # The camera's twist in each block, at the Jacobian with which it begins.
         of_blocks = [twist_limits(*trusted, J) for J in ahead.J[beginnings(self._block)]]
-        rows_of_blocks = np.einsum("bmn,bc->bmcn", [part.A for part in of_blocks], np.eye(len(of_blocks))).reshape(-1, len(u))
+        rows_of_blocks = np.einsum(
+            "bmn,bc->bmcn", [part.A for part in of_blocks], np.eye(len(of_blocks))
+        ).reshape(-1, len(u))
         twist = Group("twist", rows_of_blocks, np.concatenate([part.low for part in of_blocks]))
         repeated = np.asarray(np.kron(np.eye(len(plan)), shared.A), dtype=float)
-        groups = [self._positions(ahead, robot, u), twist, Group("shared", repeated, np.tile(shared.low, len(plan))), self._slopes(robot)]
+        groups = [
+            self._positions(ahead, robot, u),
+            twist,
+            Group("shared", repeated, np.tile(shared.low, len(plan))),
+            self._slopes(robot),
+        ]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
-        return minimise(A, b, low, high, tuple(groups), self._units(goal, robot)).and_accelerations(too_quick)
+        return minimise(A, b, low, high, tuple(groups), self._units(goal, robot)).and_accelerations(
+            too_quick
+        )
 
     def _trusted(self, p: Array, period_s: float) -> tuple[float, float]:
-        """Largest speed [m/s] and rate [rad/s] within the law's limits and those within which the linearisation holds (TRUST)."""
-        # Numbers, no TwistLimits: of a marker far away, or at a high frame rate, they are beyond what a scenario may give.
+        """Largest speed [m/s] and rate [rad/s] within the law's limits and those within which the
+        linearisation holds (TRUST).
+        """
+        # Numbers, no TwistLimits: of a marker far away, or at a high frame rate, they are beyond
+        # what a scenario may give.
         speed, rate = TRUST * float(np.linalg.norm(p, axis=-1).min()) / period_s, TRUST / period_s
         given = self.limits
         return min(speed, given.speed_mps or speed), min(rate, given.rate_radps or rate)
 
-    def _objective(self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
-        """A and b of the wanted A u = b, of the law's camera and of the further ones, in whose frames the prediction is the same motion."""
+    def _objective(
+        self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, robot: OwnModel, u: Array
+    ) -> tuple[Array, Array]:
+        """A and b of the wanted A u = b, of the law's camera and of the further ones, in whose
+        frames the prediction is the same motion.
+        """
         parts = [self._wanted(ahead, goal, rows, robot, u)]
         for name, weight in self.cameras.items():
             view = (seen.cameras or {}).get(name)
             if view is None or view.goal is None:
                 continue
             back = inverse(view.T_camera_this)
-            moved = replace(ahead, p_begin=transform(back, ahead.p_begin), p=transform(back, ahead.p), D=adjoint(back) @ ahead.D)
+            moved = replace(
+                ahead,
+                p_begin=transform(back, ahead.p_begin),
+                p=transform(back, ahead.p),
+                D=adjoint(back) @ ahead.D,
+            )
             if _in_front(moved.p, self.feature, goal):
                 A, b = self._wanted(moved, view.goal, rows, robot, u)
                 parts.append((math.sqrt(weight) * A, math.sqrt(weight) * b))
@@ -294,13 +389,19 @@ class Predictive(Law[PlanState]):
         units = self._units(goal, robot)
         scaled = A * units
         weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", scaled, scaled)) / len(u))
-        return np.vstack([A, weight * np.eye(len(u)) / units]), np.concatenate([b, np.zeros(len(u))])
+        return np.vstack([A, weight * np.eye(len(u)) / units]), np.concatenate(
+            [b, np.zeros(len(u))]
+        )
 
     def _units(self, goal: Goal, robot: OwnModel) -> Array:
         """Units (B n,) of the plan's velocities."""
-        return np.tile(np.broadcast_to(units_of(goal, robot.J), len(robot.names)), self._block[-1] + 1)
+        return np.tile(
+            np.broadcast_to(units_of(goal, robot.J), len(robot.names)), self._block[-1] + 1
+        )
 
-    def _wanted(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
+    def _wanted(
+        self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array
+    ) -> tuple[Array, Array]:
         """A and b of the wanted A u = b of one camera."""
         feature, K = self.feature, len(ahead.p)
         s_star = feature.measure(getattr(goal, feature.inputs[0])[rows])
@@ -329,10 +430,18 @@ class Predictive(Law[PlanState]):
         if not self.accelerations or B == 1 or not quick.any():
             return Group.none("acceleration", B * n)
         rows = np.kron(np.eye(B)[1:] - np.eye(B)[:-1], np.eye(n)[quick])
-        most = np.concatenate([robot.acceleration[quick] * robot.period_s * length for length in lengths[:-1]])
-        return Group("acceleration", np.asarray(np.vstack([rows, -rows]), dtype=float), np.concatenate([-most, -most]))
+        most = np.concatenate(
+            [robot.acceleration[quick] * robot.period_s * length for length in lengths[:-1]]
+        )
+        return Group(
+            "acceleration",
+            np.asarray(np.vstack([rows, -rows]), dtype=float),
+            np.concatenate([-most, -most]),
+        )
 
-    def _border(self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, u: Array) -> Group:
+    def _border(
+        self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, u: Array
+    ) -> Group:
         """Markers' edges inside the picture, less the margin, at the end of each period."""
         camera, K = goal.camera, len(ahead.p)
         if len(camera.panels) > 1:
@@ -359,6 +468,8 @@ def _inputs(p: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
     if names[0] == "xy":
         return p[..., :2] / p[..., 2:], p[..., 2]
     if names[0] == "xyw":
-        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[..., 2]
+        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[
+            ..., 2
+        ]
     reach = np.linalg.norm(p, axis=-1)
     return p / reach[..., None], reach

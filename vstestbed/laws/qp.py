@@ -1,4 +1,6 @@
-"""A law as a quadratic program: its motion in the least-squares sense, within what joints, picture and target allow."""
+"""A law as a quadratic program: its motion in the least-squares sense, within what joints, picture
+and target allow.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +46,8 @@ from vstestbed.robots.own_model import OwnModel
 
 # Secondary tasks of a quadratic program: posture, a straight path of the camera, manipulability.
 #
-# A weighted one competes with the law's motion: where it is not fulfilled at the goal, the camera comes to rest beside it. A strict one has
-# only the motions that the law's features do not see.
+# A weighted one competes with the law's motion: where it is not fulfilled at the goal, the camera
+# comes to rest beside it. A strict one has only the motions that the law's features do not see.
 Weight = Annotated[float, Gt(0), Le(1e3)]
 Priority = Literal["weighted", "strict"]
 STEP = 1e-5  # step of finite differences of the manipulability [rad, m]
@@ -56,10 +58,12 @@ class PosturePull:
     """Joints towards a posture: x = gain (q* - q).
 
     Args:
-        q_deg: the posture [deg; m for a joint that slides]; by default that of the start; e.g. `[0, 45, -180, 0, 45, -45]`.
+        q_deg: the posture [deg; m for a joint that slides]; by default that of the start; e.g.
+            `[0, 45, -180, 0, 45, -45]`.
         gain: of the approach [1/s].
         weight: of the squared difference from that, beside the law's rows [1].
-        priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
+        priority: `weighted` beside the law, or `strict`: only motions that the law's features do
+            not see.
     """
 
     kind: Literal["posture"] = "posture"
@@ -81,7 +85,8 @@ class StraightPath:
 
     Args:
         weight: of the squared velocity across, beside the law's rows [1].
-        priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
+        priority: `weighted` beside the law, or `strict`: only motions that the law's features do
+            not see.
     """
 
     kind: Literal["straight"] = "straight"
@@ -107,7 +112,8 @@ class Manipulability:
     Args:
         gain: size of the velocity up the gradient [rad/s].
         weight: of the squared difference from it, beside the law's rows [1].
-        priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
+        priority: `weighted` beside the law, or `strict`: only motions that the law's features do
+            not see.
 
     Reference: Yoshikawa 1985, doi:10.1177/027836498500400201.
     """
@@ -121,7 +127,10 @@ class Manipulability:
     def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Array, Array]:
         """A (n, n) and b (n,) of the wanted A x = b."""
         n = len(robot.names)
-        ahead, behind = (np.array([manipulability(robot.jacobian(robot.q + side * d)) for d in STEP * np.eye(n)]) for side in (1, -1))
+        ahead, behind = (
+            np.array([manipulability(robot.jacobian(robot.q + side * d)) for d in STEP * np.eye(n)])
+            for side in (1, -1)
+        )
         gradient = (ahead - behind) / (2 * STEP)
         size = float(np.linalg.norm(gradient))
         return np.eye(n), self.gain * gradient / size if size > 1e-9 else np.zeros(n)
@@ -137,7 +146,13 @@ def manipulability(J: Array) -> float:
 
 
 def added(
-    A: Array, b: Array, tasks: tuple[Secondary, ...], seen: Observation, goal: Goal, robot: OwnModel, priority: Priority = "weighted"
+    A: Array,
+    b: Array,
+    tasks: tuple[Secondary, ...],
+    seen: Observation,
+    goal: Goal,
+    robot: OwnModel,
+    priority: Priority = "weighted",
 ) -> tuple[Array, Array]:
     """The rows A x = b, and those of the tasks of a priority, times the roots of their weights."""
     parts = [(A, b)]
@@ -159,9 +174,11 @@ def among_solutions(
     high: Array,
     groups: tuple[Group, ...],
 ) -> Solution:
-    """Of all velocities with the same main @ x (m,), those that fit the strict tasks best, within the same constraints.
+    """Of all velocities with the same main @ x (m,), those that fit the strict tasks best, within
+    the same constraints.
 
-    x + N z with N the directions that `main` (m, n) does not see. Reference: Siciliano & Slotine 1991, doi:10.1109/ICAR.1991.240390.
+    x + N z with N the directions that `main` (m, n) does not see. Reference: Siciliano & Slotine
+    1991, doi:10.1109/ICAR.1991.240390.
     """
     A, b = added(np.zeros((0, main.shape[1])), np.zeros(0), tasks, seen, goal, robot, "strict")
     x = solution.x
@@ -172,19 +189,29 @@ def among_solutions(
     N = Vt[int(np.count_nonzero(s > PINV_RCOND * s[0])) :].T
     if N.shape[1] == 0:
         return solution
-    # The bounds of x as inequalities of z, which z = 0 satisfies; rounding may have put x on the wrong side.
-    bounds = Group("bounds", np.vstack([N, -N]), np.minimum(np.concatenate([low - x, x - high]), 0.0))
-    inside = tuple(Group(group.word, group.A @ N, np.minimum(group.low - group.A @ x, 0.0)) for group in groups)
+    # The bounds of x as inequalities of z, which z = 0 satisfies; rounding may have put x on the
+    # wrong side.
+    bounds = Group(
+        "bounds", np.vstack([N, -N]), np.minimum(np.concatenate([low - x, x - high]), 0.0)
+    )
+    inside = tuple(
+        Group(group.word, group.A @ N, np.minimum(group.low - group.A @ x, 0.0)) for group in groups
+    )
     endless = np.full(N.shape[1], np.inf)
     found = minimise(A @ N, b - A @ x, -endless, endless, (*inside, bounds))
     if found.x is None:
         return solution
-    return replace(solution, x=np.clip(x + N @ found.x, low, high), bound=solution.bound or found.bound)
+    return replace(
+        solution, x=np.clip(x + N @ found.x, low, high), bound=solution.bound or found.bound
+    )
 
 
-SERVO = Registry("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")  # laws whose motion a quadratic program may take
+# laws whose motion a quadratic program may take
+SERVO = Registry("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
 GIVE_WAY = ("singularity", "border", "plane", "twist", "shared", "acceleration")
-"""Constraints in the order in which they give way; those of joint position and joint speed never do."""
+"""Constraints in the order in which they give way; those of joint position and joint speed never
+do.
+"""
 
 
 def _of_law(name: str) -> Any:
@@ -194,7 +221,8 @@ def _of_law(name: str) -> Any:
 
 @spec
 class QP(Law[ErrorState]):
-    """The velocities x of the robot's joints that come nearest to a law's motion u, subject to constraints.
+    """The velocities x of the robot's joints that come nearest to a law's motion u, subject to
+    constraints.
 
     min |W (J x - B u)|^2 + secondary tasks    subject to
 
@@ -207,33 +235,42 @@ class QP(Law[ErrorState]):
     plane             the camera stays `plane_m` from the target's plane          (barrier)
     border            markers stay `margin_px` within the picture                 (barrier)
 
-    With W the law's interaction matrix L, the rows of the features count, as in least squares of the task itself: without a binding
-    constraint the command is that of the law. Laws without an image feature (`pbvs`, `hybrid`, `partitioned`) have W = I in m and rad.
-    Near singularities of an arm the velocities are damped as those of all other laws are (`resolved_rate`).
-    A law alone is scaled as a whole when a joint reaches its stop, and ends there; here the other joints go on.
+    With W the law's interaction matrix L, the rows of the features count, as in least squares of
+    the task itself: without a binding constraint the command is that of the law. Laws without an
+    image feature (`pbvs`, `hybrid`, `partitioned`) have W = I in m and rad. Near singularities of
+    an arm the velocities are damped as those of all other laws are (`resolved_rate`).
+    A law alone is scaled as a whole when a joint reaches its stop, and ends there; here the other
+    joints go on.
 
-    Where constraints contradict each other, they give way one after the other: singularity, border, plane, twist, shared, acceleration;
-    positions and speeds of the joints never do. The log's `law_mode` tells: 0 nothing binds, 1 a constraint binds, 2 to 7 the last of these
-    that gave way, 8 the program was not solved, and the law rests.
+    Where constraints contradict each other, they give way one after the other: singularity, border,
+    plane, twist, shared, acceleration; positions and speeds of the joints never do. The log's
+    `law_mode` tells: 0 nothing binds, 1 a constraint binds, 2 to 7 the last of these that gave way,
+    8 the program was not solved, and the law rests.
 
-    The law's gain, feature, depth, feedforward and inversion are those of `law`. Constraints hold where the command takes effect: latency
-    is bridged by the robot's own measured motion.
+    The law's gain, feature, depth, feedforward and inversion are those of `law`. Constraints hold
+    where the command takes effect: latency is bridged by the robot's own measured motion.
 
     Args:
         law: whose motion is wanted: ibvs, pbvs, hybrid or partitioned, with its parameters.
-        margin_px: distance of the markers' edges from the border of the picture [px]; None: no such constraint.
-        barrier_gain: rate of the barriers [1/s]: a marker may approach the border no faster than the distance times it.
-        plane_m: least distance of the camera from the plane of the target's markers [m]; None: no such constraint; e.g. `0.3`.
-        least_singular_value: of the Jacobian, lengths in the arm's own unit [1]; under .05 all laws' velocities are damped. The arm
-            does not leave its branch through a singularity of the wrist. 0: no such constraint.
-        joint_margin: distance from its limit at which a joint comes to rest [rad; m for one that slides].
+        margin_px: distance of the markers' edges from the border of the picture [px]; None: no such
+            constraint.
+        barrier_gain: rate of the barriers [1/s]: a marker may approach the border no faster than
+            the distance times it.
+        plane_m: least distance of the camera from the plane of the target's markers [m]; None: no
+            such constraint; e.g. `0.3`.
+        least_singular_value: of the Jacobian, lengths in the arm's own unit [1]; under .05 all
+            laws' velocities are damped. The arm does not leave its branch through a singularity of
+            the wrist. 0: no such constraint.
+        joint_margin: distance from its limit at which a joint comes to rest [rad; m for one that
+            slides].
         damper_s: in which time a joint may reach that margin [s].
         accelerations: whether the robot's accelerations count.
         secondary: tasks beside the law's: posture, straight, manipulability.
         limits: largest speed and rate of the camera's twist, here as a constraint.
 
-    References: Ames et al. 2019, doi:10.23919/ECC.2019.8796030; Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982; quadratic
-    programs for visual servoing: Agravante, Claudio, Spindler & Chaumette 2017, doi:10.1109/LRA.2016.2645512.
+    References: Ames et al. 2019, doi:10.23919/ECC.2019.8796030; Faverjon & Tournassoud 1987,
+    doi:10.1109/ROBOT.1987.1087982; quadratic programs for visual servoing: Agravante, Claudio,
+    Spindler & Chaumette 2017, doi:10.1109/LRA.2016.2645512.
     """
 
     kind: Literal["qp"] = "qp"
@@ -260,8 +297,17 @@ class QP(Law[ErrorState]):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Those of the law within, the robot, and what the constraints need."""
-        seen = ("xy", "depth", "radius_px") if self.margin_px is not None or self.plane_m is not None else ()
-        named = (*inputs_of(self.law), "robot", *seen, *(name for task in self.secondary for name in task.inputs))
+        seen = (
+            ("xy", "depth", "radius_px")
+            if self.margin_px is not None or self.plane_m is not None
+            else ()
+        )
+        named = (
+            *inputs_of(self.law),
+            "robot",
+            *seen,
+            *(name for task in self.secondary for name in task.inputs),
+        )
         return tuple(dict.fromkeys(named))
 
     def markers_needed(self, basis: Array) -> int:
@@ -271,13 +317,21 @@ class QP(Law[ErrorState]):
     def check(self, points: Array, goal: Goal) -> None:
         self.law.check(points, goal)
 
-    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
+    def check_view(
+        self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str
+    ) -> None:
         """Refuse a goal with a marker inside the margin, where the barrier would not let it."""
         self.law.check_view(goal, marker_radius_m, called)
         if self.margin_px is not None and len(goal.camera.panels) == 1:
             check_margin("law.margin_px", self.margin_px, goal, marker_radius_m, called)
-        if self.plane_m is not None and (distance := float(goal.normal @ goal.middle)) <= self.plane_m:
-            words = f"{distance:.4g} m, the distance of the goal from the target's plane, which it would keep the camera off"
+        if (
+            self.plane_m is not None
+            and (distance := float(goal.normal @ goal.middle)) <= self.plane_m
+        ):
+            words = (
+                f"{distance:.4g} m, the distance of the goal from the target's plane,"
+                " which it would keep the camera off"
+            )
             raise ParameterError.bound("law.plane_m", "under", words, self.plane_m)
 
     def init(self, goal: Goal) -> ErrorState:
@@ -287,7 +341,9 @@ class QP(Law[ErrorState]):
         super().prepare()
         load_solver()
 
-    def step(self, state: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:
+    def step(
+        self, state: ErrorState, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[ErrorState, Command]:
         """One frame; rest where the law within rests, or where the program was not solved."""
         robot = observation.robot
         assert robot is not None
@@ -298,12 +354,16 @@ class QP(Law[ErrorState]):
         command = solution.command(robot, basis, self.limits, GIVE_WAY)
         if solution.x is None:
             return state, command
-        return state, replace(command, rest_reason=wanted.rest_reason, scale=command.scale * wanted.scale)
+        return state, replace(
+            command, rest_reason=wanted.rest_reason, scale=command.scale * wanted.scale
+        )
 
     def step_batch(self, state: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ErrorLaw.step_batch`): where the motion of the law within breaks no constraint, it is the solution.
+        """One frame of many runs (see `ErrorLaw.step_batch`): where the motion of the law within
+        breaks no constraint, it is the solution.
 
-        Only the programs of the others are solved, one by one; the ideal cameras of a batch have no joints.
+        Only the programs of the others are solved, one by one; the ideal cameras of a batch have no
+        joints.
         """
         state, twist = self.law.step_batch(state, views, goal)
         for i in np.flatnonzero(self._binds(views, twist, goal) & np.isfinite(twist[:, 0])):
@@ -323,31 +383,45 @@ class QP(Law[ErrorState]):
         M, N, _ = views.p.shape
         distance, inwards = goal.camera.borders(views.uv.reshape(-1, 2))
         h = (distance - views.radius_px.reshape(-1, 1) - self.margin_px).reshape(M, -1)
-        L = pixel_interaction(goal.camera, (views.ray * views.range[..., None]).reshape(-1, 3)).reshape(M, N, 2, 6)
+        L = pixel_interaction(
+            goal.camera, (views.ray * views.range[..., None]).reshape(-1, 3)
+        ).reshape(M, N, 2, 6)
         uv_dot = np.einsum("mnki,mi->mnk", L, twist).reshape(-1, 2)
         h_dot = np.einsum("nbk,nk->nb", inwards, uv_dot).reshape(M, -1)
         return (h_dot < -self.barrier_gain * h).any(axis=1) | binds.any(axis=1)
 
     def _solved(self, wanted: Array, seen: Observation, goal: Goal, robot: OwnModel) -> Solution:
         """The velocities that come nearest to the camera twist `wanted` (6,)."""
-        low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
+        low, high, too_quick = velocity_bounds(
+            robot, self.joint_margin, self.damper_s, self.accelerations
+        )
         barriers = []  # the softest first
         if self.least_singular_value > 0:
             barriers.append(off_singularities(robot, self.least_singular_value, self.barrier_gain))
         if self.margin_px is not None:
-            barriers.append(border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6)))
+            barriers.append(
+                border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6))
+            )
         if self.plane_m is not None:
             barriers.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
         twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
         groups = (*barriers, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted)))
         n, W, feature = len(robot.names), np.eye(6), self.law.feature
-        if feature is not None and not isinstance(rows := usable_rows(seen, feature.inputs, 1), str):
+        if feature is not None and not isinstance(
+            rows := usable_rows(seen, feature.inputs, 1), str
+        ):
             W = feature.interaction(*(getattr(seen, name)[rows] for name in feature.inputs))
         main = W @ robot.J
         A, b = added(main, W @ wanted, self.secondary, seen, goal, robot)
-        if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:  # as that of `resolved_rate`, by the weight of a twist
-            A, b = np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)]), np.concatenate([b, np.zeros(n)])
+        # as that of `resolved_rate`, by the weight of a twist
+        if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:
+            A, b = (
+                np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)]),
+                np.concatenate([b, np.zeros(n)]),
+            )
         solution = minimise(A, b, low, high, groups, units_of(goal, robot.J))
         if solution.x is not None:
-            solution = among_solutions(solution, main, self.secondary, seen, goal, robot, low, high, groups)
+            solution = among_solutions(
+                solution, main, self.secondary, seen, goal, robot, low, high, groups
+            )
         return solution.and_accelerations(too_quick)

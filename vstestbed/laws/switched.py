@@ -13,7 +13,14 @@ from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, rotation_angle
-from vstestbed.core.quantity import Bounded, PositiveAngle, PositiveLength, PositivePixels, TighterBounds, Time
+from vstestbed.core.quantity import (
+    Bounded,
+    PositiveAngle,
+    PositiveLength,
+    PositivePixels,
+    TighterBounds,
+    Time,
+)
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import Shorthand, spec
 from vstestbed.features.base import Feature
@@ -41,13 +48,19 @@ class SwitchCondition:
     """A law is left when one of these holds; none: it is never left.
 
     Args:
-        error_over_px, error_under_px: RMS of the image error over the coordinates seen [px]; e.g. `20`.
-        position_over_m, position_under_m: distance of the camera from its goal, by the estimated pose [m]; e.g. `0.5`.
-        rotation_over_deg, rotation_under_deg: angle of the camera from its goal, by the estimated pose [deg]; e.g. `40`.
-        retreat_over_m: distance from the target's origin beyond that at the start and that at the goal, by the estimated pose [m].
-        border_under_px: distance of the nearest marker's edge from the image border, 0 where a marker is not seen [px].
-        joint_margin_under_deg: distance of the nearest joint from its limit, a joint that slides counting a radian a metre; infinite for
-            a robot whose joints have no limits [deg]; e.g. `10`.
+        error_over_px, error_under_px: RMS of the image error over the coordinates seen [px]; e.g.
+            `20`.
+        position_over_m, position_under_m: distance of the camera from its goal, by the estimated
+            pose [m]; e.g. `0.5`.
+        rotation_over_deg, rotation_under_deg: angle of the camera from its goal, by the estimated
+            pose [deg]; e.g. `40`.
+        retreat_over_m: distance from the target's origin beyond that at the start and that at the
+            goal, by the estimated pose [m].
+        border_under_px: distance of the nearest marker's edge from the image border, 0 where a
+            marker is not seen [px].
+        joint_margin_under_deg: distance of the nearest joint from its limit, a joint that slides
+            counting a radian a metre; infinite for a robot whose joints have no limits [deg]; e.g.
+            `10`.
     """
 
     error_over_px: PositivePixels | None = None
@@ -75,12 +88,19 @@ class SwitchCondition:
         return any(side * values[name] > side * limit for name, side, limit in self.limits)
 
     def receded(self, values: Mapping[str, float], hysteresis: float) -> bool:
-        """Whether all quantities are back by this share of their limits; one that is unknown (NaN) is not."""
-        return all(side * values[name] <= side * limit * (1 - side * hysteresis) for name, side, limit in self.limits)
+        """Whether all quantities are back by this share of their limits; one that is unknown (NaN)
+        is not.
+        """
+        return all(
+            side * values[name] <= side * limit * (1 - side * hysteresis)
+            for name, side, limit in self.limits
+        )
 
 
 def target_distance(observation: Observation) -> float:
-    """Distance of the camera from the target's origin by the estimated pose [m]; NaN where it is unknown."""
+    """Distance of the camera from the target's origin by the estimated pose [m]; NaN where it is
+    unknown.
+    """
     T = observation.T_camera_target
     return math.nan if T is None else float(np.linalg.norm(T[:3, 3]))
 
@@ -106,28 +126,59 @@ def _border_px(observation: Observation, goal: Goal, start_m: float) -> float:
 
 def _joint_margin_deg(observation: Observation, goal: Goal, start_m: float) -> float:
     robot = observation.robot
-    return math.nan if robot is None else math.degrees(float(np.minimum(robot.q - robot.low, robot.high - robot.q).min(initial=np.inf)))
+    return (
+        math.nan
+        if robot is None
+        else math.degrees(
+            float(np.minimum(robot.q - robot.low, robot.high - robot.q).min(initial=np.inf))
+        )
+    )
 
 
 QUANTITIES: dict[str, tuple[Callable[[Observation, Goal, float], float], tuple[str, ...]]] = {
     "error": (_error_px, ()),
-    "position": (lambda seen, goal, start_m: float(np.linalg.norm(_T_goal_camera(seen, goal)[:3, 3])), ("T_camera_target",)),
-    "rotation": (lambda seen, goal, start_m: math.degrees(float(rotation_angle(_T_goal_camera(seen, goal)[:3, :3]))), ("T_camera_target",)),
+    "position": (
+        lambda seen, goal, start_m: float(np.linalg.norm(_T_goal_camera(seen, goal)[:3, 3])),
+        ("T_camera_target",),
+    ),
+    "rotation": (
+        lambda seen, goal, start_m: math.degrees(
+            float(rotation_angle(_T_goal_camera(seen, goal)[:3, :3]))
+        ),
+        ("T_camera_target",),
+    ),
     "retreat": (
-        lambda seen, goal, start_m: target_distance(seen) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3]))),
+        lambda seen, goal, start_m: (
+            target_distance(seen) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3])))
+        ),
         ("T_camera_target",),
     ),
     "border": (_border_px, ("radius_px",)),
     "joint_margin": (_joint_margin_deg, ("robot",)),
 }
-"""By name a quantity in the unit of its fields, NaN where it is unknown, as a function of the observation, the goal and the distance of the
-camera from the target at the start [m]; and the fields of an Observation that it needs besides the pixels."""
+"""By name a quantity in the unit of its fields, NaN where it is unknown, as a function of the
+observation, the goal and the distance of the camera from the target at the start [m]; and the
+fields of an Observation that it needs besides the pixels.
+"""
 
 
 # The laws that work alone; `switched`, which is made of them, joins them in the package.
 LAWS = Registry(
     "law",
-    *(IBVS, Partitioned, PBVS, Hybrid, QP, Predictive, Uncalibrated, PoseController, Pursuit, LineFollowing, Photometric, Policy),
+    *(
+        IBVS,
+        Partitioned,
+        PBVS,
+        Hybrid,
+        QP,
+        Predictive,
+        Uncalibrated,
+        PoseController,
+        Pursuit,
+        LineFollowing,
+        Photometric,
+        Policy,
+    ),
     contract=LAW_CONTRACT,
 )
 
@@ -150,10 +201,13 @@ class SwitchedState:
     """What `switched` keeps from one frame to the next.
 
     Attributes:
-        inner: state of the active law. active: its number. since: when it took over [s]; NaN before the first frame.
+        inner: state of the active law. active: its number. since: when it took over [s]; NaN before
+            the first frame.
         barred: of each law, whether its conditions keep it from working.
-        start_m: distance of the camera from the target at the start [m]; NaN where it is unknown, or not needed.
-        last: time [s] and command of the last frame. left: the same of the last frame before the switch.
+        start_m: distance of the camera from the target at the start [m]; NaN where it is unknown,
+            or not needed.
+        last: time [s] and command of the last frame. left: the same of the last frame before the
+            switch.
     """
 
     inner: Any
@@ -169,26 +223,35 @@ class SwitchedState:
 class Switched(Law[SwitchedState]):
     """Several laws of which one works at a time: u = u_i, with i the active law.
 
-    A law is barred as soon as a quantity is beyond one of its limits (`until`). It is free again when all its quantities are back by the
-    share `hysteresis` of their limits: under (1 - hysteresis) times an `over`, above (1 + hysteresis) times an `under`. A quantity that
-    is unknown in a frame bars and frees nothing.
+    A law is barred as soon as a quantity is beyond one of its limits (`until`). It is free again
+    when all its quantities are back by the share `hysteresis` of their limits: under (1 -
+    hysteresis) times an `over`, above (1 + hysteresis) times an `under`. A quantity that is unknown
+    in a frame bars and frees nothing.
 
-    When the active law is barred, the first law of the list that is free takes over. While none is free, the active one goes on. With
-    `prefer: first` a law that stands earlier in the list also takes over as soon as it is free. The first free law of the list begins.
+    When the active law is barred, the first law of the list that is free takes over. While none is
+    free, the active one goes on. With `prefer: first` a law that stands earlier in the list also
+    takes over as soon as it is free. The first free law of the list begins.
 
-    A law takes over with the state of its first frame (`init`). What it knew in an earlier stage, such as the start of its
-    smooth start or the views from which its feedforward estimates a velocity, is of another time. For `blend_s` the command
-    crosses over from the last one of the law before:  u = a u_i + (1 - a) u_before,  a = (t - t_before) / blend_s.  It is then ordered
-    as a camera twist, also where the law orders joint velocities. A law that orders rest rests at once.
+    A law takes over with the state of its first frame (`init`). What it knew in an earlier stage,
+    such as the start of its smooth start or the views from which its feedforward estimates a
+    velocity, is of another time. For `blend_s` the command crosses over from the last one of the
+    law before:
 
-    State-based switching between an image-based and a position-based law, as in the reference, is the list
-    `[{law: ibvs, until: {retreat_over_m: 0.5}}, {law: pbvs, until: {border_under_px: 30}}]`: the camera's retreat bounds the first, and
-    the image border the second. Switching at random, the other scheme of that literature, is not offered, since a law has no
-    random numbers.
+    u = a u_i + (1 - a) u_before,  a = (t - t_before) / blend_s.
 
-    Stability is not a property of this law. Two laws that are both stable may still not be so together: each may undo the progress of
-    the other for ever. The reference proves it for one scheme and its thresholds. Here it is measured: `law_switches` and
-    `law_shortest_stay_s` of a run tell of chattering, the metric `error_growth` of the frames in which an error grew.
+    It is then ordered as a camera twist, also where the law orders joint velocities. A law that
+    orders rest rests at once.
+
+    State-based switching between an image-based and a position-based law, as in the reference, is
+    the list
+    `[{law: ibvs, until: {retreat_over_m: 0.5}}, {law: pbvs, until: {border_under_px: 30}}]`: the
+    camera's retreat bounds the first, and the image border the second. Switching at random, the
+    other scheme of that literature, is not offered, since a law has no random numbers.
+
+    Stability is not a property of this law. Two laws that are both stable may still not be so
+    together: each may undo the progress of the other for ever. The reference proves it for one
+    scheme and its thresholds. Here it is measured: `law_switches` and `law_shortest_stay_s` of a
+    run tell of chattering, the metric `error_growth` of the frames in which an error grew.
 
     Args:
         laws: in the order of preference, the first being the one to begin with; e.g.
@@ -198,13 +261,16 @@ class Switched(Law[SwitchedState]):
         dwell_s: least time between two switches [s].
         blend_s: time in which the command crosses over after a switch [s]; 0: it jumps.
 
-    Reference: Gans & Hutchinson 2007, Stable visual servoing through hybrid switched-system control, doi:10.1109/TRO.2007.895067.
+    Reference: Gans & Hutchinson 2007, Stable visual servoing through hybrid switched-system
+    control, doi:10.1109/TRO.2007.895067.
     """
 
     kind: Literal["switched"] = "switched"
     laws: Annotated[tuple[Annotated[Stage, Shorthand("law")], ...], Len(2, 16)]
     prefer: Literal["active", "first"] = "active"
-    hysteresis: Annotated[float, Bounded(0.0, 0.99, "", "a share of the limit"), TighterBounds(ge=0)] = 0.2
+    hysteresis: Annotated[
+        float, Bounded(0.0, 0.99, "", "a share of the limit"), TighterBounds(ge=0)
+    ] = 0.2
     dwell_s: Time = 0.2
     blend_s: Time = 0.0
 
@@ -213,20 +279,32 @@ class Switched(Law[SwitchedState]):
         for i, part in enumerate(self.laws):
             if "view" not in part.law.tasks:
                 words = f"{part.law.kind}, which takes {' or '.join(part.law.tasks)}"
-                raise ParameterError.excluded(f"laws.{i}.law.kind", words, why="laws that are switched take a view")
+                raise ParameterError.excluded(
+                    f"laws.{i}.law.kind", words, why="laws that are switched take a view"
+                )
             if not part.until.limits and i < len(self.laws) - 1:
-                words = "needs a condition, such as {border_under_px: 30}: without one no law after it in the list ever works"
+                words = (
+                    "needs a condition, such as {border_under_px: 30}:"
+                    " without one no law after it in the list ever works"
+                )
                 raise ParameterError(f"laws.{i}.until", words)
         depths = [(i, part.law.depth) for i, part in enumerate(self.laws) if _reads_depth(part.law)]
         for i, depth in depths[1:]:
             if depth != depths[0][1]:
-                words = f"must be the same as that of laws.{depths[0][0]} ({depths[0][1].kind}): a frame has one source of depth"
+                words = (
+                    f"must be the same as that of laws.{depths[0][0]} ({depths[0][1].kind}):"
+                    " a frame has one source of depth"
+                )
                 raise ParameterError(f"laws.{i}.law.depth", words, depth.kind)
 
     @property
     def tasks(self) -> tuple[str, ...]:
         """The goals that all laws take."""
-        return tuple(task for task in self.laws[0].law.tasks if all(task in part.law.tasks for part in self.laws))
+        return tuple(
+            task
+            for task in self.laws[0].law.tasks
+            if all(task in part.law.tasks for part in self.laws)
+        )
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -238,7 +316,9 @@ class Switched(Law[SwitchedState]):
     @property
     def depth(self) -> Depth:
         """The source of depth of the laws that read it."""
-        return next((part.law.depth for part in self.laws if _reads_depth(part.law)), self.laws[0].law.depth)
+        return next(
+            (part.law.depth for part in self.laws if _reads_depth(part.law)), self.laws[0].law.depth
+        )
 
     @property
     def feature(self) -> Feature | None:
@@ -252,7 +332,10 @@ class Switched(Law[SwitchedState]):
         limits = [part.law.limits for part in self.laws]
         speed = max(each.speed_mps or math.inf for each in limits)
         rate = max(each.rate_radps or math.inf for each in limits)
-        return TwistLimits(speed_mps=speed if speed < math.inf else None, rate_radps=rate if rate < math.inf else None)
+        return TwistLimits(
+            speed_mps=speed if speed < math.inf else None,
+            rate_radps=rate if rate < math.inf else None,
+        )
 
     @property
     def visibility(self) -> Visibility:
@@ -267,7 +350,9 @@ class Switched(Law[SwitchedState]):
 
     @cached_property
     def modes(self) -> tuple[str, ...]:
-        """The laws' words, numbered where a word is there twice; of a law with modes of its own each of them behind its word."""
+        """The laws' words, numbered where a word is there twice; of a law with modes of its own
+        each of them behind its word.
+        """
         kinds, words = [part.law.kind for part in self.laws], list[str]()
         for i, (kind, part) in enumerate(zip(kinds, self.laws, strict=True)):
             word = f"{kind} {kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else kind
@@ -303,11 +388,17 @@ class Switched(Law[SwitchedState]):
         for part in self.laws:
             part.law.prepare()
 
-    def step(self, state: SwitchedState, observation: Observation, goal: Goal, basis: Array) -> tuple[SwitchedState, Command]:
+    def step(
+        self, state: SwitchedState, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[SwitchedState, Command]:
         """One frame of the active law, which the conditions choose first."""
         state = self._chosen(state, observation, goal)
         inner, command = self.laws[state.active].law.step(state.inner, observation, goal, basis)
-        if state.left is not None and not command.rest_reason and observation.t - state.left[0] < self.blend_s:
+        if (
+            state.left is not None
+            and not command.rest_reason
+            and observation.t - state.left[0] < self.blend_s
+        ):
             a = (observation.t - state.left[0]) / self.blend_s
             u = a * command.u + (1 - a) * state.left[1].u
             command = replace(command, u=u, twist=basis @ u, rates=None)
@@ -322,8 +413,14 @@ class Switched(Law[SwitchedState]):
     def _chosen(self, state: SwitchedState, observation: Observation, goal: Goal) -> SwitchedState:
         """The state with the law that is to work in this frame."""
         t, first = observation.t, math.isnan(state.since)
-        start_m = target_distance(observation) if math.isnan(state.start_m) and "retreat" in self._quantities else state.start_m
-        values = {name: QUANTITIES[name][0](observation, goal, start_m) for name in self._quantities}
+        start_m = (
+            target_distance(observation)
+            if math.isnan(state.start_m) and "retreat" in self._quantities
+            else state.start_m
+        )
+        values = {
+            name: QUANTITIES[name][0](observation, goal, start_m) for name in self._quantities
+        }
         barred = tuple(
             part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
             for part, was in zip(self.laws, state.barred, strict=True)
@@ -332,9 +429,12 @@ class Switched(Law[SwitchedState]):
         wanted = state.active
         if self.prefer == "first" or barred[wanted]:
             wanted = next((i for i, out in enumerate(barred) if not out), wanted)
-        if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):  # times are sums of floating-point numbers
+        # times are sums of floating-point numbers
+        if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):
             return state
-        return replace(state, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=state.last)
+        return replace(
+            state, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=state.last
+        )
 
 
 def _reads_depth(law: Law[Any]) -> bool:

@@ -1,4 +1,6 @@
-"""Uncalibrated visual servoing: the image Jacobian of the robot's own velocities is measured, not computed."""
+"""Uncalibrated visual servoing: the image Jacobian of the robot's own velocities is measured, not
+computed.
+"""
 
 from __future__ import annotations
 
@@ -23,45 +25,55 @@ from vstestbed.robots.own_model import OwnModel
 
 @spec
 class Broyden:
-    """J + rate (y - J x) x^T / (x^T x): the least change of J that explains a share `rate` of the surprise.
+    """J + rate (y - J x) x^T / (x^T x): the least change of J that explains a share `rate` of the
+    surprise.
 
     Args:
-        rate: share of the difference between the measured and the expected motion in the picture that is taken over [1].
+        rate: share of the difference between the measured and the expected motion in the picture
+            that is taken over [1].
 
-    References: Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6; Jagersand, Fuentes & Nelson 1997, doi:10.1109/ROBOT.1997.606723.
+    References: Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6; Jagersand, Fuentes & Nelson
+    1997, doi:10.1109/ROBOT.1997.606723.
     """
 
     kind: Literal["broyden"] = "broyden"
     rate: Annotated[float, Gt(0), Le(1)] = 0.5
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
-        """The next J and P of markers whose motion was measured. J: image Jacobian of each marker (N, 2, m). P: unused, (N, m, m). x:
-        displacement (m,), not 0. y: its motion in the picture (N, 2). most: unused.
+        """The next J and P of markers whose motion was measured. J: image Jacobian of each marker
+        (N, 2, m). P: unused, (N, m, m). x: displacement (m,), not 0. y: its motion in the picture
+        (N, 2). most: unused.
         """
         return J + self.rate * (y - J @ x)[..., None] * (x / (x @ x)), P
 
 
 @spec
 class RecursiveLeastSquares:
-    """The J that minimises the sum of forgetting^(k - i) |y_i - J x_i|^2 over all displacements i up to the present one k.
+    """The J that minimises the sum of forgetting^(k - i) |y_i - J x_i|^2 over all displacements i
+    up to the present one k.
 
-        gain = P x / (forgetting + x^T P x),  J + (y - J x) gain^T,  P = (P - gain x^T P) / forgetting
+        gain = P x / (forgetting + x^T P x),
+        J + (y - J x) gain^T,  P = (P - gain x^T P) / forgetting
 
-    Motion in a few directions only would let P grow without end in the others (wind-up), where the first measurement after that, noise
-    included, would replace J. So the eigenvalues of P are kept under a bound, by which a displacement of `step_px` in a direction
-    unknown so far corrects J by half of its surprise or, with forgetting, a little more.
+    Motion in a few directions only would let P grow without end in the others (wind-up), where the
+    first measurement after that, noise included, would replace J. So the eigenvalues of P are kept
+    under a bound, by which a displacement of `step_px` in a direction unknown so far corrects J by
+    half of its surprise or, with forgetting, a little more.
 
     Args:
         forgetting: weight of a displacement against the one after it [1]; 1 forgets nothing.
 
-    References: Piepmeier, McMurray & Lipkin 2004, doi:10.1109/TRA.2003.820923; Haykin 2002, Adaptive Filter Theory, chapter 9.
+    References: Piepmeier, McMurray & Lipkin 2004, doi:10.1109/TRA.2003.820923; Haykin 2002,
+    Adaptive Filter Theory, chapter 9.
     """
 
     kind: Literal["rls"] = "rls"
     forgetting: Annotated[float, Ge(0.1), Le(1)] = 0.8
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
-        """As `Broyden.corrected`; P: inverse of the weighted sum of x x^T, (N, m, m). most: bound of the eigenvalues of P."""
+        """As `Broyden.corrected`; P: inverse of the weighted sum of x x^T, (N, m, m). most: bound
+        of the eigenvalues of P.
+        """
         Px = P @ x
         gain = Px / (self.forgetting + Px @ x)[:, None]
         J = J + (y - J @ x)[..., None] * gain[:, None, :]
@@ -77,10 +89,12 @@ Estimator = Annotated[Broyden | RecursiveLeastSquares, ESTIMATORS]
 
 
 class MotionSums(NamedTuple):
-    """Sums of displacements and of the motion in the picture that they made, for J by least squares.
+    """Sums of displacements and of the motion in the picture that they made, for J by least
+    squares.
 
     Attributes:
-        xx: sum of x x^T for each marker (N, m, m). yx: sum of y x^T, (N, 2, m). taken: x x^T of all frames, seen or not (m, m).
+        xx: sum of x x^T for each marker (N, m, m). yx: sum of y x^T, (N, 2, m). taken: x x^T of all
+            frames, seen or not (m, m).
     """
 
     xx: Array
@@ -90,16 +104,25 @@ class MotionSums(NamedTuple):
     @classmethod
     def none(cls, markers: int, columns: int) -> MotionSums:
         """No samples of N markers and m velocities."""
-        return cls(np.zeros((markers, columns, columns)), np.zeros((markers, 2, columns)), np.zeros((columns, columns)))
+        return cls(
+            np.zeros((markers, columns, columns)),
+            np.zeros((markers, 2, columns)),
+            np.zeros((columns, columns)),
+        )
 
     def with_one(self, x: Array, y: Array) -> MotionSums:
-        """One more displacement x (m,) with its motion in the picture y (N, 2), NaN for markers that are not seen."""
+        """One more displacement x (m,) with its motion in the picture y (N, 2), NaN for markers
+        that are not seen.
+        """
         seen, one = np.isfinite(y[:, 0]), np.outer(x, x)
         y = np.where(seen[:, None], y, 0.0)
-        return MotionSums(self.xx + seen[:, None, None] * one, self.yx + y[..., None] * x, self.taken + one)
+        return MotionSums(
+            self.xx + seen[:, None, None] * one, self.yx + y[..., None] * x, self.taken + one
+        )
 
     def jacobian(self, least_share: float = 0.5) -> Array:
-        """J (N, 2, m) that minimises the sum of |y - J x|^2; NaN for markers that were seen in too small a share of some velocity.
+        """J (N, 2, m) that minimises the sum of |y - J x|^2; NaN for markers that were seen in too
+        small a share of some velocity.
 
         A velocity that never moved anything has a column of zeros.
         """
@@ -112,10 +135,15 @@ class MotionSums(NamedTuple):
         return J
 
 
-# Excitation: each velocity of a robot in turn to one side, to the other and back, by which the image Jacobian is measured.
-FIRST = 0.01  # the speed that is tried first [rad/s, goal's unit/s], or less where the limits ask for it: slow for any robot and picture
+# Excitation: each velocity of a robot in turn to one side, to the other and back, by which the
+# image Jacobian is measured.
+
+# the speed that is tried first [rad/s, goal's unit/s], or less where the limits ask for it: slow
+# for any robot and picture
+FIRST = 0.01
 RETURNED_PX = 2.0  # the way back is over at this distance from its start [px]
-OUT, OVER, BACK = range(3)  # the legs of a velocity: to one side, over to the other (twice as long), and back
+# the legs of a velocity: to one side, over to the other (twice as long), and back
+OUT, OVER, BACK = range(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +153,15 @@ class Excited:
     Attributes:
         uv: markers (N, 2) [px] at its start; with a target that moves, in the last picture.
         x: displacement since its start (m,), of the robot and, with a target that moves, of time.
-        samples: all that was measured. turn: of the velocity that moves, with time (2 columns), where the target may move, too.
-        known: motion of the markers per unit of each velocity (m,) [px], 0 where it is unknown. units: of the velocities (m,).
-        uv_before, x_before: markers and displacement of the velocity that moves when its turn began.
-        which: its number. leg: out, over or back. side: sign of the way out. speed: its magnitude. pixels: motion of the markers per
-            unit of it [px], 0 where it is not known yet. elapsed_s: since the leg began.
+        samples: all that was measured. turn: of the velocity that moves, with time (2 columns),
+            where the target may move, too.
+        known: motion of the markers per unit of each velocity (m,) [px], 0 where it is unknown.
+            units: of the velocities (m,).
+        uv_before, x_before: markers and displacement of the velocity that moves when its turn
+            began.
+        which: its number. leg: out, over or back. side: sign of the way out. speed: its magnitude.
+            pixels: motion of the markers per unit of it [px], 0 where it is not known yet.
+            elapsed_s: since the leg began.
     """
 
     uv: Array
@@ -150,11 +182,14 @@ class Excited:
 
 @spec
 class Excitation:
-    """The motion by which an uncalibrated law measures its image Jacobian before it servoes, and again where it makes no progress.
+    """The motion by which an uncalibrated law measures its image Jacobian before it servoes, and
+    again where it makes no progress.
 
-    A velocity begins slowly, and grows until the markers move. From then on it is so fast that its way of twice the amplitude takes
-    `time_s`, and it turns where the markers are expected half the amplitude from where they began, pictures and commands that are
-    underway included; also where a joint nears its limit, or a marker is lost. The two sides cancel the curvature of the markers' ways.
+    A velocity begins slowly, and grows until the markers move. From then on it is so fast that its
+    way of twice the amplitude takes `time_s`, and it turns where the markers are expected half the
+    amplitude from where they began, pictures and commands that are underway included; also where a
+    joint nears its limit, or a marker is lost. The two sides cancel the curvature of the markers'
+    ways.
 
     Args:
         amplitude_px: mean way of the markers from one side to the other [px].
@@ -166,9 +201,12 @@ class Excitation:
     time_s: PositiveTime = 0.4
     speed_share: Annotated[float, Gt(0), Le(1)] = 0.2
 
-    def step(self, state: Excited, uv: Array, moved: Array, robot: OwnModel) -> tuple[Excited, Array | None]:
+    def step(
+        self, state: Excited, uv: Array, moved: Array, robot: OwnModel
+    ) -> tuple[Excited, Array | None]:
         """One frame: the next state, and the velocities (n,) to order; None when all have moved.
-        state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
+        state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the
+        robot's first. robot: its own.
         """
         n, x, y = len(robot.names), state.x + moved, uv - state.uv
         if len(x) == n:  # a sample since the start, where noise counts least
@@ -176,27 +214,47 @@ class Excitation:
         else:  # from picture to picture, where a target moves
             turn = state.turn.with_one(moved[[state.which, n]], y)
             state = replace(state, x=x, samples=state.samples.with_one(moved, y), turn=turn, uv=uv)
-        state = replace(state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, n))
+        state = replace(
+            state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, n)
+        )
         while state.which < n and self._leg_ends(state, uv, robot):
             if state.leg < BACK:
                 state = replace(state, leg=state.leg + 1, elapsed_s=0.0)
             elif state.which + 1 == len(state.x):
                 state = replace(state, which=state.which + 1)  # all have moved
             else:
-                i, slow = state.which + 1, state.speed / 4 * float(state.units[state.which + 1] / state.units[state.which])
-                state = replace(state, which=i, leg=OUT, side=0.0, speed=slow, pixels=float(state.known[i]), elapsed_s=0.0)
+                i, slow = (
+                    state.which + 1,
+                    state.speed
+                    / 4
+                    * float(state.units[state.which + 1] / state.units[state.which]),
+                )
+                state = replace(
+                    state,
+                    which=i,
+                    leg=OUT,
+                    side=0.0,
+                    speed=slow,
+                    pixels=float(state.known[i]),
+                    elapsed_s=0.0,
+                )
                 state = replace(state, uv_before=uv, x_before=float(state.x[i]))
         if state.which == n:
             return state, None
         return self._ordered(state, robot)
 
     def retreat(self, state: Excited, moved: Array, robot: OwnModel) -> tuple[Excited, Array]:
-        """A frame with too few markers: back to where the velocity's turn began, by the robot's sensors; otherwise as `step`."""
-        uv = state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)  # of a target that moves: what comes next
+        """A frame with too few markers: back to where the velocity's turn began, by the robot's
+        sensors; otherwise as `step`.
+        """
+        # of a target that moves: what comes next
+        uv = state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)
         return self._ordered(replace(state, uv=uv, x=state.x + moved, leg=BACK), robot)
 
     def _pixels(self, state: Excited, uv: Array, n: int) -> float:
-        """Mean motion of the markers per unit of the velocity that moves [px]; as before where it is too small to tell."""
+        """Mean motion of the markers per unit of the velocity that moves [px]; as before where it
+        is too small to tell.
+        """
         x = abs(float(state.x[state.which]) - state.x_before)
         if state.leg != OUT or x == 0:
             return state.pixels
@@ -218,7 +276,10 @@ class Excitation:
         ahead = _ahead(state, robot)
         if state.leg == BACK:
             # Also in the picture, or the rest of this way would count as the next velocity's.
-            return max(abs(ahead), abs(float(robot.underway[state.which]))) * state.pixels <= RETURNED_PX
+            return (
+                max(abs(ahead), abs(float(robot.underway[state.which]))) * state.pixels
+                <= RETURNED_PX
+            )
         side = _side(state, robot)
         lost = side * ahead > 0 and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
         near_limit = _room(state.which, side, robot) <= 0.02  # [rad, m]
@@ -232,18 +293,24 @@ class Excitation:
             speed = 2 * self.amplitude_px / (self.time_s * state.pixels)
         elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
             speed = 2 * speed  # not before the picture has shown what was ordered
-        state = replace(state, speed=min(speed, most), side=side if state.leg == OUT else state.side)
+        state = replace(
+            state, speed=min(speed, most), side=side if state.leg == OUT else state.side
+        )
         rates = np.zeros(len(robot.names))
         if state.leg == BACK:
             # The time constant of this approach, four periods, is one that a servo can follow.
-            rates[i] = np.clip(-_ahead(state, robot) / (4 * robot.period_s), -state.speed, state.speed)
+            rates[i] = np.clip(
+                -_ahead(state, robot) / (4 * robot.period_s), -state.speed, state.speed
+            )
         else:
             rates[i] = side * state.speed
         return state, rates
 
 
 def _ahead(state: Excited, robot: OwnModel) -> float:
-    """Displacement of the velocity that moves, since its turn began, when this frame's command will take effect."""
+    """Displacement of the velocity that moves, since its turn began, when this frame's command will
+    take effect.
+    """
     return float(state.x[state.which] - state.x_before + robot.underway[state.which])
 
 
@@ -260,8 +327,14 @@ def _room(i: int, side: float, robot: OwnModel) -> float:
 
 
 EXCITES, SERVOES = range(2)
-NO_CIRCLE = "the robot cannot turn on the spot, by which its velocities are not free to be excited one by one"
-TILTS = "the craft tilts when it moves, by which the picture does not depend on its own velocities alone"
+NO_CIRCLE = (
+    "the robot cannot turn on the spot,"
+    " by which its velocities are not free to be excited one by one"
+)
+TILTS = (
+    "the craft tilts when it moves,"
+    " by which the picture does not depend on its own velocities alone"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,9 +342,12 @@ class ImageJacobian:
     """The image Jacobian and what it is corrected by.
 
     Attributes:
-        J: of each marker (N, 2, m), in pixels per pixel: the columns are divided by `scale`; NaN for markers not known.
-        P: of recursive least squares (N, m, m) [1/px^2]. scale: mean motion of the markers per unit of each velocity (m,) [px].
-        uv: markers when the last correction was made (N, 2) [px]. x: displacement since then (m,), times `scale` [px].
+        J: of each marker (N, 2, m), in pixels per pixel: the columns are divided by `scale`; NaN
+            for markers not known.
+        P: of recursive least squares (N, m, m) [1/px^2]. scale: mean motion of the markers per unit
+            of each velocity (m,) [px].
+        uv: markers when the last correction was made (N, 2) [px]. x: displacement since then (m,),
+            times `scale` [px].
     """
 
     J: Array
@@ -287,7 +363,8 @@ class UncalibratedState:
 
     Attributes:
         excited: None while the law servoes. estimate: None before the end of the first excitation.
-        least_px: least error since the last excitation. t: when it was found [s]. patience_s: how long no progress is borne now.
+        least_px: least error since the last excitation. t: when it was found [s]. patience_s: how
+            long no progress is borne now.
         excitations: how many there were. units: of the velocities (m,) (`units_of`).
     """
 
@@ -302,47 +379,57 @@ class UncalibratedState:
 
 @spec
 class Uncalibrated(Law[UncalibratedState]):
-    """u = -gain pinv(J) e with e = uv - uv* in pixels, and the image Jacobian J (2N, n) estimated from motion.
+    """u = -gain pinv(J) e with e = uv - uv* in pixels, and the image Jacobian J (2N, n) estimated
+    from motion.
 
-    J maps the robot's own velocities (joints of an arm, motions of a vehicle) to the motion of the markers in the picture. The law reads
-    the markers' pixels and the robot's sensors of its own motion. It knows neither the camera's lens and mount, nor depths, nor the
-    target, nor the robot's kinematics, and so it works with a camera in the hand and in the room alike.
+    J maps the robot's own velocities (joints of an arm, motions of a vehicle) to the motion of the
+    markers in the picture. The law reads the markers' pixels and the robot's sensors of its own
+    motion. It knows neither the camera's lens and mount, nor depths, nor the target, nor the
+    robot's kinematics, and so it works with a camera in the hand and in the room alike.
 
-    At the start each velocity in turn moves the markers a little (`excitation`), which gives J by least squares. From then on the
-    `estimator` corrects it by the motion since the last correction, whenever that is larger than `step_px`: x is what the robot's sensors
-    tell, y what the picture shows between the same two exposures. While the robot stands still nothing is learnt, so that noise does not
-    replace J. A marker that is not seen keeps its rows, and one that was not seen in the excitation has none until the next.
+    At the start each velocity in turn moves the markers a little (`excitation`), which gives J by
+    least squares. From then on the `estimator` corrects it by the motion since the last correction,
+    whenever that is larger than `step_px`: x is what the robot's sensors tell, y what the picture
+    shows between the same two exposures. While the robot stands still nothing is learnt, so that
+    noise does not replace J. A marker that is not seen keeps its rows, and one that was not seen in
+    the excitation has none until the next.
 
-    The damping of the inverse is error / `trust_px`, and not less than that of `solve` (Levenberg 1944, Marquardt 1963).
+    The damping of the inverse is error / `trust_px`, and not less than that of `solve` (Levenberg
+    1944, Marquardt 1963).
 
-    Inside, velocities are scaled by how far they move the markers, and so `solve` and `estimator` are the same for all robots.
+    Inside, velocities are scaled by how far they move the markers, and so `solve` and `estimator`
+    are the same for all robots.
 
-    With `predict` the error is that of when the command will take effect, e + J q, q the displacement underway. With `dynamic` a target
-    may move: time is one more column of J, the motion of the markers while the robot stands still, and u = -pinv(J) (gain e + J_t).
+    With `predict` the error is that of when the command will take effect, e + J q, q the
+    displacement underway. With `dynamic` a target may move: time is one more column of J, the
+    motion of the markers while the robot stands still, and u = -pinv(J) (gain e + J_t).
 
-    If the error has not fallen by a fifth within `patience_s`, J is taken to be wrong, and the robot is excited again; after each time
-    the patience is twice as long.
+    If the error has not fallen by a fifth within `patience_s`, J is taken to be wrong, and the
+    robot is excited again; after each time the patience is twice as long.
 
-    The goal is a picture. Whoever has no calibration can only show it: `calibration.goal: shown`. Told as a pose, it is computed with the
-    believed camera, errors included.
+    The goal is a picture. Whoever has no calibration can only show it: `calibration.goal: shown`.
+    Told as a pose, it is computed with the believed camera, errors included.
 
     Args:
-        gain: lambda [1/s], a number or an adaptive gain of the remaining motion in the robot's own velocities.
+        gain: lambda [1/s], a number or an adaptive gain of the remaining motion in the robot's own
+            velocities.
         estimator: correction of J while the law servoes.
         excitation: the motion by which J is measured at the start.
-        solve: inversion of J, scaled to pixels per pixel. Without damping, errors of J in the directions that the markers hardly show
-            would be multiplied.
-        step_px: least mean motion of the markers, by the estimated J, from which it is corrected [px].
-        trust_px: error at which the damping is 1, if proportional to it. J was measured elsewhere, the farther away the larger the error,
-            and so directions that the markers hardly show are left until the end [px].
+        solve: inversion of J, scaled to pixels per pixel. Without damping, errors of J in the
+            directions that the markers hardly show would be multiplied.
+        step_px: least mean motion of the markers, by the estimated J, from which it is corrected
+            [px].
+        trust_px: error at which the damping is 1, if proportional to it. J was measured elsewhere,
+            the farther away the larger the error, and so directions that the markers hardly show
+            are left until the end [px].
         most_pxps: largest mean speed of the markers that is ordered [px/s].
         predict: predict the error over the latency of picture and command.
         dynamic: estimate the target's own motion in the picture.
         patience_s: time without progress after which J is measured anew [s]; 0 for never.
         settled_px: error that is small enough: under it nothing is measured anew [px].
 
-    References: Jagersand, Fuentes & Nelson 1997, doi:10.1109/ROBOT.1997.606723; Piepmeier, McMurray & Lipkin 2004,
-    doi:10.1109/TRA.2003.820923 (recursive least squares, moving target).
+    References: Jagersand, Fuentes & Nelson 1997, doi:10.1109/ROBOT.1997.606723; Piepmeier, McMurray
+    & Lipkin 2004, doi:10.1109/TRA.2003.820923 (recursive least squares, moving target).
     """
 
     kind: Literal["uncalibrated"] = "uncalibrated"
@@ -353,7 +440,8 @@ class Uncalibrated(Law[UncalibratedState]):
     gain: Gain = ConstantGain()
     estimator: Estimator = RecursiveLeastSquares()
     excitation: Excitation = Excitation()
-    solve: Solve = field(default_factory=lambda: Solve(damping=0.01))  # made when it is needed: a start need not wait for it
+    # made when it is needed: a start need not wait for it
+    solve: Solve = field(default_factory=lambda: Solve(damping=0.01))
     step_px: PositivePixels = 3.0
     most_pxps: PositivePixels = 200.0
     trust_px: PositivePixels = 1000.0
@@ -365,14 +453,23 @@ class Uncalibrated(Law[UncalibratedState]):
     def init(self, goal: Goal) -> UncalibratedState:
         return UncalibratedState(patience_s=self.patience_s)
 
-    def step(self, state: UncalibratedState, observation: Observation, goal: Goal, basis: Array) -> tuple[UncalibratedState, Command]:
-        """One frame; rest where too few markers are seen, or too few of them are known. An excitation that loses them goes back first."""
+    def step(
+        self, state: UncalibratedState, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[UncalibratedState, Command]:
+        """One frame; rest where too few markers are seen, or too few of them are known. An
+        excitation that loses them goes back first.
+        """
         robot, uv = observation.robot, observation.uv
         assert robot is not None
         if robot.turning_radius_m or robot.tilt is not None:
             return state, Command.rest(basis, NO_CIRCLE if robot.turning_radius_m else TILTS)
         moved = np.append(robot.moved, robot.since_s * np.ones(int(self.dynamic)))
-        state = replace(state, units=np.append(units_of(goal, robot.J) * np.ones(len(robot.names)), np.ones(int(self.dynamic))))
+        state = replace(
+            state,
+            units=np.append(
+                units_of(goal, robot.J) * np.ones(len(robot.names)), np.ones(int(self.dynamic))
+            ),
+        )
         if np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._blind(state, moved, robot, basis)
         if state.excited is None and state.estimate is None:
@@ -381,15 +478,27 @@ class Uncalibrated(Law[UncalibratedState]):
             excited, rates = self.excitation.step(state.excited, uv, moved, robot)
             if rates is not None:
                 return replace(state, excited=excited), _command(rates, robot, basis, EXCITES)
-            state = replace(state, excited=None, estimate=self._measured(excited, uv), least_px=math.inf, t=observation.t)
+            state = replace(
+                state,
+                excited=None,
+                estimate=self._measured(excited, uv),
+                least_px=math.inf,
+                t=observation.t,
+            )
             moved = np.zeros(len(moved))
         return self._servo(state, observation, goal, basis, robot, moved)
 
-    def _blind(self, state: UncalibratedState, moved: Array, robot: OwnModel, basis: Array) -> tuple[UncalibratedState, Command]:
-        """A frame that shows too few markers: an excitation goes back by the robot's sensors; else rest, and the displacement is kept."""
+    def _blind(
+        self, state: UncalibratedState, moved: Array, robot: OwnModel, basis: Array
+    ) -> tuple[UncalibratedState, Command]:
+        """A frame that shows too few markers: an excitation goes back by the robot's sensors; else
+        rest, and the displacement is kept.
+        """
         if state.excited is not None:
             excited, rates = self.excitation.retreat(state.excited, moved, robot)
-            return replace(state, excited=excited), replace(_command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW)
+            return replace(state, excited=excited), replace(
+                _command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW
+            )
         if state.estimate is not None:
             known = state.estimate
             state = replace(state, estimate=replace(known, x=known.x + known.scale * moved))
@@ -399,29 +508,46 @@ class Uncalibrated(Law[UncalibratedState]):
         """The state with an excitation before its first motion, for markers uv (N, 2) [px]."""
         known = np.zeros(columns) if state.estimate is None else state.estimate.scale
         samples, turn = MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2)
-        excited = Excited(uv, np.zeros(columns), samples, turn, known, state.units, uv, pixels=float(known[0]))
+        excited = Excited(
+            uv, np.zeros(columns), samples, turn, known, state.units, uv, pixels=float(known[0])
+        )
         return replace(state, excited=excited, excitations=state.excitations + 1)
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
         J = excited.samples.jacobian()
         with np.errstate(invalid="ignore"):
-            scale = np.sqrt(np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0]))))
+            scale = np.sqrt(
+                np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0])))
+            )
         if self.dynamic:
-            scale[-1] = 50.0  # of the column of time: a target's motion in the picture that counts as much as the robot's [px/s]
+            scale[-1] = (
+                # of the column of time: a target's motion in the picture that counts as much as the
+                # robot's [px/s]
+                50.0
+            )
         most = float((scale * excited.units).max())
-        scale = np.maximum(scale, 1e-3 * max(most, np.finfo(float).tiny) / excited.units)  # of a velocity that hardly moves the markers
+        # of a velocity that hardly moves the markers
+        scale = np.maximum(scale, 1e-3 * max(most, np.finfo(float).tiny) / excited.units)
         P = np.repeat(np.eye(len(scale))[None] / self.step_px**2, len(uv), axis=0)
         return ImageJacobian(J / scale, P, scale, uv, np.zeros(len(scale)))
 
     def _servo(
-        self, state: UncalibratedState, seen: Observation, goal: Goal, basis: Array, robot: OwnModel, moved: Array
+        self,
+        state: UncalibratedState,
+        seen: Observation,
+        goal: Goal,
+        basis: Array,
+        robot: OwnModel,
+        moved: Array,
     ) -> tuple[UncalibratedState, Command]:
         """A frame with an estimate: correct it, and drive the error to zero by it."""
         assert state.estimate is not None
         known = self._corrected(state.estimate, seen.uv, moved)
         rows = np.isfinite(known.J[:, 0, 0]) & seen.seen
         if np.count_nonzero(rows) < self.markers_needed(basis):
-            return replace(state, estimate=known), Command.rest(basis, "the image Jacobian of the markers in sight is unknown")
+            return replace(state, estimate=known), Command.rest(
+                basis, "the image Jacobian of the markers in sight is unknown"
+            )
         n, scale = len(robot.names), known.scale
         e, J = (seen.uv - goal.uv)[rows].ravel(), known.J[rows].reshape(-1, len(scale))
         state = self._judged(replace(state, estimate=known), _mean(e), seen)
@@ -433,7 +559,9 @@ class Uncalibrated(Law[UncalibratedState]):
         u = -self.gain.at(solved) * solved
         if self.dynamic:
             u = u - self.solve.least_squares(J[:, :n], J[:, n] * scale[n], damping) / scale[:n]
-        u = u * min(1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny))
+        u = u * min(
+            1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny)
+        )
         return state, _command(u, robot, basis, SERVOES)
 
     def _corrected(self, known: ImageJacobian, uv: Array, moved: Array) -> ImageJacobian:
@@ -444,11 +572,17 @@ class Uncalibrated(Law[UncalibratedState]):
         y = uv - known.uv
         both = np.isfinite(y[:, 0]) & np.isfinite(known.J[:, 0, 0])
         J, P = known.J.copy(), known.P.copy()
-        J[both], P[both] = self.estimator.corrected(J[both], P[both], x, y[both], 1 / self.step_px**2)
+        J[both], P[both] = self.estimator.corrected(
+            J[both], P[both], x, y[both], 1 / self.step_px**2
+        )
         return ImageJacobian(J, P, known.scale, uv, np.zeros(len(x)))
 
-    def _judged(self, state: UncalibratedState, error_px: float, seen: Observation) -> UncalibratedState:
-        """The state with the progress noted, or with an excitation begun where there was none for too long."""
+    def _judged(
+        self, state: UncalibratedState, error_px: float, seen: Observation
+    ) -> UncalibratedState:
+        """The state with the progress noted, or with an excitation begun where there was none for
+        too long.
+        """
         if error_px < 0.8 * state.least_px or error_px < self.settled_px:
             return replace(state, least_px=error_px, t=seen.t)
         if not state.patience_s or seen.t - state.t <= state.patience_s:
@@ -463,6 +597,13 @@ def _mean(values: Array) -> float:
 
 
 def _command(rates: Array, robot: OwnModel, basis: Array, mode: int) -> Command:
-    """The command of own velocities; the camera twist that they make by the robot's model is told, and nothing follows from it."""
+    """The command of own velocities; the camera twist that they make by the robot's model is told,
+    and nothing follows from it.
+    """
     twist = robot.J @ rates
-    return Command(np.asarray(np.linalg.lstsq(basis, twist, rcond=None)[0], dtype=float), twist, rates=rates, mode=mode)
+    return Command(
+        np.asarray(np.linalg.lstsq(basis, twist, rcond=None)[0], dtype=float),
+        twist,
+        rates=rates,
+        mode=mode,
+    )

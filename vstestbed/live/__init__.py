@@ -1,1 +1,3 @@
-"""The live view: a session, or a recorded run, in a browser, with its settings under your fingers (`vstestbed live`)."""
+"""The live view: a session, or a recorded run, in a browser, with its settings under your fingers
+(`vstestbed live`).
+"""

@@ -1,4 +1,6 @@
-"""The live view of a run: one thread turns the session and sends what is due; pages only put orders into its inbox."""
+"""The live view of a run: one thread turns the session and sends what is due; pages only put orders
+into its inbox.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,15 @@ from vstestbed.live.run import LiveRun, Served, Settings
 from vstestbed.live.server import LocalServer
 from vstestbed.scenario.yaml_marks import read_value
 
-IDLE_S = 0.2  # how long a view that rests waits for orders before it looks whether it has to end [s]
+IDLE_S = (
+    0.2  # how long a view that rests waits for orders before it looks whether it has to end [s]
+)
 
 
 class LiveApp(Served):
-    """A run in the browser, at `address`. port: None for a free one. Raises ParameterError: the port is taken."""
+    """A run in the browser, at `address`. port: None for a free one. Raises ParameterError: the
+    port is taken.
+    """
 
     def __init__(self, settings: Settings, port: int | None = None):
         self.run = LiveRun(settings)
@@ -43,15 +49,29 @@ class LiveApp(Served):
         self._status = StatusLine(gui)
         transport_panel(gui, inbox, run.transport, self.reset)
         self._controls = Controls(
-            gui, run.settings.scenario, lambda path, value: inbox.put(lambda: self.change(path, value), path), inbox.waits
+            gui,
+            run.settings.scenario,
+            lambda path, value: inbox.put(lambda: self.change(path, value), path),
+            inbox.waits,
         )
         with gui.add_folder("any other field", expand_by_default=False):
-            field, value = gui.add_text("field", "goal.T_camera_target.xyz"), gui.add_text("value", "[0, 0, 0.8]")
+            field, value = (
+                gui.add_text("field", "goal.T_camera_target.xyz"),
+                gui.add_text("value", "[0, 0, 0.8]"),
+            )
             set_ = gui.add_button("set", hint="as --set field=value")
             on_click(set_, inbox, lambda: self.change(field.value, read_value(value.value)))
         self._hand = HandPanel(gui, inbox, run, self.gizmo)
-        on_click(gui.add_button("start without a seed", hint="the scenario's own start"), inbox, lambda: self.change("seed", None))
-        on_click(gui.add_button("save as scenario", hint="what repeats these settings from the start"), inbox, self._save)
+        on_click(
+            gui.add_button("start without a seed", hint="the scenario's own start"),
+            inbox,
+            lambda: self.change("seed", None),
+        )
+        on_click(
+            gui.add_button("save as scenario", hint="what repeats these settings from the start"),
+            inbox,
+            self._save,
+        )
 
     def serve(self) -> None:
         """Turn the run and obey its pages, until `stop` or an interrupt."""
@@ -99,12 +119,19 @@ class LiveApp(Served):
             self._status.say(_sentence(error), refused=True)
             self._hand.show(set(self._gizmos))
             self._controls.show(self.run.settings.scenario)
-        except Exception as error:  # a plugin, or a bug: the page must stay, so that the rest can still be looked at
-            logging.getLogger(__name__).warning("the live view went on after an error", exc_info=error)
+        except Exception as error:
+            # a plugin, or a bug: the page must stay, so that the rest can still be looked at
+            logging.getLogger(__name__).warning(
+                "the live view went on after an error", exc_info=error
+            )
             self._status.say(f"{type(error).__name__}: {error}", refused=True)
 
     def _show(self, now: bool) -> None:
-        self._view.draw(self.run.last, lambda: self._status.show(self.run.last, self.run.transport, self.run.by_hand), now)
+        self._view.draw(
+            self.run.last,
+            lambda: self._status.show(self.run.last, self.run.transport, self.run.by_hand),
+            now,
+        )
 
     def change(self, path: str, value: object) -> None:
         """Change a setting, and tell it on the page; by the thread that serves."""
@@ -112,7 +139,10 @@ class LiveApp(Served):
         self._controls.show(self.run.settings.scenario)
         if restarted:
             self._restarted()
-        self._status.say(f"{path} = {value}: " + ("a new start" if restarted else "in force from the next frame on"))
+        self._status.say(
+            f"{path} = {value}: "
+            + ("a new start" if restarted else "in force from the next frame on")
+        )
 
     def reset(self) -> None:
         """Begin the run again; by the thread that serves."""
@@ -129,12 +159,19 @@ class LiveApp(Served):
         self._show(now=True)
 
     def _save(self) -> None:
-        note = f"Its run was changed by hand, which this file does not repeat: {', '.join(self.run.by_hand)}." if self.run.by_hand else ""
+        note = (
+            "Its run was changed by hand, which this file does not repeat:"
+            f" {', '.join(self.run.by_hand)}."
+            if self.run.by_hand
+            else ""
+        )
         path = self.run.settings.keep(note)
         self._status.say(f"saved: vstestbed run {path}. {note}")
 
     def gizmo(self, what: str, on: bool) -> None:
-        """Show or take away what the `target`, or the `plate`, is dragged by; by the thread that serves."""
+        """Show or take away what the `target`, or the `plate`, is dragged by; by the thread that
+        serves.
+        """
         self._let_go(what)
         if what == "plate":
             self._hold_plate(self.run.before_marker(self._hand.marker) if on else None)
@@ -148,7 +185,9 @@ class LiveApp(Served):
         def asked(T_now: Array) -> None:
             self._inbox.put(lambda: dragged(T_now), f"drag.{what}")
 
-        self._gizmos[what] = add_gizmo(self._server, f"/gizmo_{what}", T, self._view.scene.reach_m, asked)
+        self._gizmos[what] = add_gizmo(
+            self._server, f"/gizmo_{what}", T, self._view.scene.reach_m, asked
+        )
 
     def _let_go(self, what: str) -> None:
         if (gizmo := self._gizmos.pop(what, None)) is not None:
@@ -165,5 +204,7 @@ class LiveApp(Served):
 
 def _sentence(error: VstestbedError) -> str:
     if isinstance(error, ScenarioError):
-        return "; ".join(f"{m.field}: {m.sentence}" if m.field else m.sentence for m in error.mistakes)
+        return "; ".join(
+            f"{m.field}: {m.sentence}" if m.field else m.sentence for m in error.mistakes
+        )
     return str(error)

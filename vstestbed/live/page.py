@@ -1,4 +1,6 @@
-"""The page of a run: scene, picture, plots and panel, kept up to date from the thread that simulates."""
+"""The page of a run: scene, picture, plots and panel, kept up to date from the thread that
+simulates.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from typing import Any
 import numpy as np
 import viser
 
-from vstestbed.core.geometry import Array, inverse, pose_from, quaternion_wxyz, rotation_from_quaternion, transform
+from vstestbed.core.geometry import (
+    Array,
+    inverse,
+    pose_from,
+    quaternion_wxyz,
+    rotation_from_quaternion,
+    transform,
+)
 from vstestbed.imaging.chain import scaled
 from vstestbed.live.run import PICTURE_S, Sample
 from vstestbed.report.marks import AXIS_COLORS, LINE_COLORS
@@ -24,42 +33,59 @@ FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
 FLOOR_M, GRID_M = 400.0, 60.0  # edges of the floor, and of the part of it with lines [m]
 LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
 SHORTEST_M, LONGEST_M = 0.06, 0.6
-LAYER_M = 0.004  # distance of the grid under the floor of the simulation, and of the surface under the grid [m]
+# distance of the grid under the floor of the simulation, and of the surface under the grid [m]
+LAYER_M = 0.004
 GHOST = 0.3  # opacity of the robot, or the target in the gripper, at its goal
 PLACES = 400  # points of the trail: when there are more, every other one is dropped
 
 
 class SceneView:
-    """Shows samples of one run; a scenario with another scene needs another view. reach_m: a length that suits the scene [m]."""
+    """Shows samples of one run; a scenario with another scene needs another view. reach_m: a length
+    that suits the scene [m].
+    """
 
-    def __init__(self, server: viser.ViserServer, scenario: Scenario, replay: Replay, first: Sample):
+    def __init__(
+        self, server: viser.ViserServer, scenario: Scenario, replay: Replay, first: Sample
+    ):
         self._scene, self._scenario, self._replay = server.scene, scenario, replay
         film, aside = first.film, scenario.target.on_gripper
         ends = [film.T_world_target, *([] if first.T_world_goal is None else [first.T_world_goal])]
         far = max(float(np.linalg.norm(T[:3, 3] - film.T_world_camera[:3, 3])) for T in ends)
-        # of the frustum; a camera that stands in the room may be nearer to the viewer than the robot, and must not hide it
+        # of the frustum; a camera that stands in the room may be nearer to the viewer than the
+        # robot, and must not hide it
         self.reach_m = float(np.clip((0.05 if aside else 0.13) * far, SHORTEST_M, LONGEST_M))
         self._scene.reset()
         self._surroundings()
         self._bodies = self._solids()
         self._poses: Array | None = None  # of all bodies as they were put last (B, 7)
         self._trail, self._spacing = np.zeros((0, 3)), self.reach_m / 12
-        self._trail_lines = self._scene.add_line_segments("/trail", np.zeros((1, 2, 3)), OWN, thickness=2.5, thickness_units="screen")
+        self._trail_lines = self._scene.add_line_segments(
+            "/trail", np.zeros((1, 2, 3)), OWN, thickness=2.5, thickness_units="screen"
+        )
         self._eye = self._frustum("/camera", OWN)
         self._goal = self._frustum("/goal", GOAL) if not aside else None
         self._ghost = self._made_ghost(first)
         self.plate: viser.MeshHandle | None = None
         T, middle, fovy = replay.outside_view(film.t, first.T_world_goal)
         view = server.initial_camera
-        view.position, view.look_at, view.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
-        view.up = (0.0, 0.0, 1.0) if scenario.robot.body else tuple((-T[:3, 1]).tolist())  # a free camera's room has no upright
+        view.position, view.look_at, view.fov = (
+            tuple(T[:3, 3].tolist()),
+            tuple(middle.tolist()),
+            fovy,
+        )
+        # a free camera's room has no upright
+        view.up = (0.0, 0.0, 1.0) if scenario.robot.body else tuple((-T[:3, 1]).tolist())
         # the depth buffer must tell lines on the floor from the floor
         view.near = 0.02 * float(np.linalg.norm(middle - T[:3, 3]))
 
     def show(self, sample: Sample, image: Image | None) -> None:
-        """Put everything where it is in a sample. image: the camera's picture for its frustum, if there is a new one."""
+        """Put everything where it is in a sample. image: the camera's picture for its frustum, if
+        there is a new one.
+        """
         film = sample.film
-        xpos, xquat = self._replay.body_poses(film.t, film.T_world_target, film.q, film.T_world_camera)
+        xpos, xquat = self._replay.body_poses(
+            film.t, film.T_world_target, film.q, film.T_world_camera
+        )
         poses = np.hstack([xpos, xquat])
         for body, frame in self._bodies.items():
             if self._poses is None or not np.array_equal(poses[body], self._poses[body]):
@@ -75,7 +101,12 @@ class SceneView:
             if self._goal is not None:
                 _put(self._goal, at)
             if self._ghost is not None:
-                _put(self._ghost, film.T_world_camera @ inverse(at) @ film.T_world_target if self._scenario.target.on_gripper else at)
+                _put(
+                    self._ghost,
+                    film.T_world_camera @ inverse(at) @ film.T_world_target
+                    if self._scenario.target.on_gripper
+                    else at,
+                )
 
     def clear(self) -> None:
         """Forget the trail."""
@@ -85,12 +116,16 @@ class SceneView:
     def draw_trail(self) -> None:
         """Send the trail, which need not be done with every sample."""
         if len(self._trail) > 1:
-            self._trail_lines.points = np.stack([self._trail[:-1], self._trail[1:]], axis=1).astype(np.float32)
+            self._trail_lines.points = np.stack([self._trail[:-1], self._trail[1:]], axis=1).astype(
+                np.float32
+            )
 
     def put_plate(self, T_world_plate: Array | None, edge_m: float) -> None:
         """Show the plate in reserve at a pose (4, 4), or not at all."""
         if T_world_plate is not None:
-            self.plate = self.plate or self._scene.add_mesh_simple("/plate", *_square(edge_m), color=(115, 115, 120), side="double")
+            self.plate = self.plate or self._scene.add_mesh_simple(
+                "/plate", *_square(edge_m), color=(115, 115, 120), side="double"
+            )
             _put(self.plate, T_world_plate)
         elif self.plate is not None:
             self.plate.remove()
@@ -102,23 +137,47 @@ class SceneView:
         self._scene.configure_environment_map(None)
         self._scene.add_light_ambient("/lights/all", intensity=1.2)
         for name, direction, intensity in LIGHTS:
-            self._scene.add_light_directional(f"/lights/{name}", intensity=intensity, position=direction, cast_shadow=False)
+            self._scene.add_light_directional(
+                f"/lights/{name}", intensity=intensity, position=direction, cast_shadow=False
+            )
         z = self._scenario.world.floor_z
-        self._scene.add_mesh_simple("/floor", *_square(FLOOR_M), color=FLOOR, side="double", position=(0, 0, z - 2 * LAYER_M))
+        self._scene.add_mesh_simple(
+            "/floor",
+            *_square(FLOOR_M),
+            color=FLOOR,
+            side="double",
+            position=(0, 0, z - 2 * LAYER_M),
+        )
         grid = {"cell_size": 1.0, "section_size": 5.0, "cell_color": LINES, "section_color": LINES}
-        self._scene.add_grid("/grid", GRID_M, GRID_M, plane="xy", position=(0, 0, z - LAYER_M), **grid)
+        self._scene.add_grid(
+            "/grid", GRID_M, GRID_M, plane="xy", position=(0, 0, z - LAYER_M), **grid
+        )
 
     def _solids(self) -> dict[int, viser.FrameHandle]:
-        """A frame for each body that has something to be seen, by number, with its solids and panes below it."""
+        """A frame for each body that has something to be seen, by number, with its solids and panes
+        below it.
+        """
         bodies: dict[int, viser.FrameHandle] = {}
         solids, panes = self._replay.solids, self._replay.panes
         for body in dict.fromkeys(part.body for part in (*solids, *panes)):
             bodies[body] = self._scene.add_frame(f"/body_{body}", show_axes=False)
         for i, solid in enumerate(solids):
-            look = {"color": np.rint(255 * np.array(solid.rgb)).astype(np.uint8), "side": "double", "flat_shading": True}
-            self._scene.add_mesh_simple(f"/body_{solid.body}/{i}", solid.vertices, solid.faces, **look)
+            look = {
+                "color": np.rint(255 * np.array(solid.rgb)).astype(np.uint8),
+                "side": "double",
+                "flat_shading": True,
+            }
+            self._scene.add_mesh_simple(
+                f"/body_{solid.body}/{i}", solid.vertices, solid.faces, **look
+            )
         for i, pane in enumerate(panes):
-            shown = self._scene.add_image(f"/body_{pane.body}/print_{i}", pane.image, pane.width, pane.height, cast_shadow=False)
+            shown = self._scene.add_image(
+                f"/body_{pane.body}/print_{i}",
+                pane.image,
+                pane.width,
+                pane.height,
+                cast_shadow=False,
+            )
             _put(shown, pane.T_body_pane)
         return bodies
 
@@ -126,15 +185,27 @@ class SceneView:
         corners = np.abs(frustum_corners(self._scenario.camera)).max(axis=0)
         fov = 2 * math.atan(float(corners[1]))
         aspect = float(corners[0] / corners[1])
-        return self._scene.add_camera_frustum(name, fov, aspect, scale=self.reach_m, thickness=2.0, thickness_units="screen", color=color)
+        return self._scene.add_camera_frustum(
+            name,
+            fov,
+            aspect,
+            scale=self.reach_m,
+            thickness=2.0,
+            thickness_units="screen",
+            color=color,
+        )
 
     def _made_ghost(self, first: Sample) -> viser.FrameHandle | None:
-        """What moves, at its goal: a vehicle or a craft, or the target in the gripper; None for an arm or a free camera."""
+        """What moves, at its goal: a vehicle or a craft, or the target in the gripper; None for an
+        arm or a free camera.
+        """
         robot, target = self._scenario.robot, self._scenario.target
         if first.T_world_goal is None or (robot.base == "fixed" and not target.on_gripper):
             return None
         film = first.film
-        xpos, xquat = self._replay.body_poses(film.t, film.T_world_target, film.q, film.T_world_camera)
+        xpos, xquat = self._replay.body_poses(
+            film.t, film.T_world_target, film.q, film.T_world_camera
+        )
         names, prefix = self._replay.body_names, "target/" if target.on_gripper else "robot/"
         T_ref = inverse(film.T_world_target if target.on_gripper else film.T_world_camera)
         parts = []
@@ -148,7 +219,15 @@ class SceneView:
         frame = self._scene.add_frame("/ghost", show_axes=False)
         vertices = np.concatenate(parts)
         faces = np.arange(len(vertices)).reshape(-1, 3)
-        self._scene.add_mesh_simple("/ghost/solid", vertices, faces, color=GOAL, opacity=GHOST, side="double", cast_shadow=False)
+        self._scene.add_mesh_simple(
+            "/ghost/solid",
+            vertices,
+            faces,
+            color=GOAL,
+            opacity=GHOST,
+            side="double",
+            cast_shadow=False,
+        )
         return frame
 
     def extend_trail(self, place: Array) -> None:
@@ -162,7 +241,9 @@ class SceneView:
 
 
 def _square(edge_m: float) -> tuple[Array, Array]:
-    return edge_m / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    return edge_m / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array(
+        [[0, 1, 2], [0, 2, 3]]
+    )
 
 
 def _put(handle: viser.SceneNodeHandle, T: Array) -> None:
@@ -173,21 +254,32 @@ WIDTH, EYE_HEIGHT = 400, 320  # the picture in the panel is at most as large [px
 
 
 class Eye:
-    """The picture of a run. gui: where it is added, in the container that is open. replay: draws what the run did not."""
+    """The picture of a run. gui: where it is added, in the container that is open. replay: draws
+    what the run did not.
+    """
 
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, replay: Replay):
         camera = scenario.camera
         share = min(WIDTH / camera.width, EYE_HEIGHT / camera.height, 1.0)
         width, height = max(16, round(share * camera.width)), max(16, round(share * camera.height))
-        below = [round(width * eye.camera.height / eye.camera.width) for eye in scenario.eyes.values()]
+        below = [
+            round(width * eye.camera.height / eye.camera.width) for eye in scenario.eyes.values()
+        ]
         self._size, self._own_height = (width, height + sum(below)), height
         self._scenario, self._replay = scenario, replay
         self._pictures = Pictures(scenario, "eye", replay, self._size)
         blank = np.full((self._size[1], self._size[0], 3), 60, np.uint8)
-        self._shown = gui.add_image(blank, label=" \u00b7 ".join(("servo camera", *scenario.cameras)), format="jpeg", jpeg_quality=70)
+        self._shown = gui.add_image(
+            blank,
+            label=" \u00b7 ".join(("servo camera", *scenario.cameras)),
+            format="jpeg",
+            jpeg_quality=70,
+        )
 
     def draw(self, sample: Sample) -> Image:
-        """Send the picture of a sample; returns a small one, at most 160 px wide, for the frustum."""
+        """Send the picture of a sample; returns a small one, at most 160 px wide,
+        for the frustum.
+        """
         image = self._pictures.picture(sample.film)
         self._shown.image = image
         image = image[: self._own_height]  # without further cameras
@@ -203,26 +295,49 @@ class Eye:
         self._shown.remove()
 
 
-MOST = 1200  # Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight
+# Points of a curve: when there are more, every other one is dropped, so that the whole run stays in
+# sight
+MOST = 1200
 PLOT_HEIGHT = 150  # of a plot [px]
-THIN: dict[str, Any] = {"font": "11px sans-serif", "ticks": {"size": 4, "width": 1}, "grid": {"width": 1, "stroke": "#e3e6ea"}}
+THIN: dict[str, Any] = {
+    "font": "11px sans-serif",
+    "ticks": {"size": 4, "width": 1},
+    "grid": {"width": 1, "stroke": "#e3e6ea"},
+}
 AXES: tuple[Any, ...] = ({"size": 26, **THIN}, {"size": 46, **THIN})
 
 
 class Plots:
-    """The plots of a run. gui: where they are added, in the container that is open. unit: of the judged error."""
+    """The plots of a run. gui: where they are added, in the container that is open. unit: of the
+    judged error.
+    """
 
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, unit: str):
         self._joints = joints = len(scenario.robot.joints)
         self._rows = np.empty((MOST, 8 + joints))  # time, error, twist, joints
         self.clear()
         self._error = _plot(gui, f"judged error [{unit}]", ["error"], [LINE_COLORS[0]], log=True)
-        key = " · ".join(f'<span style="color:{color}">{axis}</span>' for axis, color in zip("xyz", AXIS_COLORS, strict=True))
-        self._key = gui.add_html(f'<div style="font-size:12px;text-align:center">commanded twist: {key} of the camera</div>')
+        key = " · ".join(
+            f'<span style="color:{color}">{axis}</span>'
+            for axis, color in zip("xyz", AXIS_COLORS, strict=True)
+        )
+        self._key = gui.add_html(
+            '<div style="font-size:12px;text-align:center">'
+            f"commanded twist: {key} of the camera</div>"
+        )
         self._v = _plot(gui, "commanded speed [m/s]", ["vx", "vy", "vz"], AXIS_COLORS)
         self._w = _plot(gui, "commanded rate [rad/s]", ["wx", "wy", "wz"], AXIS_COLORS)
         names = list(scenario.robot.joints)
-        self._q = _plot(gui, "joints [rad]", names, [LINE_COLORS[i % len(LINE_COLORS)] for i in range(joints)]) if joints else None
+        self._q = (
+            _plot(
+                gui,
+                "joints [rad]",
+                names,
+                [LINE_COLORS[i % len(LINE_COLORS)] for i in range(joints)],
+            )
+            if joints
+            else None
+        )
 
     def add(self, sample: Sample) -> None:
         """One more frame; only every k-th is kept once the run is long."""
@@ -235,7 +350,12 @@ class Plots:
             self._rows[: self._count] = self._rows[::2].copy()
             self._every *= 2
         positive = sample.judged if sample.judged > 0 else np.nan  # logarithmic
-        self._rows[self._count] = sample.film.t, positive, *sample.twist, *sample.film.q[: self._joints]
+        self._rows[self._count] = (
+            sample.film.t,
+            positive,
+            *sample.twist,
+            *sample.film.q[: self._joints],
+        )
         self._count += 1
 
     def clear(self) -> None:
@@ -260,11 +380,14 @@ class Plots:
                 plot.remove()
 
 
-def _plot(gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: bool = False) -> viser.GuiUplotHandle:
+def _plot(
+    gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: bool = False
+) -> viser.GuiUplotHandle:
     t = np.array([0.0, 1.0])
     series: list[Any] = [{"label": "t [s]"}]
     series += [
-        {"label": name, "stroke": color, "width": 1.5, "points": {"show": False}} for name, color in zip(names, colors, strict=False)
+        {"label": name, "stroke": color, "width": 1.5, "points": {"show": False}}
+        for name, color in zip(names, colors, strict=False)
     ]
     scales: dict[str, Any] = {"x": {"time": False}, "y": {"distr": 3 if log else 1}}
     blank = np.full(2, np.nan)
@@ -280,14 +403,23 @@ def _plot(gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: boo
     )
 
 
-SCENE_S, PLOTS_S = 1 / 30, 1 / 4  # Least time on the wall between two updates of the scene, of plots [s]; of picture and words: `live.run`
+# Least time on the wall between two updates of the scene, of plots [s]; of picture and words:
+# `live.run`
+SCENE_S, PLOTS_S = (
+    1 / 30,
+    1 / 4,
+)
 VIEW_WIDTH = 340  # of the panel beside the scene [px]
 
 
 class LiveView:
-    """What pages show of a run besides its panel: scene, picture and plots. recorded: pictures are drawn again."""
+    """What pages show of a run besides its panel: scene, picture and plots. recorded: pictures are
+    drawn again.
+    """
 
-    def __init__(self, server: viser.ViserServer, scenario: Scenario, first: Sample, recorded: bool = False):
+    def __init__(
+        self, server: viser.ViserServer, scenario: Scenario, first: Sample, recorded: bool = False
+    ):
         self._server, self._recorded = server, recorded
         panel = server.gui.add_panel()
         self._tab = panel.add_tab("camera and curves")
@@ -304,7 +436,8 @@ class LiveView:
             self.eye.remove()
             self.plots.remove()
         scenario, self._unit = self._scenario, first.unit
-        share = min(1.0, WIDTH / scenario.camera.width)  # the servo camera makes pictures as large as they are shown
+        # the servo camera makes pictures as large as they are shown
+        share = min(1.0, WIDTH / scenario.camera.width)
         self._replay = Replay(scenario.scene, shadows=False, share=share)
         self.scene = SceneView(self._server, scenario, self._replay, first)
         with self._tab:
@@ -312,8 +445,13 @@ class LiveView:
             self.plots = Plots(self._server.gui, scenario, first.unit)
 
     def restart(self, scenario: Scenario, first: Sample) -> bool:
-        """Begin anew; whether the scene is another one, so that all that others put into it is gone."""
-        parts = [(s.robot, s.camera, s.target, getattr(s.target_in_run.sheet, "png", None), s.world) for s in (scenario, self._scenario)]
+        """Begin anew; whether the scene is another one, so that all that others put into it is
+        gone.
+        """
+        parts = [
+            (s.robot, s.camera, s.target, getattr(s.target_in_run.sheet, "png", None), s.world)
+            for s in (scenario, self._scenario)
+        ]
         other = parts[0] != parts[1] or first.unit != self._unit
         self._scenario = scenario
         if other:
@@ -334,10 +472,16 @@ class LiveView:
         self.scene.extend_trail(sample.film.T_world_camera[:3, 3])
 
     def draw(self, sample: Sample, tell: Callable[[], None], now: bool = False) -> None:
-        """Send what is due; `now`: everything. tell: writes what the page says of the sample, which goes with its picture alone."""
+        """Send what is due; `now`: everything. tell: writes what the page says of the sample, which
+        goes with its picture alone.
+        """
         if not self._server.get_clients() and not now:  # nobody looks
             return
-        pictured = now or sample.film.image is not None or (self._recorded and self._due("picture", PICTURE_S))
+        pictured = (
+            now
+            or sample.film.image is not None
+            or (self._recorded and self._due("picture", PICTURE_S))
+        )
         if pictured or self._due("scene", SCENE_S):
             with self._server.atomic():
                 self.scene.show(sample, self.eye.draw(sample) if pictured else None)
@@ -364,9 +508,13 @@ class LiveView:
 def add_gizmo(
     server: viser.ViserServer, name: str, T: Array, size_m: float, dragged: Callable[[Array], None]
 ) -> viser.TransformControlsHandle:
-    """A handle in the scene at which something is dragged. T: pose (4, 4). dragged: called with the pose, from another thread."""
+    """A handle in the scene at which something is dragged. T: pose (4, 4). dragged: called with the
+    pose, from another thread.
+    """
     wxyz = quaternion_wxyz(T[:3, :3])
-    handle = server.scene.add_transform_controls(name, scale=size_m, position=T[:3, 3], wxyz=wxyz, depth_test=False)
+    handle = server.scene.add_transform_controls(
+        name, scale=size_m, position=T[:3, 3], wxyz=wxyz, depth_test=False
+    )
 
     async def moved(event: Any) -> None:
         if event.client is not None:

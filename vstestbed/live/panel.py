@@ -1,4 +1,6 @@
-"""The panel of a live run: its state in words, play and pause, what is done by hand, settings, saving."""
+"""The panel of a live run: its state in words, play and pause, what is done by hand, settings,
+saving.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ STEPS = 200
 
 @dataclass(frozen=True)
 class Field:
-    """One control. path: dotted, as `--set` takes it. value: in force. low, high, step: of a slider. is_gain: of a law or a loop."""
+    """One control. path: dotted, as `--set` takes it. value: in force. low, high, step: of a
+    slider. is_gain: of a law or a loop.
+    """
 
     path: str
     control: Control
@@ -83,11 +87,18 @@ def fields_of(scenario: Scenario) -> list[Field]:
     found = [Field("seed", "number", scenario.seed, whole=True)]
     for block in BLOCKS:
         value = getattr(scenario, block)
-        found += [] if block in ("robot", "camera") else _kinds(block, fields(Scenario)[block].node, value)
+        found += (
+            []
+            if block in ("robot", "camera")
+            else _kinds(block, fields(Scenario)[block].node, value)
+        )
         found += _inside(block, value)
     if hasattr(scenario.camera, "distortion"):
         now = getattr(scenario.camera, "distortion", None) or (0.0,) * 5
-        found += [Field(f"camera.distortion.{i}", "slider", now[i], -0.4, 0.4, 0.4 / STEPS) for i in (0, 1)]
+        found += [
+            Field(f"camera.distortion.{i}", "slider", now[i], -0.4, 0.4, 0.4 / STEPS)
+            for i in (0, 1)
+        ]
     rank = {path: i for i, path in enumerate(FIRST)}
     return sorted(found, key=lambda f: rank.get(f.path, -1) if f.comes_first else len(FIRST))
 
@@ -95,7 +106,9 @@ def fields_of(scenario: Scenario) -> list[Field]:
 def _kinds(path: str, node: Node, value: Any) -> list[Field]:
     if node.registry is None or len(node.registry.members) < 2:
         return []
-    return [Field(path, "choice", kind_of(type(value)), choices=tuple(sorted(node.registry.members)))]
+    return [
+        Field(path, "choice", kind_of(type(value)), choices=tuple(sorted(node.registry.members)))
+    ]
 
 
 def _inside(path: str, value: Any) -> Iterator[Field]:
@@ -121,7 +134,9 @@ def _of(path: str, node: Node, value: Any) -> Iterator[Field]:
             yield from _inside(path, value)
 
 
-GAINS = [bound for quantity in (PositiveGain, GainOrZero, SignedGain) for bound in quantity.__metadata__]  # pyright: ignore[reportAttributeAccessIssue] - of Annotated
+GAINS = [
+    bound for quantity in (PositiveGain, GainOrZero, SignedGain) for bound in quantity.__metadata__
+]  # pyright: ignore[reportAttributeAccessIssue] - of Annotated
 
 
 def _number(path: str, value: float, node: Node) -> Field:
@@ -134,16 +149,29 @@ def _number(path: str, value: float, node: Node) -> Field:
     high = min(max(high, value), top)
     power = 10.0 ** int(f"{high / STEPS:e}".partition("e")[2])
     step = next(m * power for m in (5, 2, 1) if m * power <= high / STEPS * (1 + 1e-9))
-    left = -high if low < 0 else min(step, value) if any(isinstance(bound, Gt) and bound.gt == 0 for bound in node.bounds) else 0.0
+    left = (
+        -high
+        if low < 0
+        else min(step, value)
+        if any(isinstance(bound, Gt) and bound.gt == 0 for bound in node.bounds)
+        else 0.0
+    )
     return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
 
 
 class Controls:
-    """The controls of a scenario: those that a person turns first, and the others in folders, one a block, which are closed.
-    ask: told what a page sets, at once and from another thread. waits: whether what was asked for a path is still to come.
+    """The controls of a scenario: those that a person turns first, and the others in folders, one a
+    block, which are closed. ask: told what a page sets, at once and from another thread. waits:
+    whether what was asked for a path is still to come.
     """
 
-    def __init__(self, gui: viser.GuiApi, scenario: Scenario, ask: Callable[[str, object], None], waits: Callable[[str], bool]):
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        scenario: Scenario,
+        ask: Callable[[str, object], None],
+        waits: Callable[[str], bool],
+    ):
         self._gui, self._ask, self._waits = gui, ask, waits
         self._parts: list[Any] = []
         self._handles: dict[str, tuple[Field, Any]] = {}
@@ -151,14 +179,21 @@ class Controls:
         self.show(scenario)
 
     def show(self, scenario: Scenario) -> None:
-        """Put the values in force into the controls; made anew where the fields are others than before."""
+        """Put the values in force into the controls; made anew where the fields are others than
+        before.
+        """
         fields = {_key(f): f for f in fields_of(scenario)}
         before = {key: (f.control, f.choices) for key, (f, _) in self._handles.items()}
         if before == {key: (f.control, f.choices) for key, f in fields.items()}:
             for key, field in fields.items():
                 old, handle = self._handles[key]
-                value = min(max(field.value, old.low), old.high) if field.control == "slider" else field.value
-                if not self._waits(field.path):  # a slider that is still being drawn must not jump back
+                value = (
+                    min(max(field.value, old.low), old.high)
+                    if field.control == "slider"
+                    else field.value
+                )
+                # a slider that is still being drawn must not jump back
+                if not self._waits(field.path):
                     handle.value = value
         else:
             self._rebuild(list(fields.values()))
@@ -181,14 +216,19 @@ class Controls:
         gui, hint = self._gui, f"--set {field.path}=..."
         handle: Any
         if field.control == "choice":
-            label = f"{field.label}.kind" if field.path == "law.gain" else field.label  # whose number has a slider
+            # whose number has a slider
+            label = f"{field.label}.kind" if field.path == "law.gain" else field.label
             handle = gui.add_dropdown(label, field.choices, initial_value=field.value, hint=hint)
         elif field.control == "switch":
             handle = gui.add_checkbox(field.label, field.value, hint=hint)
         elif field.control == "slider":
-            handle = gui.add_slider(field.label, field.low, field.high, field.step, float(field.value), hint=hint)
+            handle = gui.add_slider(
+                field.label, field.low, field.high, field.step, float(field.value), hint=hint
+            )
         else:
-            handle = gui.add_number(field.label, field.value if field.whole else float(field.value), hint=hint)
+            handle = gui.add_number(
+                field.label, field.value if field.whole else float(field.value), hint=hint
+            )
 
         def asked(value: Any) -> None:
             if field.control == "choice":
@@ -206,21 +246,41 @@ def _key(field: Field) -> str:
     return f"{field.path}.kind" if field.control == "choice" else field.path
 
 
-SPEEDS = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0, "as fast as it can": math.inf}
-LAW = "law"  # of what is changed by hand, that which a scenario can repeat, though from the start alone
+SPEEDS = {
+    "0.1 x": 0.1,
+    "0.25 x": 0.25,
+    "0.5 x": 0.5,
+    "1 x": 1.0,
+    "2 x": 2.0,
+    "5 x": 5.0,
+    "as fast as it can": math.inf,
+}
+# of what is changed by hand, that which a scenario can repeat, though from the start alone
+LAW = "law"
 PUSH_S = 0.2  # how long a push lasts [s]
 
 
-def transport_panel(gui: viser.GuiApi, inbox: Inbox, transport: Transport, reset: Callable[[], None]) -> None:
+def transport_panel(
+    gui: viser.GuiApi, inbox: Inbox, transport: Transport, reset: Callable[[], None]
+) -> None:
     """Play, pause, step, reset, speed."""
-    orders = {"play": lambda: transport.play(True), "pause": lambda: transport.play(False), "step": transport.step, "reset": reset}
-    buttons = gui.add_button_group("run", tuple(orders), hint="step: one frame, then pause; reset: from the start")
+    orders = {
+        "play": lambda: transport.play(True),
+        "pause": lambda: transport.play(False),
+        "step": transport.step,
+        "reset": reset,
+    }
+    buttons = gui.add_button_group(
+        "run", tuple(orders), hint="step: one frame, then pause; reset: from the start"
+    )
 
     async def clicked(event: viser.GuiEvent[Any]) -> None:
         inbox.put(orders[event.target.value])
 
     buttons.on_click(clicked)
-    speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x", hint="simulated time against real time")
+    speed = gui.add_dropdown(
+        "speed", tuple(SPEEDS), initial_value="1 x", hint="simulated time against real time"
+    )
     on_change(speed, lambda wanted: inbox.put(lambda: transport.set_speed(SPEEDS[wanted]), "speed"))
 
 
@@ -236,14 +296,27 @@ class StatusLine:
         """Time, error, pace, or the outcome; what was done by hand in this run."""
         if by_hand != self._done:
             self._done, self._hand.content = by_hand, _told(by_hand)
-        error = f"{sample.judged:.3g} {sample.unit}" if math.isfinite(sample.judged) else "target not in sight"
-        words = f"**t = {sample.film.t:.2f} s** · frame {sample.number} · error {error}  \n{_state(sample, transport)}"
+        error = (
+            f"{sample.judged:.3g} {sample.unit}"
+            if math.isfinite(sample.judged)
+            else "target not in sight"
+        )
+        words = (
+            f"**t = {sample.film.t:.2f} s** · frame {sample.number} · error {error}  \n"
+            f"{_state(sample, transport)}"
+        )
         if words != self._words:
             self._words = self._state.content = words
 
     def say(self, message: str, refused: bool = False) -> None:
         """A sentence that stays until the next one; "" for none."""
-        content = "" if not message else f"**refused:** {escaped(message)}" if refused else escaped(message)
+        content = (
+            ""
+            if not message
+            else f"**refused:** {escaped(message)}"
+            if refused
+            else escaped(message)
+        )
         if content != self.message:
             self.message = self._said.content = content
 
@@ -252,7 +325,10 @@ def _told(by_hand: tuple[str, ...]) -> str:
     if not by_hand:
         return ""
     if by_hand == (LAW,):
-        return "The law was changed during this run; *save as scenario* keeps the last setting, from the start."
+        return (
+            "The law was changed during this run;"
+            " *save as scenario* keeps the last setting, from the start."
+        )
     return f"By hand in this run: {', '.join(by_hand)}. No scenario file repeats this."
 
 
@@ -271,13 +347,24 @@ def _state(sample: Sample, transport: Transport) -> str:
 
 
 class HandPanel:
-    """What is done by hand: a push, the target at a gizmo, a plate before a marker. gizmo: shows or hides one (target, plate)."""
+    """What is done by hand: a push, the target at a gizmo, a plate before a marker. gizmo: shows or
+    hides one (target, plate).
+    """
 
-    def __init__(self, gui: viser.GuiApi, inbox: Inbox, run: LiveRun, gizmo: Callable[[str, bool], None]):
+    def __init__(
+        self, gui: viser.GuiApi, inbox: Inbox, run: LiveRun, gizmo: Callable[[str, bool], None]
+    ):
         with gui.add_folder("by hand", expand_by_default=False):
-            well = 0.0, round(run.session.weight_n / 2, 1), 0.0  # moves the robot, and breaks nothing
-            force = gui.add_vector3("force [N]", well, hint=f"along world axes, for {PUSH_S:g} s at the flange")
-            on_click(gui.add_button("push the robot"), inbox, lambda: run.push(np.array(force.value), PUSH_S))
+            # moves the robot, and breaks nothing
+            well = 0.0, round(run.session.weight_n / 2, 1), 0.0
+            force = gui.add_vector3(
+                "force [N]", well, hint=f"along world axes, for {PUSH_S:g} s at the flange"
+            )
+            on_click(
+                gui.add_button("push the robot"),
+                inbox,
+                lambda: run.push(np.array(force.value), PUSH_S),
+            )
             target = gui.add_checkbox("drag the target", False)
             plate = gui.add_checkbox("hold a plate", False)
             shown = run.scenario.target
@@ -306,7 +393,8 @@ class HandPanel:
 def on_change(control: Any, act: Callable[[Any], None]) -> None:
     """Call `act` with the value of a control when a page has set it."""
 
-    async def changed(event: viser.GuiEvent[Any]) -> None:  # async: run at once and in order, not in a pool of threads
+    async def changed(event: viser.GuiEvent[Any]) -> None:
+        # async: run at once and in order, not in a pool of threads
         if event.client is not None:
             act(event.target.value)
 

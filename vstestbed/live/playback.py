@@ -1,4 +1,6 @@
-"""A recorded run in the browser, with a slider for its time; the same scene, picture and curves as of one that goes on."""
+"""A recorded run in the browser, with a slider for its time; the same scene, picture and curves as
+of one that goes on.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,17 @@ SLIDER = "slider"  # key of the orders of the time slider
 
 
 class Recorded:
-    """The samples of a recorded run. Raises RunFolderError: no run, a damaged one, or one without frames."""
+    """The samples of a recorded run. Raises RunFolderError: no run, a damaged one, or one without
+    frames.
+    """
 
     def __init__(self, folder: Path, plugins: Sequence[str] = ()):
         self.scenario = load_run(folder, plugins)
         log = open_log(folder, self.scenario)
         if not len(log):
-            raise RunFolderError(folder, "has a log without frames; there is nothing to show", NOTHING_RAN)
+            raise RunFolderError(
+                folder, "has a log without frames; there is nothing to show", NOTHING_RAN
+            )
         self._columns, self._table = log.columns, log.table
         self._ending = ending_of(folder)
         self.t = self._table[:, self._columns.index("t")]
@@ -42,10 +48,20 @@ class Recorded:
         """Frame i."""
         row = dict(zip(self._columns, self._table[i].tolist(), strict=True))
         film = FilmFrame.of_row(row, self.scenario)
-        values = {name: row[name] for name in self.scenario.own_columns} | {"error_px": row["error_px"]}
+        values = {name: row[name] for name in self.scenario.own_columns} | {
+            "error_px": row["error_px"]
+        }
         twist = np.array([row[f"applied_{name}"] for name in TWIST])
         view = int(row.get("view", 0))
-        return sample(self.scenario, film, values, int(row["frame"]), twist, view, self._ending if i == len(self) - 1 else None)
+        return sample(
+            self.scenario,
+            film,
+            values,
+            int(row["frame"]),
+            twist,
+            view,
+            self._ending if i == len(self) - 1 else None,
+        )
 
     def at(self, t: float) -> int:
         """Number of the last frame that is not after a time [s]; the first one before all."""
@@ -53,7 +69,9 @@ class Recorded:
 
 
 class PlaybackApp(Served):
-    """A recorded run in the browser, at `address`; i: number of the frame that is shown. Errors: those of `Recorded` and `LiveApp`."""
+    """A recorded run in the browser, at `address`; i: number of the frame that is shown. Errors:
+    those of `Recorded` and `LiveApp`.
+    """
 
     def __init__(self, folder: Path, port: int | None = None, plugins: Sequence[str] = ()):
         self.recorded, self.i = Recorded(folder, plugins), 0
@@ -68,7 +86,9 @@ class PlaybackApp(Served):
         transport_panel(gui, self._inbox, self.transport, lambda: self.go_to(0))
         last = float(self.recorded.t[-1])
         self._slider = gui.add_slider("t [s]", 0.0, max(last, 1e-3), max(1e-3, last / 1000), 0.0)
-        on_change(self._slider, lambda t: self._inbox.put(lambda: self.go_to(self.recorded.at(t)), SLIDER))
+        on_change(
+            self._slider, lambda t: self._inbox.put(lambda: self.go_to(self.recorded.at(t)), SLIDER)
+        )
         gui.main_panel.dock_right()
         self.go_to(0)
 
@@ -93,12 +113,20 @@ class PlaybackApp(Served):
             self.transport.passed(self._sample.film.t)
 
     def _wait_s(self) -> float | None:
-        """How long the next frame is not due [s]; None where none is to come: paused, at the end, or nobody looks."""
+        """How long the next frame is not due [s]; None where none is to come: paused, at the end,
+        or nobody looks.
+        """
         ended = self.i + 1 >= len(self.recorded)
-        return None if ended or not self._server.get_clients() else self.transport.wait_s(self._sample.film.t)
+        return (
+            None
+            if ended or not self._server.get_clients()
+            else self.transport.wait_s(self._sample.film.t)
+        )
 
     def go_to(self, i: int) -> None:
-        """Show another frame (by the thread that serves), with the curves and the trail up to it."""
+        """Show another frame (by the thread that serves),
+        with the curves and the trail up to it.
+        """
         self._view.forget()
         every = max(1, i // 300)
         for earlier in range(0, i, every):

@@ -1,4 +1,6 @@
-"""A run that goes on while it is looked at: a session, its settings, its pace. Nothing here knows of pages."""
+"""A run that goes on while it is looked at: a session, its settings, its pace. Nothing here knows
+of pages.
+"""
 
 from __future__ import annotations
 
@@ -35,74 +37,117 @@ from vstestbed.targets.picture import TEXTURE, textures
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
-SEED = "seed"  # the setting that draws start and noise as `--seed` does; None for the scenario's own start
+# the setting that draws start and noise as `--seed` does; None for the scenario's own start
+SEED = "seed"
 DISTORTION = "camera.distortion"
 TEXTS = {"name", "description", "plugins"}
 
 
 class Settings:
-    """A scenario, and the settings that replace values of it from the start, by dotted path; seed, plugins and errors as of `load`."""
+    """A scenario, and the settings that replace values of it from the start, by dotted path; seed,
+    plugins and errors as of `load`.
+    """
 
     def __init__(
-        self, name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None, plugins: Sequence[str] = ()
+        self,
+        name: str | Path,
+        overrides: Mapping[str, object] | None = None,
+        seed: int | None = None,
+        plugins: Sequence[str] = (),
     ):
         self._name, self._plugins = name, tuple(plugins)
         self._overrides, self.seed = dict(overrides or {}), seed
-        self.scenario = load(name, self._overrides, seed, from_option(self._overrides), self._plugins)
+        self.scenario = load(
+            name, self._overrides, seed, from_option(self._overrides), self._plugins
+        )
         given: dict[str, Any] = to_mapping(self.scenario)
-        self._given = frozenset(text for block, value in given.items() if block not in TEXTS for _, text in _texts(value, block))
+        self._given = frozenset(
+            text
+            for block, value in given.items()
+            if block not in TEXTS
+            for _, text in _texts(value, block)
+        )
 
     def change(self, path: str, value: object) -> Scenario:
-        """Set a field, and load the scenario again; what is refused changes nothing. value: as YAML would read it.
-        Raises ScenarioError: all mistakes that the new value makes, as `--set` tells them; a text in it that may name a file.
+        """Set a field, and load the scenario again; what is refused changes nothing. value: as YAML
+        would read it.
+        Raises ScenarioError: all mistakes that the new value makes, as `--set` tells them; a text
+        in it that may name a file.
         """
         self._refuse_new_texts(path, value)
         overrides, seed = self._overrides, self.seed
         if path == SEED:
-            if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 0):
-                raise ScenarioError([Mistake("page", SEED, f"must be a whole number from 0 on, got {value!r}")])
+            if value is not None and (
+                not isinstance(value, int) or isinstance(value, bool) or value < 0
+            ):
+                raise ScenarioError(
+                    [Mistake("page", SEED, f"must be a whole number from 0 on, got {value!r}")]
+                )
             seed = value
         else:
             block, _, item = path.rpartition(".")
-            if block == DISTORTION and item.isdecimal():  # all coefficients at once: a lens without distortion has no list to change
+            # all coefficients at once: a lens without distortion has no list to change
+            if block == DISTORTION and item.isdecimal():
                 now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
                 path, value = block, [value if i == int(item) else k for i, k in enumerate(now)]
-            # what was set inside the old value, or round it, is gone; the last setting is applied last
-            overrides = {p: v for p, v in overrides.items() if p != path and not p.startswith(f"{path}.")} | {path: value}
+            # what was set inside the old value, or round it, is gone; the last setting is applied
+            # last
+            overrides = {
+                p: v for p, v in overrides.items() if p != path and not p.startswith(f"{path}.")
+            } | {path: value}
         scenario = load(self._name, overrides, seed, from_option(overrides), self._plugins)
         self._overrides, self.seed, self.scenario = overrides, seed, scenario
         return scenario
 
     def _refuse_new_texts(self, path: str, value: object) -> None:
-        """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario that the command line named: so a page
-        can name no file, and run no code, that the command line did not name, whichever field it is in, also of a plugin.
+        """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario
+        that the command line named: so a page can name no file, and run no code, that the command
+        line did not name, whichever field it is in, also of a plugin.
         """
         if path.split(".")[0] == "plugins":
-            raise ScenarioError([Mistake("page", path, "can be given on the command line alone (--plugin)")])
-        found = absolute_files({path: value}, Path.cwd())[path]  # as the scenario has the names of files
+            raise ScenarioError(
+                [Mistake("page", path, "can be given on the command line alone (--plugin)")]
+            )
+        # as the scenario has the names of files
+        found = absolute_files({path: value}, Path.cwd())[path]
         block = path.rpartition(".")[2]
         for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
             known = self._given | (
                 {f"{TEXTURE}{name}" for name in textures()}
-                if key in FILE_FIELDS and key != "realism"  # whose levels are words; its files end as no word does
+                if key in FILE_FIELDS
+                and key != "realism"  # whose levels are words; its files end as no word does
                 else _words(sum(len(registry.members) for registry in REGISTRIES), len(SPECS))
             )
             if text not in known:
                 hint = nearest(text, filter(str.isidentifier, known))
                 if block in TEXTS or not hint.startswith("did you mean"):
-                    hint = f"files and new names are given on the command line alone (--set {path}=...)"
-                raise ScenarioError([Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")])
+                    hint = (
+                        "files and new names are given on the command line"
+                        f" alone (--set {path}=...)"
+                    )
+                raise ScenarioError(
+                    [Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")]
+                )
 
     def keep(self, note: str = "") -> Path:
-        """Write the scenario that repeats these settings from the start, `runs/<scenario>/live/<number>/scenario.yaml`.
-        note: joins the description, such as what was changed by hand meanwhile. Raises OutputError, EnvironmentLackError.
+        """Write the scenario that repeats these settings from the start,
+        `runs/<scenario>/live/<number>/scenario.yaml`. note: joins the description, such as what was
+        changed by hand meanwhile. Raises OutputError, EnvironmentLackError.
         """
-        scenario = self.scenario.but(description=f"{self.scenario.description} {note}".strip()) if note else self.scenario
-        return write_whole(numbered(Path("runs") / file_word(scenario.name) / "live") / GIVEN, given_text(scenario))
+        scenario = (
+            self.scenario.but(description=f"{self.scenario.description} {note}".strip())
+            if note
+            else self.scenario
+        )
+        return write_whole(
+            numbered(Path("runs") / file_word(scenario.name) / "live") / GIVEN, given_text(scenario)
+        )
 
 
 def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
-    """All texts in plain values, each with its field, and what else is neither a number nor a truth value as the text for it."""
+    """All texts in plain values, each with its field, and what else is neither a number nor a truth
+    value as the text for it.
+    """
     if isinstance(value, Mapping):
         for name, inner in value.items():
             yield from _texts(inner, name)
@@ -115,25 +160,34 @@ def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
 
 @functools.lru_cache(maxsize=1)
 def _words(kinds: int, specs: int) -> frozenset[str]:
-    """The kinds, and the words between which a field has the choice, of so many kinds and specs: a plugin adds some."""
-    leaves = (leaf for cls in SPECS for field in fields(cls).values() for leaf in field.node.leaves())
+    """The kinds, and the words between which a field has the choice, of so many kinds and specs: a
+    plugin adds some.
+    """
+    leaves = (
+        leaf for cls in SPECS for field in fields(cls).values() for leaf in field.node.leaves()
+    )
     choices = {word for leaf in leaves for word in leaf.words if isinstance(word, str)}
     return frozenset(choices | {kind for registry in REGISTRIES for kind in registry.members})
 
 
-# What pages ask for, handed to the thread that runs the simulation; nothing else passes between the two.
+# What pages ask for, handed to the thread that runs the simulation; nothing else passes between the
+# two.
 Order = Callable[[], object]
 
 
 class Inbox:
-    """Orders in the sequence in which they came. Of several with one key, such as those of a slider that is drawn, only the last stays."""
+    """Orders in the sequence in which they came. Of several with one key, such as those of a slider
+    that is drawn, only the last stays.
+    """
 
     def __init__(self) -> None:
         self._orders: dict[object, Order] = {}
         self._come, self._numbers = threading.Condition(), itertools.count()
 
     def put(self, order: Order, key: str | None = None) -> None:
-        """Add an order, from any thread. key: what it sets; None for one that counts, such as a click."""
+        """Add an order, from any thread. key: what it sets; None for one that counts, such as a
+        click.
+        """
         with self._come:
             name: object = next(self._numbers) if key is None else key
             self._orders.pop(name, None)
@@ -170,14 +224,16 @@ class Served:
         self._inbox.put(lambda: None)
 
 
-LATE_S = 0.25  # how far behind its pace a run may be and still catch up; beyond, it goes on from where it is
+# how far behind its pace a run may be and still catch up; beyond, it goes on from where it is
+LATE_S = 0.25
 MEASURED_S = 2.0  # time on the wall over which the pace is measured
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What a page shows of one frame. twist: commanded (6,), NaN where unknown. judged: the error by which the task is judged, in `unit`.
-    T_world_goal: the camera's pose (4, 4) at its goal, if it has one. verdict: how the run ended with it; None while it goes on.
+    """What a page shows of one frame. twist: commanded (6,), NaN where unknown. judged: the error
+    by which the task is judged, in `unit`. T_world_goal: the camera's pose (4, 4) at its goal, if
+    it has one. verdict: how the run ended with it; None while it goes on.
     """
 
     number: int
@@ -190,7 +246,9 @@ class Sample:
 
 
 class Transport:
-    """Whether time goes on (`playing`), and how fast: `speed` in simulated seconds a second, inf for as fast as the machine can."""
+    """Whether time goes on (`playing`), and how fast: `speed` in simulated seconds a second, inf
+    for as fast as the machine can.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
@@ -226,7 +284,9 @@ class Transport:
         self._passed.clear()
 
     def wait_s(self, t: float) -> float | None:
-        """How long the next frame is not due [s], where t is the time of the last one; None where none is to come."""
+        """How long the next frame is not due [s], where t is the time of the last one; None where
+        none is to come.
+        """
         if self._steps:
             return 0.0
         if not self.playing:
@@ -256,11 +316,18 @@ class Transport:
         return (t_now - t) / (wall_now - wall) if wall_now > wall else math.nan
 
 
-PICTURE_S, REST = 1 / 15, 2.5  # Least time on the wall between two whole pictures [s], and over the time that a frame with one took
+# Least time on the wall between two whole pictures [s], and over the time that a frame with one
+# took
+PICTURE_S, REST = (
+    1 / 15,
+    2.5,
+)
 
 
 class LiveRun:
-    """A run that can be stopped, stepped, tuned and disturbed. frames: how many there were. restarts: counts the episodes."""
+    """A run that can be stopped, stepped, tuned and disturbed. frames: how many there were.
+    restarts: counts the episodes.
+    """
 
     def __init__(self, settings: Settings):
         self.settings, self.transport = settings, Transport()
@@ -288,8 +355,11 @@ class LiveRun:
         return tuple(episode.by_hand) if episode else ()
 
     def restart(self) -> None:
-        """Begin again, with the settings in force. A run that cannot begin leaves the one before as it is."""
-        edge = max(0.06, 5.0 * self.scenario.target.marker.radius)  # of the plate in reserve [m]: it hides one marker
+        """Begin again, with the settings in force. A run that cannot begin leaves the one before as
+        it is.
+        """
+        # of the plate in reserve [m]: it hides one marker
+        edge = max(0.06, 5.0 * self.scenario.target.marker.radius)
         session = Session(self.scenario, pictures=True, plate_m=edge)
         frame = session.reset()
         if self.restarts:
@@ -301,11 +371,15 @@ class LiveRun:
         self._show(frame)
 
     def wait_s(self) -> float | None:
-        """How long the next frame is not due [s]; None where none is to come: paused, or at the end."""
+        """How long the next frame is not due [s]; None where none is to come: paused, or at the
+        end.
+        """
         return None if self.ended else self.transport.wait_s(self.frame.t)
 
     def turn(self) -> None:
-        """One frame more; with a whole picture not more often than a page shows it, nor than the machine can."""
+        """One frame more; with a whole picture not more often than a page shows it, nor than the
+        machine can.
+        """
         began = time.monotonic()
         wanted = not self.transport.playing or began >= self._next_picture
         self.session.take_pictures(wanted)
@@ -316,14 +390,17 @@ class LiveRun:
         self._show(frame)
 
     def change(self, path: str, value: object) -> bool:
-        """Change a setting, at once where the law alone changes and can, else with a new start; whether there was one."""
+        """Change a setting, at once where the law alone changes and can, else with a new start;
+        whether there was one.
+        """
         before = copy.copy(self.settings)  # `change` replaces its parts, and writes into none
         was, now = before.scenario.resolved, self.settings.change(path, value).resolved
         try:
             if now == was:
                 return False
             if not self.ended and replace(now, law=was.law) == was:
-                with contextlib.suppress(ParameterError):  # of another kind or feature: its state begins anew
+                # of another kind or feature: its state begins anew
+                with contextlib.suppress(ParameterError):
                     self.session.retune(now.law)
                     return False
             self.restart()
@@ -354,7 +431,9 @@ class LiveRun:
         self.session.hold_plate(T_world_plate)
 
     def before_marker(self, i: int) -> Array:
-        """The pose (4, 4) of a plate that hides marker i (without markers, the target's middle) from the camera where it is now."""
+        """The pose (4, 4) of a plate that hides marker i (without markers, the target's middle)
+        from the camera where it is now.
+        """
         truth, target = self.frame.truth, self.scenario.target
         places = target.places if len(target.places) else np.zeros((1, 3))
         marker = transform(truth.T_world_target, places)[min(i, len(places) - 1)]
@@ -368,8 +447,15 @@ class LiveRun:
 
     def _show(self, frame: Frame) -> None:
         s, film = self.scenario, FilmFrame.of_frame(frame)
-        values = dict(zip(s.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
-        self.frame, self.last = frame, sample(s, film, values, frame.timing.number, frame.twist, frame.goal.view, frame.verdict)
+        values = dict(zip(s.own_columns, frame.row.tolist(), strict=True)) | {
+            "error_px": frame.error.rms_px
+        }
+        self.frame, self.last = (
+            frame,
+            sample(
+                s, film, values, frame.timing.number, frame.twist, frame.goal.view, frame.verdict
+            ),
+        )
         self.frames += 1
         self.transport.passed(frame.t)
 
@@ -378,9 +464,25 @@ class LiveRun:
         self.session.close()
 
 
-def sample(scenario: Scenario, film: FilmFrame, values: dict[str, float], number: int, twist: Array, view: int, verdict: Any) -> Sample:
+def sample(
+    scenario: Scenario,
+    film: FilmFrame,
+    values: dict[str, float],
+    number: int,
+    twist: Array,
+    view: int,
+    verdict: Any,
+) -> Sample:
     """A frame as pages show it, from a session or a log; values: its `error_px` and own columns."""
     judged = in_a_frame(scenario.goal.judged, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
     T = scenario.goal_pose_at(film.t, view)
-    return Sample(number, film, twist, value, unit, None if T is None else film.T_world_target @ inverse(T), verdict)
+    return Sample(
+        number,
+        film,
+        twist,
+        value,
+        unit,
+        None if T is None else film.T_world_target @ inverse(T),
+        verdict,
+    )

@@ -37,15 +37,18 @@ from vstestbed.vision.observe import CameraPixels
 
 
 class GuardedLaw:
-    """A law that has failed is not asked again: its robot must be stopped, whatever it does next. `failure` says what it did, or is ""."""
+    """A law that has failed is not asked again: its robot must be stopped, whatever it does next.
+    `failure` says what it did, or is "".
+    """
 
     def __init__(self, law: Law[Any]):
         self._law, self.failure = law, ""
         self._mode = 0  # in which it failed: to fail is no switch
 
     def step(self, state: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
-        """One frame of the law; after a failure rest, with `failure` as its reason. Whatever the law raises is its failure, a
-        ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
+        """One frame of the law; after a failure rest, with `failure` as its reason. Whatever the
+        law raises is its failure, a ParameterError too: the scenario was accepted, and a robot that
+        moves must be stopped.
         """
         if not self.failure:
             stepped = self._asked(self._law.step, state, seen, goal, basis)
@@ -69,20 +72,28 @@ class GuardedLaw:
         except LawFailedError as error:
             self.failure = str(error)
         except BaseException as error:  # also sys.exit: a law must not end the program
-            # File and line where it came from: of the law's module or a file of others, else the innermost ones.
+            # File and line where it came from: of the law's module or a file of others, else the
+            # innermost ones.
             frames = list(traceback.walk_tb(error.__traceback__))
             modules = [str(frame.f_globals.get("__name__")) for frame, _ in frames]
             # with an `@`: as `load_file` names them
             ours = [name == type(self._law).__module__ or "@" in name for name in modules]
-            written = [not frame.f_code.co_filename.startswith("<string>") for frame, _ in frames]  # what dataclasses generate has no line
-            own = [at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there]
+            # what dataclasses generate has no line
+            written = [not frame.f_code.co_filename.startswith("<string>") for frame, _ in frames]
+            own = [
+                at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there
+            ]
             frame, line = (own or frames)[-1]
             where = f"{Path(frame.f_code.co_filename).name}, line {line}"
             self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({where})"
 
     def _wrong(self, stepped: Any, seen: Observation) -> str:
-        """What is wrong with what `step` returned; "" for a state and a command of finite numbers."""
-        if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
+        """What is wrong with what `step` returned;
+        "" for a state and a command of finite numbers.
+        """
+        if not (
+            isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)
+        ):
             got = type(stepped).__name__
             if isinstance(stepped, tuple):
                 got = f"({', '.join(type(part).__name__ for part in stepped)})"
@@ -90,54 +101,84 @@ class GuardedLaw:
         command = stepped[1]
         modes = len(self._law.modes)
         if modes and not 0 <= command.mode < modes:
-            return f"gave the mode {short(command.mode)}; the modes of its commands must be 0 to {modes - 1}"
-        wrong = _wrong_numbers(command, self._law.columns) or _wrong_rates(command.rates, seen.robot)
+            return (
+                f"gave the mode {short(command.mode)};"
+                f" the modes of its commands must be 0 to {modes - 1}"
+            )
+        wrong = _wrong_numbers(command, self._law.columns) or _wrong_rates(
+            command.rates, seen.robot
+        )
         if wrong:
             self._mode = command.mode
         return wrong
 
 
 def _wrong_numbers(command: Command, columns: Sequence[str]) -> str:
-    """What is wrong with the numbers of a command; "" for finite ones. columns: of the law in the log."""
+    """What is wrong with the numbers of a command; "" for finite ones. columns: of the law in the
+    log.
+    """
     twist, rates, wrench = command.twist, command.rates, command.wrench
     if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
-        return f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
+        return (
+            f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
+        )
     if not all_finite(twist):
         return f"gave a twist that is not finite, {np.round(twist, 3)}"
     if wrench is not None and not (wrench.shape == (6,) and all_finite(wrench)):
-        return f"gave the wrench {short(wrench)}; the wrench of a Command must be six finite numbers"
+        return (
+            f"gave the wrench {short(wrench)}; the wrench of a Command must be six finite numbers"
+        )
     if rates is not None and not all_finite(rates):
         return f"gave rates that are not finite, {np.round(rates, 3)}"
-    if command.free and not all(math.isfinite(share) and all_finite(twists) for share, twists in command.free):
+    if command.free and not all(
+        math.isfinite(share) and all_finite(twists) for share, twists in command.free
+    ):
         return "gave free motions that are not finite"
     if command.row and len(command.row) != len(columns):
-        return f"gave {len(command.row)} numbers as the row of its Command, and has the columns {', '.join(columns) or 'none'}"
+        return (
+            f"gave {len(command.row)} numbers as the row of its Command,"
+            f" and has the columns {', '.join(columns) or 'none'}"
+        )
     return ""
 
 
 def _wrong_rates(rates: Array | None, robot: OwnModel | None) -> str:
-    """What is wrong with velocities of the robot's own that a law orders; "" for as many as the robot has, which it reads."""
+    """What is wrong with velocities of the robot's own that a law orders; "" for as many as the
+    robot has, which it reads.
+    """
     names = robot.names if robot else ()
     if rates is None or rates.shape == (len(names),):
         return ""
-    return f"gave {rates.size} rates; those of a Command must be the velocities of `Observation.robot` ({', '.join(names) or 'not read'})"
+    return (
+        f"gave {rates.size} rates; those of a Command must be the velocities of `Observation.robot`"
+        f" ({', '.join(names) or 'not read'})"
+    )
 
 
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.
-NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
+NONE_SEEN, FEW_SEEN, NO_PICTURE = (
+    "no marker was in sight",
+    "too few markers were in sight",
+    "no picture arrived",
+)
 GUESS = ": at the start they may be outside of it, hidden or too small"
-"""What a robot may think of markers that it has never found; by the truth the reason says which it was (`termination.LostMarkers`)."""
+"""What a robot may think of markers that it has never found; by the truth the reason says which it
+was (`termination.LostMarkers`).
+"""
 
 
 def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str:
-    """Why a law that gives no reason has no measurement; "" where it has as many markers as it needs."""
+    """Why a law that gives no reason has no measurement; "" where it has as many markers as it
+    needs.
+    """
     n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
     return "" if n >= needed else FEW_SEEN if n else NONE_SEEN
 
 
 def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") -> str:
-    """What the detector says (`why`), or which markers are not seen, by their names, in brackets; "" where they have none, or all are seen.
-    Where the detector has never found a marker in the run (`found`), what may be wrong instead.
+    """What the detector says (`why`), or which markers are not seen, by their names, in brackets;
+    "" where they have none, or all are seen. Where the detector has never found a marker in the run
+    (`found`), what may be wrong instead.
     """
     if why:
         return f" ({why})"
@@ -145,32 +186,53 @@ def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") ->
         return f" ({_never_found(scenario)})"
     if scenario.detector.changing:
         return ""
-    names = [name for name, there in zip(scenario.target.names, seen.seen, strict=False) if not there]
+    names = [
+        name for name, there in zip(scenario.target.names, seen.seen, strict=False) if not there
+    ]
     return f" (not seen: {', '.join(names)})" if names else ""
 
 
 def _never_found(scenario: Scenario) -> str:
     """That a detector of pictures has found nothing from the start on, and the likely causes."""
     if scenario.detector.changing:
-        words = f"detector {scenario.detector.kind} has found nothing of the goal's picture in any picture"
-        return f"{words}: the start may show too little of it, or from too far aside, or too few points of it are looked for"
+        words = (
+            f"detector {scenario.detector.kind} has found nothing of the goal's"
+            " picture in any picture"
+        )
+        return (
+            f"{words}: the start may show too little of it, or from too far aside,"
+            " or too few points of it are looked for"
+        )
     target, n = scenario.target, len(scenario.target.points)
-    words = f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any picture"
+    words = (
+        f"detector {scenario.detector.kind} has not found one of {n}"
+        f" marker{'s' * (n != 1)} in any picture"
+    )
     if scenario.detector.needs_sheet:
-        return f"{words}: at the start the picture may be outside of it, too small, too oblique or without structure"
+        return (
+            f"{words}: at the start the picture may be outside of it, too small,"
+            " too oblique or without structure"
+        )
     if target.draw_markers:
         return words + GUESS
-    return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
+    return (
+        f"{words}: the file {target.source.name if target.source else ''} may not show"
+        f" {target.marker.looks(n)} there"
+    )
 
 
-FROZEN = "the pictures are the same to the byte, although a velocity is ordered: is the camera frozen?"
+FROZEN = (
+    "the pictures are the same to the byte, although a velocity is ordered: is the camera frozen?"
+)
 REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
 class Controller:
-    """The controller of a scenario: detector, observer, reference, law, limits and supervisor, as the time loop has them.
+    """The controller of a scenario: detector, observer, reference, law, limits and supervisor, as
+    the time loop has them.
 
-    It needs no simulator: with a real camera and robot, `step` turns each picture into one order, a velocity or a stop.
+    It needs no simulator: with a real camera and robot, `step` turns each picture into one order, a
+    velocity or a stop.
 
         controller = vs.Controller(vs.load("arm_ibvs"))
         cycle = controller.step(image, t, vs.Reading(q, qd), arrived=now())
@@ -179,42 +241,60 @@ class Controller:
         else:
             robot.move(cycle.setpoint)
 
-    `arrived` is the time now, on the clock of `t`: without it, the age of a new picture is not known, nor how long the law took.
+    `arrived` is the time now, on the clock of `t`: without it, the age of a new picture is not
+    known, nor how long the law took.
 
-    A stop ends with its cause: a law that measures again orders a velocity again. Once the supervisor has given the task up
-    (`cycle.latched`: the target was out of sight for too long, the law failed), `reset` alone ends it.
+    A stop ends with its cause: a law that measures again orders a velocity again. Once the
+    supervisor has given the task up (`cycle.latched`: the target was out of sight for too long, the
+    law failed), `reset` alone ends it.
 
-    It holds the state of all its parts between pictures, and serves one thread at a time: `step`, `reset`, `retune` and
-    `without_picture` are refused while another thread is in one of them. The other methods are the parts of a step, for the time loop,
-    which calls them from one thread; they refuse nothing. Who watches it from a second thread, as for `without_picture`, holds a lock
-    of their own round each call.
+    It holds the state of all its parts between pictures, and serves one thread at a time: `step`,
+    `reset`, `retune` and `without_picture` are refused while another thread is in one of them. The
+    other methods are the parts of a step, for the time loop, which calls them from one thread; they
+    refuse nothing. Who watches it from a second thread, as for `without_picture`, holds a lock of
+    their own round each call.
 
-    To make one takes up to two seconds in a new process, since it imports what the first step needs; to `reset` it takes a millisecond.
+    To make one takes up to two seconds in a new process, since it imports what the first step
+    needs; to `reset` it takes a millisecond.
 
-    A picture that comes again is no new one: where the last new one is older than a command lasts, by the time of arrival or by the own
-    clock (`clock`, of this machine unless somebody sets another), the robot stops as `without_picture` stops it. So it does where a step
-    that was told the time of arrival took as long.
+    A picture that comes again is no new one: where the last new one is older than a command lasts,
+    by the time of arrival or by the own clock (`clock`, of this machine unless somebody sets
+    another), the robot stops as `without_picture` stops it. So it does where a step that was told
+    the time of arrival took as long.
 
     goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
-    Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
+    Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that
+    are not given.
     """
 
     def __init__(self, scenario: Scenario, goal_images: Sequence[Sight] = ()):
         check_scenario(scenario)
         self.scenario = scenario = scenario.resolved
         scenario.law.prepare()  # a robot does not wait for imports between two pictures
-        # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
+        # The calibrated mount: what the robot does with a command follows from what it believes,
+        # errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
         self.observer = observer_of(scenario)
         self.observer.prepare(scenario.detector.needs_image)
         self.law: Law[Any] = scenario.law
         self._start = scenario.robot.start_joints()
-        self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(self._start), self._start))
+        self._needed = scenario.law.markers_needed(
+            scenario.robot.motion_basis(self._mount_at(self._start), self._start)
+        )
         self._views = with_images(scenario, goal_images)
         inputs = inputs_of(scenario.law)
-        self._needs_motion, self._needs_sight, self._needs_robot = "motion" in inputs, "image" in inputs, "robot" in inputs
-        self._needs_own_state = "proprioception" in inputs and bool(scenario.robot.proprioception_names)
-        self._latest_s, self._order_s = scenario.timing.latest_s(scenario.camera), scenario.timing.order_s(scenario.camera)
+        self._needs_motion, self._needs_sight, self._needs_robot = (
+            "motion" in inputs,
+            "image" in inputs,
+            "robot" in inputs,
+        )
+        self._needs_own_state = "proprioception" in inputs and bool(
+            scenario.robot.proprioception_names
+        )
+        self._latest_s, self._order_s = (
+            scenario.timing.latest_s(scenario.camera),
+            scenario.timing.order_s(scenario.camera),
+        )
         delay_s = scenario.camera.latency_s + scenario.timing.command_latency_s
         self._until_seen = 1 + delay_s / scenario.camera.period
         self.clock: Callable[[], float] = time.monotonic
@@ -224,8 +304,10 @@ class Controller:
         self._begin()
 
     def reset(self) -> None:
-        """Begin the task anew, as a new controller would: all states, the clock, and a stop that was latched.
-        The robot moves again with the next picture: call it when the cause is found, and nobody stands in its way.
+        """Begin the task anew, as a new controller would: all states, the clock, and a stop that
+        was latched.
+        The robot moves again with the next picture: call it when the cause is found, and nobody
+        stands in its way.
         """
         with self._alone():
             self._begin()
@@ -240,7 +322,11 @@ class Controller:
         self._at: tuple[float, Reading, Mount] | None = None
         self.guarded = GuardedLaw(self.law)
         self._perception = Perception(s, self.observer, self._views[0])
-        self.others = OtherCameras(s, self.mount.T_flange_camera, self._views[0], self._own_s) if s.cameras else None
+        self.others = (
+            OtherCameras(s, self.mount.T_flange_camera, self._views[0], self._own_s)
+            if s.cameras
+            else None
+        )
         self.reference_state = s.goal.begin(s.setup, self._views)
         self.law_state = self.law.init(self._views[0])
         self.supervisor = s.robot.supervisor(s.goal.lands, *s.stop.lost_after)
@@ -250,8 +336,13 @@ class Controller:
         self.inputs = Inputs(s)
         self._other_inputs = {name: Inputs(eye) for name, eye in s.eyes.items()}
         self._cycle: Cycle | None = None
-        self._given: tuple[float, float] | None = None  # stamp of the newest picture given to `step`, and the own clock at its first coming
-        self._came: tuple[float, float] | None = None  # when the last picture that was used came, by stamps and by the own clock [s]
+        self._given: tuple[float, float] | None = (
+            # stamp of the newest picture given to `step`, and the own clock at its first coming
+            None
+        )
+        self._came: tuple[float, float] | None = (
+            None  # when the last picture that was used came, by stamps and by the own clock [s]
+        )
         self._sight = SightClock()
         self._silent = self._by_hand = False
         self._stillness: dict[str, Stillness] = {}
@@ -260,8 +351,12 @@ class Controller:
     def _alone(self) -> Iterator[None]:
         """Refuse a call while another thread is in one: both would write to the same states."""
         if not self._busy.acquire(blocking=False):
-            words = "another thread is in a call of this controller, which serves one thread at a time"
-            raise SessionError(words, "hold a lock of your own round each call, or give each thread a controller")
+            words = (
+                "another thread is in a call of this controller, which serves one thread at a time"
+            )
+            raise SessionError(
+                words, "hold a lock of your own round each call, or give each thread a controller"
+            )
         try:
             yield
         finally:
@@ -278,20 +373,26 @@ class Controller:
         """One control step for a picture of a real camera.
 
         Args:
-            picture: (H, W, 3) uint8 RGB of the camera's size; of a camera with panels (spherical) one for each of them. Of several cameras
-                their pictures of one time by name, the law's as `camera`; those that come at other times go to `look`.
+            picture: (H, W, 3) uint8 RGB of the camera's size; of a camera with panels (spherical)
+                one for each of them. Of several cameras their pictures of one time by name, the
+                law's as `camera`; those that come at other times go to `look`.
             t: time of the exposure's middle [s], on a clock that starts with the task.
-            readings: of the robot's sensors, at the exposure and now; one where there is no difference.
+            readings: of the robot's sensors, at the exposure and now; one where there is no
+                difference.
             arrived: the time now [s]; by default `camera.latency_s` after the exposure.
-            depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
+            depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only
+                `law.depth: sensor` needs it.
 
-        Returns the cycle with its order, due `timing.command_latency_s` later: `stopped` with `reason`, or a velocity, as `setpoint` and as
-        `twist`, to which the sender leads with `timing.interpolation` (`setpoints.Profile`). `notes` tell of pictures that came late or
-        twice, or did not come, or do not change. For a picture that comes twice, or (with `out_of_order` or `camera_clock`) an older one,
-        it is the last cycle again, with the order in force: a stop once the last new picture is too old.
+        Returns the cycle with its order, due `timing.command_latency_s` later: `stopped` with
+        `reason`, or a velocity, as `setpoint` and as `twist`, to which the sender leads with
+        `timing.interpolation` (`setpoints.Profile`). `notes` tell of pictures that came late or
+        twice, or did not come, or do not change. For a picture that comes twice, or (with
+        `out_of_order` or `camera_clock`) an older one, it is the last cycle again, with the order
+        in force: a stop once the last new picture is too old.
 
-        Raises ParameterError: a picture of another size or kind, a reading of another robot or outside of its joints' ranges, a time that
-        goes back, a detector that needs the simulator's truth. Nothing has changed then. SessionError: another thread is in a call.
+        Raises ParameterError: a picture of another size or kind, a reading of another robot or
+        outside of its joints' ranges, a time that goes back, a detector that needs the simulator's
+        truth. Nothing has changed then. SessionError: another thread is in a call.
         """
         with self._alone():
             self._by_hand = True
@@ -309,7 +410,8 @@ class Controller:
                 # Not the cycle's own order: since then, silence may have stopped the robot.
                 return replace(self._cycle, order=self._in_force(), notes=notes)
             at = t + self.scenario.camera.latency_s if arrived is None else seconds(arrived)
-            came_again = self._given is not None and t <= self._given[0]  # after an error: it is as old as it was
+            # after an error: it is as old as it was
+            came_again = self._given is not None and t <= self._given[0]
             if not came_again:
                 self._given = t, self._own.s()
             assert self._given is not None
@@ -324,18 +426,31 @@ class Controller:
             # Copies: who reads the cycle may write to its arrays.
             command, allocation = copy.deepcopy((cycle.command, cycle.allocation))
             notes = (*notes, *self._frozen_for(self._order_s))
-            self._cycle = replace(cycle, command=command, allocation=allocation, order=self._in_force(), notes=notes)
+            self._cycle = replace(
+                cycle, command=command, allocation=allocation, order=self._in_force(), notes=notes
+            )
             return self._cycle
 
     def _given_together(
-        self, pictures: Mapping[str, Image | Sequence[Image]], t: float, readings: Reading | Readings
+        self,
+        pictures: Mapping[str, Image | Sequence[Image]],
+        t: float,
+        readings: Reading | Readings,
     ) -> tuple[dict[str, Exposure], Image | Sequence[Image]]:
         """The new pictures of further cameras, by name, and the own camera's."""
         if OWN not in pictures:
-            raise ParameterError.missing("picture", f"{OWN}, the law's own camera; others alone go to `look`", list(pictures))
+            raise ParameterError.missing(
+                "picture", f"{OWN}, the law's own camera; others alone go to `look`", list(pictures)
+            )
         first = readings[0] if isinstance(readings, tuple) else readings
-        new = {name: one for name, one in pictures.items() if name != OWN and not self._inputs_of(name).has(t)}
-        return {name: self._inputs_of(name).shot(one, t, first) for name, one in new.items()}, pictures[OWN]
+        new = {
+            name: one
+            for name, one in pictures.items()
+            if name != OWN and not self._inputs_of(name).has(t)
+        }
+        return {
+            name: self._inputs_of(name).shot(one, t, first) for name, one in new.items()
+        }, pictures[OWN]
 
     def _in_force(self) -> Order:
         """The order in force, in arrays of its own."""
@@ -343,23 +458,30 @@ class Controller:
         return copy.deepcopy(self._order)
 
     def _stop_if_old(self, t: float, arrived: float | None, reading: Reading) -> None:
-        """Stop the robot where the last new picture is too old, whatever stamps say: by the time of arrival, or by the own clock where
-        that has gone further. Who gives a time that stands still has no clock.
+        """Stop the robot where the last new picture is too old, whatever stamps say: by the time of
+        arrival, or by the own clock where that has gone further. Who gives a time that stands still
+        has no clock.
         """
         now = self._now(t if arrived is None else arrived)
         assert self._came is not None
-        if now - self._came[0] >= self._order_s or (arrived is not None and arrived - t > self._latest_s):
+        if now - self._came[0] >= self._order_s or (
+            arrived is not None and arrived - t > self._latest_s
+        ):
             self._without(now, reading)
 
     def _now(self, t: float) -> float:
-        """The time [s] that somebody says, or, where that is later, the one that the own clock gives since the last picture came."""
+        """The time [s] that somebody says, or, where that is later, the one that the own clock
+        gives since the last picture came.
+        """
         if self._came is None:
             return t
         at, by_clock = self._came
         return max(t, at + self._own.s() - by_clock)
 
     def _slow(self, stops: bool, reading: Reading) -> tuple[str, ...]:
-        """Where the law took so long for a picture that its command would have ended, stop the robot, or say what would."""
+        """Where the law took so long for a picture that its command would have ended, stop the
+        robot, or say what would.
+        """
         assert self._came is not None
         at, by_clock = self._came
         took_s = self._own.s() - by_clock
@@ -372,34 +494,49 @@ class Controller:
         return ()
 
     def retune(self, law: Law[Any]) -> None:
-        """Go on with other parameters of the law from the next picture on; the states of all parts stay.
-        Raises ParameterError: a law of another kind, feature, modes or source of depth, or one that this scenario refuses.
+        """Go on with other parameters of the law from the next picture on; the states of all parts
+        stay.
+        Raises ParameterError: a law of another kind, feature, modes or source of depth, or one that
+        this scenario refuses.
         """
         with self._alone():
             for name in ("kind", "feature", "depth", "inputs", "modes"):
                 if getattr(self.law, name) != getattr(law, name):
-                    raise ParameterError(f"law.{name}", "cannot be changed during a run, since the law's state belongs to it")
+                    raise ParameterError(
+                        f"law.{name}",
+                        "cannot be changed during a run, since the law's state belongs to it",
+                    )
             self.scenario = replace(self.scenario, law=law)
             failure = self.guarded.failure
             self.law, self.guarded = law, GuardedLaw(law)
             self.guarded.failure = failure  # one that has failed is not asked again
-            self._needed = law.markers_needed(self.scenario.robot.motion_basis(self._mount_at(self._start), self._start))
+            self._needed = law.markers_needed(
+                self.scenario.robot.motion_basis(self._mount_at(self._start), self._start)
+            )
 
     def regions_of_interest(self) -> Regions | None:
         """The detector's region of interest for the next picture; None for all of it."""
         return self._perception.regions_of_interest()
 
-    def look(self, name: str, picture: Image | Sequence[Image], t: float, readings: Reading) -> None:
+    def look(
+        self, name: str, picture: Image | Sequence[Image], t: float, readings: Reading
+    ) -> None:
         """A picture of a further camera, which the law has at its own camera's next one.
-        t: time of the exposure's middle [s]. readings: of the robot's sensors at the exposure. Errors: as of `step`, and ParameterError:
-        the scenario has no camera of this name, or its stamp is of the future.
+        t: time of the exposure's middle [s]. readings: of the robot's sensors at the exposure.
+        Errors: as of `step`, and ParameterError: the scenario has no camera of this name, or its
+        stamp is of the future.
         """
         with self._alone():
             self._by_hand = True
             latest = max(self._now(-math.inf), self._inputs_of(name).newest) + self._order_s
             if self._came is not None and seconds(t) > latest:
-                words = f"{latest:.4g} s, as long as an order lasts from now by the last pictures of {OWN} and {name} and by the own clock"
-                raise ParameterError.bound("t", "at most", words, t, why="all stamps are of one clock")
+                words = (
+                    f"{latest:.4g} s, as long as an order lasts from now by the last pictures of"
+                    f" {OWN} and {name} and by the own clock"
+                )
+                raise ParameterError.bound(
+                    "t", "at most", words, t, why="all stamps are of one clock"
+                )
             self.see(name, self._inputs_of(name).shot(picture, seconds(t), readings))
 
     def see(self, name: str, shot: Exposure) -> None:
@@ -417,15 +554,20 @@ class Controller:
         return self._other_inputs[name]
 
     def refuses(self, shot: Exposure) -> bool:
-        """Whether a picture is not later than the last one that was used, by its stamp (`timing.refuses`); `refused` counts them."""
-        refused = self.before is not None and shot.t <= self.before.t and self.scenario.timing.refuses
+        """Whether a picture is not later than the last one that was used, by its stamp
+        (`timing.refuses`); `refused` counts them.
+        """
+        refused = (
+            self.before is not None and shot.t <= self.before.t and self.scenario.timing.refuses
+        )
         self.refused += refused
         return refused
 
     def arrive(self, shot: Exposure, t: float, t_cmd: float, reading: Reading) -> Cycle:
         """One control step: detect, observe, reference, law, allocation.
-        shot: the picture, with the reading at its exposure. t, reading: the time of its arrival [s], and the robot's sensor reading then:
-        the command acts on the robot as it is now. t_cmd: when the command will reach the robot [s].
+        shot: the picture, with the reading at its exposure. t, reading: the time of its arrival
+        [s], and the robot's sensor reading then: the command acts on the robot as it is now. t_cmd:
+        when the command will reach the robot [s].
         """
         s = self.scenario
         began = time.perf_counter()
@@ -444,11 +586,17 @@ class Controller:
         others_tell = own is not seen or bool(self.law.cameras and not command.rest_reason)
         error = ImageError.of(own, goal, command.rest_reason, others_tell)
         why = self._unusable(shot, t)
-        blind = command.rest_reason or ("" if others_tell else unseen(seen, goal, error, self._needed)) or why
+        blind = (
+            command.rest_reason
+            or ("" if others_tell else unseen(seen, goal, error, self._needed))
+            or why
+        )
         blind = blind and blind + detail(s, seen, self._perception.found, self._perception.why)
         moved = self._moved(t, reading, blind, mount)
         allocation = self._allocate(command, reading, mount)
-        rests = bool(why) or bool(command.rest_reason and not command.twist.any() and not command.free)
+        rests = bool(why) or bool(
+            command.rest_reason and not command.twist.any() and not command.free
+        )
         if rests:
             allocation = replace(allocation, twist=np.zeros(6), rates=None)
         order = Order.of(allocation).halted(blind) if rests else Order.of(allocation)
@@ -464,11 +612,19 @@ class Controller:
             self.law_state = self.guarded.init(next_goal, self.law_state)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        return Cycle(FrameTiming(shot.number, shot.t, t_cmd), own, goal, error, command, allocation, order=order)
+        return Cycle(
+            FrameTiming(shot.number, shot.t, t_cmd),
+            own,
+            goal,
+            error,
+            command,
+            allocation,
+            order=order,
+        )
 
     def _unusable(self, shot: Exposure, t: float) -> str:
-        """Why the robot must not move by a picture that has come at t [s]: it is late, or the camera is frozen, and the task given up; ""
-        where it may.
+        """Why the robot must not move by a picture that has come at t [s]: it is late, or the
+        camera is frozen, and the task given up; "" where it may.
         """
         if t - shot.t > self._latest_s:
             return f"pictures arrived {t - shot.t:.2g} s late"
@@ -480,18 +636,23 @@ class Controller:
         after_s = self.scenario.stop.frozen_after
         if not self._frozen_for(after_s):
             return ""
-        words = f"the pictures were the same to the byte for {after_s:g} s, although a velocity was ordered: the camera is frozen"
+        words = (
+            f"the pictures were the same to the byte for {after_s:g} s, although a velocity was"
+            " ordered: the camera is frozen"
+        )
         if not self.supervisor.aborted:
             self.supervisor.abort(shot.t, Outcome.target_lost, words)
         return words
 
     def _watch(self, name: str, images: Sequence[Image | DepthImage | None], t: float) -> None:
-        """Count for how long the pictures of a camera, exposed at t [s], stay the same while a velocity is ordered: of a real one, and
-        where a scenario asks for it.
+        """Count for how long the pictures of a camera, exposed at t [s], stay the same while a
+        velocity is ordered: of a real one, and where a scenario asks for it.
         """
         if self._by_hand or self.scenario.stop.frozen_after < math.inf:
             moves = self._order is not None and bool(self._order.twist.any())
-            self._stillness.setdefault(name, Stillness(self._until_seen)).add(images, t, self._own_s(), self.ordered, moves)
+            self._stillness.setdefault(name, Stillness(self._until_seen)).add(
+                images, t, self._own_s(), self.ordered, moves
+            )
 
     def simulates(self, stands: bool) -> None:
         """Whether time is simulated from now on, and stamps alone tell it: the own clock stands."""
@@ -507,8 +668,9 @@ class Controller:
         return tuple(FROZEN if name == OWN else f"{name}: {FROZEN}" for name in names)
 
     def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation, Order]:
-        """Another command in place of the law's in the last cycle: as it reads, within the robot's limits, and what the robot is told.
-        command: a camera twist (6,), or velocities along the robot's motions (n,). A supervisor that has taken over is obeyed first.
+        """Another command in place of the law's in the last cycle: as it reads, within the robot's
+        limits, and what the robot is told. command: a camera twist (6,), or velocities along the
+        robot's motions (n,). A supervisor that has taken over is obeyed first.
         """
         assert self._at is not None
         _, reading, mount = self._at
@@ -530,43 +692,60 @@ class Controller:
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
 
-    def _observe(self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount) -> Observation:
+    def _observe(
+        self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount
+    ) -> Observation:
         s, last, observer = self.scenario, self.before or shot, self.observer
         picture, period = shot.picture, shot.t - last.t
         detection = self._perception.detect(shot)
         twist, own = STILL, None
         measured = observer.uses_motion(detection)
-        if period > 0 and (measured or observer.needs_pose):  # the mean of the twists commanded since the last exposure
+        # the mean of the twists commanded since the last exposure
+        if period > 0 and (measured or observer.needs_pose):
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / period
         if measured:
-            twist = s.robot.measured_twist(last.reading, shot.reading, period, twist, self._mount_at(shot.reading.q))
+            twist = s.robot.measured_twist(
+                last.reading, shot.reading, period, twist, self._mount_at(shot.reading.q)
+            )
         if self._needs_motion:
-            # How far the camera has gone since the exposure; integrated commands stand in for a robot without sensors of its motion.
-            moved, age = self.ordered.displacement(t) - self.ordered.displacement(shot.t), t - shot.t
+            # How far the camera has gone since the exposure; integrated commands stand in for a
+            # robot without sensors of its motion.
+            moved, age = (
+                self.ordered.displacement(t) - self.ordered.displacement(shot.t),
+                t - shot.t,
+            )
             if age > 0:
                 moved = s.robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
             own = EgoMotion(twist, period, moved, age, self.last_twist)
         partner, others = None, list[CameraPixels]()
         if self.others is not None:
             partner = self.others.views(shot, t, None).get(s.law.depth.camera)
-            others = self.others.pixels(shot, t, self.ordered, mount) if s.fusion == "pose" else others
+            others = (
+                self.others.pixels(shot, t, self.ordered, mount) if s.fusion == "pose" else others
+            )
         seen = self._perception.observe(shot, detection, twist, own, partner, others)
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, t, t_cmd, reading, mount))
         if self._needs_own_state:
             seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
         if shot.reading.wrench is not None:
-            seen = replace(seen, wrench=self._mount_at(shot.reading.q).to_flange.T @ shot.reading.wrench)
+            seen = replace(
+                seen, wrench=self._mount_at(shot.reading.q).to_flange.T @ shot.reading.wrench
+            )
         if self._needs_sight and picture is not None:
             seen = replace(seen, image=sight_of(picture))
         return seen
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
-        """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""
+        """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not
+        needed, with sight.
+        """
         before, self._at = self._at, (t, reading, mount)
         if not blind or before is None or t <= before[0]:
             return 0.0
-        v = self.scenario.robot.measured_twist(before[1], reading, t - before[0], self.last_twist, mount)[:3]
+        v = self.scenario.robot.measured_twist(
+            before[1], reading, t - before[0], self.last_twist, mount
+        )[:3]
         return float(np.linalg.norm(v)) * (t - before[0])
 
     def _allocate(self, command: Command, reading: Reading, mount: Mount) -> Allocation:
@@ -575,40 +754,60 @@ class Controller:
             for share, free in command.free:
                 twist = twist + share * robot.secondary_task(free, reading, mount)
         period = self.scenario.camera.period
-        rates = command.rates if twist is command.twist else None  # a secondary task changes the twist alone
+        # a secondary task changes the twist alone
+        rates = command.rates if twist is command.twist else None
         if rates is not None and isinstance(robot, Arm):
             allocation = robot.allocate_rates(rates, reading, mount, period)
         else:
             made = twist if rates is None else robot.motion_basis(mount, reading.q) @ rates
             allocation = robot.allocate(made, reading, mount, period)
-        allocation = allocation.told(twist)  # also of rates that make another one than their law says
+        # also of rates that make another one than their law says
+        allocation = allocation.told(twist)
         if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
             allocation = robot.pressed(allocation, command.wrench, mount)
         elif command.wrench is not None:
-            words = f"law {self.law.kind} orders a wrench, which needs an arm with `controller: impedance`"
+            words = (
+                f"law {self.law.kind} orders a wrench,"
+                " which needs an arm with `controller: impedance`"
+            )
             self.guarded.failure = self.guarded.failure or words
-        if not (all_finite(allocation.setpoint) and (allocation.twist is command.twist or all_finite(allocation.twist))):
-            words = f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint}, of the twist {np.round(twist, 3)}"
+        if not (
+            all_finite(allocation.setpoint)
+            and (allocation.twist is command.twist or all_finite(allocation.twist))
+        ):
+            words = (
+                f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint},"
+                f" of the twist {np.round(twist, 3)}"
+            )
             self.guarded.failure = self.guarded.failure or words
             allocation = Allocation(np.zeros_like(allocation.setpoint), np.zeros(6), 0.0)
-        # The command within limits, before the supervisor: a law with feedforward predicts by it (`EgoMotion.commanded`).
+        # The command within limits, before the supervisor: a law with feedforward predicts by it
+        # (`EgoMotion.commanded`).
         self.last_twist = allocation.twist
         return allocation
 
-    def _supervised(self, t: float, blind: str, order: Order, reading: Reading, basis: Array, moved: float) -> Order:
-        """The order, unless the robot's supervisor has another; of a stop with the setpoint at which the robot comes to rest."""
+    def _supervised(
+        self, t: float, blind: str, order: Order, reading: Reading, basis: Array, moved: float
+    ) -> Order:
+        """The order, unless the robot's supervisor has another; of a stop with the setpoint at
+        which the robot comes to rest.
+        """
         if self.guarded.failure and not self._failed:
             self._failed = True
             self.supervisor.abort(t, Outcome.law_failed, self.guarded.failure)
         made = self.supervisor.filter(t + self._sight.behind_s, blind, reading, order, basis, moved)
         self._taken_over = made is not order
         if made.stop == "stop" and self._order is not None:
-            made = made._replace(setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0)  # no -0
+            # no -0
+            made = made._replace(
+                setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0
+            )
         return made
 
     def without_picture(self, t: float, reading: Reading) -> Order:
-        """The order at a time [s] at which the last picture is older than a command lasts (`timing.command_timeout_s`).
-        A robot stops, and a craft holds; after `stop.lost_after_s` its supervisor gives the task up. Errors: as of `step`.
+        """The order at a time [s] at which the last picture is older than a command lasts
+        (`timing.command_timeout_s`). A robot stops, and a craft holds; after `stop.lost_after_s`
+        its supervisor gives the task up. Errors: as of `step`.
         """
         with self._alone():
             now = self._now(self.inputs.now(t))
@@ -616,8 +815,14 @@ class Controller:
             return self._without(now, self.inputs.reading(reading))
 
     def _without(self, t: float, reading: Reading) -> Order:
-        """The same of what has been checked. The silence has begun when the last order ended, whenever somebody asks."""
-        if self._came is not None and not self._silent and (began := self._came[0] + self._order_s) < t:
+        """The same of what has been checked. The silence has begun when the last order ended,
+        whenever somebody asks.
+        """
+        if (
+            self._came is not None
+            and not self._silent
+            and (began := self._came[0] + self._order_s) < t
+        ):
             self.lapsed(began, reading)
         return self.lapsed(t, reading)
 
@@ -627,7 +832,9 @@ class Controller:
         mount = self._mount_at(reading.q)
         basis = self.scenario.robot.motion_basis(mount, reading.q)
         moved = self._moved(t, reading, why, mount)
-        rest = Order.of(self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)).halted(why)
+        rest = Order.of(
+            self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)
+        ).halted(why)
         order = self._supervised(t, why, rest, reading, basis, moved)
         self._ordered(t, order)
         return order

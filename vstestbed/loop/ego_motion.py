@@ -21,7 +21,8 @@ from vstestbed.vision.base import TruthView
 
 class Exposure(NamedTuple):
     """A picture, with the robot's sensor reading at its exposure. t: of the exposure's middle [s].
-    picture: None where no detector asks for one. view: the truth for an oracle; None for every other detector.
+    picture: None where no detector asks for one. view: the truth for an oracle; None for every
+    other detector.
     """
 
     number: int
@@ -31,12 +32,15 @@ class Exposure(NamedTuple):
     view: TruthView | None = None
 
 
-REMEMBERED = 500  # Commands that are kept. The oldest time asked for is that of the last exposure but one, a few commands ago.
+# Commands that are kept. The oldest time asked for is that of the last exposure but one, a few
+# commands ago.
+REMEMBERED = 500
 
 
 class CommandHistory:
     """The velocities ordered so far (size,), each in force from its time on until the next one.
-    mode: how the robot goes from one to the next (`setpoints.Profile`), in the time `over_s`. Arrays are kept, not copied.
+    mode: how the robot goes from one to the next (`setpoints.Profile`), in the time `over_s`.
+    Arrays are kept, not copied.
     """
 
     def __init__(self, size: int = 6, mode: Mode = "hold", over_s: float = 0.0) -> None:
@@ -46,16 +50,29 @@ class CommandHistory:
         self._commands: deque[tuple[float, Profile, Array]] = deque([first], maxlen=REMEMBERED)
 
     def add(self, t: float, twist: Array) -> None:
-        """Velocities (size,) are in force from t [s] on, in place of all that were to be from then on; before the first one it rested."""
+        """Velocities (size,) are in force from t [s] on, in place of all that were to be from then
+        on; before the first one it rested.
+        """
         while len(self._commands) > 1 and t < self._commands[-1][0]:
             self._commands.pop()
         since, before, way = self._commands[-1]
         if t <= since:
-            self._commands[-1] = t, Profile(self._mode, before.before, before.start, twist, self._over_s), way
+            self._commands[-1] = (
+                t,
+                Profile(self._mode, before.before, before.start, twist, self._over_s),
+                way,
+            )
             return
         after = t - since
-        slope = before.slope(after) if before.duration else before.start  # of a command that is held it stays zero
-        self._commands.append((t, Profile(self._mode, before.at(after), slope, twist, self._over_s), way + before.way(after)))
+        # of a command that is held it stays zero
+        slope = before.slope(after) if before.duration else before.start
+        self._commands.append(
+            (
+                t,
+                Profile(self._mode, before.at(after), slope, twist, self._over_s),
+                way + before.way(after),
+            )
+        )
 
     def displacement(self, t: float) -> Array:
         """Their integral until t, (size,) [m, rad]."""
@@ -66,14 +83,18 @@ class CommandHistory:
 
 
 def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
-    """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q (n,)."""
+    """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q
+    (n,).
+    """
     if not scenario.target.on_gripper:
         return mount
     return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)
 
 
 class OwnRates:
-    """Makes `Observation.robot`, and keeps the velocities that were ordered, one each `period_s`."""
+    """Makes `Observation.robot`, and keeps the velocities that were ordered,
+    one each `period_s`.
+    """
 
     def __init__(self, robot: Robot, period_s: float, mode: Mode = "hold"):
         self._robot, self._period_s = robot, period_s
@@ -82,13 +103,18 @@ class OwnRates:
         self._last = np.zeros(0)
         self._J = np.zeros((6, 0))
 
-    def model(self, last: Exposure, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount) -> OwnModel:
-        """What the controller knows of its robot when a picture has arrived, after the exposures `last` and `shot`.
-        t, t_cmd, reading: as of `Controller.arrive`.
+    def model(
+        self, last: Exposure, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount
+    ) -> OwnModel:
+        """What the controller knows of its robot when a picture has arrived, after the exposures
+        `last` and `shot`. t, t_cmd, reading: as of `Controller.arrive`.
         """
         model = self._robot.own_model(reading, mount)
         if self._ordered is None:
-            self._ordered, self._last = CommandHistory(n := len(model.names), self._mode, self._period_s), np.zeros(n)
+            self._ordered, self._last = (
+                CommandHistory(n := len(model.names), self._mode, self._period_s),
+                np.zeros(n),
+            )
         self._J = model.J
         moved = self._displacement(last.t, last.reading, shot.t, shot.reading, mount)
         underway = self._displacement(shot.t, shot.reading, t, reading, mount)
@@ -104,22 +130,38 @@ class OwnRates:
             period_s=self._period_s,
         )
 
-    def _displacement(self, since: float, before: Reading, until: float, after: Reading, mount: Mount) -> Array:
-        """How far the velocities have led (n,) between two readings; as ordered where the robot has no sensors of its motion."""
+    def _displacement(
+        self, since: float, before: Reading, until: float, after: Reading, mount: Mount
+    ) -> Array:
+        """How far the velocities have led (n,) between two readings; as ordered where the robot has
+        no sensors of its motion.
+        """
         assert self._ordered is not None
-        ordered, duration = self._ordered.displacement(until) - self._ordered.displacement(since), until - since
+        ordered, duration = (
+            self._ordered.displacement(until) - self._ordered.displacement(since),
+            until - since,
+        )
         if duration <= 0:
             return np.zeros(len(ordered))
         if isinstance(self._robot, Arm):
             return after.q - before.q
-        twist = self._robot.measured_twist(before, after, duration, self._J @ ordered / duration, mount)
-        return np.asarray(np.linalg.lstsq(self._robot.motion_basis(mount, after.q), twist * duration, rcond=None)[0], dtype=float)
+        twist = self._robot.measured_twist(
+            before, after, duration, self._J @ ordered / duration, mount
+        )
+        return np.asarray(
+            np.linalg.lstsq(self._robot.motion_basis(mount, after.q), twist * duration, rcond=None)[
+                0
+            ],
+            dtype=float,
+        )
 
     def order(self, t_cmd: float, order: Order) -> None:
         """An order takes effect at t_cmd [s]."""
         if self._ordered is not None:
             rates = order.rates
             if rates is None:
-                rates = np.asarray(np.linalg.lstsq(self._J, order.twist, rcond=None)[0], dtype=float)
+                rates = np.asarray(
+                    np.linalg.lstsq(self._J, order.twist, rcond=None)[0], dtype=float
+                )
             self._last = rates
             self._ordered.add(t_cmd, rates)

@@ -1,4 +1,6 @@
-"""Episode: the only time loop. It advances the clock from event to event: exposures, arriving pictures, arriving commands."""
+"""Episode: the only time loop. It advances the clock from event to event: exposures, arriving
+pictures, arriving commands.
+"""
 
 from __future__ import annotations
 
@@ -42,11 +44,19 @@ PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a 
 
 class Episode:
     """One run under way: the plant, the controller, the termination, the log.
-    ended_s: simulated time of the verdict [s]. frame: the last frame; its command is not sent before the next `advance`.
-    by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
+    ended_s: simulated time of the verdict [s]. frame: the last frame; its command is not sent
+    before the next `advance`. by_hand: what a person changed during the run, in words, each with
+    the time of the first [s] and how often.
     """
 
-    def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], folder: Path | None, plate_m: float = 0.0):
+    def __init__(
+        self,
+        scenario: Scenario,
+        pictures: bool,
+        watchers: tuple[Watcher, ...],
+        folder: Path | None,
+        plate_m: float = 0.0,
+    ):
         began = time.perf_counter()
         scenario = scenario.resolved
         self.scenario, self._watchers = scenario, watchers
@@ -60,36 +70,71 @@ class Episode:
         shown = shown_clean(scenario)
         self.plant, self._renderer = plant_of(scenario, pictures, plate_m)
         taken = take_goal_images(scenario, self.plant) if shown is None else shown
-        self.controller, self._goal_images = Controller(scenario, taken), tuple(sight.image for sight in taken)
+        self.controller, self._goal_images = (
+            Controller(scenario, taken),
+            tuple(sight.image for sight in taken),
+        )
         from_camera, self._to_robot = directions(scenario.timing.link, scenario.rng(LINK_STREAM))
-        self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs, from_camera)
+        self._camera = CameraClock(
+            scenario, self.plant, pictures or "image" in scenario.law.inputs, from_camera
+        )
         self._others = {
-            name: CameraClock(eye, self.plant.others[name], pictures, directions(scenario.timing.link, eye.rng(LINK_STREAM))[0])
+            name: CameraClock(
+                eye,
+                self.plant.others[name],
+                pictures,
+                directions(scenario.timing.link, eye.rng(LINK_STREAM))[0],
+            )
             for name, eye in scenario.eyes.items()
         }
         self._last_of: dict[str, Exposed] = {}  # what the further cameras showed last
         supervisor = self.controller.supervisor
-        self._task, self._robot_log = scenario.goal.monitor(scenario.setup, supervisor), scenario.robot.log(supervisor)
+        self._task, self._robot_log = (
+            scenario.goal.monitor(scenario.setup, supervisor),
+            scenario.robot.log(supervisor),
+        )
         monitors = [(rule.kind, rule.monitor(scenario.setup)) for rule in scenario.monitors]
         lost = LostMarkers(scenario, self.plant.names_before)
-        self._termination = Termination(self._task, scenario.stop, scenario.target, supervisor, monitors, Stability(scenario), lost)
+        self._termination = Termination(
+            self._task,
+            scenario.stop,
+            scenario.target,
+            supervisor,
+            monitors,
+            Stability(scenario),
+            lost,
+        )
         self._interpolator = scenario.timing.interpolator(*scenario.clock)
-        # Of points that are not the target's markers, by the true lens: they lie in the target's plane where it saw them at the goal.
+        # Of points that are not the target's markers, by the true lens: they lie in the target's
+        # plane where it saw them at the goal.
         picked = scenario.detector.rows is not None
-        self._goal = Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1]) if picked else None
-        self._own_columns, self._timing_columns = len(scenario.own_columns), scenario.timing.columns + scenario.camera.columns
-        self._commands: DelayLine[Order] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
+        self._goal = (
+            Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1])
+            if picked
+            else None
+        )
+        self._own_columns, self._timing_columns = (
+            len(scenario.own_columns),
+            scenario.timing.columns + scenario.camera.columns,
+        )
+        self._commands: DelayLine[Order] = DelayLine(
+            round(scenario.timing.command_latency_s / self.plant.step_s)
+        )
         self._frames = self._turn()
         self.build_s, self.loop_s = time.perf_counter() - began, 0.0
 
     def advance(self, command: Array | None = None) -> Frame | None:
-        """Send a command, or the law's, for the last frame; the next frame, or None where the run ended without one."""
+        """Send a command, or the law's, for the last frame; the next frame, or None where the run
+        ended without one.
+        """
         start = time.perf_counter()
         try:
             if self._waits:
                 self._send(command)
             return next(self._frames, None)
-        except BaseException:  # whatever a law, a watcher or Ctrl-C raises: the plant holds an OpenGL context, which the next run needs
+        except BaseException:
+            # whatever a law, a watcher or Ctrl-C raises: the plant holds an OpenGL context, which
+            # the next run needs
             self.close()
             raise
         finally:
@@ -121,7 +166,9 @@ class Episode:
             self._log.flush()
         finally:
             self._log.close()
-            self._frames.close()  # it holds this object: a cycle, in which the model (100 MB with an arm's meshes) waited for the collector
+            # it holds this object: a cycle, in which the model (100 MB with an arm's meshes) waited
+            # for the collector
+            self._frames.close()
             self.plant.close()
 
     def recording(self) -> Recording:
@@ -130,12 +177,19 @@ class Episode:
             self._log.flush()
         outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
-        rendered_s = self.plant.render_s + sum(other.render_s for other in self.plant.others.values())
+        rendered_s = self.plant.render_s + sum(
+            other.render_s for other in self.plant.others.values()
+        )
         took = (self._physics_s, rendered_s, detect_s, spent["law"], self._record_s, 0.0)
         scenario = self.scenario
         if self.by_hand:
-            words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
-            scenario = replace(scenario, description=f"{scenario.description} {BY_HAND} {words}.".strip())
+            words = "; ".join(
+                f"{what} from {t:.2f} s on ({times} times)"
+                for what, (t, times) in self.by_hand.items()
+            )
+            scenario = replace(
+                scenario, description=f"{scenario.description} {BY_HAND} {words}.".strip()
+            )
         return Recording(
             scenario,
             outcome,
@@ -150,7 +204,9 @@ class Episode:
         )
 
     def take_pictures(self, on: bool) -> None:
-        """Whether the exposures from now on take whole pictures; only of an episode that was begun with pictures."""
+        """Whether the exposures from now on take whole pictures; only of an episode that was begun
+        with pictures.
+        """
         for camera in (self._camera, *self._others.values()):
             camera.whole = on
 
@@ -171,14 +227,18 @@ class Episode:
         assert self.frame is not None
         self._commanded = command is not None
         if command is not None:
-            self._termination.stability = None  # of commands from outside neither gain nor delay is known
+            self._termination.stability = (
+                None  # of commands from outside neither gain nor delay is known
+            )
             wanted, allocation, order = self.controller.override(self.frame, command)
             self.frame = replace(self.frame, command=wanted, allocation=allocation, order=order)
         if self._to_robot is None or not self._to_robot(self._step // self.plant.steps_per_frame):
             self._commands.push(self._step, self.frame.order)
         else:
             timing = self.frame.timing
-            self.frame = replace(self.frame, timing=timing._replace(own={**(timing.own or {}), "command_lost": 1.0}))
+            self.frame = replace(
+                self.frame, timing=timing._replace(own={**(timing.own or {}), "command_lost": 1.0})
+            )
         self._note()
 
     def _note(self) -> None:
@@ -196,8 +256,16 @@ class Episode:
         (self.outcome, self.reason), self.ended_s = verdict, t
 
     def _turn(self) -> Generator[Frame]:
-        """Take pictures, deliver them and their commands, each when it is due, until the verdict that ends the run."""
-        scenario, plant, controller, camera, commands = self.scenario, self.plant, self.controller, self._camera, self._commands
+        """Take pictures, deliver them and their commands, each when it is due, until the verdict
+        that ends the run.
+        """
+        scenario, plant, controller, camera, commands = (
+            self.scenario,
+            self.plant,
+            self.controller,
+            self._camera,
+            self._commands,
+        )
         self._step = step = 0
         order_steps = round(scenario.timing.order_s(scenario.camera) / plant.step_s)
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
@@ -212,15 +280,19 @@ class Episode:
                 yield frame
                 if frame.outcome is not None:
                     return
-            if step >= silent_at:  # a camera that is dead must not leave the robot without a supervisor, nor the run without an end
+            # a camera that is dead must not leave the robot without a supervisor, nor the run
+            # without an end
+            if step >= silent_at:
                 order = controller.lapsed(step * plant.step_s, plant.reading())
                 plant.apply(order.setpoint, order.stop)
                 if verdict := self._termination.without_picture(step * plant.step_s, plant.truth()):
                     return self._end(verdict, step * plant.step_s)
-                if controller.supervisor.aborted:  # orders still on their way must not set a robot that stops in motion again
+                # orders still on their way must not set a robot that stops in motion again
+                if controller.supervisor.aborted:
                     commands.clear()
                 silent_at = step + plant.steps_per_frame
-            # After the pictures: without latency, a command takes effect in the step in which its picture arrived.
+            # After the pictures: without latency, a command takes effect in the step in which its
+            # picture arrived.
             for order in commands.pop_due(step):
                 plant.apply(order.setpoint, order.stop)
             # The physics runs to the next event in one call.
@@ -230,7 +302,10 @@ class Episode:
                 ahead = min(ahead, other.next_event() - step)
             start = time.perf_counter()
             if not plant.advance(ahead):
-                return self._end((Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"), step * plant.step_s)
+                return self._end(
+                    (Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"),
+                    step * plant.step_s,
+                )
             self._physics_s += time.perf_counter() - start
             self._step = step = step + ahead
 
@@ -241,7 +316,8 @@ class Episode:
         camera.act(step, perception.regions_of_interest)
         for shot, truth in camera.line.pop_due(step):
             given, _ = camera.received(shot, step)
-            if perception.before is not None and given.t <= perception.before.t:  # overtaken, by the stamps, which are all that a robot has
+            # overtaken, by the stamps, which are all that a robot has
+            if perception.before is not None and given.t <= perception.before.t:
                 continue
             self.controller.see(name, given)
             self._last_of[name] = shot, truth
@@ -253,14 +329,20 @@ class Episode:
         for name, seen in self.controller.others.seen().items():
             shot, truth = self._last_of[name]
             view = (c.observation.cameras or {}).get(name)
-            goal_uv = np.full_like(seen.uv, np.nan) if view is None or view.goal is None else view.goal.uv
+            goal_uv = (
+                np.full_like(seen.uv, np.nan) if view is None or view.goal is None else view.goal.uv
+            )
             image = None if shot.picture is None else shot.picture.image
             image = image.copy() if self._camera.whole and image is not None else image
-            records[name] = CameraRecord(shot.t, seen.uv, seen.depth, goal_uv, truth.p_camera, truth.T_world_camera, image)
+            records[name] = CameraRecord(
+                shot.t, seen.uv, seen.depth, goal_uv, truth.p_camera, truth.T_world_camera, image
+            )
         return records
 
     def _arrive(self, made: Exposed, step: int) -> Frame | None:
-        """A picture has arrived: the frame with its command, and its outcome if it is the last; None for one that is refused."""
+        """A picture has arrived: the frame with its command, and its outcome if it is the last;
+        None for one that is refused.
+        """
         (shot, truth), plant, controller = made, self.plant, self.controller
         rendered = plant.render_s
         given, stamp = self._camera.received(shot, step)
@@ -268,22 +350,35 @@ class Episode:
             return None
         due = step + self._commands.delay_steps
         reaches = due if self._interpolator is None else self._interpolator.next_tick(due)
-        cycle = controller.arrive(given, step * plant.step_s, reaches * plant.step_s, plant.reading())
+        cycle = controller.arrive(
+            given, step * plant.step_s, reaches * plant.step_s, plant.reading()
+        )
         if self._timing_columns:
             own = {"t_stamp": stamp, "refused": float(controller.refused), "command_lost": 0.0}
-            control, picture = self.scenario.camera.blurring, shot.picture if self.scenario.needs_image else None
+            control, picture = (
+                self.scenario.camera.blurring,
+                shot.picture if self.scenario.needs_image else None,
+            )
             if picture is not None and picture.exposed is not None:
                 own |= {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
             elif control is not None:  # without a picture those with which the camera begins
                 own |= dict(zip(("exposure_s", "gain"), control.first, strict=True))
-            cycle = replace(cycle, timing=cycle.timing._replace(t=shot.t, own={name: own[name] for name in self._timing_columns}))
+            cycle = replace(
+                cycle,
+                timing=cycle.timing._replace(
+                    t=shot.t, own={name: own[name] for name in self._timing_columns}
+                ),
+            )
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
         before = self.frame
         judged = self.frame = frame = self._assembled(cycle, shot, truth)
-        # A command given in place of the law's is not known yet: the frame is judged, and at the end logged, with that in force.
+        # A command given in place of the law's is not known yet: the frame is judged, and at the
+        # end logged, with that in force.
         if self._commanded and before is not None:
-            judged = replace(frame, command=before.command, allocation=before.allocation, order=before.order)
+            judged = replace(
+                frame, command=before.command, allocation=before.allocation, order=before.order
+            )
         self._waits = True
         if verdict := self._termination.verdict(judged):
             self._end(verdict, frame.t)
@@ -292,24 +387,34 @@ class Episode:
         return self.frame
 
     def _assembled(self, c: Cycle, shot: Exposure, truth: Truth) -> Frame:
-        """The cycle of an exposure with the truth then, and the columns that only this robot and this task have."""
+        """The cycle of an exposure with the truth then, and the columns that only this robot and
+        this task have.
+        """
         picture = shot.picture
         image, depth = (None, None) if picture is None else (picture.image, picture.depth)
         if self._camera.whole and image is not None:
             image = image.copy()  # the caller may keep it
         if self._goal is not None:
             points = points_of(goal_of_points(self._goal, c.goal.uv))
-            truth = truth._replace(p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
+            truth = truth._replace(
+                p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points)
+            )
         row = np.empty(self._own_columns)
         parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
         records = self._records(c) if self._others else {}
         frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth, cameras=records)
         values = self._task.measure(frame)
         if self._robot_log.columns == RobotLog.columns:
-            of_robot: Iterable[float] = (self.controller.supervisor.mode,)  # the state, a tenth of an ideal frame, is not needed
+            # the state, a tenth of an ideal frame, is not needed
+            of_robot: Iterable[float] = (self.controller.supervisor.mode,)
         else:
-            place, odometry = (_NOWHERE if known is None else known for known in (c.observation.place, c.observation.odometry))
+            place, odometry = (
+                _NOWHERE if known is None else known
+                for known in (c.observation.place, c.observation.odometry)
+            )
             T_base = frame.T_world_base(self._task.mount_inverse)
-            of_robot = self._robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
+            of_robot = self._robot_log.row(
+                RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind)
+            )
         row[:] = (*of_robot, *truth.effects, *values)
         return frame

@@ -1,4 +1,6 @@
-"""Pictures, times and readings of a real camera and robot, checked before the controller uses them."""
+"""Pictures, times and readings of a real camera and robot,
+checked before the controller uses them.
+"""
 
 from __future__ import annotations
 
@@ -20,19 +22,29 @@ from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
-UNKNOWN_S = 1e6  # of a clock that tells no time: too long for any order, and finite, since ages are differences
+# of a clock that tells no time: too long for any order, and finite, since ages are differences
+UNKNOWN_S = 1e6
 MOST_S = 1e10  # times in seconds, also since 1970, are less; of milliseconds and less they are more
 MISSING = 1.5  # a picture is missing where two are further apart than this [camera periods]
 OUTSIDE = 0.2
-"""A joint reads outside of its range where it is this far beyond a limit [rad; m for one that slides]: no encoder is so far off."""
+"""A joint reads outside of its range where it is this far beyond a limit [rad; m for one that
+slides]: no encoder is so far off.
+"""
 
 
 class Inputs:
     """Checks what a controller is given, and counts the pictures (`taken`)."""
 
     def __init__(self, scenario: Scenario | OtherCamera):
-        self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
-        self._latest_s, self._refuses = scenario.timing.latest_s(scenario.camera), scenario.timing.refuses
+        self._camera, self._robot, self._detector = (
+            scenario.camera,
+            scenario.robot,
+            scenario.detector,
+        )
+        self._latest_s, self._refuses = (
+            scenario.timing.latest_s(scenario.camera),
+            scenario.timing.refuses,
+        )
         self._reading = scenario.robot.onboard.reading if scenario.robot.onboard else Reading
         self._reads_depth = scenario.reads_depth
         self._t: float | None = None
@@ -49,44 +61,87 @@ class Inputs:
         return t == self._t
 
     def reading(self, reading: Reading) -> Reading:
-        """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays."""
+        """A reading of this robot of float64, in arrays of its own: a driver may write the next one
+        into the same arrays.
+        """
         n = len(self._robot.joints)
         if not isinstance(reading, self._reading):
-            raise ParameterError.fixed("readings", f"{self._reading.__name__}s", type(reading).__name__, where="for this robot")
+            raise ParameterError.fixed(
+                "readings",
+                f"{self._reading.__name__}s",
+                type(reading).__name__,
+                where="for this robot",
+            )
         joints = f"must be {n} finite numbers: {', '.join(self._robot.joints)}"
-        q, qd = (_finite(f"readings.{name}", joints, values, (n,)) for name, values in (("q", reading.q), ("qd", reading.qd)))
+        q, qd = (
+            _finite(f"readings.{name}", joints, values, (n,))
+            for name, values in (("q", reading.q), ("qd", reading.qd))
+        )
         body = self._robot.body
         if body is not None and body.limits is not None:
             low, high = body.limits.T
             beyond = np.maximum(low - q, q - high)
             if beyond.max() > OUTSIDE:  # of another unit, in another order, or of a failed encoder
                 i = int(beyond.argmax())
-                words = f"has {self._robot.joints[i]} outside of its range of {low[i]:.4g} to {high[i]:.4g}"
-                works = f"must be in radians, a slide's in metres, in the order {', '.join(self._robot.joints)}"
+                words = (
+                    f"has {self._robot.joints[i]} outside of its range of"
+                    f" {low[i]:.4g} to {high[i]:.4g}"
+                )
+                works = (
+                    "must be in radians, a slide's in metres,"
+                    f" in the order {', '.join(self._robot.joints)}"
+                )
                 raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
         if reading.heading is not None:
-            _finite("readings.heading", "must be an angle in radians, or None without a compass", reading.heading, ())
+            _finite(
+                "readings.heading",
+                "must be an angle in radians, or None without a compass",
+                reading.heading,
+                (),
+            )
         if reading.tilt is not None:
-            _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
+            _finite(
+                "readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,)
+            )
         if reading.wrench is not None or getattr(self._robot, "wrist", None) is not None:
-            _finite("readings.wrench", "must be six finite numbers, with robot.wrist", reading.wrench, (6,))
+            _finite(
+                "readings.wrench",
+                "must be six finite numbers, with robot.wrist",
+                reading.wrench,
+                (6,),
+            )
         if isinstance(reading, FlightReading):  # a craft's failsafe lives by these numbers
             if not reading.range_m >= 0:  # infinite over nothing
-                raise ParameterError.bound("readings.range_m", ">=", "0 m, infinite over nothing", reading.range_m)
+                raise ParameterError.bound(
+                    "readings.range_m", ">=", "0 m, infinite over nothing", reading.range_m
+                )
             for name in ("velocity", "rates"):
-                _finite(f"readings.estimate.{name}", "must be three finite numbers", getattr(reading.estimate, name), (3,))
+                _finite(
+                    f"readings.estimate.{name}",
+                    "must be three finite numbers",
+                    getattr(reading.estimate, name),
+                    (3,),
+                )
             if reading.tilt is None:
                 raise ParameterError.missing("readings.tilt", "roll and pitch in radians")
         return replace(copy.deepcopy(reading), q=q, qd=qd)
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
-        """A depth picture as float32 in metres, NaN in its holes, in an array of its own; ParameterError where the law reads it."""
+        """A depth picture as float32 in metres, NaN in its holes, in an array of its own;
+        ParameterError where the law reads it.
+        """
         if image is None and not self._reads_depth:
             return None
         wanted = self._camera.height, self._camera.width
         if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype.kind != "f":
-            found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise ParameterError.count("depth", wanted, "floats, in metres, NaN or 0 where nothing was measured", found)
+            found = (
+                f"{image.shape} {image.dtype}"
+                if isinstance(image, np.ndarray)
+                else type(image).__name__
+            )
+            raise ParameterError.count(
+                "depth", wanted, "floats, in metres, NaN or 0 where nothing was measured", found
+            )
         return np.where(image > 0, image, np.nan).astype(np.float32)
 
     def shot(self, picture: Image | Sequence[Image], t: float, reading: Reading) -> Exposure:
@@ -94,7 +149,9 @@ class Inputs:
         before = self.taken
         (checked, _), _ = self.given(picture, t, reading, None)
         if self.taken == before:
-            raise ParameterError.bound("t", "after", f"{self._t:g} s, when its last picture was taken", t)
+            raise ParameterError.bound(
+                "t", "after", f"{self._t:g} s, when its last picture was taken", t
+            )
         images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
         return Exposure(self.taken, t, Picture(t, images), checked)
 
@@ -102,29 +159,55 @@ class Inputs:
         """A time [s] at which no picture has come, which is not before the last picture's."""
         t = _seconds("t", "must be the time now in seconds", t)
         if self._t is not None and t < self._t:
-            raise ParameterError.bound("t", "at least", f"{self._t:g} s, when the last picture was taken", t)
+            raise ParameterError.bound(
+                "t", "at least", f"{self._t:g} s, when the last picture was taken", t
+            )
         return t
 
     def given(
-        self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None
+        self,
+        picture: Image | Sequence[Image],
+        t: float,
+        readings: Reading | Readings,
+        arrived: float | None,
     ) -> tuple[Readings, tuple[str, ...]]:
-        """The readings, at the exposure and now, and what is unusual about a picture's time, in words: late, come twice, missing before."""
+        """The readings, at the exposure and now, and what is unusual about a picture's time, in
+        words: late, come twice, missing before.
+        """
         if self._detector.needs_truth:
-            words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
+            words = (
+                "is the simulator's truth, which no real camera has; works: --set detector=blobs"
+            )
             raise ParameterError("detector", words, self._detector.kind)
         panels = self._camera.panels
         images = (picture,) if isinstance(picture, np.ndarray) else picture
         if not isinstance(images, Sequence | tuple) or len(images) != len(panels):
-            words = "must be one image" if len(panels) == 1 else f"must be {len(panels)} images, one for each face of the camera"
+            words = (
+                "must be one image"
+                if len(panels) == 1
+                else f"must be {len(panels)} images, one for each face of the camera"
+            )
             raise ParameterError("picture", words, type(picture).__name__)
         for image, panel in zip(images, panels, strict=True):
             wanted = panel.lens.height, panel.lens.width, 3
-            if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype != np.uint8:
-                found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-                raise ParameterError.count("picture", wanted, "uint8, RGB, as the scenario's camera has it", found)
+            if (
+                not isinstance(image, np.ndarray)
+                or image.shape != wanted
+                or image.dtype != np.uint8
+            ):
+                found = (
+                    f"{image.shape} {image.dtype}"
+                    if isinstance(image, np.ndarray)
+                    else type(image).__name__
+                )
+                raise ParameterError.count(
+                    "picture", wanted, "uint8, RGB, as the scenario's camera has it", found
+                )
         pair = readings if isinstance(readings, tuple) else (readings, readings)
         if len(pair) != 2:
-            raise ParameterError.count("readings", "one or two", "readings", len(pair), why="at the exposure and now")
+            raise ParameterError.count(
+                "readings", "one or two", "readings", len(pair), why="at the exposure and now"
+            )
         at_exposure = self.reading(pair[0])
         both = at_exposure, at_exposure if pair[1] is pair[0] else self.reading(pair[1])
         t = _seconds("t", "must be the time of exposure in seconds", t)
@@ -137,15 +220,31 @@ class Inputs:
         before = self._t
         if before is not None and t < before:
             if not self._refuses:
-                raise ParameterError.bound("t", "at least", f"{before:g} s, when the last picture was taken", t)
-            return (f"the picture of {t:g} s is older than the last one, of {before:g} s: it is refused",)
+                raise ParameterError.bound(
+                    "t", "at least", f"{before:g} s, when the last picture was taken", t
+                )
+            return (
+                (
+                    f"the picture of {t:g} s is older than the last one,"
+                    f" of {before:g} s: it is refused"
+                ),
+            )
         if before is not None and t == before:
             return (f"the picture of {t:g} s came again",)
         periods = 1.0 if before is None else (t - before) / self._camera.period
         self._t = t
         self.taken += 1
         missing = round(periods) - 1
-        return (f"{missing} {'picture is' if missing == 1 else 'pictures are'} missing before this one",) if periods > MISSING else ()
+        return (
+            (
+                (
+                    f"{missing} {'picture is' if missing == 1 else 'pictures are'}"
+                    " missing before this one"
+                ),
+            )
+            if periods > MISSING
+            else ()
+        )
 
     def _late(self, t: float, arrived: float | None) -> tuple[str, ...]:
         if arrived is None:
@@ -154,8 +253,17 @@ class Inputs:
         if _seconds("arrived", words, arrived) < t:
             raise ParameterError("arrived", words, arrived)
         if self._arrived is not None and arrived < self._arrived:
-            raise ParameterError.bound("arrived", "at least", f"{self._arrived:g} s, when the last picture arrived", arrived)
-        return (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",) if arrived - t > self._latest_s else ()
+            raise ParameterError.bound(
+                "arrived",
+                "at least",
+                f"{self._arrived:g} s, when the last picture arrived",
+                arrived,
+            )
+        return (
+            (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",)
+            if arrived - t > self._latest_s
+            else ()
+        )
 
 
 @contextmanager
@@ -195,8 +303,9 @@ def _seconds(field: str, words: str, t: object) -> float:
 
 
 class OwnClock:
-    """A clock of the receiver, counted forwards alone: where it is set back it goes on from there. What is no finite time counts as
-    UNKNOWN_S, and no step counts for more: of larger sums a float would lose the steps that follow. Where time is simulated it stands.
+    """A clock of the receiver, counted forwards alone: where it is set back it goes on from there.
+    What is no finite time counts as UNKNOWN_S, and no step counts for more: of larger sums a float
+    would lose the steps that follow. Where time is simulated it stands.
     """
 
     def __init__(self, clock: Callable[[], float]):
@@ -213,7 +322,8 @@ class OwnClock:
         now = self._clock()
         passed = UNKNOWN_S
         if math.isfinite(now):
-            passed = min(UNKNOWN_S, now - self._last)  # UNKNOWN_S also after a beginning that is NaN
+            # UNKNOWN_S also after a beginning that is NaN
+            passed = min(UNKNOWN_S, now - self._last)
             self._last = now
         if not self._stands:
             self._sum += max(passed, 0.0)
@@ -221,8 +331,9 @@ class OwnClock:
 
 
 class SightClock:
-    """By how much the own clock has gone further than stamps tell since the target was seen last, `behind_s` [s]: stamps may stand nearly
-    still, of another unit or a failed driver, and a robot that sees nothing must stop all the same.
+    """By how much the own clock has gone further than stamps tell since the target was seen last,
+    `behind_s` [s]: stamps may stand nearly still, of another unit or a failed driver, and a robot
+    that sees nothing must stop all the same.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,11 @@
-"""A law in a process of its own, for judges: observations go in, commands come out as plain numbers, and nothing else.
+"""A law in a process of its own, for judges: observations go in, commands come out as plain
+numbers, and nothing else.
 
-What judges a run (simulation, metrics, marks) never loads the law. The law's process is a fresh Python, `testing/child.py`, whose words,
-environment and folder hold neither seeds nor plans. To it go pickled observations. From it comes JSON of a capped size, whose values
-are checked: what a hostile process sends is at most a bad command. Its time and memory are limited, and it is killed with its group.
+What judges a run (simulation, metrics, marks) never loads the law. The law's process is a fresh
+Python, `testing/child.py`, whose words, environment and folder hold neither seeds nor plans. To it
+go pickled observations. From it comes JSON of a capped size, whose values are checked: what a
+hostile process sends is at most a bad command. Its time and memory are limited, and it is killed
+with its group.
 """
 
 from __future__ import annotations
@@ -50,13 +53,18 @@ LARGEST = 1e9  # number of a command, in any unit: the loop computes with its sq
 MOST_MODES = 1000  # those of a law; which it has, the loop checks
 SHOWN = 2000  # bytes of what the process printed, and of its sentences
 ARITHMETIC = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "MKL_CBWR"
-"""What chooses the kernels of linear algebra: with others the child rounds otherwise than the loop's process."""
-INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT", *ARITHMETIC  # of the environment
+"""What chooses the kernels of linear algebra: with others the child rounds otherwise than the
+loop's process.
+"""
+# of the environment
+INHERITED = "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "SYSTEMROOT", *ARITHMETIC
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def shown(said: str) -> str:
-    """What the law's process says, for a message or a table: one line of letters that neither a terminal, nor HTML, nor Markdown obeys."""
+    """What the law's process says, for a message or a table: one line of letters that neither a
+    terminal, nor HTML, nor Markdown obeys.
+    """
     line = " ".join(said[:SHOWN].split()).translate(str.maketrans("<>|`", "()/'"))
     return "".join(letter if letter.isprintable() else "?" for letter in line)
 
@@ -102,16 +110,21 @@ class Declared:
 
 
 def honest(depth: Depth) -> None:
-    """Refuse a source of depth that is the truth, to a law that is judged. Raises ParameterError."""
+    """Refuse a source of depth that is the truth, to a law that is judged.
+    Raises ParameterError.
+    """
     if depth.true:
         works = "another source, such as pnp or estimate"
-        raise ParameterError.excluded("depth", f"{depth.kind}, the truth, for a law that is judged", works=works)
+        raise ParameterError.excluded(
+            "depth", f"{depth.kind}, the truth, for a law that is judged", works=works
+        )
 
 
 class Child:
     """The process of one law.
 
-    Class attributes: lost: how many ended, or were ended, before they had answered. watch: is told of the runs (`testing/likeness.py`).
+    Class attributes: lost: how many ended, or were ended, before they had answered. watch: is told
+    of the runs (`testing/likeness.py`).
     """
 
     lost = 0
@@ -130,7 +143,9 @@ class Child:
         self._process = subprocess.Popen(
             [sys.executable, "-Pu", "-m", "vstestbed.testing.child", str(number)],
             cwd=place,
-            env={name: os.environ[name] for name in INHERITED if name in os.environ} | ONE_CORE | {"HOME": place, "TMPDIR": place},
+            env={name: os.environ[name] for name in INHERITED if name in os.environ}
+            | ONE_CORE
+            | {"HOME": place, "TMPDIR": place},
             stdin=subprocess.DEVNULL,
             stdout=self._printed,
             stderr=self._printed,
@@ -148,8 +163,10 @@ class Child:
         self.loaded_s = self.spent_s  # counts as time of its first run
 
     def ask(self, of: Callable[[Any], Answer], seconds: float, method: str, *given: Any) -> Answer:
-        """What the process answers within some seconds. of: makes it of plain values, and may raise whatever it wants to.
-        Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or its process gave no answer.
+        """What the process answers within some seconds. of: makes it of plain values, and may raise
+        whatever it wants to.
+        Raises ParameterError: the law refuses what it is given. LawFailedError: it failed, or its
+        process gave no answer.
         """
         began = time.monotonic()
         until = began + seconds
@@ -161,10 +178,13 @@ class Child:
             if not refused:
                 return of(said)
             name, problem = map(str, said)
-        except Exception as error:  # a process that is gone, and whatever a forged answer brings about
+        except Exception as error:
+            # a process that is gone, and whatever a forged answer brings about
             self.close()
             Child.lost += 1
-            why = f"none within {seconds:.3g} s" if isinstance(error, TimeoutError) else reason(error)
+            why = (
+                f"none within {seconds:.3g} s" if isinstance(error, TimeoutError) else reason(error)
+            )
             raise LawFailedError(f"the law's process gave no answer ({why})") from error
         finally:
             self.spent_s += time.monotonic() - began
@@ -199,19 +219,31 @@ class Child:
             found += more
         return found
 
-    def step(self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
-        """Number of the next state, and the command. A goal is sent once. The Jacobian at other positions is computed here, on request:
-        it is made with the whole robot.
+    def step(
+        self, seconds: float, state: int, seen: Observation, goal: Goal, basis: Array
+    ) -> tuple[int, Command]:
+        """Number of the next state, and the command. A goal is sent once. The Jacobian at other
+        positions is computed here, on request: it is made with the whole robot.
         """
         sent = None if goal is self._goal else goal
         self._goal = goal
         if seen.robot is not None:
             self._jacobian = seen.robot.jacobian
             seen = replace(seen, robot=replace(seen.robot, jacobian=None))  # pyright: ignore[reportArgumentType] - the process has its own
-        return self.ask(lambda said: (int(said[0]), command_of(said[1], basis.shape[1])), seconds, "step", state, seen, sent, basis)
+        return self.ask(
+            lambda said: (int(said[0]), command_of(said[1], basis.shape[1])),
+            seconds,
+            "step",
+            state,
+            seen,
+            sent,
+            basis,
+        )
 
     def close(self) -> None:
-        """Kill the process and its group, and print the end of what it printed, each line marked as its own."""
+        """Kill the process and its group, and print the end of what it printed, each line marked as
+        its own.
+        """
         if self.ended:
             return
         self.ended = True
@@ -220,7 +252,8 @@ class Child:
                 os.killpg(self._process.pid, signal.SIGKILL)
             else:
                 self._process.kill()
-        with suppress(subprocess.TimeoutExpired):  # one that a process of another session traces is not gone before that one lets it
+        # one that a process of another session traces is not gone before that one lets it
+        with suppress(subprocess.TimeoutExpired):
             self._process.wait(GONE_S)
         self._channel.close()
         with self._printed as printed:
@@ -232,11 +265,15 @@ class Child:
             _flatten(place)
         self._place.cleanup()
         if os.path.lexists(place):
-            print(f"  law | its folder {place} is still there, and should be removed", file=sys.stderr)
+            print(
+                f"  law | its folder {place} is still there, and should be removed", file=sys.stderr
+            )
 
 
 def _flatten(place: str) -> None:
-    """Move all folders of a folder up into it, so that it can be removed however deeply they are nested."""
+    """Move all folders of a folder up into it, so that it can be removed however deeply they are
+    nested.
+    """
     top = Path(place)
     below = [path for path in top.iterdir() if path.is_dir() and not path.is_symlink()]
     while below:
@@ -304,7 +341,9 @@ class Isolated(Law[int]):
     def check(self, points: Array, goal: Goal) -> None:
         self._child.ask(bool, ANSWER_S, "check", points, goal)
 
-    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
+    def check_view(
+        self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str
+    ) -> None:
         self._child.ask(bool, ANSWER_S, "check_view", goal, marker_radius_m)
 
     def init(self, goal: Goal) -> int:
@@ -315,7 +354,9 @@ class Isolated(Law[int]):
             Child.watch.begin(self, goal)
         return child.ask(int, min(ANSWER_S, self.run_s), "init", goal)
 
-    def step(self, state: int, observation: Observation, goal: Goal, basis: Array) -> tuple[int, Command]:
+    def step(
+        self, state: int, observation: Observation, goal: Goal, basis: Array
+    ) -> tuple[int, Command]:
         child = self._child
         left = self.run_s - child.spent_s
         if left <= 0:
@@ -328,10 +369,16 @@ class Isolated(Law[int]):
 
 
 def command_of(plain: dict[str, Any], motions: int) -> Command:
-    """A command from plain values. Its error in grey levels is not taken over: it would judge the run.
-    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions, or the loop could not compute with it.
+    """A command from plain values. Its error in grey levels is not taken over: it would judge the
+    run.
+    Raises whatever values of other types bring about; ValueError: it is not of the robot's motions,
+    or the loop could not compute with it.
     """
-    arrays: dict[str, Any] = {name: np.array(plain[name], float) for name in ("u", "twist", "rates", "wrench") if plain[name] is not None}
+    arrays: dict[str, Any] = {
+        name: np.array(plain[name], float)
+        for name in ("u", "twist", "rates", "wrench")
+        if plain[name] is not None
+    }
     if arrays["u"].shape != (motions,):
         raise ValueError("u has another shape")
     free = tuple((float(share), np.array(twists, float)) for share, twists in plain["free"])
@@ -339,9 +386,15 @@ def command_of(plain: dict[str, Any], motions: int) -> Command:
     scale, mode = float(plain["scale"]), int(plain["mode"])
     if not 0.0 <= scale <= 1.0 or not 0 <= mode < MOST_MODES:
         raise ValueError("its scale is not from 0 to 1, or its mode is none")
-    if any(twists.ndim != 2 or len(twists) != 6 for _, twists in free) or any(array.ndim != 1 for array in arrays.values()):
+    if any(twists.ndim != 2 or len(twists) != 6 for _, twists in free) or any(
+        array.ndim != 1 for array in arrays.values()
+    ):
         raise ValueError("it has another shape")
-    numbers = [*arrays.values(), *(twists for _, twists in free), np.array([share for share, _ in free])]
+    numbers = [
+        *arrays.values(),
+        *(twists for _, twists in free),
+        np.array([share for share, _ in free]),
+    ]
     if not all((np.abs(array) <= LARGEST).all() for array in numbers):
         raise ValueError("it has numbers that are too large, or not finite")
     why = shown(str(plain["rest_reason"]))

@@ -1,7 +1,8 @@
-"""The log of a run: one row of numbers a camera frame, in memory; in a run's folder `log.part` while it goes on, then `log.parquet`.
+"""The log of a run: one row of numbers a camera frame, in memory; in a run's folder `log.part`
+while it goes on, then `log.parquet`.
 
-`log.part` is a line of column names, then rows of float64 numbers, little-endian; the log of a run that was killed ends with its last
-complete row.
+`log.part` is a line of column names, then rows of float64 numbers, little-endian; the log of a run
+that was killed ends with its last complete row.
 """
 
 from __future__ import annotations
@@ -27,8 +28,12 @@ if TYPE_CHECKING:
     import polars
 
 WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into another folder"
-HEAD = "float64: "  # how `log.part` begins; the names of its columns follow, with commas between them, to the end of the line
-ROW_GROUP = 8_192  # rows of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns
+# how `log.part` begins; the names of its columns follow, with commas between them, to the end of
+# the line
+HEAD = "float64: "
+ROW_GROUP = (
+    8_192  # rows of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns
+)
 
 
 @dataclass(frozen=True)
@@ -56,16 +61,22 @@ class Log:
         """The same as a polars table: `frame` whole numbers, `lost` true or false."""
         import polars as pl
 
-        frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in self.by_name().items()})
+        frame = pl.DataFrame(
+            {name: np.ascontiguousarray(values) for name, values in self.by_name().items()}
+        )
         types = {"frame": pl.Int64, "lost": pl.Boolean}
-        return frame.with_columns(pl.col(name).cast(kind) for name, kind in types.items() if name in self.columns)
+        return frame.with_columns(
+            pl.col(name).cast(kind) for name, kind in types.items() if name in self.columns
+        )
 
 
 class LogWriter:
-    """The log of a run under way. folder: where `log.part` grows with it; None for a log in memory alone.
+    """The log of a run under way. folder: where `log.part` grows with it; None for a log in memory
+    alone.
 
-    Frames become rows many at once, which costs a tenth of the time of one after the other. No frame waits for more than PERIOD_S [s] of
-    wall time, which a killed process may lose: rows are made when the next frame, if it took as long as the last one, would come too late.
+    Frames become rows many at once, which costs a tenth of the time of one after the other. No
+    frame waits for more than PERIOD_S [s] of wall time, which a killed process may lose: rows are
+    made when the next frame, if it took as long as the last one, would come too late.
     Raises EnvironmentLackError, OutputError: see `core.files.writing`.
     """
 
@@ -95,7 +106,9 @@ class LogWriter:
         self._last = now
 
     def flush(self) -> None:
-        """Make rows of the frames that wait; those of a file are handed to the system, so that a killed process does not lose them."""
+        """Make rows of the frames that wait; those of a file are handed to the system, so that a
+        killed process does not lose them.
+        """
         waiting, self._waiting = self._waiting, []
         if waiting:
             self.add(self._layout.rows(waiting))
@@ -115,7 +128,9 @@ class LogWriter:
         return _shown(self._layout.columns, self._parts[0])
 
     def close(self) -> None:
-        """Close the file; an error in writing its last rows is ignored, since it has ended the run already."""
+        """Close the file; an error in writing its last rows is ignored, since it has ended the run
+        already.
+        """
         if self._file is not None:
             with contextlib.suppress(OSError):
                 self._file.close()
@@ -124,21 +139,30 @@ class LogWriter:
 def _shown(columns: tuple[str, ...], table: Array) -> Log:
     """A log, without the columns of a loss where there was none."""
     n = len(columns) - len(LOSS)
-    return Log(columns, table) if columns[n:] != LOSS or table[:, n:].any() else Log(columns[:n], table[:, :n])
+    return (
+        Log(columns, table)
+        if columns[n:] != LOSS or table[:, n:].any()
+        else Log(columns[:n], table[:, :n])
+    )
 
 
 def finish(folder: Path, log: Log) -> None:
     """Replace `log.part` by `log.parquet`, which appears whole or not at all."""
-    written = io.BytesIO()  # not polars into the file, which drops the reason why a file could not be written
-    log.frame().write_parquet(written, compression="zstd", statistics=False, row_group_size=ROW_GROUP)
+    # not polars into the file, which drops the reason why a file could not be written
+    written = io.BytesIO()
+    log.frame().write_parquet(
+        written, compression="zstd", statistics=False, row_group_size=ROW_GROUP
+    )
     write_whole(folder / "log.parquet", written.getvalue())
     (folder / "log.part").unlink(missing_ok=True)  # only after log.parquet is complete
 
 
-def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str] | None = None) -> Log:
-    """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut off. names: only these columns.
-    scenario: of a run, whose times go on. Raises RunFolderError: neither can be read, or it is damaged, or lacks a column that runs of
-    `scenario` have.
+def open_log(
+    folder: Path, scenario: Scenario | None = None, names: Sequence[str] | None = None
+) -> Log:
+    """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut
+    off. names: only these columns. scenario: of a run, whose times go on. Raises RunFolderError:
+    neither can be read, or it is damaged, or lacks a column that runs of `scenario` have.
     """
     import polars as pl  # here: a run needs it only at its end
 
@@ -147,7 +171,9 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
         log = _of_parquet(whole, names) if whole.is_file() else _of_part(folder / "log.part", names)
         return log if scenario is None else _complete(log, whole, Layout(scenario).columns)
     except FileNotFoundError:
-        raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder") from None
+        raise RunFolderError(
+            folder, "no run here" if folder.is_dir() else "no such folder"
+        ) from None
     # A panic of polars is no Exception, and comes from damaged pages.
     except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         path = whole if whole.is_file() else folder / "log.part"
@@ -166,10 +192,18 @@ def _of_parquet(path: Path, names: Sequence[str] | None) -> Log:
 
 
 def _complete(log: Log, path: Path, columns: Sequence[str]) -> Log:
-    """The log, which has all these columns; those of torques, which logs of before do not have, are added without values."""
+    """The log, which has all these columns; those of torques, which logs of before do not have, are
+    added without values.
+    """
     lacking = [name for name in columns if name not in (*log.columns, *LOSS)]
     if lacking and all(name.startswith("tau_") for name in lacking):
-        log, lacking = Log((*log.columns, *lacking), np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan)), []
+        log, lacking = (
+            Log(
+                (*log.columns, *lacking),
+                np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan),
+            ),
+            [],
+        )
     if lacking:
         raise RunFolderError(path, f"has no column {lacking[0]}", WORKS)
     if not (np.isfinite(log["t"]).all() and (np.diff(log["t"]) >= 0).all()):
@@ -189,5 +223,13 @@ def _of_part(path: Path, names: Sequence[str] | None) -> Log:
         raise ValueError(f"log.part does not begin with {HEAD!r}")
     columns = tuple(text.removeprefix(HEAD).split(","))
     row = 8 * len(columns)  # what follows the last whole row is not complete yet, or was cut off
-    table = np.frombuffer(content[: len(content) // row * row], "<f8").reshape(-1, len(columns)).astype(float)
-    return _shown(columns, table) if names is None else Log(tuple(names), table[:, [columns.index(name) for name in names]])
+    table = (
+        np.frombuffer(content[: len(content) // row * row], "<f8")
+        .reshape(-1, len(columns))
+        .astype(float)
+    )
+    return (
+        _shown(columns, table)
+        if names is None
+        else Log(tuple(names), table[:, [columns.index(name) for name in names]])
+    )

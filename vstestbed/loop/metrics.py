@@ -25,7 +25,10 @@ def side_by_side(log: Log, prefix: str, names: tuple[str, ...]) -> Array:
 
 def _counts(log: Log) -> Figures:
     """Frames, the values in the last one, and the largest true speed and rate of the camera."""
-    speed, rate = (float(np.linalg.norm(side_by_side(log, "act", names), axis=1).max()) for names in (TWIST[:3], TWIST[3:]))
+    speed, rate = (
+        float(np.linalg.norm(side_by_side(log, "act", names), axis=1).max())
+        for names in (TWIST[:3], TWIST[3:])
+    )
     found: Figures = {
         "sim_time_s": float(log["t"][-1]),
         "frames": len(log["t"]),
@@ -37,21 +40,43 @@ def _counts(log: Log) -> Figures:
         "peak_speed_mps": speed,
         "peak_rate_radps": rate,
     }
-    return found | ({"final_error_grey": float(log["error_grey"][-1])} if "error_grey" in log else {})
+    return found | (
+        {"final_error_grey": float(log["error_grey"][-1])} if "error_grey" in log else {}
+    )
 
 
 def _time_to_converge(scenario: Scenario, log: Log) -> float | None:
-    """Start of the last unbroken stretch in which the conditions of `stop.converged` held at the last goal view [s]."""
+    """Start of the last unbroken stretch in which the conditions of `stop.converged` held at the
+    last goal view [s].
+    """
     counted = scenario.goal_view.counted
     markers = range(scenario.rows) if counted is None else np.flatnonzero(counted)
     # A detector of other points leaves rows empty, in the goal's columns, too.
-    whole = np.all([np.isfinite(log[f"u_{i}"]) | np.isnan(log[f"u_goal_{i}"]) for i in markers], axis=0)
+    whole = np.all(
+        [np.isfinite(log[f"u_{i}"]) | np.isnan(log[f"u_goal_{i}"]) for i in markers], axis=0
+    )
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
-    estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
-    error = log.get("level_error_px", log["error_px"])  # of a craft that tilts, the error that decides its task
-    rows = zip(np.broadcast_to(whole, len(none)), error, *estimate, log.get("error_grey", none), strict=True)
-    last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(none), dtype=bool)
-    converged = np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
+    estimate = [
+        log[name] if reached.by_estimate else none
+        for name in ("est_position_m", "est_rotation_rad")
+    ]
+    # of a craft that tilts, the error that decides its task
+    error = log.get("level_error_px", log["error_px"])
+    rows = zip(
+        np.broadcast_to(whole, len(none)),
+        error,
+        *estimate,
+        log.get("error_grey", none),
+        strict=True,
+    )
+    last_view = (
+        log["view"] == len(scenario.goal_views) - 1
+        if len(scenario.goal_views) > 1
+        else np.ones(len(none), dtype=bool)
+    )
+    converged = (
+        np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
+    )
     over = np.flatnonzero(~converged)
     # an error that dips under its threshold on the way there has not converged
     after = log["t"][int(over[-1]) + 1 if len(over) else 0 :]
@@ -59,20 +84,27 @@ def _time_to_converge(scenario: Scenario, log: Log) -> float | None:
 
 
 def _camera_path(s: Scenario, log: Log) -> Figures:
-    """Length of the camera's path, its retreat and its turn; of a target in the gripper, of the camera relative to it."""
+    """Length of the camera's path, its retreat and its turn; of a target in the gripper, of the
+    camera relative to it.
+    """
     camera, target = side_by_side(log, "cam", XYZ), side_by_side(log, "tgt", XYZ)
     distance = np.linalg.norm(camera - target, axis=1)
     R = rotation_from_quaternion(side_by_side(log, "cam", WXYZ))
     if s.target.on_gripper:
         R_target = rotation_from_quaternion(side_by_side(log, "tgt", WXYZ))
         R, camera = R_target.mT @ R, np.einsum("nji,nj->ni", R_target, camera - target)
-    length, straight = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum()), s.goal.distance_to_go_m(log, s.goal_poses)
+    length, straight = (
+        float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum()),
+        s.goal.distance_to_go_m(log, s.goal_poses),
+    )
     at_goal = float(np.linalg.norm(s.goal_poses[-1][:3, 3]))
     return {
         "path_length_m": length,
-        # Under a thousandth of the goal's distance the ratio says nothing: a run that starts at its goal has no straight way to compare
-        # with. Nor has one whose goal is no single pose.
-        "path_ratio": length / straight if straight > 1e-3 * at_goal and not s.free_motions else None,
+        # Under a thousandth of the goal's distance the ratio says nothing: a run that starts at its
+        # goal has no straight way to compare with. Nor has one whose goal is no single pose.
+        "path_ratio": length / straight
+        if straight > 1e-3 * at_goal and not s.free_motions
+        else None,
         "max_retreat_m": max(0.0, float(distance.max()) - max(float(distance[0]), at_goal)),
         "max_rotation_deg": math.degrees(max(0.0, float(rotation_angle(R[0].T @ R).max()))),
     }
@@ -80,14 +112,17 @@ def _camera_path(s: Scenario, log: Log) -> Figures:
 
 def _image_paths(s: Scenario, log: Log) -> Figures:
     """The paths of the true markers in the image: excursion, overshoot, margin to the border."""
-    nothing: Figures = {**dict.fromkeys(("max_feature_excursion_px", "feature_overshoot", "min_border_margin_px"))}
+    nothing: Figures = {
+        **dict.fromkeys(("max_feature_excursion_px", "feature_overshoot", "min_border_margin_px"))
+    }
     names = tuple(str(i) for i in range(s.rows)) if s.detector.rows is None else ()
     if not names:  # of points that are others in every picture there are no paths
         return nothing
     uv = np.stack([side_by_side(log, "u_true", names), side_by_side(log, "v_true", names)], axis=-1)
     start, goal = uv[0], s.goal_view.uv
     along = goal - start
-    # Clipped to the segment: beyond its ends the distance counts from the end, so that an overshoot is an excursion, too.
+    # Clipped to the segment: beyond its ends the distance counts from the end, so that an overshoot
+    # is an excursion, too.
     length2 = np.maximum((along**2).sum(axis=-1), 1e-12)
     share = np.clip(((uv - start) * along).sum(axis=-1) / length2, 0, 1)
     excursion = np.linalg.norm(uv - start - share[..., None] * along, axis=-1)
@@ -104,12 +139,16 @@ def _image_paths(s: Scenario, log: Log) -> Figures:
 
 
 def _tracking(s: Scenario, log: Log) -> Figures:
-    """True errors of a moving target once settled; a target that the robot itself moves is not tracked, but in a continuing task."""
+    """True errors of a moving target once settled; a target that the robot itself moves is not
+    tracked, but in a continuing task.
+    """
     names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
     settled = log["t"] >= s.goal.settle_s
     if not (s.target.moves and (s.goal.continuing or not s.target.on_gripper) and settled.any()):
         return {**dict.fromkeys(names)}
-    uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in range(s.rows) for c in "uv"], axis=1)[settled]
+    uv = np.stack(
+        [log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in range(s.rows) for c in "uv"], axis=1
+    )[settled]
     found: list[float] = []
     for error in (np.sqrt(np.nanmean(uv**2, axis=1)), log["position_error_m"][settled]):
         found += [float(np.sqrt((error**2).sum() / len(uv))), float(error.max())]
@@ -117,7 +156,9 @@ def _tracking(s: Scenario, log: Log) -> Figures:
 
 
 def _modes(s: Scenario, log: Log) -> Figures:
-    """How a law with `modes` was switched: each change of the mode from one frame to the next is a switch."""
+    """How a law with `modes` was switched: each change of the mode from one frame to the next is a
+    switch.
+    """
     words = s.law.modes
     if not words:
         return {}
@@ -132,7 +173,9 @@ def _modes(s: Scenario, log: Log) -> Figures:
 
 
 def _link(s: Scenario, log: Log) -> Figures:
-    """Pictures that never arrived, pictures that were refused, commands that never arrived; none of a run without such effects."""
+    """Pictures that never arrived, pictures that were refused, commands that never arrived; none of
+    a run without such effects.
+    """
     columns, found = s.timing.columns, Figures()
     refused = int(log["refused"][-1]) if "refused" in columns else 0
     if s.timing.link is not None:
@@ -145,50 +188,85 @@ def _link(s: Scenario, log: Log) -> Figures:
 
 
 def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, object]:
-    """The metrics of a run; None where one is undefined (no frames, target never seen, no distance to the goal).
+    """The metrics of a run; None where one is undefined (no frames, target never seen, no distance
+    to the goal).
 
-    time_to_goal_s: time_to_converge_s, or the time of another end with success; of a run that failed its limit, `stop.duration_s`.
+    time_to_goal_s: time_to_converge_s, or the time of another end with success; of a run that
+    failed its limit, `stop.duration_s`.
     limit_s: that limit, which is the price of a failure where runs are compared.
-    path_ratio: length of the camera's path over the straight distance between its start and its goal; None where
-        `law.redundant` leaves motions free, so that no single pose is the goal.
-    max_retreat_m: largest distance of the camera from the target's origin, beyond both its start and its goal.
+    path_ratio: length of the camera's path over the straight distance between its start and its
+        goal; None where `law.redundant` leaves motions free, so that no single pose is the goal.
+    max_retreat_m: largest distance of the camera from the target's origin, beyond both its start
+    and its goal.
     max_rotation_deg: largest turn away from the starting orientation.
-    max_feature_excursion_px: largest distance of a true marker image from the straight line between its start and goal.
-    feature_overshoot: how far the true marker images went beyond their goals, as a share of the way: the largest -(e . e0)/|e0|^2 of
-        the image error e and its start e0, 0 where they never did.
-    min_border_margin_px: smallest distance of a true marker image to the picture's border, negative outside.
-    worst_task_error_m: largest true error of a continuing task after its settling time; only for such tasks.
-    judged_error, judged_unit, judged_limit, judged_by: the error that decides the task at the end of the run (of a continuing task the
-        largest one once settled, of a landing the one at the first contact), its unit, its limit, and who measured it: `pixels`
-        (the detector), `level pixels` (after derotation, of a craft that tilts), `estimate` (the robot's own) or `truth`.
-    saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
-        singularity reduced the command.
-    tracking_*: for a moving target (in the gripper, only in continuing tasks), the true error once settled
-        (`goal.settle_s`): RMS over all coordinates of the markers and the largest of one frame [px], RMS and largest distance
-        of the camera from its goal pose [m].
-    law_switches, law_shortest_stay_s, law_mode_share: only of a law with `modes`: how often its mode changed from one frame to the next,
-        the shortest time between two such changes (None with fewer than two), and the share of the frames in each mode.
-    pictures_lost, pictures_refused, commands_lost: only with `timing.link`, `out_of_order` or `camera_clock`: pictures up to the last
-        one used that never arrived, or arrived after a later one (by its stamp); commands that the link lost.
-    swung_s, swing_frames: only of a run whose command swung: for how long without a break [s], and the period [frames].
-    final_error_grey: only of a law that works on grey levels: its RMS difference of picture and goal picture at the end.
-    The figures of the scenario's own metrics (`tasks.metrics`) follow.
+    max_feature_excursion_px: largest distance of a true marker image from the straight line between
+    its start and goal.
+    feature_overshoot: how far the true marker images went beyond their goals, as a share of the
+        way: the largest -(e . e0)/|e0|^2 of the image error e and its start e0, 0 where they never
+        did.
+    min_border_margin_px: smallest distance of a true marker image to the picture's border, negative
+    outside.
+    worst_task_error_m: largest true error of a continuing task after its settling time; only for
+    such tasks.
+    judged_error, judged_unit, judged_limit, judged_by: the error that decides the task at the end
+        of the run (of a continuing task the largest one once settled, of a landing the one at the
+        first contact), its unit, its limit, and who measured it: `pixels` (the detector),
+        `level pixels` (after derotation, of a craft that tilts), `estimate` (the robot's own) or
+        `truth`.
+    saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping
+        near a singularity reduced the command.
+    tracking_*: for a moving target (in the gripper, only in continuing tasks), the true error once
+    settled
+        (`goal.settle_s`): RMS over all coordinates of the markers and the largest of one frame
+        [px], RMS and largest distance of the camera from its goal pose [m].
+    law_switches, law_shortest_stay_s, law_mode_share: only of a law with `modes`: how often its
+        mode changed from one frame to the next, the shortest time between two such changes (None
+        with fewer than two), and the share of the frames in each mode.
+    pictures_lost, pictures_refused, commands_lost: only with `timing.link`, `out_of_order` or
+        `camera_clock`: pictures up to the last one used that never arrived, or arrived after a
+        later one (by its stamp); commands that the link lost.
+    swung_s, swing_frames: only of a run whose command swung: for how long without a break [s], and
+    the period [frames].
+    final_error_grey: only of a law that works on grey levels: its RMS difference of picture and
+    goal picture at the end. The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
     outcome: how it ended. log: its columns.
     """
     if not len(log["t"]):
-        counts: Figures = {"sim_time_s": 0.0, "frames": 0, "frames_lost": 0, "limit_s": scenario.stop.duration_s}
-        return dict.fromkeys(FIGURES) | counts | {name: None for metric in scenario.metrics for name in metric.titles}
+        counts: Figures = {
+            "sim_time_s": 0.0,
+            "frames": 0,
+            "frames_lost": 0,
+            "limit_s": scenario.stop.duration_s,
+        }
+        return (
+            dict.fromkeys(FIGURES)
+            | counts
+            | {name: None for metric in scenario.metrics for name in metric.titles}
+        )
     converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
     figures = _counts(log) | {"time_to_converge_s": converged}
     taken = figures["sim_time_s"] if converged is None else converged
     limit_s = scenario.stop.duration_s
     figures |= {"time_to_goal_s": taken if outcome.success else limit_s, "limit_s": limit_s}
     figures |= _camera_path(scenario, log) | _image_paths(scenario, log)
-    figures |= _tracking(scenario, log) | _modes(scenario, log) | _link(scenario, log) | swing(scenario, log)
+    figures |= (
+        _tracking(scenario, log)
+        | _modes(scenario, log)
+        | _link(scenario, log)
+        | swing(scenario, log)
+    )
     before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
     task = scenario.goal.metrics(log) | scenario.goal.judged(log, scenario.stop).summary()
     ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
-    ordered |= {name: figures[name] for name in (*FIGURES[before:], *SOME_FIGURES, "law_mode_share") if name in figures}
-    figures = (ordered | own_figures(scenario.metrics, log, scenario.setup)).items()  # NaN and infinity as None: JSON has neither
-    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in figures}
+    ordered |= {
+        name: figures[name]
+        for name in (*FIGURES[before:], *SOME_FIGURES, "law_mode_share")
+        if name in figures
+    }
+    # NaN and infinity as None: JSON has neither
+    figures = (ordered | own_figures(scenario.metrics, log, scenario.setup)).items()
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in figures
+    }

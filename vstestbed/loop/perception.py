@@ -1,4 +1,6 @@
-"""What is seen: detector and observer of each camera with their states, and the views of several cameras together."""
+"""What is seen: detector and observer of each camera with their states, and the views of several
+cameras together.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,10 @@ from vstestbed.vision.base import Detection
 from vstestbed.vision.derotate import level_from_tilt
 from vstestbed.vision.observe import CameraPixels
 
-FRESH_PERIODS = 2.5  # an observation older than so many periods of its camera, and its latency, tells nothing of now
-STILL = np.zeros(6)  # the twist of a camera whose motion nothing reads; read-only, since all frames share it
+# an observation older than so many periods of its camera, and its latency, tells nothing of now
+FRESH_PERIODS = 2.5
+# the twist of a camera whose motion nothing reads; read-only, since all frames share it
+STILL = np.zeros(6)
 STILL.flags.writeable = False
 
 
@@ -37,7 +41,8 @@ def observer_of(scenario: Scenario) -> Observer:
         depth=scenario.law.depth,
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
         dropout=scenario.noise.dropout,
-        required_fields=inputs_of(scenario.law) + (("T_camera_target",) if scenario.fusion == "pose" else ()),
+        required_fields=inputs_of(scenario.law)
+        + (("T_camera_target",) if scenario.fusion == "pose" else ()),
         grounded=scenario.robot.base == "planar",
         derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,
@@ -48,12 +53,17 @@ def observer_of(scenario: Scenario) -> Observer:
 
 
 def _observer_of(eye: OtherCamera) -> Observer:
-    """The observer of a further camera: of the markers and the pose, and of nothing that the robot alone knows."""
+    """The observer of a further camera: of the markers and the pose, and of nothing that the robot
+    alone knows.
+    """
     perturbed = eye.perturbed()
     return Observer(
         camera=eye.believed_camera,
         target=eye.target,
-        goal=eye.goal(eye.scenario.goal_view, eye.T_camera_eye(eye.robot.start_joints(), eye.scenario.believed_camera.mount.T)),
+        goal=eye.goal(
+            eye.scenario.goal_view,
+            eye.T_camera_eye(eye.robot.start_joints(), eye.scenario.believed_camera.mount.T),
+        ),
         depth=eye.depth,
         pixel_sigma_px=eye.noise.pixel_sigma_px,
         dropout=eye.noise.dropout,
@@ -65,10 +75,12 @@ def _observer_of(eye: OtherCamera) -> Observer:
 
 
 class Stillness:
-    """For how long a camera's pictures have been the same to the byte while a velocity was in force [s], `for_s`: it may be frozen.
-    Pictures of a robot at rest may be the same in simulation, where nothing is noisy.
+    """For how long a camera's pictures have been the same to the byte while a velocity was in force
+    [s], `for_s`: it may be frozen. Pictures of a robot at rest may be the same in simulation, where
+    nothing is noisy.
 
-    until_seen: how many pictures may be taken from an order on until it acts; stamps that creep do not tell.
+    until_seen: how many pictures may be taken from an order on until it acts; stamps that creep do
+    not tell.
     """
 
     def __init__(self, until_seen: float) -> None:
@@ -76,9 +88,16 @@ class Stillness:
         self._checksum = -1
         self._last: tuple[float, float] | None = None
 
-    def add(self, images: Sequence[Image | DepthImage | None], t: float, own_s: float, ordered: CommandHistory, moves: bool) -> None:
-        """One more picture, of one image or several, by its stamp and by the own clock [s]; ordered: the velocities in force so far.
-        moves: whether the last order is one.
+    def add(
+        self,
+        images: Sequence[Image | DepthImage | None],
+        t: float,
+        own_s: float,
+        ordered: CommandHistory,
+        moves: bool,
+    ) -> None:
+        """One more picture, of one image or several, by its stamp and by the own clock [s];
+        ordered: the velocities in force so far. moves: whether the last order is one.
         """
         checksum = 0
         self._moving = self._moving + 1 if moves else 0
@@ -89,7 +108,9 @@ class Stillness:
             self.for_s = 0.0
         elif self._last is not None:
             before, own_before = self._last
-            moved = self._moving > self._until_seen or bool((ordered.displacement(t) != ordered.displacement(before)).any())
+            moved = self._moving > self._until_seen or bool(
+                (ordered.displacement(t) != ordered.displacement(before)).any()
+            )
             self.for_s += max(t - before, own_s - own_before) if moved else 0.0
         self._checksum, self._last = checksum, (t, own_s)
 
@@ -97,18 +118,28 @@ class Stillness:
 class Perception:
     """Detector and observer of one camera, with their states between its pictures.
 
-    of: the scenario, or the further camera of one. goal: the first goal view, with its picture where the detector needs one.
+    of: the scenario, or the further camera of one. goal: the first goal view, with its picture
+    where the detector needs one.
 
     Attributes:
-        found: whether it has found a marker so far. why: why the detector found none in the last picture. goal: the goal by a detector's
-            own points, which are others in every picture; None else. before: the last exposure.
+        found: whether it has found a marker so far. why: why the detector found none in the last
+            picture. goal: the goal by a detector's own points, which are others in every picture;
+            None else. before: the last exposure.
     """
 
     def __init__(self, of: Scenario | OtherCamera, observer: Observer, goal: Goal):
-        self.observer, self._target, self._detector, self._rng = observer, of.target, of.detector, of.rng(NOISE_STREAM)
+        self.observer, self._target, self._detector, self._rng = (
+            observer,
+            of.target,
+            of.detector,
+            of.rng(NOISE_STREAM),
+        )
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self._camera = of.camera if of.detector.needs_truth else of.believed_camera
-        self._state, self._observed = of.detector.begin(goal, self._camera, of.target), observer.init()
+        self._state, self._observed = (
+            of.detector.begin(goal, self._camera, of.target),
+            observer.init(),
+        )
         self.found, self.why = False, ""
         self.goal: Goal | None = None
         self.before: Exposure | None = None
@@ -120,8 +151,14 @@ class Perception:
     def detect(self, shot: Exposure) -> Detection:
         """What the detector finds in a picture."""
         given = shot.picture if self._detector.needs_image else None
-        self._state, detection = self._detector.detect(self._state, given, shot.view, self._camera, self._target, self._rng)
-        self.found, self.goal, self.why = self.found or bool(detection.seen.any()), detection.goal, detection.why
+        self._state, detection = self._detector.detect(
+            self._state, given, shot.view, self._camera, self._target, self._rng
+        )
+        self.found, self.goal, self.why = (
+            self.found or bool(detection.seen.any()),
+            detection.goal,
+            detection.why,
+        )
         return detection
 
     def observe(
@@ -133,26 +170,44 @@ class Perception:
         partner: CameraView | None = None,
         others: Sequence[CameraPixels] = (),
     ) -> Observation:
-        """What a law may know of a picture. twist: of the camera (6,) since the last one. partner: the second camera of a pair. others:
-        what further cameras see, for a fused pose.
+        """What a law may know of a picture. twist: of the camera (6,) since the last one. partner:
+        the second camera of a pair. others: what further cameras see, for a fused pose.
         """
         picture, reading = shot.picture, shot.reading
         depth = picture.depth if picture else None
-        pair = None if partner is None or partner.seen.ray is None else (partner.seen.ray, partner.T_camera_this)
+        pair = (
+            None
+            if partner is None or partner.seen.ray is None
+            else (partner.seen.ray, partner.T_camera_this)
+        )
         self._observed, seen = self.observer.observe(
-            self._observed, shot.t, detection, twist, self._rng, reading.heading, reading.tilt, own, depth, pair, others
+            self._observed,
+            shot.t,
+            detection,
+            twist,
+            self._rng,
+            reading.heading,
+            reading.tilt,
+            own,
+            depth,
+            pair,
+            others,
         )
         self.before = shot
         return seen
 
     def own(self, seen: Observation) -> Observation:
-        """An observation with the markers that the picture itself shows, and none that a fused pose has put beside them."""
+        """An observation with the markers that the picture itself shows, and none that a fused pose
+        has put beside them.
+        """
         return seen if self._observed.uv is None else replace(seen, uv=self._observed.uv)
 
 
-def moved_between(robot: Robot, ordered: CommandHistory, before: Exposure, now: Exposure, mount: Mount) -> Array:
-    """Displacement (6,) of the law's camera from one exposure to another [m, rad], which may be the earlier one, by the robot's own
-    sensors, or by the commands where it has none.
+def moved_between(
+    robot: Robot, ordered: CommandHistory, before: Exposure, now: Exposure, mount: Mount
+) -> Array:
+    """Displacement (6,) of the law's camera from one exposure to another [m, rad], which may be the
+    earlier one, by the robot's own sensors, or by the commands where it has none.
     """
     since = now.t - before.t
     if since == 0:
@@ -165,7 +220,9 @@ def moved_between(robot: Robot, ordered: CommandHistory, before: Exposure, now: 
 
 @dataclass
 class _Latest:
-    """The last exposure of a further camera, what was observed in it, and when it came by the own clock [s]."""
+    """The last exposure of a further camera, what was observed in it, and when it came by the own
+    clock [s].
+    """
 
     shot: Exposure
     seen: Observation
@@ -173,9 +230,11 @@ class _Latest:
 
 
 class OtherCameras:
-    """The further cameras of a controller: their last observations, and what these tell together with the law's camera.
+    """The further cameras of a controller: their last observations, and what these tell together
+    with the law's camera.
 
-    scenario: of the controller. mount: of the law's camera as calibrated. own_s: the own clock [s], which stands where time is simulated.
+    scenario: of the controller. mount: of the law's camera as calibrated. own_s: the own clock [s],
+    which stands where time is simulated.
     """
 
     def __init__(self, scenario: Scenario, mount: Array, goal: Goal, own_s: Callable[[], float]):
@@ -183,7 +242,8 @@ class OtherCameras:
         self._scenario, self._mount, self.eyes = scenario, mount, scenario.eyes
         start = scenario.robot.start_joints()
         self.perception = {
-            name: Perception(eye, _observer_of(eye), eye.goal(goal, eye.T_camera_eye(start, mount))) for name, eye in self.eyes.items()
+            name: Perception(eye, _observer_of(eye), eye.goal(goal, eye.T_camera_eye(start, mount)))
+            for name, eye in self.eyes.items()
         }
         self._latest: dict[str, _Latest] = {}
         self._goals: dict[str, tuple[Goal, Goal]] = {}
@@ -191,13 +251,24 @@ class OtherCameras:
             perception.observer.prepare(True)
 
     def see(self, name: str, shot: Exposure, ordered: CommandHistory, mount: Mount) -> None:
-        """A picture of a further camera has arrived. ordered: the twists ordered of the law's camera, whose mount is `mount`."""
+        """A picture of a further camera has arrived. ordered: the twists ordered of the law's
+        camera, whose mount is `mount`.
+        """
         perception, eye = self.perception[name], self.eyes[name]
         before, twist, came_s = perception.before, STILL, self._own_s()
         detection = perception.detect(shot)
-        if before is not None and shot.t > before.t and eye.rigid and perception.observer.uses_motion(detection):
+        if (
+            before is not None
+            and shot.t > before.t
+            and eye.rigid
+            and perception.observer.uses_motion(detection)
+        ):
             moved = moved_between(eye.robot, ordered, before, shot, mount)
-            twist = adjoint(inverse(eye.T_camera_eye(shot.reading.q, self._mount))) @ moved / (shot.t - before.t)
+            twist = (
+                adjoint(inverse(eye.T_camera_eye(shot.reading.q, self._mount)))
+                @ moved
+                / (shot.t - before.t)
+            )
         self._latest[name] = _Latest(shot, perception.observe(shot, detection, twist), came_s)
 
     def seen(self) -> dict[str, Observation]:
@@ -205,11 +276,16 @@ class OtherCameras:
         return {name: latest.seen for name, latest in self._latest.items()}
 
     def forgotten(self, t: float) -> tuple[str, ...]:
-        """What to say of cameras whose last picture is not too old at a time [s] by its stamp, but by the own clock."""
+        """What to say of cameras whose last picture is not too old at a time [s] by its stamp, but
+        by the own clock.
+        """
         fresh, own_s, notes = {name for name, _, _ in self._fresh(t)}, self._own_s(), list[str]()
         for name, latest in self._latest.items():
             if t - latest.shot.t <= self._fresh_s(name) and name not in fresh:
-                notes.append(f"{name}: the last picture came {own_s - latest.came_s:.2g} s ago: it counts for nothing")
+                notes.append(
+                    f"{name}: the last picture came {own_s - latest.came_s:.2g} s ago:"
+                    " it counts for nothing"
+                )
         return tuple(notes)
 
     def _fresh_s(self, name: str) -> float:
@@ -217,8 +293,8 @@ class OtherCameras:
         return FRESH_PERIODS * camera.period + camera.latency_s
 
     def _fresh(self, t: float) -> Iterator[tuple[str, OtherCamera, _Latest]]:
-        """The cameras whose last picture is not too old to tell of a time [s]; by the own clock it may be older by as long as an order
-        lasts, which no stamp prolongs.
+        """The cameras whose last picture is not too old to tell of a time [s]; by the own clock it
+        may be older by as long as an order lasts, which no stamp prolongs.
         """
         own_s = self._own_s()
         for name, latest in self._latest.items():
@@ -227,8 +303,8 @@ class OtherCameras:
                 yield name, self.eyes[name], latest
 
     def views(self, shot: Exposure, t: float, goal: Goal | None) -> dict[str, CameraView]:
-        """The views of the further cameras beside a picture `shot` of the law's camera that has arrived at t [s]. goal: in force; None
-        before it is known.
+        """The views of the further cameras beside a picture `shot` of the law's camera that has
+        arrived at t [s]. goal: in force; None before it is known.
         """
         views: dict[str, CameraView] = {}
         for name, eye, latest in self._fresh(t):
@@ -237,10 +313,14 @@ class OtherCameras:
             views[name] = CameraView(seen, at, self._pose(eye, shot.reading), eye.rigid)
         return views
 
-    def pixels(self, shot: Exposure, t: float, ordered: CommandHistory, mount: Mount) -> list[CameraPixels]:
-        """What the further cameras see beside a picture `shot` of the law's camera that has arrived at t [s], for a fused pose.
+    def pixels(
+        self, shot: Exposure, t: float, ordered: CommandHistory, mount: Mount
+    ) -> list[CameraPixels]:
+        """What the further cameras see beside a picture `shot` of the law's camera that has arrived
+        at t [s], for a fused pose.
 
-        A camera that moves with the law's own is where it was at its own exposure: the way between both is the robot's own measurement.
+        A camera that moves with the law's own is where it was at its own exposure: the way between
+        both is the robot's own measurement.
         """
         found: list[CameraPixels] = []
         for _, eye, latest in self._fresh(t):
@@ -248,13 +328,21 @@ class OtherCameras:
                 continue
             T_this_reference = inverse(eye.T_camera_eye(shot.reading.q, self._mount))
             if eye.rigid:
-                T_this_reference = T_this_reference @ exp(moved_between(eye.robot, ordered, latest.shot, shot, mount))
+                T_this_reference = T_this_reference @ exp(
+                    moved_between(eye.robot, ordered, latest.shot, shot, mount)
+                )
             alone = latest.seen.T_camera_target
-            found.append(CameraPixels(eye.believed_camera, latest.seen.uv, T_this_reference, eye.block.weight, alone))
+            found.append(
+                CameraPixels(
+                    eye.believed_camera, latest.seen.uv, T_this_reference, eye.block.weight, alone
+                )
+            )
         return found
 
     def _pose(self, eye: OtherCamera, reading: Reading) -> Array:
-        """T_camera_eye (4, 4) as the robot knows it; of a derotated pair between their level frames."""
+        """T_camera_eye (4, 4) as the robot knows it; of a derotated pair between their level
+        frames.
+        """
         T = eye.T_camera_eye(reading.q, self._mount)
         if self._scenario.derotation != "none" and reading.tilt is not None:
             T = T.copy()
@@ -262,10 +350,14 @@ class OtherCameras:
         return T
 
     def _goal(self, name: str, goal: Goal) -> Goal:
-        """The goal as a camera that moves with the law's sees it, computed anew only where the goal is another one."""
+        """The goal as a camera that moves with the law's sees it, computed anew only where the goal
+        is another one.
+        """
         known = self._goals.get(name)
         if known is None or known[0] is not goal:
             eye = self.eyes[name]
-            made = eye.goal(goal, eye.T_camera_eye(self._scenario.robot.start_joints(), self._mount))
+            made = eye.goal(
+                goal, eye.T_camera_eye(self._scenario.robot.start_joints(), self._mount)
+            )
             known = self._goals[name] = goal, replace(made, twist=None)
         return known[1]

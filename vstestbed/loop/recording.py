@@ -45,10 +45,13 @@ class Recording:
 
     Attributes:
         rows: the log.
-        time_ms: wall time by part, in all [ms]. wall_time_s: of the run; loop_s: without building and closing the scene [s].
+        time_ms: wall time by part, in all [ms]. wall_time_s: of the run; loop_s: without building
+            and closing the scene [s].
         versions: of the packages and the renderer used.
-        ended_s: simulated time of the verdict [s], which is after the last frame where pictures stayed away.
-        goal_images: taken at the goal views, (H, W, 3) RGB each, where law or detector compared with them.
+        ended_s: simulated time of the verdict [s], which is after the last frame where pictures
+            stayed away.
+        goal_images: taken at the goal views, (H, W, 3) RGB each, where law or detector compared
+            with them.
     """
 
     scenario: Scenario
@@ -62,7 +65,9 @@ class Recording:
     ended_s: float = 0.0
     goal_images: tuple[Image, ...] = ()
     shown_by: ClassVar[Callable[[Recording], str | None]] = staticmethod(lambda recording: None)
-    """Makes HTML of a recording for notebooks: the package sets the report here, whose room is above this one."""
+    """Makes HTML of a recording for notebooks: the package sets the report here, whose room is
+    above this one.
+    """
     drawn_by: ClassVar[Callable[[Recording, str], Figure]]
     """Draws a figure of the report, by its name; set as `shown_by` is."""
 
@@ -78,33 +83,52 @@ class Recording:
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.columns:
-            raise KeyError(f"no column {name!r} in the log; {nearest(name, self.columns)}; `vstestbed describe log` explains them")
+            raise KeyError(
+                f"no column {name!r} in the log; {nearest(name, self.columns)};"
+                " `vstestbed describe log` explains them"
+            )
         return self.rows[name]
 
     def camera_poses(self) -> SE3:
-        """The camera's true pose T_world_camera (x right, y down, z forward) in each of the n frames, as one spatialmath SE3 of n."""
+        """The camera's true pose T_world_camera (x right, y down, z forward) in each of the n
+        frames, as one spatialmath SE3 of n.
+        """
         return as_se3(self._poses("cam"))
 
     def target_poses(self) -> SE3:
-        """The target's true pose T_world_target in each of the n frames, as one spatialmath SE3 of n."""
+        """The target's true pose T_world_target in each of the n frames, as one spatialmath SE3 of
+        n.
+        """
         return as_se3(self._poses("tgt"))
 
     def goal_pose(self) -> SE3:
-        """The pose T_world_camera where the camera was to be in each of the n frames, as one spatialmath SE3 of n.
+        """The pose T_world_camera where the camera was to be in each of the n frames, as one
+        spatialmath SE3 of n.
 
-        It is T_world_target inverse(T_camera_target) with the goal in force; `camera_poses()[i].inv() * goal_pose()[i]` was left to go in
-        frame i. For a camera in the room it is where that would have to stand. Raises ParameterError: the goal is no single pose (a gap, a
-        line).
+        It is T_world_target inverse(T_camera_target) with the goal in force;
+        `camera_poses()[i].inv() * goal_pose()[i]` was left to go in frame i. For a camera in the
+        room it is where that would have to stand. Raises ParameterError: the goal is no single pose
+        (a gap, a line).
         """
-        s, views = self.scenario, self["view"].astype(int) if "view" in self.columns else np.zeros(len(self.rows), dtype=int)
-        goals = [s.goal_pose_at(t, view) for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)]
+        s, views = (
+            self.scenario,
+            self["view"].astype(int)
+            if "view" in self.columns
+            else np.zeros(len(self.rows), dtype=int),
+        )
+        goals = [
+            s.goal_pose_at(t, view)
+            for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)
+        ]
         known = [T for T in goals if T is not None]
         if len(known) < len(goals):
             raise ParameterError("goal", f"of kind {s.goal.kind} is no single pose of the camera")
         return as_se3(self._poses("tgt") @ inverse(np.array(known).reshape(-1, 4, 4)))
 
     def camera_twists(self) -> Twist3:
-        """The camera's true velocity in each of the n frames, in its own frame, as one spatialmath Twist3 of n: S = (v, w) [m/s, rad/s]."""
+        """The camera's true velocity in each of the n frames, in its own frame, as one spatialmath
+        Twist3 of n: S = (v, w) [m/s, rad/s].
+        """
         return as_twist3(np.column_stack([self[f"act_{name}"] for name in TWIST]))
 
     def _poses(self, stem: str) -> Array:
@@ -119,15 +143,19 @@ class Recording:
         return self.rows.frame()
 
     def plot(self, name: str) -> Figure:
-        """A figure of the report as a matplotlib figure, which a notebook shows and `savefig` writes; its axes can be changed before.
+        """A figure of the report as a matplotlib figure, which a notebook shows and `savefig`
+        writes; its axes can be changed before.
 
-        name: `features`, `error`, `camera_path`, `twist`, `pose_error`, `depth`, `joints`, `rates`, ... Raises ParameterError: there is no
-        such figure, or this run has no such data; with those that it has.
+        name: `features`, `error`, `camera_path`, `twist`, `pose_error`, `depth`, `joints`, `rates`,
+        ... Raises ParameterError: there is no such figure, or this run has no such data; with those
+        that it has.
         """
         return Recording.drawn_by(self, name)
 
     def plot_features(self) -> Figure:
-        """The markers' tracks in the image, from the start to the goal (`plot_p` of the book's toolbox)."""
+        """The markers' tracks in the image, from the start to the goal (`plot_p` of the book's
+        toolbox).
+        """
         return self.plot("features")
 
     def plot_error(self) -> Figure:
@@ -150,14 +178,20 @@ class Recording:
         return Recording.shown_by(self)
 
     def summary(self) -> dict[str, object]:
-        """The metrics of the run, as in `summary.json`; `time_ms`: mean wall time of a frame by part [ms]. With the gains of servos that
-        were made for an arm of one's own (`Actuation.gains`).
+        """The metrics of the run, as in `summary.json`; `time_ms`: mean wall time of a frame by
+        part [ms]. With the gains of servos that were made for an arm of one's own
+        (`Actuation.gains`).
         """
         figures = summarise(self.scenario, self.outcome, self.rows.by_name())
         last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
         assert isinstance(last, float)
         sim_time = figures["sim_time_s"] = max(last, self.ended_s)
-        ended = {"outcome": self.outcome.name, "success": self.outcome.success, "reason": self.reason, "seed": self.scenario.seed}
+        ended = {
+            "outcome": self.outcome.name,
+            "success": self.outcome.success,
+            "reason": self.reason,
+            "seed": self.scenario.seed,
+        }
         cost = {
             "wall_time_s": self.wall_time_s,
             "real_time_factor": sim_time / self.wall_time_s if self.wall_time_s > 0 else None,
@@ -167,17 +201,26 @@ class Recording:
         body, names = self.scenario.robot.body, self.scenario.target.names
         named = {"marker_names": {str(i): name for i, name in enumerate(names)}} if names else {}
         return (
-            {"scenario": self.scenario.name} | ended | named | figures | (body.actuation.gains() if body and body.actuation else {}) | cost
+            {"scenario": self.scenario.name}
+            | ended
+            | named
+            | figures
+            | (body.actuation.gains() if body and body.actuation else {})
+            | cost
         )
 
 
-# `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have changed it.
+# `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have
+# changed it.
 LARGEST = 2**63  # whole numbers from here on fit no table
 Scalar = bool | int | float | str | None
 
 _STRICT = ConfigDict(strict=True)
-_OPEN = TypeAdapter(dict[str, Scalar | dict[str, Scalar]], config=_STRICT)  # any other name holds a scalar, or a block of scalars
-_NUMBERS: dict[str, Any] = dict.fromkeys((*FIGURES, *SOME_FIGURES, "wall_time_s", "real_time_factor"), (float | None, None))
+# any other name holds a scalar, or a block of scalars
+_OPEN = TypeAdapter(dict[str, Scalar | dict[str, Scalar]], config=_STRICT)
+_NUMBERS: dict[str, Any] = dict.fromkeys(
+    (*FIGURES, *SOME_FIGURES, "wall_time_s", "real_time_factor"), (float | None, None)
+)
 _Summary = create_model(
     "_Summary",
     __config__=_STRICT,
@@ -193,16 +236,30 @@ _Summary = create_model(
 
 
 def read_summary(folder: Path, works: str) -> dict[str, Any]:
-    """The summary of a run; RunFolderError where it is none. works: what would work where the summary is damaged, for the message."""
+    """The summary of a run; RunFolderError where it is none. works: what would work where the
+    summary is damaged, for the message.
+    """
     path = folder / "summary.json"
     content = read_file(path, works)
     try:
         summary = _Summary.model_validate_json(content)
         _OPEN.validate_json(content)
-        found, outcome = json.loads(content), str(getattr(summary, "outcome", ""))  # numbers as they are written: a whole one stays whole
-        values = [item for block in (found, *found.values()) if isinstance(block, dict) for item in block.items()]
-        faults = [f"outcome: {outcome[:40]!r} is none"] if outcome not in Outcome.__members__ else []
-        faults += [f"{name}: too large a number" for name, v in values if isinstance(v, int) and abs(v) >= LARGEST]
+        # numbers as they are written: a whole one stays whole
+        found, outcome = json.loads(content), str(getattr(summary, "outcome", ""))
+        values = [
+            item
+            for block in (found, *found.values())
+            if isinstance(block, dict)
+            for item in block.items()
+        ]
+        faults = (
+            [f"outcome: {outcome[:40]!r} is none"] if outcome not in Outcome.__members__ else []
+        )
+        faults += [
+            f"{name}: too large a number"
+            for name, v in values
+            if isinstance(v, int) and abs(v) >= LARGEST
+        ]
     except ValidationError as error:
         first = error.errors()[0]
         found, faults = {}, [": ".join([*(str(part) for part in first["loc"][:1]), first["msg"]])]

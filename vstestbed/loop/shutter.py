@@ -25,16 +25,19 @@ from vstestbed.timing.plan import Planned, Shutter
 from vstestbed.vision.base import TruthView
 
 ROUNDS = 12
-"""Iterations to the time at which a marker is exposed. Each divides the error by H / (readout_s v'), v' the marker's speed down the
-picture [px/s]: 24 for one that crosses it in half a second while 20 ms are read out."""
+"""Iterations to the time at which a marker is exposed. Each divides the error by H / (readout_s
+v'), v' the marker's speed down the picture [px/s]: 24 for one that crosses it in half a second
+while 20 ms are read out.
+"""
 
 
 class RowViews:
     """Views of the truth while a picture is read out, and the one view that the picture is of.
 
-    Marker i is exposed at the time t_i that solves t = d(v_i(t)), with the delay d(v) of a row (`Camera.row_delay`) and v_i(t) the row
-    of the marker's centre at t; its place is interpolated between the views. A marker that the lens cannot project is taken at the
-    picture's time stamp, one beyond the picture at the begin or end of the readout.
+    Marker i is exposed at the time t_i that solves t = d(v_i(t)), with the delay d(v) of a row
+    (`Camera.row_delay`) and v_i(t) the row of the marker's centre at t; its place is interpolated
+    between the views. A marker that the lens cannot project is taken at the picture's time stamp,
+    one beyond the picture at the begin or end of the readout.
 
     camera: the lens. times: of the views from the picture's time stamp (K,) [s], rising.
     """
@@ -49,7 +52,9 @@ class RowViews:
         self._views.append(view)
 
     def taken(self) -> TruthView:
-        """The view in which each marker is where it was when its row was exposed; the next view is the first one of the next picture."""
+        """The view in which each marker is where it was when its row was exposed; the next view is
+        the first one of the next picture.
+        """
         views, self._views = self._views, []
         p = np.stack([view.p_camera for view in views])
         t = np.zeros(p.shape[1])
@@ -68,20 +73,36 @@ class RowViews:
         return (1 - share) * p[k, i] + share * p[k + 1, i]
 
 
-# Time stamps in a run: by them the controller knows when a picture was taken, and which of the robot's readings belongs to it.
-READING_S = 0.002  # time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry report their joints
+# Time stamps in a run: by them the controller knows when a picture was taken, and which of the
+# robot's readings belongs to it.
+
+# time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry
+# report their joints
+READING_S = 0.002
 KEPT_S = 10.0  # how long readings are kept [s]
 
 
 class Stamps:
-    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp (`timing.clock`)."""
+    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp
+    (`timing.clock`).
+    """
 
     def __init__(self, scenario: Scenario | OtherCamera, plant: PlantCamera):
         timing = scenario.timing
         self._timing, self._plant, self._rng = timing, plant, scenario.rng(STAMP_STREAM)
-        self._camera, self._robot = timing.camera_clock or CameraStamps(), timing.robot_clock or RobotStamps()
-        # At the steps at which an onboard controller reads the sensors anyway, no other noise is drawn for it.
-        self._every = max(1, round((scenario.robot.onboard.control_period_s if scenario.robot.onboard else READING_S) / plant.step_s))
+        self._camera, self._robot = (
+            timing.camera_clock or CameraStamps(),
+            timing.robot_clock or RobotStamps(),
+        )
+        # At the steps at which an onboard controller reads the sensors anyway, no other noise is
+        # drawn for it.
+        self._every = max(
+            1,
+            round(
+                (scenario.robot.onboard.control_period_s if scenario.robot.onboard else READING_S)
+                / plant.step_s
+            ),
+        )
         self._steps: deque[int] = deque(maxlen=math.ceil(KEPT_S / (self._every * plant.step_s)))
         self._readings: deque[Reading] = deque(maxlen=self._steps.maxlen)
 
@@ -96,7 +117,9 @@ class Stamps:
             self._readings.append(self._plant.reading())
 
     def received(self, shot: Exposure, step: int) -> tuple[Exposure, float]:
-        """What the controller gets of an exposure that arrives at this step, and its stamp [s], which may lie in the future."""
+        """What the controller gets of an exposure that arrives at this step, and its stamp [s],
+        which may lie in the future.
+        """
         now = step * self._plant.step_s
         stamp = self._camera.at(now if self._camera.stamped == "arrival" else shot.t)
         stamp += self._timing.jittered(self._camera.jitter_s, self._rng)
@@ -112,22 +135,41 @@ class Stamps:
         return self._readings[i]
 
 
-Exposed = tuple[Exposure, Truth]  # a picture in transit to the controller, and the truth at its exposure, which stays behind
+# a picture in transit to the controller, and the truth at its exposure, which stays behind
+Exposed = tuple[Exposure, Truth]
 
 
 class CameraClock:
-    """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency (`line`).
-    whole: take whole pictures beside what the detector's regions of interest show; may be changed at any time. link: may lose pictures.
+    """The camera on the clock: takes the pictures that its shutter plans, and sends them with their
+    latency (`line`). whole: take whole pictures beside what the detector's regions of interest
+    show; may be changed at any time. link: may lose pictures.
     """
 
-    def __init__(self, scenario: Scenario | OtherCamera, plant: PlantCamera, whole: bool = False, link: Loses | None = None):
+    def __init__(
+        self,
+        scenario: Scenario | OtherCamera,
+        plant: PlantCamera,
+        whole: bool = False,
+        link: Loses | None = None,
+    ):
         self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
-        # A perturbation, metering or a stream may work on the picture as a whole: a part of it would not be changed as the whole is.
+        # A perturbation, metering or a stream may work on the picture as a whole: a part of it
+        # would not be changed as the whole is.
         self._in_parts = not (scenario.noise.on_pictures or scenario.camera.imaged)
         rng = scenario.rng(TIMING_STREAM)
         light = scenario.world.light
-        flicker = STEADY if light is None or (not scenario.needs_image and not whole) else light.flicker
-        self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng, link, flicker)
+        flicker = (
+            STEADY if light is None or (not scenario.needs_image and not whole) else light.flicker
+        )
+        self.shutter = Shutter(
+            scenario.timing,
+            scenario.camera,
+            plant.step_s,
+            plant.steps_per_frame,
+            rng,
+            link,
+            flicker,
+        )
         rolls = self._view and scenario.camera.readout_s > 0
         self._row_views = RowViews(scenario.camera, self.shutter.opening.nodes) if rolls else None
         self.line: DelayLine[Exposed] = DelayLine(overtakes=scenario.timing.out_of_order)
@@ -139,41 +181,54 @@ class CameraClock:
         self._plan()
 
     def _plan(self) -> None:
-        self.planned: Planned = self.shutter.following(self.plant.exposure_s() if self._metered else None)
+        self.planned: Planned = self.shutter.following(
+            self.plant.exposure_s() if self._metered else None
+        )
         self.opening, self.middle, self.regions = 0, None, None
 
     def next_event(self) -> int:
-        """The step at which the shutter opens next, a picture arrives, or the robot's sensors are read for one."""
+        """The step at which the shutter opens next, a picture arrives, or the robot's sensors are
+        read for one.
+        """
         opens, due = self.planned.opens[self.opening], self.line.next_due()
         following = opens if due is None else min(opens, due)
         return following if self._stamps is None else min(following, self._stamps.next_event())
 
     def act(self, step: int, next_regions: Callable[[], Regions | None]) -> None:
-        """Open the shutter when it is due, and send complete pictures. `next_regions` gives the detector's region of interest."""
+        """Open the shutter when it is due, and send complete pictures. `next_regions` gives the
+        detector's region of interest.
+        """
         if self._stamps is not None:
             self._stamps.act(step)
         while (planned := self.planned).opens[self.opening] == step:
-            # With pictures in transit the region of interest is not known yet: the detector has not seen them.
-            # It is decided once: all images of an exposure show the same part.
+            # With pictures in transit the region of interest is not known yet: the detector has not
+            # seen them. It is decided once: all images of an exposure show the same part.
             if self.opening == 0:
                 self._takes_whole = self.whole
-                self.regions = next_regions() if self.line.next_due() is None and self._in_parts else None
+                self.regions = (
+                    next_regions() if self.line.next_due() is None and self._in_parts else None
+                )
             if planned.weights == (1.0,):
                 picture, truth = self.plant.capture(self.regions)
                 if picture is not None and planned.arrives > step:
-                    picture = picture.copy()  # the next picture overwrites the renderer's buffer before this one arrives
+                    # the next picture overwrites the renderer's buffer before this one arrives
+                    picture = picture.copy()
                 self._send(planned, picture, self._shot(step, truth))
             else:
                 self._expose(planned, step)
 
     def received(self, shot: Exposure, step: int) -> tuple[Exposure, float]:
-        """What the controller gets of an exposure that arrives at this step, and its time stamp [s]."""
+        """What the controller gets of an exposure that arrives at this step, and its time stamp
+        [s].
+        """
         return (shot, shot.t) if self._stamps is None else self._stamps.received(shot, step)
 
     def _expose(self, planned: Planned, step: int) -> None:
-        # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.
+        # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves
+        # a marker's centre there.
         is_middle = step >= planned.middle and self.middle is None
-        rolls = self._row_views is not None  # an oracle behind a rolling shutter needs the truth of each image
+        # an oracle behind a rolling shutter needs the truth of each image
+        rolls = self._row_views is not None
         truth = self.plant.truth() if is_middle or rolls else None
         if self._row_views is not None and truth is not None:
             self._row_views.add(TruthView(truth.p_camera, truth.hidden))
@@ -188,13 +243,21 @@ class CameraClock:
             self._send(planned, self.plant.developed(shot.t), (shot, true))
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
-        # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.
+        # Truth reaches a detector only if it says that it needs it (an oracle): the one place where
+        # it passes the fence.
         view = TruthView(truth.p_camera, truth.hidden) if self._view else None
-        return Exposure(self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view), truth
+        return Exposure(
+            self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view
+        ), truth
 
     def _send(self, planned: Planned, picture: Picture | None, made: Exposed) -> None:
         if picture is not None:
             shot, truth = made
-            made = shot._replace(picture=self.plant.with_own(picture) if self._takes_whole else picture), truth
+            made = (
+                shot._replace(
+                    picture=self.plant.with_own(picture) if self._takes_whole else picture
+                ),
+                truth,
+            )
         self.line.push(planned.arrives, made)
         self._plan()

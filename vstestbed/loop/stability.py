@@ -1,17 +1,21 @@
-"""Whether a loop that did not reach its goal swings or grows: from the commands and errors of the last half of its run.
+"""Whether a loop that did not reach its goal swings or grows: from the commands and errors of the
+last half of its run.
 
-A loop with too high a gain for its sampling and delay commands back and forth: commands are opposite after half a period, and alike
-after a whole one. Other loops that take long are not like that:
+A loop with too high a gain for its sampling and delay commands back and forth: commands are
+opposite after half a period, and alike after a whole one. Other loops that take long are not like
+that:
 
 - a slow approach has no period, and its error falls;
 - a swing that decays is stable, only badly damped;
 - pixel noise at the goal gives commands that are not alike from one period to the next;
-- stick-slip of a joint with friction does not either (0.1 to 0.6, measured, against 0.8 to 1.0), and is of less than a pixel or two;
+- stick-slip of a joint with friction does not either (0.1 to 0.6, measured, against 0.8 to 1.0),
+  and is of less than a pixel or two;
 - a loop that follows a target which itself goes to and fro has the target's period.
 
-A gain far too high has no clean period: limits of law and robot shorten the commands, and the camera loses markers every few frames.
-Such a loop is known by its gain, near or over the limit of theory, and by commands that stay large, turn round often and lead nowhere,
-while the error does not fall.
+A gain far too high has no clean period: limits of law and robot shorten the commands, and the
+camera loses markers every few frames. Such a loop is known by its gain, near or over the limit of
+theory, and by commands that stay large, turn round often and lead nowhere, while the error does not
+fall.
 
 The limit of the gain and the period at it are those of `gain_limit` and `swing_frames`.
 """
@@ -37,16 +41,18 @@ from vstestbed.tasks.base import Log as Columns
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST, Figures
 
-# Discrete-time model of the visual servo loop with dead time and actuator lag: poles and gain limit.
+# Discrete-time model of the visual servo loop with dead time and actuator lag: poles and gain
+# limit.
 #
-# Near the goal the loop decouples into one scalar loop per direction of the error, whatever the feature: L cancels against its
-# pseudo-inverse. With the error s, g = gain * period and d frames of dead time
+# Near the goal the loop decouples into one scalar loop per direction of the error, whatever the
+# feature: L cancels against its pseudo-inverse. With the error s, g = gain * period and d frames of
+# dead time
 #
 #     s(k+1) = s(k) - g sum_j b_j s(k - d - j),
 #
-# where b_j is the share of a one-frame command that the robot executes in the j-th frame after it (its impulse response):
-# b = (1) is a robot without lag, b = (1 - a, a) lags by a frames. The characteristic polynomial is
-# z^(n+1) - z^n + g sum_j b_j z^(n-d-j), n = d + len(b) - 1.
+# where b_j is the share of a one-frame command that the robot executes in the j-th frame after it
+# (its impulse response): b = (1) is a robot without lag, b = (1 - a, a) lags by a frames. The
+# characteristic polynomial is z^(n+1) - z^n + g sum_j b_j z^(n-d-j), n = d + len(b) - 1.
 
 
 Poles = NDArray[np.complexfloating]
@@ -57,19 +63,23 @@ NO_LAG = (1.0,)  # impulse response of a robot without lag
 def closed_form(delay_frames: float) -> float:
     """The largest stable g = gain * period of a robot without lag: 2 sin(pi / (2 (2 d + 1))).
 
-    There a pair of poles crosses the unit circle at pi / (2 d + 1): the loop oscillates with a period of 2 (2 d + 1) frames.
-    Reference: Levin & May 1976, A note on difference-delay equations, doi:10.1016/0040-5809(76)90043-5.
+    There a pair of poles crosses the unit circle at pi / (2 d + 1): the loop oscillates with a
+    period of 2 (2 d + 1) frames.
+    Reference: Levin & May 1976, A note on difference-delay equations,
+    doi:10.1016/0040-5809(76)90043-5.
     """
     return 2 * math.sin(math.pi / (2 * (2 * delay_frames + 1)))
 
 
 def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
-    """Impulse response of a loop without lag of the robot, whose commands are led to, by a ramp or smoothly, and whose pictures are old.
-    A led command is executed half in its own frame and half in the next one: the poles cross the unit circle at the angle pi / (2 (d + 1)),
-    at g = 2 tan(pi / (4 (d + 1))). To lead costs half a period: for small angles the limit is (pi / 2) / delay with a delay of d + 1/2
-    frames for commands that are held, and of d + 1 here.
-    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure and half its readout, as its time stamp
-    is their middle. A command for a picture e frames older acts as one in 1 - e of the frame, and e of the next.
+    """Impulse response of a loop without lag of the robot, whose commands are led to, by a ramp or
+    smoothly, and whose pictures are old. A led command is executed half in its own frame and half
+    in the next one: the poles cross the unit circle at the angle pi / (2 (d + 1)), at g = 2
+    tan(pi / (4 (d + 1))). To lead costs half a period: for small angles the limit is (pi / 2) /
+    delay with a delay of d + 1/2 frames for commands that are held, and of d + 1 here.
+    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure
+    and half its readout, as its time stamp is their middle. A command for a picture e frames older
+    acts as one in 1 - e of the frame, and e of the next.
     """
     whole, part = divmod(late_frames, 1.0)
     late = [0.0] * int(whole) + ([1 - part, part] if part else [1.0])
@@ -77,13 +87,16 @@ def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
 
 
 def swing_frames(delay_frames: float) -> int:
-    """Period of the oscillation at the gain limit of a robot without lag [frames]; about that, of a part of a frame."""
+    """Period of the oscillation at the gain limit of a robot without lag [frames]; about that, of a
+    part of a frame.
+    """
     return math.ceil(2 * (2 * delay_frames + 1))
 
 
 def polynomial(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Array:
-    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,). Of a delay of d + f frames with 0 < f < 1 a
-    command begins at f of a frame: it is executed with 1 - f of each share in that frame, and with f in the next one.
+    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,). Of a
+    delay of d + f frames with 0 < f < 1 a command begins at f of a frame: it is executed with 1 - f
+    of each share in that frame, and with f in the next one.
     """
     whole, part = divmod(delay_frames, 1.0)
     d = int(whole)
@@ -102,11 +115,15 @@ def roots(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Po
 
 @lru_cache(maxsize=256)
 def gain_limit(delay_frames: float, shares: tuple[float, ...] = NO_LAG) -> float:
-    """The g at which a pole first leaves the unit circle, to 1e-9; equals `closed_form` for a robot without lag.
-    Raises ParameterError: the loop is stable at no gain, since the shares do not add up to more than 0.
+    """The g at which a pole first leaves the unit circle, to 1e-9; equals `closed_form` for a robot
+    without lag.
+    Raises ParameterError: the loop is stable at no gain, since the shares do not add up to more
+    than 0.
     """
     if sum(shares) <= 0:
-        raise ParameterError.bound("shares", ">", "0 in sum", list(shares), why="else no gain makes the error smaller")
+        raise ParameterError.bound(
+            "shares", ">", "0 in sum", list(shares), why="else no gain makes the error smaller"
+        )
 
     def unstable(g: float) -> bool:
         return bool(np.abs(roots(g, delay_frames, shares)[0]) > 1)
@@ -123,32 +140,50 @@ def gain_limit(delay_frames: float, shares: tuple[float, ...] = NO_LAG) -> float
 
 
 FEWEST, MOST = 24, 2048
-"""Frames that are looked at: with fewer, chance makes a period; with more a log of a day would not be kept in constant memory."""
+"""Frames that are looked at: with fewer, chance makes a period; with more a log of a day would not
+be kept in constant memory.
+"""
 PERIODS = 4  # how many periods of a swing must fit in the frames that are looked at
 ALIKE, OPPOSITE = 0.75, -0.45
-"""Cosine between the commands of a swing and those a period later, and at most that of commands in between; -0.5 for three frames."""
+"""Cosine between the commands of a swing and those a period later, and at most that of commands in
+between; -0.5 for three frames.
+"""
 LEAST_PX, LEAST_LIMITS = 1.0, 5.0
-"""Error under which a loop stands at its goal, where friction and noise move it [px]; of grey levels, by the goal's limit [1]."""
+"""Error under which a loop stands at its goal, where friction and noise move it [px]; of grey
+levels, by the goal's limit [1].
+"""
 KEPT, KEPT_LIMITED = 0.9, 0.5
-"""Share of its size that a swing keeps from the first third of the frames to the last, else it decays; the second of a swing that the
-limits of law and robot hold: its size changes from one period to the next (measured: by 0.7 to 1.4)."""
-LIMITED, LIMITED_SHARE = 0.999, 0.05  # a command scaled under this is limited; a swing of whose commands so many are is held by the limits
-SAME_PERIOD = 0.2  # difference from the period of the goal's own motion up to which a swing is that motion [1]
+"""Share of its size that a swing keeps from the first third of the frames to the last, else it
+decays; the second of a swing that the limits of law and robot hold: its size changes from one
+period to the next (measured: by 0.7 to 1.4).
+"""
+# a command scaled under this is limited; a swing of whose commands so many are is held by the
+# limits
+LIMITED, LIMITED_SHARE = (
+    0.999,
+    0.05,
+)
+# difference from the period of the goal's own motion up to which a swing is that motion [1]
+SAME_PERIOD = 0.2
 NEAR_LIMIT, FAR_FROM_GOAL = 0.25, 0.25
-"""Least gain, of the limit of theory, and least error, of that at the start, of a loop that goes to and fro without a period: the lag of
-an arm without delay leaves it about half of that limit."""
+"""Least gain, of the limit of theory, and least error, of that at the start, of a loop that goes to
+and fro without a period: the lag of an arm without delay leaves it about half of that limit.
+"""
 HELD_SHARE, NET_SHARE, TURNS = 0.5, 0.3, 4
-"""Of such a loop: least share of limited commands (measured: 0.84 to 1), largest share of the way that it gets on (measured: 0.04 to
-0.25; a slow approach: 1), and least number of times that its command turns round."""
+"""Of such a loop: least share of limited commands (measured: 0.84 to 1), largest share of the way
+that it gets on (measured: 0.04 to 0.25; a slow approach: 1), and least number of times that its
+command turns round.
+"""
 GREW = 2.0  # growth of an error that does not swing, over the frames, so that it counts as one
 
 
 def period(x: Array) -> float:
     """Frames after which x (n, m) comes back, in between being opposite; 0 where it does not.
 
-    With r(k) = sum_j x_j . x_(j+k) / sqrt(sum |x_j|^2 sum |x_(j+k)|^2) it is the first peak of r over ALIKE with an r
-    under OPPOSITE before it. Normalised so, swings that grow or decay have r = 1 after a period, too. A period that is no whole number
-    of frames may have its peak after several: it is divided by the number of valleys before it.
+    With r(k) = sum_j x_j . x_(j+k) / sqrt(sum |x_j|^2 sum |x_(j+k)|^2) it is the first peak of r
+    over ALIKE with an r under OPPOSITE before it. Normalised so, swings that grow or decay have r =
+    1 after a period, too. A period that is no whole number of frames may have its peak after
+    several: it is divided by the number of valleys before it.
     """
     r = [1.0]
     for k in range(1, len(x) // PERIODS + 2):
@@ -161,9 +196,11 @@ def period(x: Array) -> float:
 
 
 class LastPart(NamedTuple):
-    """The last half of a run, n frames. error: in the image (n,) [px], or of a law of grey levels; NaN where nothing was measured.
-    limited: commands that limits of law or robot shortened (n,). reference: of the goal in the world (n, m).
-    away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
+    """The last half of a run, n frames. error: in the image (n,) [px], or of a law of grey levels;
+    NaN where nothing was measured. limited: commands that limits of law or robot shortened (n,).
+    reference: of the goal in the world (n, m).
+    away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in
+    the last (2, 2).
     """
 
     t: Array
@@ -175,7 +212,12 @@ class LastPart(NamedTuple):
 
     def at(self, frames: Any) -> LastPart:
         """Some of the frames; `away` stays that of all."""
-        return self._replace(**{name: getattr(self, name)[frames] for name in ("t", "error", "twist", "limited", "reference")})
+        return self._replace(
+            **{
+                name: getattr(self, name)[frames]
+                for name in ("t", "error", "twist", "limited", "reference")
+            }
+        )
 
 
 def swings(part: LastPart, least: float) -> float:
@@ -196,7 +238,9 @@ def swings(part: LastPart, least: float) -> float:
 
 
 def turns(x: Array) -> int:
-    """How often commands x (n, m) turn round: become OPPOSITE to what they were when they last did."""
+    """How often commands x (n, m) turn round:
+    become OPPOSITE to what they were when they last did.
+    """
     found, before = 0, np.zeros(x.shape[1])
     for each in x:
         size = float(np.linalg.norm(each) * np.linalg.norm(before))
@@ -208,18 +252,26 @@ def turns(x: Array) -> int:
 
 
 def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -> int:
-    """How often the command turns round, of a loop with too high a gain that has no clean period; 0 for another. Only frames with a
-    measurement count: in the others the law rests. Over the limit of theory the commands need not be limited.
-    part: as for `swings`. least: error that counts. share: gain over the limit of theory [1]. first_error: at the start of the run.
+    """How often the command turns round, of a loop with too high a gain that has no clean period; 0
+    for another. Only frames with a measurement count: in the others the law rests. Over the limit
+    of theory the commands need not be limited.
+    part: as for `swings`. least: error that counts. share: gain over the limit of theory [1].
+    first_error: at the start of the run.
     """
     known = part.at(np.isfinite(part.error))
     third = len(known.t) // 3
     if share < NEAR_LIMIT or len(known.t) < FEWEST or np.ptp(part.reference, axis=0).any():
         return 0
-    early, late = (float(np.linalg.norm(each)) for each in (known.twist[:third], known.twist[-third:]))
+    early, late = (
+        float(np.linalg.norm(each)) for each in (known.twist[:third], known.twist[-third:])
+    )
     error_early, error = _median(known.error[:third]), _median(known.error[-third:])
     large = share > 1 or float(np.mean(known.limited)) >= HELD_SHARE
-    if not large or late < KEPT_LIMITED * early or error < max(least, KEPT_LIMITED * error_early, FAR_FROM_GOAL * first_error):
+    if (
+        not large
+        or late < KEPT_LIMITED * early
+        or error < max(least, KEPT_LIMITED * error_early, FAR_FROM_GOAL * first_error)
+    ):
         return 0
     net, way = np.linalg.norm(known.twist.sum(axis=0)), np.linalg.norm(known.twist, axis=1).sum()
     found = turns(known.twist)
@@ -232,20 +284,35 @@ def _median(error: Array) -> float:
 
 
 def grows(part: LastPart, least: float) -> bool:
-    """Whether error and command grow all the time, and the camera truly leaves its goal, which stands still."""
-    if np.ptp(part.reference, axis=0).any() or not (part.away[1] > part.away[0]).any() or not np.isfinite(part.error).all():
+    """Whether error and command grow all the time, and the camera truly leaves its goal, which
+    stands still.
+    """
+    if (
+        np.ptp(part.reference, axis=0).any()
+        or not (part.away[1] > part.away[0]).any()
+        or not np.isfinite(part.error).all()
+    ):
         return False
     quarters = [float(np.median(each)) for each in np.array_split(part.error, 4)]
-    ordered = [float(np.linalg.norm(each)) / math.sqrt(len(each)) for each in np.array_split(part.twist, 4)]
+    ordered = [
+        float(np.linalg.norm(each)) / math.sqrt(len(each)) for each in np.array_split(part.twist, 4)
+    ]
     rises = all(b > a for a, b in pairwise(quarters))
-    return rises and quarters[-1] > max(least, GREW * quarters[0]) and ordered[-1] > LIMITED * ordered[0]
+    return (
+        rises
+        and quarters[-1] > max(least, GREW * quarters[0])
+        and ordered[-1] > LIMITED * ordered[0]
+    )
 
 
 def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
-    """How the loop is unstable, by what numbers, and what would help; "" for one that is not. part: of the last half of its run.
-    Where that does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
+    """How the loop is unstable, by what numbers, and what would help; "" for one that is not. part:
+    of the last half of its run. Where that does not tell, its last quarter may: a loop that grows
+    until it loses a marker begins again.
     """
-    return _how(scenario, part, first_error) or _how(scenario, part.at(slice(len(part.t) // 2, None)), first_error)
+    return _how(scenario, part, first_error) or _how(
+        scenario, part.at(slice(len(part.t) // 2, None)), first_error
+    )
 
 
 def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
@@ -255,16 +322,32 @@ def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
     frames, third = 0.0 if math.isnan(part.error[-1]) else swings(part, least), len(part.t) // 3
     early, late = _median(part.error[:third]), _median(part.error[-third:])
     over = f"over the last {part.t[-1] - part.t[0]:.3g} s"
-    how = f"grew from {early:.3g} to {late:.3g} {unit}" if late > GREW * early else f"stayed at about {late:.3g} {unit}"
+    how = (
+        f"grew from {early:.3g} to {late:.3g} {unit}"
+        if late > GREW * early
+        else f"stayed at about {late:.3g} {unit}"
+    )
     if frames:
-        return f"{over} the command {reversal(frames, scenario.camera.period)}, and the error {how}; {_cause(scenario)}"
+        return (
+            f"{over} the command {reversal(frames, scenario.camera.period)},"
+            f" and the error {how}; {_cause(scenario)}"
+        )
     if late > first_error and grows(part, least):
-        return f"{over} the error grew from {early:.3g} to {late:.3g} {unit}, and the command with it; {_cause(scenario)}"
+        return (
+            f"{over} the error grew from {early:.3g} to {late:.3g} {unit},"
+            f" and the command with it; {_cause(scenario)}"
+        )
     if turned := to_and_fro(part, least, _share_of_limit(scenario), first_error):
-        limited, blind = np.mean(part.limited[np.isfinite(part.error)]), np.mean(~np.isfinite(part.error))
+        limited, blind = (
+            np.mean(part.limited[np.isfinite(part.error)]),
+            np.mean(~np.isfinite(part.error)),
+        )
         held = f", at its limits in {limited:.0%} of the frames" if limited > LIMITED_SHARE else ""
         lost = f", {blind:.0%} of the frames had no measurement" if blind else ""
-        return f"{over} the command turned round {turned} times{held}{lost}, and the error {how}; {_cause(scenario)}".replace("%", " %")
+        return (
+            f"{over} the command turned round {turned} times{held}{lost},"
+            f" and the error {how}; {_cause(scenario)}".replace("%", " %")
+        )
     return ""
 
 
@@ -275,30 +358,45 @@ def _least(scenario: Scenario) -> tuple[float, str]:
 
 
 def reversal(frames: float, period_s: float | None = None) -> str:
-    """A swing in words, by its period in frames; period_s: of a frame [s], if the time is to be told."""
+    """A swing in words, by its period in frames; period_s: of a frame [s], if the time is to be
+    told.
+    """
     half = frames / 2
     time = f" ({half * period_s:.2g} s)" if period_s else ""
     return "reversed in every frame" if half == 1 else f"reversed every {half:.3g} frames{time}"
 
 
 def _gain(law: Law[Any]) -> tuple[float | None, bool]:
-    """The gain of a law at its goal [1/s], None where it has none or several; and whether commands are minus gain times the error."""
+    """The gain of a law at its goal [1/s], None where it has none or several; and whether commands
+    are minus gain times the error.
+    """
     while hasattr(law, "law"):  # of a program round a law
         law = law.law  # pyright: ignore[reportAttributeAccessIssue] - it has one
     gain = None if hasattr(law, "gain_z") else getattr(law, "gain", None)
     if isinstance(gain, ConstantGain | AdaptiveGain):
-        return (gain.value if isinstance(gain, ConstantGain) else gain.at_zero), law.feedforward.kind == "none"
+        return (
+            gain.value if isinstance(gain, ConstantGain) else gain.at_zero
+        ), law.feedforward.kind == "none"
     return (gain, False) if isinstance(gain, float | int) else (None, False)
 
 
 def _delay_s(scenario: Scenario) -> float:
     camera, timing = scenario.camera, scenario.timing
-    return camera.latency_s + timing.command_latency_s + (timing.first_s(camera) + camera.readout_s) / 2
+    return (
+        camera.latency_s
+        + timing.command_latency_s
+        + (timing.first_s(camera) + camera.readout_s) / 2
+    )
 
 
 def _limit(scenario: Scenario) -> float:
     """The gain a frame over which a loop with the scenario's delay, without lag, is unstable."""
-    return gain_limit(0, loop_shares(scenario.timing.interpolation != "hold", _delay_s(scenario) / scenario.camera.period))
+    return gain_limit(
+        0,
+        loop_shares(
+            scenario.timing.interpolation != "hold", _delay_s(scenario) / scenario.camera.period
+        ),
+    )
 
 
 def _share_of_limit(scenario: Scenario) -> float:
@@ -308,27 +406,45 @@ def _share_of_limit(scenario: Scenario) -> float:
 
 
 def _cause(scenario: Scenario) -> str:
-    """Sampling, gain and delay in numbers; where the theory of the loop applies, its limit, and what would help."""
+    """Sampling, gain and delay in numbers; where the theory of the loop applies, its limit, and
+    what would help.
+    """
     camera, T, delay_s = scenario.camera, scenario.camera.period, _delay_s(scenario)
     delay = f"a delay of {delay_s:g} s ({delay_s / T:.3g} frames)" if delay_s else "no delay"
     gain, proportional = _gain(scenario.law)
     if gain is None:
-        return f"it is sampled at {camera.rate_hz:g} Hz with {delay}; try lower gains, a higher rate, or less latency"
-    said = f"a gain of {gain:.4g} 1/s at {camera.rate_hz:g} Hz is {gain * T:.4g} a frame, with {delay}"
+        return (
+            f"it is sampled at {camera.rate_hz:g} Hz with {delay};"
+            " try lower gains, a higher rate, or less latency"
+        )
+    said = (
+        f"a gain of {gain:.4g} 1/s at {camera.rate_hz:g} Hz is {gain * T:.4g} a frame, with {delay}"
+    )
     if not proportional:
         return f"{said}; try a lower gain, a higher rate, or less latency"
     limit = _limit(scenario)
     bound = f"{limit:.4g} a frame ({limit / T:.4g} 1/s)"
     if gain * T > limit:
         helps = "or the delay" if delay_s else "or raise the rate"
-        return f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain, {helps}"
-    rest = "we do not know what makes the difference (the lag and the limits of the robot, the calibration, the noise)"
+        return (
+            f"{said}: without lag a loop with that delay is unstable over {bound};"
+            f" lower law.gain, {helps}"
+        )
+    rest = (
+        "we do not know what makes the difference"
+        " (the lag and the limits of the robot, the calibration, the noise)"
+    )
     helps = "less delay" if delay_s else "a higher rate"
-    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or {helps}"
+    return (
+        f"{said}: without lag it would be stable up to {bound}, and {rest};"
+        f" try a lower law.gain, or {helps}"
+    )
 
 
 def window(scenario: Scenario) -> int:
-    """How many frames are looked at, of a run that takes its whole time; of a shorter one half of those that it has."""
+    """How many frames are looked at, of a run that takes its whole time; of a shorter one half of
+    those that it has.
+    """
     return int(min(max(scenario.stop.duration_s / scenario.camera.period / 2, FEWEST), MOST))
 
 
@@ -338,25 +454,41 @@ class Stability:
     def __init__(self, scenario: Scenario):
         self._scenario, self._first, self._frames = scenario, math.nan, 0
         # No frames: they hold pictures.
-        self._last: deque[tuple[float, float, Array, float, Array, Array, Array]] = deque(maxlen=window(scenario))
+        self._last: deque[tuple[float, float, Array, float, Array, Array, Array]] = deque(
+            maxlen=window(scenario)
+        )
         self._grey = scenario.stop.converged.error_grey is not None
 
     def add(self, frame: Frame) -> None:
         """One more frame, whose command is the law's."""
         error, truth = frame.command.error_grey if self._grey else frame.error.rms_px, frame.truth
         scale, goal = frame.allocation.scale * frame.command.scale, frame.goal.T_camera_target
-        self._last.append((frame.t, error, frame.command.twist, scale, goal, truth.T_world_target, truth.T_world_camera))
+        self._last.append(
+            (
+                frame.t,
+                error,
+                frame.command.twist,
+                scale,
+                goal,
+                truth.T_world_target,
+                truth.T_world_camera,
+            )
+        )
         self._frames += 1
         if math.isnan(self._first):
             self._first = error
 
     def over_limit(self) -> str:
-        """That the gain is over the limit of theory, in numbers; "" where it is not, and in a run without a measurement."""
+        """That the gain is over the limit of theory, in numbers; "" where it is not, and in a run
+        without a measurement.
+        """
         over = _gain(self._scenario.law)[1] and _share_of_limit(self._scenario) > 1
         return _cause(self._scenario) if over and not math.isnan(self._first) else ""
 
     def unstable(self, seen: bool = False) -> str:
-        """How the loop is unstable, in words; "" where it is not. seen: how it was until the last frame with a measurement."""
+        """How the loop is unstable, in words; "" where it is not. seen: how it was until the last
+        frame with a measurement.
+        """
         last = list(islice(self._last, max(0, len(self._last) - self._frames // 2), None))
         while seen and last and math.isnan(last[-1][1]):
             last.pop()
@@ -364,29 +496,47 @@ class Stability:
             return ""
         t, error, twist, scale, goal, target, camera = map(np.array, zip(*last, strict=True))
         at_goal = target[[0, -1]] @ inverse(goal[[0, -1]])
-        away = np.array([rigid_error(T, T_goal) for T, T_goal in zip(camera[[0, -1]], at_goal, strict=True)])
+        away = np.array(
+            [rigid_error(T, T_goal) for T, T_goal in zip(camera[[0, -1]], at_goal, strict=True)]
+        )
         # A target in the gripper moves with the robot.
         moved = goal if self._scenario.target.on_gripper else np.concatenate([goal, target], axis=1)
-        return sentence(self._scenario, LastPart(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away), self._first)
+        return sentence(
+            self._scenario,
+            LastPart(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away),
+            self._first,
+        )
 
 
 LONG_SPANS = 2
 
 
 def swing(scenario: Scenario, log: Columns) -> Figures:
-    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames; none of a run whose
-    command swung for fewer than LONG_SPANS of them. A span has room for PERIODS of the swing at the gain limit, of a robot that lags by a
-    frame.
+    """Longest time for which the command swung without a break, with an error that counts, in whole
+    spans of frames; none of a run whose command swung for fewer than LONG_SPANS of them. A span has
+    room for PERIODS of the swing at the gain limit, of a robot that lags by a frame.
     """
     least, unit = _least(scenario)
-    span = max(FEWEST, PERIODS * swing_frames(1 + math.ceil(_delay_s(scenario) / scenario.camera.period - 1e-9)))
-    rows = np.column_stack([log["error_px" if unit == "px" else "error_grey"], *(log[f"cmd_{name}"] for name in TWIST)])
+    span = max(
+        FEWEST,
+        PERIODS * swing_frames(1 + math.ceil(_delay_s(scenario) / scenario.camera.period - 1e-9)),
+    )
+    rows = np.column_stack(
+        [log["error_px" if unit == "px" else "error_grey"], *(log[f"cmd_{name}"] for name in TWIST)]
+    )
     now: list[float] = []
     longest: list[float] = []
     for each in rows[: len(rows) // span * span].reshape(-1, span, 7):
-        found = period(each[:, 1:]) if np.isfinite(each).all() and np.median(each[:, 0]) >= least else 0.0
+        found = (
+            period(each[:, 1:])
+            if np.isfinite(each).all() and np.median(each[:, 0]) >= least
+            else 0.0
+        )
         now = [*now, found] if found else []
         longest = max(longest, now, key=len)
     if len(longest) < LONG_SPANS:
         return {}
-    return {"swung_s": len(longest) * span * scenario.camera.period, "swing_frames": float(np.median(longest))}
+    return {
+        "swung_s": len(longest) * span * scenario.camera.period,
+        "swing_frames": float(np.median(longest)),
+    }

@@ -1,4 +1,6 @@
-"""Termination: the verdict on each frame, from the task's monitor, the tests of safety and the scenario's monitors."""
+"""Termination: the verdict on each frame, from the task's monitor, the tests of safety and the
+scenario's monitors.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
 BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit
 
 SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
-SMALL = 1.5  # a marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour
+# a marker whose image has less than so many times the least area is too small: its edge pixels do
+# not count as its colour
+SMALL = 1.5
 POINTS = 32  # points of a marker's rim
 Before = Callable[[Array, Array], tuple[str, ...]]
 """What stands before each of points (N, 3) of a camera at a pose (4, 4) (`Plant.names_before`)."""
@@ -42,23 +46,33 @@ REMEDIES = {
     LENS: "a start that looks at the target, or a wider camera, would show it",
     BORDER: "a wider camera{law} would help",
     HIDDEN: "move what hides them, the start or the goal",
-    TINY: "larger markers (target.marker.radius), a nearer start or a longer focal length would help",
-    UNKNOWN: "why is not known: noise, light, or another object of their colour may be it; the film shows the picture",
+    TINY: (
+        "larger markers (target.marker.radius), a nearer start or a longer focal length would help"
+    ),
+    UNKNOWN: (
+        "why is not known: noise, light, or another object of their colour may be it;"
+        " the film shows the picture"
+    ),
 }
 """What would help, by what happened; {law}: what `_minding` says."""
 START = ", from the start on"
 
 Loss = tuple[int, str, float, float]
-"""Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius in the picture [px] (NaN: not told)."""
+"""Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius in
+the picture [px] (NaN: not told).
+"""
 
 
 class LostMarkers:
-    """Remembers of each marker that is not seen where it was lost. before: tells what stands before points."""
+    """Remembers of each marker that is not seen where it was lost. before: tells what stands before
+    points.
+    """
 
     def __init__(self, scenario: Scenario, before: Before):
         self._scenario, self._before = scenario, before
         detector, target = scenario.detector, scenario.target
-        # Others find points of the picture, a whole picture, an outline or lines: none of their rows is lost by itself.
+        # Others find points of the picture, a whole picture, an outline or lines: none of their
+        # rows is lost by itself.
         single = detector.rows is None and not target.outlined and not target.stripes
         self._of_markers = single and not detector.needs_sheet and len(target.points) > 0
         self._limited = getattr(detector, "field_of_view", "limited") == "limited"
@@ -80,12 +94,18 @@ class LostMarkers:
             self._lost.pop(int(i), None)
         new = np.flatnonzero(self._seen & ~seen)
         if len(new):
-            names = self._before(frame.truth.T_world_camera, frame.truth.p_camera) if self._limited else ("",) * len(seen)
+            names = (
+                self._before(frame.truth.T_world_camera, frame.truth.p_camera)
+                if self._limited
+                else ("",) * len(seen)
+            )
             self._lost |= {int(i): self._loss(frame, int(i), names[i]) for i in new}
         self._seen, self._whole = seen, bool(seen.all())
 
     def explained(self, reason: str) -> str:
-        """A reason for which the run is over, with the sentence, which takes the place of what the robot could only guess."""
+        """A reason for which the run is over, with the sentence, which takes the place of what the
+        robot could only guess.
+        """
         where = self.sentence()
         if not where:
             return reason
@@ -101,12 +121,19 @@ class LostMarkers:
         for (_, words), members in groups.items():
             called = [self._scenario.target.called(i) for i in members]
             first, last = (
-                f"from {t:.2f} s on" if t else "from the start on" for t in (f(self._lost[i][2] for i in members) for f in (min, max))
+                f"from {t:.2f} s on" if t else "from the start on"
+                for t in (f(self._lost[i][2] for i in members) for f in (min, max))
             )
-            head = f"marker {called[0]} was" if len(called) == 1 else f"markers {', '.join(called)} were"
+            head = (
+                f"marker {called[0]} was"
+                if len(called) == 1
+                else f"markers {', '.join(called)} were"
+            )
             sizes = sorted({f"{self._lost[i][3]:.2g}" for i in members}, key=float)
             words = words.format(px=" to ".join(dict.fromkeys((sizes[0], sizes[-1]))))
-            said.append(f"{head} {words} {first}" + (f", the last one {last}" if last != first else ""))
+            said.append(
+                f"{head} {words} {first}" + (f", the last one {last}" if last != first else "")
+            )
         kinds = sorted({kind for kind, _ in groups})
         law = _minding(self._scenario) if BORDER in kinds else ""
         return "; ".join([*said, *(REMEDIES[kind].format(law=law) for kind in kinds)])
@@ -123,25 +150,40 @@ class LostMarkers:
         if name or truth.hidden[i] or target.hides(T_target_camera)[i]:
             return HIDDEN, "hidden" + (f" by {name}" if name else ""), t, math.nan
         u, v = (uv - uv.mean(axis=0)).T
-        radius = math.sqrt(abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / (2 * math.pi))  # of a circle of its area
+        # of a circle of its area
+        radius = math.sqrt(abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / (2 * math.pi))
         if self._least_area_px is not None and radius**2 * math.pi < SMALL * self._least_area_px:
             least = math.sqrt(self._least_area_px / math.pi)
             kind = self._scenario.detector.kind
-            return TINY, f"too small (a radius of {{px}} px; {kind} finds {least:.2g} px and more, of full colour)", t, radius
+            return (
+                TINY,
+                (
+                    f"too small (a radius of {{px}} px;"
+                    f" {kind} finds {least:.2g} px and more, of full colour)"
+                ),
+                t,
+                radius,
+            )
         return UNKNOWN, "not found although in the picture (with a radius of {px} px)", t, radius
 
     def _rim(self, p_camera: Array, T_target_camera: Array, i: int) -> Array:
-        """Points (POINTS, 3) round the rim of marker i, whose centre is at p_camera (3,): in its plane, of a ball across the ray."""
+        """Points (POINTS, 3) round the rim of marker i, whose centre is at p_camera (3,): in its
+        plane, of a ball across the ray.
+        """
         target = self._scenario.target
         is_ball = target.marker.height_m >= target.marker.radius  # as high as wide
         facing = p_camera if is_ball else T_target_camera[:3, :3].T @ target.normals[i]
         a = np.cross(facing, np.eye(3)[int(np.argmin(np.abs(facing)))])
         a, b = (each / np.linalg.norm(each) for each in (a, np.cross(facing, a)))
         angles: Array = np.linspace(0, 2 * math.pi, POINTS, endpoint=False)[:, None]
-        return np.asarray(p_camera + target.marker.radius * (np.cos(angles) * a + np.sin(angles) * b), dtype=float)
+        return np.asarray(
+            p_camera + target.marker.radius * (np.cos(angles) * a + np.sin(angles) * b), dtype=float
+        )
 
     def _out_of_view(self, rim: Array, p_camera: Array) -> tuple[int, str] | None:
-        """How a marker with a rim (POINTS, 2) [px] is outside of the picture; None where it is whole in it."""
+        """How a marker with a rim (POINTS, 2) [px] is outside of the picture; None where it is
+        whole in it.
+        """
         camera = self._scenario.camera
         if not np.isfinite(rim).all():
             behind = isinstance(camera, Perspective) and p_camera[2] <= 0
@@ -151,11 +193,16 @@ class LostMarkers:
         if len(camera.panels) > 1 or clear[:, side].min() >= 0:
             return None
         border = f"the {SIDES[side]} border" if clear.shape[1] == len(SIDES) else "the border"
-        return BORDER, f"{'beyond' if clear[:, side].max() < 0 else 'cut by'} {border} of the picture"
+        return (
+            BORDER,
+            f"{'beyond' if clear[:, side].max() < 0 else 'cut by'} {border} of the picture",
+        )
 
 
 def _minding(scenario: Scenario) -> str:
-    """What else would help at the border: a nearer start, and those fields and laws that mind it and that the scenario takes."""
+    """What else would help at the border: a nearer start, and those fields and laws that mind it
+    and that the scenario takes.
+    """
     law, found = scenario.law, list[str]()
     if isinstance(law, IBVS | Partitioned | Hybrid) and law.visibility.margin_px == 0:
         least = replace(law, visibility=replace(law.visibility, margin_px=1.0))
@@ -163,7 +210,11 @@ def _minding(scenario: Scenario) -> str:
     if not isinstance(law, QP) and _takes(scenario, QP()):
         found.append("law: qp")
     start = "a start nearer to the goal view"
-    return f", {start}, or a law that minds the border ({', '.join(found)})" if found else f" or {start}"
+    return (
+        f", {start}, or a law that minds the border ({', '.join(found)})"
+        if found
+        else f" or {start}"
+    )
 
 
 def _takes(scenario: Scenario, law: Law[Any]) -> bool:
@@ -175,7 +226,9 @@ def _takes(scenario: Scenario, law: Law[Any]) -> bool:
 
 
 def is_behind(T_world_target: Array, away: list[float]) -> bool:
-    """Whether a camera `away` [m] from a target at a pose (4, 4) is behind its front, from which the target's z points away."""
+    """Whether a camera `away` [m] from a target at a pose (4, 4) is behind its front, from which
+    the target's z points away.
+    """
     return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
 
 
@@ -184,13 +237,16 @@ DRIVEN_TO = (Outcome.target_lost, Outcome.diverged, Outcome.collided)
 
 
 class Termination:
-    """Decides by truth, measurements and commands whether a run is over; nothing of it comes back to the law.
+    """Decides by truth, measurements and commands whether a run is over; nothing of it comes back
+    to the law.
 
-    Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot touches something), a task
-    that is reached, the tests of safety in their order, the scenario's monitors, a task that is missed.
+    Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot
+    touches something), a task that is reached, the tests of safety in their order, the scenario's
+    monitors, a task that is missed.
 
-    task: has already measured the frame. monitors: the scenario's, each with its kind. stability: tells a run that would end as
-    `timed_out`, and is unstable. markers: tells where those are lost that are not seen.
+    task: has already measured the frame. monitors: the scenario's, each with its kind. stability:
+    tells a run that would end as `timed_out`, and is unstable. markers: tells where those are lost
+    that are not seen.
     """
 
     def __init__(
@@ -203,7 +259,12 @@ class Termination:
         stability: Stability | None = None,
         markers: LostMarkers | None = None,
     ):
-        self._task, self._supervisor, self._duration_s, self._monitors = task, supervisor, stop.duration_s, monitors
+        self._task, self._supervisor, self._duration_s, self._monitors = (
+            task,
+            supervisor,
+            stop.duration_s,
+            monitors,
+        )
         self.stability, self._markers = stability, markers
         # Where no loss ends a run, the camera may go behind its target.
         self._one_sided = target.one_sided and stop.loss_ends
@@ -212,12 +273,16 @@ class Termination:
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""
-        # All tests see every frame, whichever decides: they measure durations, and a tolerance that was violated while the task
-        # was aborted stays violated when the supervisor resumes it.
+        # All tests see every frame, whichever decides: they measure durations, and a tolerance that
+        # was violated while the task was aborted stays violated when the supervisor resumes it.
         task = self._task
         reached, missed = task.reached(frame), task.missed(frame)
         unsafe = self.unsafe(frame)
-        ruled = [checked(kind, monitor.update(frame)) for kind, monitor in self._monitors] if self._monitors else ()
+        ruled = (
+            [checked(kind, monitor.update(frame)) for kind, monitor in self._monitors]
+            if self._monitors
+            else ()
+        )
         if self._markers is not None:
             self._markers.add(frame)
         if self.stability is not None:
@@ -228,24 +293,30 @@ class Termination:
         return verdict and self._told_apart(verdict)
 
     def unsafe(self, frame: Frame) -> Verdict | None:
-        """The first of: a collision, divergence, the plane of the target crossed, a limit reached; to be asked once a frame.
-        A target out of sight is the supervisor's matter.
+        """The first of: a collision, divergence, the plane of the target crossed, a limit reached;
+        to be asked once a frame. A target out of sight is the supervisor's matter.
         """
         truth, T_target = frame.truth, frame.truth.T_world_target
         away = (truth.T_world_camera[:3, 3] - T_target[:3, 3]).tolist()
         crossed = self._crossed(truth, T_target, away) if self._one_sided else None
-        # A joint limit or a singular configuration has left nearly nothing of the command. "speed" is no such limit: a command that is
-        # merely too fast is carried out more slowly.
+        # A joint limit or a singular configuration has left nearly nothing of the command. "speed"
+        # is no such limit: a command that is merely too fast is carried out more slowly.
         limit, scale = frame.allocation.limit, frame.allocation.scale
         holds = limit in ("joint_limit", "singular") and scale < BLOCKED_SCALE
         self._blocked_since = held_since(self._blocked_since, holds, frame.t)
         held = has_held(self._blocked_since, frame.t, BLOCKED_S)
         blocked = (Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}") if held else None
-        far = (Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target") if math.hypot(*away) > FAR_M else None
+        far = (
+            (Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target")
+            if math.hypot(*away) > FAR_M
+            else None
+        )
         return self._collision(truth) or far or crossed or blocked
 
     def _touching(self, truth: Truth) -> str:
-        """What touches now, as `forearm and floor`; "" where nothing does that may not: feet may not before they are to."""
+        """What touches now, as `forearm and floor`; "" where nothing does that may not: feet may
+        not before they are to.
+        """
         return truth.contact or ("" if self._supervisor.may_touch else truth.feet)
 
     def _collision(self, truth: Truth) -> Verdict | None:
@@ -253,10 +324,15 @@ class Termination:
         if not (touching := self._touching(truth)):
             return None
         aborted = self._supervisor.aborted
-        return Outcome.collided, f"contact of {touching}{f', after {aborted[1]}' if aborted else ''}"
+        return (
+            Outcome.collided,
+            f"contact of {touching}{f', after {aborted[1]}' if aborted else ''}",
+        )
 
     def _crossed(self, truth: Truth, T_target: Array, away: list[float]) -> Verdict | None:
-        """Lost, where the camera, `away` [m] from the target, is behind its front: from there no marker can be seen."""
+        """Lost, where the camera, `away` [m] from the target, is behind its front: from there no
+        marker can be seen.
+        """
         before, self._T_before = self._T_before, T_target
         if not is_behind(T_target, away):
             return None
@@ -265,12 +341,17 @@ class Termination:
             return Outcome.target_lost, f"{words}; start in front of it, or turn target.pose"
         away_before = (truth.T_world_camera[:3, 3] - before[:3, 3]).tolist()
         crossed = is_behind(before, away_before)  # also of the target where it stood before
-        words = "the camera crossed the plane of the target" if crossed else "the target turned its back to the camera, or moved past it"
+        words = (
+            "the camera crossed the plane of the target"
+            if crossed
+            else "the target turned its back to the camera, or moved past it"
+        )
         return Outcome.target_lost, words
 
     def _told_apart(self, verdict: Verdict) -> Verdict:
-        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so. Where
-        the frames do not tell, the reason at least names a gain over the limit of theory.
+        """Unstable, of a run that has timed out because its loop swings or grows; where that drove
+        it elsewhere, the reason says so. Where the frames do not tell, the reason at least names a
+        gain over the limit of theory.
         """
         outcome, reason = verdict
         if self.stability is None or outcome not in (Outcome.timed_out, *DRIVEN_TO):
@@ -280,15 +361,23 @@ class Termination:
             return outcome, "; ".join(filter(None, (reason, self.stability.over_limit())))
         if outcome in DRIVEN_TO:
             return outcome, f"{reason}; before, the loop was unstable: {how}"
-        return Outcome.unstable, how if reason == timed_out_words(self._duration_s) else f"{reason}; {how}"
+        return Outcome.unstable, how if reason == timed_out_words(
+            self._duration_s
+        ) else f"{reason}; {how}"
 
     def without_picture(self, t: float, truth: Truth) -> Verdict | None:
-        """The outcome while no picture arrives [s]: of a collision, of an aborted task, or of the end of the duration."""
+        """The outcome while no picture arrives [s]: of a collision, of an aborted task, or of the
+        end of the duration.
+        """
         if verdict := self._collision(truth):
             return verdict
         if self._supervisor.aborted:
             return self._after_abort(t, self._supervisor.aborted)
-        return (Outcome.timed_out, timed_out_words(self._duration_s)) if t >= self._duration_s - 1e-9 else None
+        return (
+            (Outcome.timed_out, timed_out_words(self._duration_s))
+            if t >= self._duration_s - 1e-9
+            else None
+        )
 
     def _after_abort(self, t: float, aborted: Verdict) -> Verdict | None:
         down = self._supervisor.down(t)
@@ -297,4 +386,6 @@ class Termination:
         outcome, reason = aborted
         if self._markers is not None and outcome is Outcome.target_lost:
             reason = self._markers.explained(reason)
-        return self._told_apart((outcome, "; ".join(filter(None, (reason, self._supervisor.DOWN[0 if down else 1])))))
+        return self._told_apart(
+            (outcome, "; ".join(filter(None, (reason, self._supervisor.DOWN[0 if down else 1]))))
+        )

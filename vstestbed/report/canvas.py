@@ -1,4 +1,6 @@
-"""Matplotlib figures in one style, as inline SVG that follows the page's light or dark colours, and as files; no global state."""
+"""Matplotlib figures in one style, as inline SVG that follows the page's light or dark colours, and
+as files; no global state.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ if TYPE_CHECKING:
 
 DPI = 200  # of pictures
 _STYLE: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib; the names behind `sans-serif` would be looked up for every word
+    # comes with matplotlib; the names behind `sans-serif` would be looked up for every word
+    "font.family": "DejaVu Sans",
     "font.size": 8,
     "axes.labelsize": 8,
     "axes.edgecolor": RULE,
@@ -57,7 +60,9 @@ _STYLE: Any = {
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
-    "text.hinting": "no_hinting",  # hinted text is narrower in the layout than in the vector formats: labels at the edge would be cut
+    # hinted text is narrower in the layout than in the vector formats: labels at the edge would be
+    # cut
+    "text.hinting": "no_hinting",
     "svg.fonttype": "none",  # text stays text: small, searchable, in the page's own font
     "svg.hashsalt": "vstestbed",  # the same run gives the same bytes
     "pdf.fonttype": 42,  # embedded TrueType: journals refuse Type 3 fonts, matplotlib's default
@@ -66,8 +71,11 @@ _STYLE: Any = {
 
 
 def style() -> Any:
-    """A context manager in which figures are drawn and saved in the project's style, that of a paper."""
-    import matplotlib  # all matplotlib imports are inside functions: commands that draw nothing start faster
+    """A context manager in which figures are drawn and saved in the project's style, that of a
+    paper.
+    """
+    # all matplotlib imports are inside functions: commands that draw nothing start faster
+    import matplotlib
 
     return matplotlib.rc_context(_STYLE)
 
@@ -83,7 +91,9 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
 
 
 def panels(figure: Figure, n: int, columns: int, **shared: Any) -> list[Any]:
-    """The first n axes of a grid in the figure, row by row; the others of the last row are hidden."""
+    """The first n axes of a grid in the figure, row by row;
+    the others of the last row are hidden.
+    """
     found = figure.subplots(-(-n // columns), columns, squeeze=False, **shared).ravel().tolist()
     for axes in found[n:]:
         axes.set_visible(False)
@@ -94,17 +104,25 @@ def chart_figure(chart: Chart) -> Figure:
     """A run's chart (`chart`) as a matplotlib figure."""
     with style():
         entries = chart.legend()
-        columns = max(1, min(len(entries), 90 // (max(map(len, entries), default=1) + 7)))  # as many as the longest leaves room for
+        # as many as the longest leaves room for
+        columns = max(1, min(len(entries), 90 // (max(map(len, entries), default=1) + 7)))
         figure = new_figure(chart.height / 72 + 0.2 * -(-len(entries) // columns))
         shares = [panel.share for panel in chart.panels]
-        grid = figure.subplots(len(shares), squeeze=False, sharex=len(shares) > 1, height_ratios=shares)[:, 0]
+        grid = figure.subplots(
+            len(shares), squeeze=False, sharex=len(shares) > 1, height_ratios=shares
+        )[:, 0]
         for axes, panel in zip(grid, chart.panels, strict=True):
             _draw_panel(axes, panel)
         grid[-1].set_xlabel(chart.panels[-1].labels[0])
         if entries:
             nothing = np.zeros(0)
-            handles = [_line(c, nothing, nothing) if c.marker or c.linewidth else _patch(c) for c in entries.values()]
-            figure.legend(handles, list(map(plain, entries)), loc="outside lower center", ncols=columns)
+            handles = [
+                _line(c, nothing, nothing) if c.marker or c.linewidth else _patch(c)
+                for c in entries.values()
+            ]
+            figure.legend(
+                handles, list(map(plain, entries)), loc="outside lower center", ncols=columns
+            )
         picture = io.BytesIO()
         save_to(figure, picture, "png", 110)
     # Jupyter shows it without `%matplotlib inline`, too
@@ -128,21 +146,46 @@ def _draw_panel(axes: Axes, panel: ChartPanel) -> None:
     for curve in panel.curves:
         x, y = bordered(curve.x, xlim), bordered(curve.y, ylim)
         if curve.fill != "none" and not curve.marker:
-            axes.fill(x, y, facecolor=curve.fill, edgecolor=curve.color, linewidth=curve.linewidth, alpha=curve.alpha, zorder=curve.zorder)
+            axes.fill(
+                x,
+                y,
+                facecolor=curve.fill,
+                edgecolor=curve.color,
+                linewidth=curve.linewidth,
+                alpha=curve.alpha,
+                zorder=curve.zorder,
+            )
         else:
             axes.add_line(_line(curve, x, y))
     for x, y, words, anchor, color in panel.words:
         at = {"start": "left", "middle": "center", "end": "right"}[anchor]
         place = float(bordered(np.array(x), xlim)), float(bordered(np.array(y), ylim))
-        axes.text(*place, plain(words), color=color, ha=at, va="top" if np.isinf(y) else "center", fontsize=7.5)
+        axes.text(
+            *place,
+            plain(words),
+            color=color,
+            ha=at,
+            va="top" if np.isinf(y) else "center",
+            fontsize=7.5,
+        )
 
 
 def _line(curve: Curve, x: Array, y: Array) -> Line2D:
     from matplotlib.lines import Line2D
 
     marker = curve.marker or ("o" if len(x) == 1 else "")
-    looks: Any = {"color": curve.color, "linewidth": curve.linewidth, "alpha": curve.alpha, "zorder": curve.zorder}
-    marks: Any = {"marker": marker, "markersize": curve.markersize, "markerfacecolor": curve.fill, "markeredgewidth": curve.linewidth}
+    looks: Any = {
+        "color": curve.color,
+        "linewidth": curve.linewidth,
+        "alpha": curve.alpha,
+        "zorder": curve.zorder,
+    }
+    marks: Any = {
+        "marker": marker,
+        "markersize": curve.markersize,
+        "markerfacecolor": curve.fill,
+        "markeredgewidth": curve.linewidth,
+    }
     return Line2D(x, y, linestyle="none" if curve.marker else curve.linestyle, **looks, **marks)
 
 
@@ -153,34 +196,47 @@ def _patch(curve: Curve) -> Patch:
 
 
 def publish(figure: Figure, key: str, label: str, place: Path | None = None) -> str:
-    """The figure as an `<svg>` element for HTML and, in the folder `place`, as KEY.pdf with embedded fonts, KEY.svg and KEY.png, all alike.
-    key: also the prefix of the element's identifiers. label: text for screen readers.
+    """The figure as an `<svg>` element for HTML and, in the folder `place`, as KEY.pdf with
+    embedded fonts, KEY.svg and KEY.png, all alike. key: also the prefix of the element's
+    identifiers. label: text for screen readers.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     sink = io.StringIO()
     figure.set_facecolor("white")
-    # without matplotlib's warnings, which are for who writes the figure: of a script that its font lacks, a reader can mend nothing
+    # without matplotlib's warnings, which are for who writes the figure: of a script that its font
+    # lacks, a reader can mend nothing
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         figure.draw_without_rendering()
         figure.set_layout_engine(None)  # keep this layout: to compute it again would take as long
-        FigureCanvasSVG(figure).print_svg(sink, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        FigureCanvasSVG(figure).print_svg(
+            sink, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+        )
     text = sink.getvalue()
     if place is not None:
         write_whole(place / f"{key}.svg", text.encode())
         save(figure, place / f"{key}.pdf")
         save(figure, place / f"{key}.png", DPI)
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
-    # several figures share a page, and with one hash salt matplotlib would give their clip paths the same identifiers
+    # several figures share a page, and with one hash salt matplotlib would give their clip paths
+    # the same identifiers
     text = re.sub(r'\bid="', f'id="{key}-', text)
     text = re.sub(r'(href="|url\()#', rf"\1#{key}-", text)
     # the page's colours, which follow light and dark mode
-    text = text.replace("fill: #ffffff", "fill: none", 1).replace(INK, paint(INK)).replace(RULE, paint(RULE))
-    return re.sub(r"<svg\b", f'<svg role="img" aria-label="{html.escape(label)}"', text, count=1).strip()
+    text = (
+        text.replace("fill: #ffffff", "fill: none", 1)
+        .replace(INK, paint(INK))
+        .replace(RULE, paint(RULE))
+    )
+    return re.sub(
+        r"<svg\b", f'<svg role="img" aria-label="{html.escape(label)}"', text, count=1
+    ).strip()
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
-    """Write the figure on white in the format of the file's suffix, without a date: the same figure gives the same bytes."""
+    """Write the figure on white in the format of the file's suffix, without a date: the same figure
+    gives the same bytes.
+    """
     sink = io.BytesIO()
     save_to(figure, sink, path.suffix.lower()[1:], dpi)
     return write_whole(path, sink.getvalue())
@@ -194,8 +250,11 @@ def save_to(figure: Figure, sink: io.BytesIO, kind: str, dpi: int) -> None:
 
 
 def plain(name: str) -> str:
-    """A name for matplotlib: no mathtext, no leading underscore, which a legend would hide; control characters as Python escapes them."""
-    printable = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name)  # no font has them, XML does not allow them
+    """A name for matplotlib: no mathtext, no leading underscore, which a legend would hide; control
+    characters as Python escapes them.
+    """
+    # no font has them, XML does not allow them
+    printable = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name)
     return printable.replace("$", r"\$").lstrip("_") or "(unnamed)"
 
 

@@ -1,7 +1,9 @@
-"""Charts of a run's page, written as SVG directly: panels over one horizontal axis, equal scale, and views of space.
+"""Charts of a run's page, written as SVG directly: panels over one horizontal axis, equal scale,
+and views of space.
 
-A run's page is read once, seconds after the run: these charts take a hundredth of the time of a plotting library, most of which
-measures text that the browser sets again. Looks are those of `marks`. Legends are HTML below the drawing, which the browser wraps.
+A run's page is read once, seconds after the run: these charts take a hundredth of the time of a
+plotting library, most of which measures text that the browser sets again. Looks are those of
+`marks`. Legends are HTML below the drawing, which the browser wraps.
 """
 
 from __future__ import annotations
@@ -22,14 +24,22 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def ticks(low: float, high: float, most: int) -> Array:
-    """At most so many intervals of 1, 2, 2.5 or 5 times a power of ten: their ends from `low` to `high`."""
+    """At most so many intervals of 1, 2, 2.5 or 5 times a power of ten: their ends from `low` to
+    `high`.
+    """
     raw = (high - low) / max(most, 1)
-    step = next(s for s in (f * 10.0 ** floor(log10(raw)) for f in (1, 2, 2.5, 5, 10)) if s >= raw * (1 - 1e-9))
+    step = next(
+        s
+        for s in (f * 10.0 ** floor(log10(raw)) for f in (1, 2, 2.5, 5, 10))
+        if s >= raw * (1 - 1e-9)
+    )
     return step * np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1, dtype=float)
 
 
 def log_ticks(low: float, high: float, most: int) -> Array:
-    """Powers of ten; of less than two of them also twice and five times, and of less than two of these as on a linear axis."""
+    """Powers of ten; of less than two of them also twice and five times, and of less than two of
+    these as on a linear axis.
+    """
     powers = range(floor(log10(low)), ceil(log10(high)) + 1)
     for factors in ((1.0,), (1.0, 2.0, 5.0)):
         at = np.array([f * 10.0**k for k in powers for f in factors])
@@ -40,9 +50,12 @@ def log_ticks(low: float, high: float, most: int) -> Array:
 
 
 def numerals(at: Array, powers: bool = False) -> list[str]:
-    """The numbers of ticks, with the same number of decimals, or with powers of ten where these are shorter (or asked for)."""
+    """The numbers of ticks, with the same number of decimals, or with powers of ten where these are
+    shorter (or asked for).
+    """
     step = float(np.ptp(at)) / (len(at) - 1) if len(at) > 1 else float(np.abs(at).sum()) or 1.0
-    # decimals of the number that needs most of them, to a thousandth of the distance of two; powers instead of more than four of them
+    # decimals of the number that needs most of them, to a thousandth of the distance of two; powers
+    # instead of more than four of them
     enough = (d for d in range(5) if (np.abs(at - np.round(at, d)) < 1e-3 * step).all())
     decimals = None if powers or np.abs(at).max(initial=0) >= 1e5 else next(enough, None)
     if decimals is None:
@@ -62,20 +75,26 @@ def _power(value: float) -> str:
 
 Pair = tuple[float, float]
 POINT = 10  # Steps of a coordinate per point (1/72 in): all coordinates of curves are whole numbers
-LEFT, RIGHT, BOTTOM, TOP, GAP = 64.0, 13.0, 32.0, 10.0, 13.0  # Margins around the panels and between two of them [pt]
-DASHES = {"-": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}  # Lengths of dashes and gaps, in widths of the line
+# Margins around the panels and between two of them [pt]
+LEFT, RIGHT, BOTTOM, TOP, GAP = 64.0, 13.0, 32.0, 10.0, 13.0
+# Lengths of dashes and gaps, in widths of the line
+DASHES = {"-": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}
 MARKS = {
     "o": "m{0} 0a{1} {1} 0 1 0 {2} 0a{1} {1} 0 1 0 {3} 0",
     "x": "m{0} {0}l{2} {2}m0 {3}l{3} {2}",
     "D": "m0 {0}l{1} {1} {0} {1} {0} {0}z",
     ">": "m{1} 0l{3} {1} 0 {3}z",
 }
-"""Markers as paths from their centre; {1} is half of their size, {2} the size, {0} and {3} are their negatives."""
+"""Markers as paths from their centre; {1} is half of their size, {2} the size, {0} and {3} are
+their negatives.
+"""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line through points (x, y) [data units]; NaN is a gap, and an infinite coordinate is the panel's border."""
+    """A line through points (x, y) [data units]; NaN is a gap, and an infinite coordinate is the
+    panel's border.
+    """
 
     x: Array
     y: Array
@@ -100,14 +119,22 @@ class Curve:
         if self.linestyle == "none" and self.fill == "none":
             return ""
         pieces = np.split(whole, np.flatnonzero(np.diff(np.flatnonzero(known)) > 1) + 1)
-        dashes = DASHES.get(self.linestyle, ()) if isinstance(self.linestyle, str) else self.linestyle[1]
-        return self._element("".join(map(_path, pieces)) + ("z" if self.fill != "none" else ""), dashes)
+        dashes = (
+            DASHES.get(self.linestyle, ()) if isinstance(self.linestyle, str) else self.linestyle[1]
+        )
+        return self._element(
+            "".join(map(_path, pieces)) + ("z" if self.fill != "none" else ""), dashes
+        )
 
     def _element(self, d: str, dashes: tuple[float, ...]) -> str:
         lengths = " ".join(f"{POINT * self.linewidth * length:.3g}" for length in dashes)
         more = f' stroke-dasharray="{lengths}" stroke-linecap="butt"' if dashes else ""
         more += f' opacity="{self.alpha:g}"' if self.alpha < 1 else ""
-        stroke = f' stroke="{paint(self.color)}" stroke-width="{POINT * self.linewidth:.3g}"' if self.linewidth else ""
+        stroke = (
+            f' stroke="{paint(self.color)}" stroke-width="{POINT * self.linewidth:.3g}"'
+            if self.linewidth
+            else ""
+        )
         return f'<path d="{d}" fill="{paint(self.fill)}"{stroke}{more}/>' if d else ""
 
     def sample(self) -> str:
@@ -115,32 +142,48 @@ class Curve:
         if self.fill != "none" and not self.marker:
             body = self.drawn(np.array([2.0, 18, 18, 2]), np.array([1.0, 1, 8, 8]))
         else:
-            body = self.drawn(*(np.array([[10.0], [4.5]]) if self.marker else np.array([[2.0, 18.0], [4.5, 4.5]])))
-        return f'<svg viewBox="0 0 {20 * POINT} {9 * POINT}" aria-hidden="true"><g stroke-linecap="round">{body}</g></svg>'
+            body = self.drawn(
+                *(np.array([[10.0], [4.5]]) if self.marker else np.array([[2.0, 18.0], [4.5, 4.5]]))
+            )
+        return (
+            f'<svg viewBox="0 0 {20 * POINT} {9 * POINT}" aria-hidden="true">'
+            f'<g stroke-linecap="round">{body}</g></svg>'
+        )
 
 
 def _path(p: Array) -> str:
-    """A line through whole points (n, 2), without those on the straight way between their neighbours."""
+    """A line through whole points (n, 2), without those on the straight way between their
+    neighbours.
+    """
     if len(p) == 0:
         return ""
     p = p[np.concatenate([[True], np.diff(p, axis=0).any(axis=1)])]
     step = np.diff(p, axis=0)
     before, after = step[:-1], step[1:]
-    straight = (before[:, 0] * after[:, 1] == before[:, 1] * after[:, 0]) & ((before * after).sum(axis=1) > 0)
+    straight = (before[:, 0] * after[:, 1] == before[:, 1] * after[:, 0]) & (
+        (before * after).sum(axis=1) > 0
+    )
     p = p[np.concatenate([[True], ~straight, [True]])[: len(p)]]
     steps = " ".join(map(str, np.diff(p, axis=0).ravel().tolist()))
     return f"M{p[0, 0]} {p[0, 1]}" + (f"l{steps}" if steps else "h0")
 
 
-def text(x: float, y: float, words: str, anchor: str = "middle", color: str = INK, more: str = "") -> str:
+def text(
+    x: float, y: float, words: str, anchor: str = "middle", color: str = INK, more: str = ""
+) -> str:
     """Words in the SVG, vertically centred at y [pt]."""
     shade = "" if color == INK else f' fill="{paint(color)}"'
-    return f'<text x="{x:.1f}" y="{y:.1f}" dy=".35em" text-anchor="{anchor}"{shade}{more}>{escape(words)}</text>'
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" dy=".35em" text-anchor="{anchor}"{shade}{more}>'
+        f"{escape(words)}</text>"
+    )
 
 
 @dataclass
 class ChartPanel:
-    """A pair of axes: curves, words, limits and labels; limits that are not given follow from the curves."""
+    """A pair of axes: curves, words, limits and labels; limits that are not given follow from the
+    curves.
+    """
 
     curves: list[Curve] = field(default_factory=list)
     # (x, y, text, anchor, colour) at points [data units]; at y = infinity below the upper border
@@ -164,18 +207,32 @@ class ChartPanel:
 
     def rule(self, y: float, **look: Any) -> None:
         """A line across the panel below the curves, grey unless another look is given."""
-        self.plot([-np.inf, np.inf], [y, y], **{"color": RULE, "linewidth": 0.8, "zorder": 1.5} | look)
+        self.plot(
+            [-np.inf, np.inf], [y, y], **{"color": RULE, "linewidth": 0.8, "zorder": 1.5} | look
+        )
 
     def area(self, x: Pair, y: Pair, color: str, alpha: float, label: str = "") -> None:
         """A filled rectangle below all lines."""
-        self.plot(np.repeat(x, 2), [*y, *y[::-1]], fill=color, linewidth=0, alpha=alpha, label=label, zorder=1)
+        self.plot(
+            np.repeat(x, 2),
+            [*y, *y[::-1]],
+            fill=color,
+            linewidth=0,
+            alpha=alpha,
+            label=label,
+            zorder=1,
+        )
 
     def limits(self) -> tuple[Pair, Pair]:
         """The limits (left, right) and (bottom, top)."""
-        x = self.xlim or _around([c.x for c in self.curves] + [np.array([x for x, *_ in self.words])], False)
+        x = self.xlim or _around(
+            [c.x for c in self.curves] + [np.array([x for x, *_ in self.words])], False
+        )
         if self.ylim:
             return x, self.ylim
-        y = _around([c.y for c in self.curves] + [np.array([y for _, y, *_ in self.words])], self.log)
+        y = _around(
+            [c.y for c in self.curves] + [np.array([y for _, y, *_ in self.words])], self.log
+        )
         if y[1] - y[0] < self.least:
             y = ((y[0] + y[1] - self.least) / 2, (y[0] + y[1] + self.least) / 2)
         if self.lowest is not None:
@@ -183,13 +240,20 @@ class ChartPanel:
         return x, y
 
     def drawn(self, left: float, top: float, width: float, height: float, last: bool) -> str:
-        """The SVG of the panel in a rectangle [pt]; numbers along x only in the last panel of a column."""
+        """The SVG of the panel in a rectangle [pt]; numbers along x only in the last panel of a
+        column.
+        """
         xlim, ylim = self.limits()
         title = text(left, top - 8, self.title, "start") if self.title else ""
         if self.equal:
             scale = min(width / abs(xlim[1] - xlim[0]), height / abs(ylim[1] - ylim[0]))
             across, down = scale * abs(xlim[1] - xlim[0]), scale * abs(ylim[1] - ylim[0])
-            left, top, width, height = left + (width - across) / 2, top + (height - down) / 2, across, down
+            left, top, width, height = (
+                left + (width - across) / 2,
+                top + (height - down) / 2,
+                across,
+                down,
+            )
 
         def place(x: Array, y: Array) -> tuple[Array, Array]:
             x, y, low, high = bordered(x, xlim), bordered(y, ylim), *ylim
@@ -198,29 +262,64 @@ class ChartPanel:
             return (x - xlim[0]) / (xlim[1] - xlim[0]) * width, (high - y) / (high - low) * height
 
         parts = [] if self.bare else list(self._axes(place, (left, top, width, height), last))
-        body = "".join(c.drawn(*place(c.x, c.y)) for c in sorted(self.curves, key=lambda c: c.zorder) if len(c.x))
+        body = "".join(
+            c.drawn(*place(c.x, c.y))
+            for c in sorted(self.curves, key=lambda c: c.zorder)
+            if len(c.x)
+        )
         view = f'x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}"'
-        view += f' viewBox="0 0 {POINT * width:.0f} {POINT * height:.0f}"' + (' overflow="visible"' if self.bare else "")
-        parts.append(f'<svg {view} preserveAspectRatio="none" stroke-linecap="round" stroke-linejoin="round">{body}</svg>')
+        view += f' viewBox="0 0 {POINT * width:.0f} {POINT * height:.0f}"' + (
+            ' overflow="visible"' if self.bare else ""
+        )
+        parts.append(
+            f'<svg {view} preserveAspectRatio="none" stroke-linecap="round"'
+            f' stroke-linejoin="round">{body}</svg>'
+        )
         for x, y, words, anchor, color in self.words:
             u, v = place(np.array([x]), np.array([y]))
-            parts.append(text(left + u[0], top + v[0] + (6 if np.isinf(y) else 0), words, anchor, color))
+            parts.append(
+                text(left + u[0], top + v[0] + (6 if np.isinf(y) else 0), words, anchor, color)
+            )
         return "".join((*parts, title))
 
-    def _axes(self, place: Callable[[Array, Array], tuple[Array, Array]], box: tuple[float, ...], last: bool) -> Iterator[str]:
+    def _axes(
+        self,
+        place: Callable[[Array, Array], tuple[Array, Array]],
+        box: tuple[float, ...],
+        last: bool,
+    ) -> Iterator[str]:
         """Grid, borders at the left and below, numbers and labels."""
         left, top, width, height = box
         (x0, x1), (y0, y1) = (sorted(limits) for limits in self.limits())
-        at_x, at_y = ticks(x0, x1, round(width / 46)), (log_ticks if self.log else ticks)(y0, y1, max(2, round(height / 21)))
+        at_x, at_y = (
+            ticks(x0, x1, round(width / 46)),
+            (log_ticks if self.log else ticks)(y0, y1, max(2, round(height / 21))),
+        )
         u, v = left + place(at_x, 0 * at_x + y1)[0], top + place(0 * at_y + x0, at_y)[1]
-        grid = "".join(f"M{x:.1f} {top:.1f}v{height:.1f}" for x in u) + "".join(f"M{left:.1f} {y:.1f}h{width:.1f}" for y in v)
+        grid = "".join(f"M{x:.1f} {top:.1f}v{height:.1f}" for x in u) + "".join(
+            f"M{left:.1f} {y:.1f}h{width:.1f}" for y in v
+        )
         yield f'<path d="{grid}" stroke="{paint(RULE)}" stroke-width=".6" opacity=".45"/>'
-        yield f'<path d="M{left:.1f} {top:.1f}v{height:.1f}h{width:.1f}" fill="none" stroke="{paint(RULE)}" stroke-width=".8"/>'
+        yield (
+            f'<path d="M{left:.1f} {top:.1f}v{height:.1f}h{width:.1f}" fill="none"'
+            f' stroke="{paint(RULE)}" stroke-width=".8"/>'
+        )
         middle = top + height / 2
-        yield text(left - 53, middle, self.labels[1], more=f' transform="rotate(-90 {left - 53:.1f} {middle:.1f})"')
-        yield from (text(left - 5, y, words, "end") for y, words in zip(v, self._numbers(1, at_y), strict=True))
+        yield text(
+            left - 53,
+            middle,
+            self.labels[1],
+            more=f' transform="rotate(-90 {left - 53:.1f} {middle:.1f})"',
+        )
+        yield from (
+            text(left - 5, y, words, "end")
+            for y, words in zip(v, self._numbers(1, at_y), strict=True)
+        )
         if last:
-            yield from (text(x, top + height + 9, words) for x, words in zip(u, self._numbers(0, at_x), strict=True))
+            yield from (
+                text(x, top + height + 9, words)
+                for x, words in zip(u, self._numbers(0, at_x), strict=True)
+            )
             yield text(left + width / 2, top + height + 23, self.labels[0])
 
     def _numbers(self, axis: int, at: Array) -> list[str]:
@@ -245,7 +344,9 @@ def _around(values: list[Array], log: bool) -> Pair:
     if log:
         margin = max((high / low) ** 0.05, 1.05)
         return low / margin, high * margin
-    margin = 0.05 * ((high - low) if high - low > 1e-12 * max(abs(low), abs(high)) else abs(high) or 1.0)
+    margin = 0.05 * (
+        (high - low) if high - low > 1e-12 * max(abs(low), abs(high)) else abs(high) or 1.0
+    )
     return low - margin, high + margin
 
 
@@ -258,7 +359,9 @@ class Chart:
         self.panels = [ChartPanel() for _ in range(panels)]
 
     def fit(self, least_in: float, most_in: float) -> None:
-        """Make a single panel of equal scale as high as it is when it fills the width, within limits [in]."""
+        """Make a single panel of equal scale as high as it is when it fills the width, within
+        limits [in].
+        """
         left, right, bottom, top = self._margins()
         (x0, x1), (y0, y1) = self.panels[0].limits()
         high = (72 * WIDTH_IN - left - right) * abs((y1 - y0) / (x1 - x0))
@@ -270,16 +373,29 @@ class Chart:
         return LEFT, RIGHT, BOTTOM, TOP + (8 if any(panel.title for panel in self.panels) else 0)
 
     def svg(self, label: str) -> str:
-        """The chart as `<svg>` element with this name for screen readers, and the legend as a list below it."""
+        """The chart as `<svg>` element with this name for screen readers, and the legend as a list
+        below it.
+        """
         width, (left, right, bottom, top) = 72 * WIDTH_IN, self._margins()
         shares = [panel.share for panel in self.panels]
         each = (self.height - bottom - top + GAP) / sum(shares)
         body = "".join(
-            panel.drawn(left, top + sum(shares[:i]) * each, width - left - right, panel.share * each - GAP, panel is self.panels[-1])
+            panel.drawn(
+                left,
+                top + sum(shares[:i]) * each,
+                width - left - right,
+                panel.share * each - GAP,
+                panel is self.panels[-1],
+            )
             for i, panel in enumerate(self.panels)
         )
-        look = f'role="img" aria-label="{escape(label)}" viewBox="0 0 {width:.1f} {self.height:.1f}" font-size="9.5" fill="var(--ink)"'
-        entries = "".join(f"<li>{curve.sample()}{escape(name)}</li>" for name, curve in self.legend().items())
+        look = (
+            f'role="img" aria-label="{escape(label)}" viewBox="0 0 {width:.1f} {self.height:.1f}"'
+            ' font-size="9.5" fill="var(--ink)"'
+        )
+        entries = "".join(
+            f"<li>{curve.sample()}{escape(name)}</li>" for name, curve in self.legend().items()
+        )
         key = f'<ul class="key">{entries}</ul>' if entries else ""
         return f"<svg {look}>{body}</svg>{key}"
 
@@ -292,9 +408,12 @@ class Chart:
         return found
 
 
-# Views of space for charts: points (x, y, z) in parallel projection, and a box with the axes' numbers.
+# Views of space for charts: points (x, y, z) in parallel projection, and a box with the axes'
+# numbers.
 class Space:
-    """A panel that shows space from a direction, z up and equal scale. Its methods have the names of matplotlib's 3-D axes."""
+    """A panel that shows space from a direction, z up and equal scale. Its methods have the names
+    of matplotlib's 3-D axes.
+    """
 
     def __init__(self, panel: ChartPanel, elev: float, azim: float):
         """`elev`, `azim`: elevation and azimuth of the viewer from the origin [deg]."""
@@ -308,16 +427,32 @@ class Space:
         """Add a line (see `chart.Curve`)."""
         self.panel.plot(*(self.across @ np.stack([x, y, z])), **look)
 
-    def text(self, x: float, y: float, z: float, s: str, color: str = INK, ha: str = "center", va: str = "center") -> None:
-        """Add words, vertically centred (`va` is there for matplotlib's axes); `ha`: left, center or right."""
+    def text(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        s: str,
+        color: str = INK,
+        ha: str = "center",
+        va: str = "center",
+    ) -> None:
+        """Add words, vertically centred (`va` is there for matplotlib's axes); `ha`: left, center
+        or right.
+        """
         assert va == "center"
         u, v = self.across @ (x, y, z)
-        self.panel.words.append((u, v, s, {"left": "start", "center": "middle", "right": "end"}[ha], color))
+        self.panel.words.append(
+            (u, v, s, {"left": "start", "center": "middle", "right": "end"}[ha], color)
+        )
 
     def box(self, low: Array, high: Array, most: int = 5) -> None:
-        """The three far sides of a box from `low` to `high` (3,) [m] with a grid, and its numbers; for a viewer at +x, -y and +z."""
+        """The three far sides of a box from `low` to `high` (3,) [m] with a grid, and its numbers;
+        for a viewer at +x, -y and +z.
+        """
         far = np.array([low[0], high[1], low[2]])  # the corner farthest from the viewer
-        # per axis the corner of its numbered edge, the direction out of the box there, and the numbers' alignment
+        # per axis the corner of its numbered edge, the direction out of the box there, and the
+        # numbers' alignment
         right = np.array([*self.across[0, :2], 0.0])
         edges = (
             (low, np.array([0, -1.0, 0]), "right"),
@@ -337,9 +472,18 @@ class Space:
             edge = np.array([corner, corner])
             edge[:, axis] = low[axis], high[axis]
             self.plot(*edge.T, color=RULE, linewidth=0.8, zorder=0)
-            self._beside(corner, axis, (low + high)[axis] / 2, (0.17 if axis < 2 else 0.15) * size * out, f"{'xyz'[axis]} [m]", side)
+            self._beside(
+                corner,
+                axis,
+                (low + high)[axis] / 2,
+                (0.17 if axis < 2 else 0.15) * size * out,
+                f"{'xyz'[axis]} [m]",
+                side,
+            )
 
-    def _beside(self, corner: Array, axis: int, value: float, shift: Array, words: str, side: str) -> None:
+    def _beside(
+        self, corner: Array, axis: int, value: float, shift: Array, words: str, side: str
+    ) -> None:
         """Words beside a point of an edge."""
         at = corner + shift
         at[axis] += value - corner[axis]

@@ -1,4 +1,6 @@
-"""Pages from the templates in `templates/` (jinja2); a page loads nothing from outside: the same without network and years later."""
+"""Pages from the templates in `templates/` (jinja2); a page loads nothing from outside: the same
+without network and years later.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,12 @@ from vstestbed.report.marks import counted, number
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-# Of a table that sorts: sort key (None sorts last), words, whether the number differs significantly, and small lines below it.
+# Of a table that sorts: sort key (None sorts last), words, whether the number differs
+# significantly, and small lines below it.
 Cell = tuple[float | str | None, str, bool, list[str]]
 NO_CELL: Final[Cell] = (None, "–", False, [])
-Film = tuple[str, str, str]  # Title, source, and the name of the file beside the page, "" of an embedded one
+# Title, source, and the name of the file beside the page, "" of an embedded one
+Film = tuple[str, str, str]
 
 
 def write_page(folder: Path, template: str, heading: str, **content: Any) -> Path:
@@ -32,19 +36,34 @@ def text_of(template: str, **content: Any) -> str:
 
 
 def page(template: str, heading: str, title: str = "", **content: Any) -> str:
-    """A whole page; all text in its content is escaped. `title`: of the browser's window, as a rule the heading."""
-    return _environment().get_template(template).render(heading=heading, title=title or heading, **content)
+    """A whole page; all text in its content is escaped. `title`: of the browser's window, as a rule
+    the heading.
+    """
+    return (
+        _environment()
+        .get_template(template)
+        .render(heading=heading, title=title or heading, **content)
+    )
 
 
 def cell(page: str, height_px: int) -> str:
-    """A whole page as the output of a notebook's cell, in a frame of its own: its style sheet touches nothing of the notebook."""
+    """A whole page as the output of a notebook's cell, in a frame of its own: its style sheet
+    touches nothing of the notebook.
+    """
     look = f"width:100%;height:{height_px}px;border:0;border-radius:10px"
-    return f'<iframe srcdoc="{escape(page)}" style="{look}" sandbox="allow-scripts allow-popups"></iframe>'
+    return (
+        f'<iframe srcdoc="{escape(page)}" style="{look}"'
+        ' sandbox="allow-scripts allow-popups"></iframe>'
+    )
 
 
 def film_of(title: str, path: Path, embedded: bool) -> Film:
     """A film, embedded in the page or linked to the file beside it."""
-    return (title, data_url("video/mp4", path.read_bytes()), "") if embedded else (title, path.name, path.name)
+    return (
+        (title, data_url("video/mp4", path.read_bytes()), "")
+        if embedded
+        else (title, path.name, path.name)
+    )
 
 
 def data_url(kind: str, content: bytes) -> str:
@@ -77,7 +96,13 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    found.filters |= {"number": number, "powers": powers, "sort_key": sort_key, "counted": counted, "tex": _tex}
+    found.filters |= {
+        "number": number,
+        "powers": powers,
+        "sort_key": sort_key,
+        "counted": counted,
+        "tex": _tex,
+    }
     return found
 
 
@@ -88,6 +113,19 @@ def _tex(words: str) -> str:
 
 _TEX: Final = str.maketrans(
     {c: f"\\{c}" for c in "&%$#_{}"}
-    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\N{MINUS SIGN}": "$-$", "\N{EN DASH}": "--"}
-    | {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "×": r"$\times$", "°": r"$^\circ$", "²": "$^2$", "·": r"$\cdot$"}
+    | {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "\N{MINUS SIGN}": "$-$",
+        "\N{EN DASH}": "--",
+    }
+    | {
+        "↑": r"$\uparrow$",
+        "↓": r"$\downarrow$",
+        "×": r"$\times$",
+        "°": r"$^\circ$",
+        "²": "$^2$",
+        "·": r"$\cdot$",
+    }
 )

@@ -1,4 +1,6 @@
-"""How laws score and rank on the tasks of a suite: tables, figures and page, each number with its interval."""
+"""How laws score and rank on the tasks of a suite: tables, figures and page, each number with its
+interval.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ import polars as pl
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.canvas import new_figure, panels, publish, style
-from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, holm, paired_difference, success_rate
+from vstestbed.report.comparison.statistics import (
+    CONFIDENCE,
+    IntervalEstimate,
+    holm,
+    paired_difference,
+    success_rate,
+)
 from vstestbed.report.marks import LINE_COLORS, RULE, line_color
 from vstestbed.report.pages import write_page
 from vstestbed.tasks.metrics import Metric
@@ -28,7 +36,9 @@ COLOURED = 5  # laws that the profile draws in colours
 
 @dataclass(frozen=True)
 class TaskOfSuite:
-    """A task as its scores show it: the metric by which laws are ranked, less is better, and what it asks of a law."""
+    """A task as its scores show it: the metric by which laws are ranked, less is better, and what
+    it asks of a law.
+    """
 
     metric: Metric
     asks: str = ""
@@ -38,10 +48,12 @@ class TaskOfSuite:
 class Score:
     """How a law did in a task.
 
-    rate: of success, with its Wilson interval. value: mean of the task's metric, a failure at the task's limit, with Student's interval,
-    as flown. rank: 1 is the best by that mean; its interval is from 1 + the laws that beat it to as many as it does not beat, in tests of
-    all pairs (Mogstad, Romano, Shaikh & Wilhelm 2024, doi:10.1093/restud/rdad006). gap: how far the mean is from the best law's, with
-    the p-value of that test. values: on the starts that all laws of the task flew.
+    rate: of success, with its Wilson interval. value: mean of the task's metric, a failure at the
+    task's limit, with Student's interval, as flown. rank: 1 is the best by that mean; its interval
+    is from 1 + the laws that beat it to as many as it does not beat, in tests of all pairs
+    (Mogstad, Romano, Shaikh & Wilhelm 2024, doi:10.1093/restud/rdad006). gap: how far the mean is
+    from the best law's, with the p-value of that test. values: on the starts that all laws of the
+    task flew.
     """
 
     task: str
@@ -64,13 +76,24 @@ def _beyond_chance(more: IntervalEstimate) -> bool:
 
 
 def scores(runs: pl.DataFrame) -> list[Score]:
-    """The scores of all laws in all tasks, in the order of the table; runs: `task`, `law`, `start`, `success`, `value`, one row a run."""
-    return [score for task in runs["task"].unique(maintain_order=True) for score in _of_task(runs.filter(pl.col("task") == task), task)]
+    """The scores of all laws in all tasks, in the order of the table; runs: `task`, `law`, `start`,
+    `success`, `value`, one row a run.
+    """
+    return [
+        score
+        for task in runs["task"].unique(maintain_order=True)
+        for score in _of_task(runs.filter(pl.col("task") == task), task)
+    ]
 
 
 def _by_start(runs: pl.DataFrame, name: str, laws: Sequence[str]) -> Array:
     """A column as (laws, starts), NaN where a law has not flown, or has no number."""
-    return runs.pivot("law", index="start", values=name, aggregate_function="first").select(laws).to_numpy().T.astype(float)
+    return (
+        runs.pivot("law", index="start", values=name, aggregate_function="first")
+        .select(laws)
+        .to_numpy()
+        .T.astype(float)
+    )
 
 
 def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
@@ -79,7 +102,8 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
     laws = runs["law"].unique(maintain_order=True).to_list()
     reached, values = _by_start(runs, "success", laws), _by_start(runs, "value", laws)
     flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
-    values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]  # one that crashed counts as the worst
+    # one that crashed counts as the worst
+    values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]
     means, n = values.mean(axis=1), values.shape[1]
     ranks, first, behind = rankdata(means), int(np.argmin(means)), differences(values)
     beaten = [pair for pair, one in behind.items() if _beyond_chance(one)]
@@ -99,17 +123,24 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
 
 
 def differences(values: Array) -> dict[tuple[int, int], IntervalEstimate]:
-    """Mean of each law's values (laws, starts) less each other's, with the p-value after Holm's correction over all pairs."""
+    """Mean of each law's values (laws, starts) less each other's, with the p-value after Holm's
+    correction over all pairs.
+    """
     pairs = list(itertools.combinations(range(len(values)), 2))
     found = [paired_difference(values[i], values[j]) for i, j in pairs]
-    adjusted = {pair: one._replace(p=p) for pair, one, p in zip(pairs, found, holm([one.p for one in found]), strict=True)}
+    adjusted = {
+        pair: one._replace(p=p)
+        for pair, one, p in zip(pairs, found, holm([one.p for one in found]), strict=True)
+    }
     return adjusted | {(j, i): one.turned() for (i, j), one in adjusted.items()}
 
 
 class Standing(NamedTuple):
-    """Where a law stands over the tasks that it flew, among the `of` laws that flew all of these, by the mean of its ranks among them.
+    """Where a law stands over the tasks that it flew, among the `of` laws that flew all of these,
+    by the mean of its ranks among them.
 
-    rank: with the interval on these tasks, from other starts. alike: that on tasks like these, from other starts and of other tasks.
+    rank: with the interval on these tasks, from other starts. alike: that on tasks like these, from
+    other starts and of other tasks.
     """
 
     law: str
@@ -121,37 +152,49 @@ class Standing(NamedTuple):
 
 
 def overall(found: Sequence[Score]) -> list[Standing]:
-    """Where each law stands; those that flew the most tasks first, then by the mean rank. It stands beside its parts, never for them.
+    """Where each law stands; those that flew the most tasks first, then by the mean rank. It stands
+    beside its parts, never for them.
 
-    Laws are compared on the same tasks alone: who declines a hard task does not pass a law that flew it, which keeps its place among those
-    that flew it, too; and no law is placed over one that flew fewer tasks than itself.
+    Laws are compared on the same tasks alone: who declines a hard task does not pass a law that
+    flew it, which keeps its place among those that flew it, too; and no law is placed over one that
+    flew fewer tasks than itself.
     """
     by: dict[str, dict[str, Score]] = {}
     for score in found:
         by.setdefault(score.law, {})[score.task] = score
     standings: list[Standing] = []
     for tasks in dict.fromkeys(tuple(own) for own in by.values()):
-        named = {law: [own[task].values for task in tasks] for law, own in by.items() if own.keys() >= set(tasks)}
+        named = {
+            law: [own[task].values for task in tasks]
+            for law, own in by.items()
+            if own.keys() >= set(tasks)
+        }
         standings += [one for one in _standings(named) if len(by[one.law]) == len(tasks)]
     return sorted(standings, key=lambda one: (-one.tasks, one.rank.mean))
 
 
 def _standings(flown: Mapping[str, Sequence[Array]]) -> list[Standing]:
-    """Where laws stand by their values in the same tasks, ties sharing their places; the intervals are bootstrap percentiles, and one task
-    says nothing of others.
+    """Where laws stand by their values in the same tasks, ties sharing their places; the intervals
+    are bootstrap percentiles, and one task says nothing of others.
     """
     from scipy.stats import rankdata
 
     rng, tail = np.random.default_rng(0), 50 * (1 - CONFIDENCE)
-    tasks = [np.array(values) for values in zip(*flown.values(), strict=True)]  # each (laws, starts)
+    # each (laws, starts)
+    tasks = [np.array(values) for values in zip(*flown.values(), strict=True)]
     mean = np.mean([rankdata(values.mean(axis=1)) for values in tasks], axis=0)
     resampled = []
     for values in tasks:
-        starts = rng.integers(0, values.shape[1], (RESAMPLES, values.shape[1]))  # the same for all laws
+        # the same for all laws
+        starts = rng.integers(0, values.shape[1], (RESAMPLES, values.shape[1]))
         resampled.append(rankdata(values[:, starts].mean(axis=2), axis=0).T)
     ranks = np.array(resampled)  # (tasks, RESAMPLES, laws)
     which = rng.integers(0, len(tasks), (RESAMPLES, len(tasks)))
-    alike = ranks[which, rng.integers(0, RESAMPLES, which.shape)] if len(tasks) > 1 else np.swapaxes(ranks, 0, 1) * np.nan
+    alike = (
+        ranks[which, rng.integers(0, RESAMPLES, which.shape)]
+        if len(tasks) > 1
+        else np.swapaxes(ranks, 0, 1) * np.nan
+    )
     here = np.percentile(ranks.mean(axis=0), [tail, 100 - tail], axis=0)
     there = np.percentile(alike.mean(axis=1), [tail, 100 - tail], axis=0)
     return [
@@ -168,14 +211,21 @@ def _standings(flown: Mapping[str, Sequence[Array]]) -> list[Standing]:
 
 
 def profile(runs: pl.DataFrame) -> dict[str, Array]:
-    """Of each law how many times the best law's number it had, sorted, of all starts of the tasks that it flew; infinity for a failure.
+    """Of each law how many times the best law's number it had, sorted, of all starts of the tasks
+    that it flew; infinity for a failure.
 
-    The share of starts up to a factor is the law's performance profile: Dolan & More 2002, doi:10.1007/s101070100263.
+    The share of starts up to a factor is the law's performance profile: Dolan & More 2002,
+    doi:10.1007/s101070100263.
     """
     best = pl.col("value").filter("success").min().over("task", "start")
-    ratio = pl.when("success").then((pl.col("value") + 1e-9) / (best + 1e-9)).otherwise(float("inf"))
+    ratio = (
+        pl.when("success").then((pl.col("value") + 1e-9) / (best + 1e-9)).otherwise(float("inf"))
+    )
     known = runs.select("law", ratio=ratio).with_columns(pl.col("ratio").fill_null(float("inf")))
-    return {str(law): np.sort(part["ratio"].to_numpy()) for (law,), part in known.group_by("law", maintain_order=True)}
+    return {
+        str(law): np.sort(part["ratio"].to_numpy())
+        for (law,), part in known.group_by("law", maintain_order=True)
+    }
 
 
 def write_scores(
@@ -187,34 +237,62 @@ def write_scores(
     about: str,
     command: str,
 ) -> list[Score]:
-    """Write `scores.csv`, `scores.tex`, `figures/` and `report.html` into a suite's folder; the scores.
+    """Write `scores.csv`, `scores.tex`, `figures/` and `report.html` into a suite's folder; the
+    scores.
 
-    tasks: by name. blank: why a law takes no part in a task, by law and task. heading, about, command: of the page.
+    tasks: by name. blank: why a law takes no part in a task, by law and task. heading, about,
+    command: of the page.
     """
     found = scores(runs)
     write_whole(out / "scores.csv", _table(found, tasks).write_csv())
     write_whole(out / "scores.tex", latex(found, tasks))
     ranked, by = overall(found), {(s.law, s.task): s for s in found}
     means = [(s.law, s.tasks, s.place, s.of, *s.rank[:3], *s.alike[1:3]) for s in ranked]
-    write_whole(out / "ranks.csv", pl.DataFrame(means, MEAN_RANKS, orient="row").fill_nan(None).write_csv())
+    write_whole(
+        out / "ranks.csv", pl.DataFrame(means, MEAN_RANKS, orient="row").fill_nan(None).write_csv()
+    )
     lines = [
         [
             s.law,
-            [f"{s.rank.mean:.1f} of {s.tasks} tasks", f"{_ends(s.rank)} on these", f"{_ends(s.alike)} on tasks like these"],
+            [
+                f"{s.rank.mean:.1f} of {s.tasks} tasks",
+                f"{_ends(s.rank)} on these",
+                f"{_ends(s.alike)} on tasks like these",
+            ],
             f"{s.place} of {s.of}",
             *(_cell(by.get((s.law, task)), one) for task, one in tasks.items()),
         ]
         for s in ranked
     ]
     tables = [
-        ("Scores", ["law", "mean rank", "place among the laws that flew these tasks", *tasks], lines),
-        ("Beyond chance", ["task", "best mean", "not behind beyond chance", "behind"], _chances(found, tasks)),
+        (
+            "Scores",
+            ["law", "mean rank", "place among the laws that flew these tasks", *tasks],
+            lines,
+        ),
+        (
+            "Beyond chance",
+            ["task", "best mean", "not behind beyond chance", "behind"],
+            _chances(found, tasks),
+        ),
         ("Tasks", ["task", "what it asks of a law", "ranked by", "laws"], _asked(found, tasks)),
     ]
     if blank:
-        tables.append(("Without part", ["law", "task", "why"], [[law, task, why] for (law, task), why in blank.items()]))
-    of_ranks = "Rank by the mean of each task's number, 1 is the best, as tests of all pairs leave it open; no mark: not flown."
-    of_profile = "Of the starts that a law flew: on which share it needed at most so many times the best law's number; a failure never."
+        tables.append(
+            (
+                "Without part",
+                ["law", "task", "why"],
+                [[law, task, why] for (law, task), why in blank.items()],
+            )
+        )
+    of_ranks = (
+        "Rank by the mean of each task's number, 1 is the best,"
+        " as tests of all pairs leave it open; no mark: not flown."
+    )
+    of_profile = (
+        "Of the starts that a law flew:"
+        " on which share it needed at most so many times the best law's number; a failure never."
+    )
     place = make_folder(out / FIGURES)
     plots = [
         ("Ranks", _drawn_ranks(found, place), of_ranks),
@@ -228,10 +306,18 @@ def _table(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> pl.DataF
     """The scores as a table, a row a law and task, numbers in the metric's unit of display."""
     rows = []
     for s in found:
-        row: dict[str, Any] = {"task": s.task, "law": s.law, "metric": tasks[s.task].metric.label, "reached": round(s.rate.mean * s.rate.n)}
+        row: dict[str, Any] = {
+            "task": s.task,
+            "law": s.law,
+            "metric": tasks[s.task].metric.label,
+            "reached": round(s.rate.mean * s.rate.n),
+        }
         row["runs"] = s.rate.n
         for name in ("rate", "value", "rank", "gap"):
-            row |= {f"{name}_{end}": number for end, number in zip(("mean", "low", "high"), getattr(s, name)[:3], strict=True)}
+            row |= {
+                f"{name}_{end}": number
+                for end, number in zip(("mean", "low", "high"), getattr(s, name)[:3], strict=True)
+            }
         rows.append(row | {"gap_p": s.gap.p})
     return pl.DataFrame(rows).with_columns(pl.selectors.float().fill_nan(None))
 
@@ -241,26 +327,43 @@ def _ends(one: IntervalEstimate) -> str:
 
 
 def _chances(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> list[list[str]]:
-    """Of each task: the law with the best mean, those that are not behind it beyond chance, and how many are."""
+    """Of each task: the law with the best mean, those that are not behind it beyond chance, and how
+    many are.
+    """
     lines = []
     for task in tasks:
         if of_task := sorted((s for s in found if s.task == task), key=lambda s: s.value.mean):
             close = [s.law for s in of_task[1:] if not s.behind]
-            lines.append([task, of_task[0].law, ", ".join(close) or "-", f"{sum(s.behind for s in of_task)} of {len(of_task) - 1}"])
+            lines.append(
+                [
+                    task,
+                    of_task[0].law,
+                    ", ".join(close) or "-",
+                    f"{sum(s.behind for s in of_task)} of {len(of_task) - 1}",
+                ]
+            )
     return lines
 
 
 def _asked(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> list[list[str]]:
-    return [[task, one.asks, one.metric.label, str(len({s.law for s in found if s.task == task}))] for task, one in tasks.items()]
+    return [
+        [task, one.asks, one.metric.label, str(len({s.law for s in found if s.task == task}))]
+        for task, one in tasks.items()
+    ]
 
 
 def _cell(score: Score | None, task: TaskOfSuite) -> list[str]:
-    """A score in words: successes, number, rank, each with its interval; blank for a law that took no part."""
+    """A score in words: successes, number, rank, each with its interval; blank for a law that took
+    no part.
+    """
     if score is None:
         return ["-"]
     rate, value, rank, unit = score.rate, score.value, score.rank, task.metric.unit
     return [
-        f"{round(rate.mean * rate.n)} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)",
+        (
+            f"{round(rate.mean * rate.n)} of {rate.n}"
+            f" ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
+        ),
         f"{value.mean:.3g} {unit} ({value.low:.3g} to {value.high:.3g})",
         f"rank {rank.mean:.3g} ({rank.low:.3g} to {rank.high:.3g})",
     ]
@@ -294,7 +397,11 @@ def _drawn_profile(runs: pl.DataFrame, order: Sequence[str], place: Path) -> str
         for i, law in reversed(list(enumerate(order))):
             ratios = curves[law]
             share = np.arange(1, len(ratios) + 1) / len(ratios)
-            look: dict[str, Any] = {"color": line_color(i), "label": law} if i < COLOURED else {"color": RULE, "lw": 0.8}
+            look: dict[str, Any] = (
+                {"color": line_color(i), "label": law}
+                if i < COLOURED
+                else {"color": RULE, "lw": 0.8}
+            )
             axes.step([1.0, *np.clip(ratios, 1, 2 * FARTHEST)], [0.0, *share], where="post", **look)
         axes.set_xscale("log")
         axes.set_xlim(1, FARTHEST)
@@ -305,19 +412,32 @@ def _drawn_profile(runs: pl.DataFrame, order: Sequence[str], place: Path) -> str
         axes.set_ylabel("share of the starts")
         handles, names = axes.get_legend_handles_labels()
         axes.legend(
-            handles[::-1], names[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="the others are grey" * (len(order) > COLOURED)
+            handles[::-1],
+            names[::-1],
+            loc="center left",
+            bbox_to_anchor=(1.0, 0.5),
+            title="the others are grey" * (len(order) > COLOURED),
         )
         return publish(drawn, "profile", "Performance profile of the laws over all starts", place)
 
 
 def latex(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> str:
-    """The table of a paper: laws by tasks, their mean rank, successes and the mean of each task's number."""
+    """The table of a paper: laws by tasks, their mean rank, successes and the mean of each task's
+    number.
+    """
     by = {(s.law, s.task): s for s in found}
-    lines = [r"\begin{tabular}{lr" + "r" * len(tasks) + "}", " & ".join(["law", "mean rank", *tasks]) + r" \\ \hline"]
+    lines = [
+        r"\begin{tabular}{lr" + "r" * len(tasks) + "}",
+        " & ".join(["law", "mean rank", *tasks]) + r" \\ \hline",
+    ]
     for law, rank, *_ in overall(found):
         words = [
-            f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.value.mean:.3g} {one.metric.unit}" if (s := by.get((law, t))) else "--"
+            f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.value.mean:.3g} {one.metric.unit}"
+            if (s := by.get((law, t)))
+            else "--"
             for t, one in tasks.items()
         ]
-        lines.append(" & ".join([law.replace("_", r"\_"), f"{rank.mean:.1f} {_ends(rank)}", *words]) + r" \\")
+        lines.append(
+            " & ".join([law.replace("_", r"\_"), f"{rank.mean:.1f} {_ends(rank)}", *words]) + r" \\"
+        )
     return "\n".join([*lines, r"\end{tabular}", ""])

@@ -1,4 +1,6 @@
-"""Pages of studies: basins of attraction, convergence maps, gain limits over delay, searches for good settings."""
+"""Pages of studies: basins of attraction, convergence maps, gain limits over delay, searches for
+good settings.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to converge.
+# Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to
+# converge.
 BasinAxis = tuple[str, str, float, float]  # Name, unit, low, high
 ENDINGS: Final = {
     "target_lost": ("#f3c04b", "target out of sight"),
@@ -32,23 +35,33 @@ ENDINGS: Final = {
     "unstable": ("#4f7a1e", "unstable"),
     "timed_out": ("#9c9c9c", "timed out"),
 }
-"""Colour and name of each failure. The colours differ in lightness as well as in hue (after Okabe & Ito 2008), so that colour-blind
-readers can distinguish them, also in a grey print; blues are reserved for the converged."""
+"""Colour and name of each failure. The colours differ in lightness as well as in hue (after Okabe &
+Ito 2008), so that colour-blind readers can distinguish them, also in a grey print; blues are
+reserved for the converged.
+"""
 OTHER: Final = "#000000"
 """Colour of any other outcome."""
-SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])  # Blues (r, g, b) of the earliest and the latest starts to converge
+# Blues (r, g, b) of the earliest and the latest starts to converge
+SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])
 PANEL_IN, BASIN_COLUMNS = 2.0, 5
 
-BasinMap = tuple[str, Array, Array]  # Law, outcome of each start by name, time to converge [s] (NaN if it did not), both (n_y, n_x)
+# Law, outcome of each start by name, time to converge [s] (NaN if it did not), both (n_y, n_x)
+BasinMap = tuple[str, Array, Array]
 
 
 def colours(one: BasinMap, soonest: float, latest: float) -> Array:
-    """The map as an image (n_y, n_x, 3): blue from light to dark between two times to converge [s], else the colour of the outcome."""
+    """The map as an image (n_y, n_x, 3): blue from light to dark between two times to converge [s],
+    else the colour of the outcome.
+    """
     from matplotlib.colors import to_rgb
 
     _, endings, time_s = one
     share = np.clip((time_s - soonest) / max(latest - soonest, 1e-9), 0, 1)
-    picture = np.where(np.isfinite(share)[..., None], SOON + np.nan_to_num(share)[..., None] * (LATE - SOON), to_rgb(OTHER))
+    picture = np.where(
+        np.isfinite(share)[..., None],
+        SOON + np.nan_to_num(share)[..., None] * (LATE - SOON),
+        to_rgb(OTHER),
+    )
     for ending, (colour, _) in ENDINGS.items():
         picture[endings == ending] = to_rgb(colour)
     return picture
@@ -63,15 +76,29 @@ def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
     columns = min(BASIN_COLUMNS, len(maps))
     rows = math.ceil(len(maps) / columns)
     drawn = new_figure(PANEL_IN * rows + 0.75, max(PANEL_IN * columns + 0.4, 4.6))
-    times = np.concatenate([time_s[np.isfinite(time_s)] for _, _, time_s in maps]) if maps else np.zeros(0)
+    times = (
+        np.concatenate([time_s[np.isfinite(time_s)] for _, _, time_s in maps])
+        if maps
+        else np.zeros(0)
+    )
     # percentiles: a few extreme times must not compress the scale of all others
     soonest, latest = np.percentile(times, [1, 99]).tolist() if len(times) else (0.0, 1.0)
     grid = panels(drawn, len(maps), columns, sharex=True, sharey=True)
     for i, (axes, one) in enumerate(zip(grid, maps, strict=True)):
-        axes.imshow(colours(one, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest")
+        axes.imshow(
+            colours(one, soonest, latest),
+            origin="lower",
+            extent=(x[2], x[3], y[2], y[3]),
+            aspect="auto",
+            interpolation="nearest",
+        )
         axes.grid(False)
         flown = one[1][one[1] != "interrupted"]
-        axes.set_title(f"{one[0]}: {100 * float(np.mean(flown == 'converged')):.1f} %" if len(flown) else one[0])
+        axes.set_title(
+            f"{one[0]}: {100 * float(np.mean(flown == 'converged')):.1f} %"
+            if len(flown)
+            else one[0]
+        )
         if i + columns >= len(maps):
             axes.set_xlabel(f"{x[0]} [{x[1]}]")
             axes.tick_params(labelbottom=True)
@@ -79,31 +106,61 @@ def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
             axes.set_ylabel(f"{y[0]} [{y[1]}]")
     # a colour bar of the times to converge, and a legend of the outcomes that occur
     blues = LinearSegmentedColormap.from_list("converged", [tuple(SOON), tuple(LATE)])
-    bar = drawn.colorbar(ScalarMappable(Normalize(soonest, latest), blues), ax=grid, location="right", shrink=0.9, aspect=30, pad=0.015)
+    bar = drawn.colorbar(
+        ScalarMappable(Normalize(soonest, latest), blues),
+        ax=grid,
+        location="right",
+        shrink=0.9,
+        aspect=30,
+        pad=0.015,
+    )
     bar.set_label("converged: time [s]")
-    present = {str(e) for _, endings, _ in maps for e in np.unique(endings.astype(str))} - {"converged"}
-    patches = [Patch(color=colour, label=name) for ending, (colour, name) in ENDINGS.items() if ending in present]
-    patches += [Patch(color=OTHER, label=ending.replace("_", " ")) for ending in sorted(present - set(ENDINGS))]
+    present = {str(e) for _, endings, _ in maps for e in np.unique(endings.astype(str))} - {
+        "converged"
+    }
+    patches = [
+        Patch(color=colour, label=name)
+        for ending, (colour, name) in ENDINGS.items()
+        if ending in present
+    ]
+    patches += [
+        Patch(color=OTHER, label=ending.replace("_", " "))
+        for ending in sorted(present - set(ENDINGS))
+    ]
     if patches:
         drawn.legend(handles=patches, loc="outside lower center", ncols=min(5, len(patches)))
     return drawn
 
 
 def write_basin(
-    folder: Path, maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis, summaries: Sequence[Mapping[str, Any]], command: str
+    folder: Path,
+    maps: Sequence[BasinMap],
+    x: BasinAxis,
+    y: BasinAxis,
+    summaries: Sequence[Mapping[str, Any]],
+    command: str,
 ) -> Path:
     """Write `basin.png`, `basin.pdf` and `report.html`; returns the page's path."""
     views = {s["field_of_view"] for s in summaries}
-    view = f"; {views.pop()} field of view" if len(views) == 1 and views <= {"limited", "unlimited"} else ""
+    view = (
+        f"; {views.pop()} field of view"
+        if len(views) == 1 and views <= {"limited", "unlimited"}
+        else ""
+    )
     caption = (
-        f"Start of the camera, {x[0]} and {y[0]} in the frame of its goal{_fixed_coordinates(summaries)}. Ideal cameras, without latency "
-        f"or noise{view}. Blue converges, darker later; the number is its share."
+        f"Start of the camera, {x[0]} and {y[0]} in the frame of its"
+        f" goal{_fixed_coordinates(summaries)}. Ideal cameras, without latency or noise{view}."
+        " Blue converges, darker later; the number is its share."
     )
     image = _plate(folder, "basin", lambda: draw_basin(maps, x, y))
     heads, lines = _basin_table(summaries)
     # the checked starts whose single run ended otherwise than in the batch
     checks = [f"{s['label']} at {d['words']}" for s in summaries for d in s["disagreements"]]
-    content = {"plate": ("How each start ended", image, caption), "tables": [("In numbers", heads, lines)], "checks": checks}
+    content = {
+        "plate": ("How each start ended", image, caption),
+        "tables": [("In numbers", heads, lines)],
+        "checks": checks,
+    }
     return write_page(folder, "study.html", "Basins of attraction", **content, command=command)
 
 
@@ -117,10 +174,18 @@ def _plate(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
 def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
     """The coordinates that are not on the map, for each law if they differ."""
     # + 0.0 turns the -0.0 of rounding into 0
-    fixed = [[f"{name} {round(one['value'], 6) + 0.0:g} {one['unit']}" for name, one in s["fixed"].items()] for s in summaries]
+    fixed = [
+        [
+            f"{name} {round(one['value'], 6) + 0.0:g} {one['unit']}"
+            for name, one in s["fixed"].items()
+        ]
+        for s in summaries
+    ]
     values = [", ".join(those) for those in fixed]
     if len(set(values)) > 1:
-        return "; " + "; ".join(f"{s['label']}: {at}" for s, at in zip(summaries, values, strict=True))
+        return "; " + "; ".join(
+            f"{s['label']}: {at}" for s, at in zip(summaries, values, strict=True)
+        )
     return f"; {values[0]}" if values else ""
 
 
@@ -133,10 +198,17 @@ def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], lis
         check = f"{s['agreeing']} of {s['checked']}" if s["checked"] else "-"
         shares = (f"{100 * s['shares'].get(e, 0.0):.2f}" for e in endings)
         lines.append([s["label"], *shares, str(s["starts"]), f"{s['processor_s']:.1f}", check])
-    return ["", *(f"{e.replace('_', ' ')} [%]" for e in endings), "starts", "time of one core [s]", "time loop agrees"], lines
+    return [
+        "",
+        *(f"{e.replace('_', ' ')} [%]" for e in endings),
+        "starts",
+        "time of one core [s]",
+        "time loop agrees",
+    ], lines
 
 
-# Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the others ended.
+# Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the
+# others ended.
 LETTERS: Final = {
     "target_lost": "L",
     "local_minimum": "M",
@@ -156,14 +228,18 @@ LETTERS: Final = {
 }
 """Letter of the most frequent outcome of a cell's failures: each has one."""
 NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
-"""Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are mixed linearly."""
+"""Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are
+mixed linearly.
+"""
 SWEEP_COLUMNS = 2
 SweepAxis = tuple[str, list[str]]
 
 
 ConvergenceMap = tuple[str, Array, NDArray[np.object_], Array]
-"""Law; share of the seeds that converged (NaN where no run is done); most frequent outcome of the others ("" if all converged); median
-distance from the true goal of those that converged [m] (NaN if none did); arrays of shape (n_y, n_x)."""
+"""Law; share of the seeds that converged (NaN where no run is done); most frequent outcome of the
+others ("" if all converged); median distance from the true goal of those that converged [m] (NaN if
+none did); arrays of shape (n_y, n_x).
+"""
 
 
 def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Figure:
@@ -179,7 +255,15 @@ def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Fi
         for (i, j), share in np.ndenumerate(shares):
             letter = LETTERS.get(str(others[i, j]), "") if share < 1 else ""
             words = "-" if np.isnan(share) else f"{100 * share:.0f}{letter}"
-            axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
+            axes.text(
+                j,
+                i,
+                words,
+                ha="center",
+                va="center",
+                fontsize=6.5,
+                color="white" if share > 0.55 else INK,
+            )
         axes.set_xticks(range(len(x[1])), x[1], rotation=45 if max(map(len, x[1])) > 5 else 0)
         axes.set_yticks(range(len(y[1])), y[1])
         axes.grid(visible=False)
@@ -192,22 +276,48 @@ def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Fi
 def _letters(maps: Sequence[ConvergenceMap]) -> str:
     """The letters that occur, in words."""
     present = {str(outcome) for _, _, others, _ in maps for outcome in others.flat}
-    return ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items() if word in present) or "none"
+    return (
+        ", ".join(
+            f"{letter}: {word.replace('_', ' ')}"
+            for word, letter in LETTERS.items()
+            if word in present
+        )
+        or "none"
+    )
 
 
 def write_sweep(
-    folder: Path, maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis, seeds: int, description: str, command: str, caution: str = ""
+    folder: Path,
+    maps: Sequence[ConvergenceMap],
+    x: SweepAxis,
+    y: SweepAxis,
+    seeds: int,
+    description: str,
+    command: str,
+    caution: str = "",
 ) -> Path:
-    """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns the page's path."""
-    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({_letters(maps)})."
+    """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns
+    the page's path.
+    """
+    caption = (
+        f"Share of {seeds} seeds that reached the goal [%];"
+        f" the letter: how most of the others ended ({_letters(maps)})."
+    )
     image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
     what = "median distance from the true goal, of those that converged [mm]"
     found = []
     for label, _, _, away_m in maps:  # its lines from top to bottom, as in the figure
-        away = ([number(1e3 * m) if math.isfinite(m) else "-" for m in row] for row in away_m.tolist())
+        away = (
+            [number(1e3 * m) if math.isfinite(m) else "-" for m in row] for row in away_m.tolist()
+        )
         lines = [[value, *row] for value, row in zip(y[1], away, strict=True)]
         found.append((f"{label}: {what}", ["", *x[1]], lines[::-1]))
-    content = {"plate": ("Where it converges", image, caption), "tables": found, "about": description, "caution": caution}
+    content = {
+        "plate": ("Where it converges", image, caption),
+        "tables": found,
+        "about": description,
+        "caution": caution,
+    }
     return write_page(folder, "study.html", "Convergence", **content, command=command)
 
 
@@ -231,7 +341,9 @@ DELAY_COLUMNS: Final = (
 """Columns of the table: name in the data, head, format."""
 
 Branches = tuple[float, NDArray[np.complexfloating], NDArray[np.complexfloating]]
-"""Root locus of one delay [frames]: poles (m, n) over m gains from 0 on, and the poles at the measured limit (n,)."""
+"""Root locus of one delay [frames]: poles (m, n) over m gains from 0 on, and the poles at the
+measured limit (n,).
+"""
 
 
 def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
@@ -242,10 +354,29 @@ def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
     d = [row["delay_frames"] for row in rows]
     left.plot(d, [row["g_theory"] for row in rows], color=INK, label="theory for the delay alone")
     if any(row["g_with_lag"] for row in rows):
-        left.plot(d, [row["g_with_lag"] for row in rows], "--", color=LINE_COLORS[1], label="theory, servos' measured lag")
+        left.plot(
+            d,
+            [row["g_with_lag"] for row in rows],
+            "--",
+            color=LINE_COLORS[1],
+            label="theory, servos' measured lag",
+        )
     if any(row.get("g_linear") for row in rows):
-        left.plot(d, [row["g_linear"] for row in rows], ":", color=LINE_COLORS[2], label="linear model of the arm")
-    left.plot(d, [row["g_measured"] for row in rows], "o", color=LINE_COLORS[0], markersize=5, label="measured")
+        left.plot(
+            d,
+            [row["g_linear"] for row in rows],
+            ":",
+            color=LINE_COLORS[2],
+            label="linear model of the arm",
+        )
+    left.plot(
+        d,
+        [row["g_measured"] for row in rows],
+        "o",
+        color=LINE_COLORS[0],
+        markersize=5,
+        label="measured",
+    )
     left.set_xlabel("delay d [frames]")
     left.set_ylabel("largest stable gain x period")
     left.set_ylim(bottom=0)
@@ -263,7 +394,12 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
     for i, (delay, poles, at_limit) in enumerate(loci):
         color = colormaps["plasma"](0.9 * i / max(len(loci) - 1, 1))  # delays have an order
         upper = poles.imag >= -1e-9  # the lower half mirrors it; the tolerance keeps real poles
-        axes.plot(np.where(upper, poles.real, np.nan), np.where(upper, poles.imag, np.nan), color=color, linewidth=1.0)
+        axes.plot(
+            np.where(upper, poles.real, np.nan),
+            np.where(upper, poles.imag, np.nan),
+            color=color,
+            linewidth=1.0,
+        )
         crossing = at_limit[at_limit.imag >= -1e-9]
         axes.plot(crossing.real, crossing.imag, "o", color=color, markersize=3)
         # an empty line for the legend: `upper` is a matrix with a line for each pole
@@ -277,15 +413,31 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=7)
 
 
-def write_delay(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], command: str) -> Path:
+def write_delay(
+    folder: Path, name: str, rows: Rows, loci: Sequence[Branches], command: str
+) -> Path:
     """Write `delay.png`, `delay.pdf` and `report.html`; returns the page's path."""
-    caption = "Left: the gain, times the camera's period, at which the loop becomes unstable. Right: its poles as the gain rises."
-    plate = ("Gain limit over delay", _plate(folder, "delay", lambda: draw_delay(rows, loci)), caption)
+    caption = (
+        "Left: the gain, times the camera's period, at which the loop becomes unstable."
+        " Right: its poles as the gain rises."
+    )
+    plate = (
+        "Gain limit over delay",
+        _plate(folder, "delay", lambda: draw_delay(rows, loci)),
+        caption,
+    )
     # columns without any value are left out: a robot without joints has no lag
-    shown = [column for column in DELAY_COLUMNS if any(row.get(column[0]) is not None for row in rows)]
-    lines = [["-" if row.get(key) is None else format(row[key], form) for key, _, form in shown] for row in rows]
+    shown = [
+        column for column in DELAY_COLUMNS if any(row.get(column[0]) is not None for row in rows)
+    ]
+    lines = [
+        ["-" if row.get(key) is None else format(row[key], form) for key, _, form in shown]
+        for row in rows
+    ]
     found = [("In numbers", [head for _, head, _ in shown], lines)]
-    return write_page(folder, "study.html", f"Delay: {name}", plate=plate, tables=found, command=command)
+    return write_page(
+        folder, "study.html", f"Delay: {name}", plate=plate, tables=found, command=command
+    )
 
 
 # A search for good settings, and its figures: trials over each parameter, the best so far.
@@ -311,7 +463,8 @@ class TrialRow:
         return self.reached == self.runs > 0 and math.isfinite(self.mean)
 
 
-ParameterAxis = tuple[str, tuple[str, ...], bool]  # Path of a parameter, its words, and whether equal factors are equally far apart
+# Path of a parameter, its words, and whether equal factors are equally far apart
+ParameterAxis = tuple[str, tuple[str, ...], bool]
 
 
 @dataclass(frozen=True)
@@ -332,16 +485,25 @@ class TuningPage:
 
 
 def slices(found: TuningPage, width_in: float) -> Figure:
-    """The metric of each trial over each parameter; red crosses at the top: trials some of whose runs failed."""
+    """The metric of each trial over each parameter; red crosses at the top: trials some of whose
+    runs failed.
+    """
     rows = -(-len(found.axes) // TUNING_COLUMNS)
     drawn = new_figure(2.5 * rows, width_in)
     grid = panels(drawn, len(found.axes), min(TUNING_COLUMNS, len(found.axes)), sharey=True)
     for i, (axes, (path, words, log)) in enumerate(zip(grid, found.axes, strict=True)):
         values = (trial.values[i] for trial in found.trials)
-        _points(axes, found, [words.index(str(value)) if words else float(value) for value in values])  # words at 0, 1, 2, ...
+        # words at 0, 1, 2, ...
+        _points(
+            axes, found, [words.index(str(value)) if words else float(value) for value in values]
+        )
         axes.set_xlabel(path)
         if words:
-            axes.set_xticks(range(len(words)), [word[:24] for word in words], rotation=20 if max(map(len, words)) > 8 else 0)
+            axes.set_xticks(
+                range(len(words)),
+                [word[:24] for word in words],
+                rotation=20 if max(map(len, words)) > 8 else 0,
+            )
             axes.set_xlim(-0.5, len(words) - 0.5)
         elif log:
             axes.set_xscale("log")
@@ -358,20 +520,43 @@ def history(found: TuningPage, width_in: float) -> Figure:
     if good:
         numbers, means = (np.array(column, dtype=float) for column in zip(*good, strict=True))
         so_far = (np.maximum if found.higher else np.minimum).accumulate(means)
-        axes.step([*numbers, found.trials[-1].number], [*so_far, so_far[-1]], where="post", color=LINE_COLORS[0])
+        axes.step(
+            [*numbers, found.trials[-1].number],
+            [*so_far, so_far[-1]],
+            where="post",
+            color=LINE_COLORS[0],
+        )
     axes.set_xlabel("trial")
     axes.set_ylabel(found.metric.label)
     return drawn
 
 
 def _points(axes: Axes, found: TuningPage, places: Sequence[float]) -> None:
-    """A point for each trial: later ones darker, the best one ringed, those with failed runs as crosses at the top."""
+    """A point for each trial: later ones darker, the best one ringed, those with failed runs as
+    crosses at the top.
+    """
     for trial, x in zip(found.trials, places, strict=True):
         if trial.whole:
             shade = 0.25 + 0.65 * (trial.number + 1) / len(found.trials)
-            axes.plot(x, trial.mean, "o", markersize=4.5, color=LINE_COLORS[0], alpha=shade, markeredgewidth=0)
+            axes.plot(
+                x,
+                trial.mean,
+                "o",
+                markersize=4.5,
+                color=LINE_COLORS[0],
+                alpha=shade,
+                markeredgewidth=0,
+            )
             if trial.number == found.best:
-                axes.plot(x, trial.mean, "o", markersize=10, markerfacecolor="none", markeredgecolor=GOAL, markeredgewidth=1.8)
+                axes.plot(
+                    x,
+                    trial.mean,
+                    "o",
+                    markersize=10,
+                    markerfacecolor="none",
+                    markeredgecolor=GOAL,
+                    markeredgewidth=1.8,
+                )
         else:
             axes.plot(x, 0.97, transform=axes.get_xaxis_transform(), clip_on=False, **FAILED)
     means = [trial.mean for trial in found.trials if trial.whole]
@@ -385,15 +570,20 @@ PLOTS: Final = (
         "slices",
         "Trials over each parameter",
         slices,
-        "A point for each trial whose runs all reached the goal: the mean of the metric, later trials darker, the best one ringed. "
-        "Red crosses at the top: trials of which a run failed, which count as worse than all of the others.",
+        (
+            "A point for each trial whose runs all reached the goal: the mean of the metric,"
+            " later trials darker, the best one ringed. Red crosses at the top:"
+            " trials of which a run failed, which count as worse than all of the others."
+        ),
     ),
     ("history", "Trials in their order", history, "The line is the best trial so far."),
 )
 
 
 def write_tuning(folder: Path, found: TuningPage) -> Path:
-    """Write `report.html`, and the figures as PDF and PNG into `figures/`; returns the page's path."""
+    """Write `report.html`, and the figures as PDF and PNG into `figures/`;
+    returns the page's path.
+    """
     place, plots = make_folder(folder / "figures"), []
     for key, title, draw, caption in PLOTS:
         with style():
@@ -403,11 +593,21 @@ def write_tuning(folder: Path, found: TuningPage) -> Path:
         "study.html",
         f"{found.title}: tuning",
         about=f"{len(found.trials)} trials by {found.metric.title.lower()}",
-        outcome=(found.headline, "" if found.best is None else "good" if found.sure else "open", found.sentences),
+        outcome=(
+            found.headline,
+            "" if found.best is None else "good" if found.sure else "open",
+            found.sentences,
+        ),
         take=found.command,
         plots=plots,
         trials=(
-            ["Trial", *(path for path, _, _ in found.axes), "Reached the goal", found.metric.label, "The others ended"],
+            [
+                "Trial",
+                *(path for path, _, _ in found.axes),
+                "Reached the goal",
+                found.metric.label,
+                "The others ended",
+            ],
             _trials(found),
         ),
         command=found.made_by,
@@ -417,11 +617,25 @@ def write_tuning(folder: Path, found: TuningPage) -> Path:
 def _trials(found: TuningPage) -> list[list[Cell]]:
     """A line for each trial, the best ones first."""
     sign = -1 if found.higher else 1
-    order = sorted(found.trials, key=lambda t: (t.runs - t.reached or not t.runs, sign * t.mean if math.isfinite(t.mean) else math.inf))
+    order = sorted(
+        found.trials,
+        key=lambda t: (
+            t.runs - t.reached or not t.runs,
+            sign * t.mean if math.isfinite(t.mean) else math.inf,
+        ),
+    )
     return [
         [
-            (trial.number, f"{trial.number}{' (the best)' if trial.number == found.best else ''}", False, []),
-            *((value, value if isinstance(value, str) else f"{value:g}", False, []) for value in trial.values),
+            (
+                trial.number,
+                f"{trial.number}{' (the best)' if trial.number == found.best else ''}",
+                False,
+                [],
+            ),
+            *(
+                (value, value if isinstance(value, str) else f"{value:g}", False, [])
+                for value in trial.values
+            ),
             (trial.reached, f"{trial.reached} of {trial.runs}", False, []),
             (trial.mean, number(trial.mean), False, []) if math.isfinite(trial.mean) else NO_CELL,
             (trial.note, trial.note, False, []),

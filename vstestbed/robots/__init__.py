@@ -1,4 +1,6 @@
-"""Robots, in numpy only: kinematics, limits, onboard controllers, sensor models. Their bodies are MJCF files in models/."""
+"""Robots, in numpy only: kinematics, limits, onboard controllers, sensor models. Their bodies are
+MJCF files in models/.
+"""
 
 from collections.abc import Callable, Mapping
 
@@ -15,8 +17,19 @@ from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.vehicle import Vehicle
 
-ROBOTS = Registry("robot", Free, Puma560, Mjcf, Compound, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
-VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}  # Robots that can carry a target along a route (`Carried.by`)
+ROBOTS = Registry(
+    "robot",
+    Free,
+    Puma560,
+    Mjcf,
+    Compound,
+    Omni,
+    Car,
+    Quadrotor,
+    contract=Contract(Robot, base=Robot),
+)
+# Robots that can carry a target along a route (`Carried.by`)
+VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}
 
 __all__ = [
     "ROBOTS",

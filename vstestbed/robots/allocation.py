@@ -1,4 +1,6 @@
-"""From a camera twist to an actuator setpoint: the camera's mount, the allocation, the choice of actuators."""
+"""From a camera twist to an actuator setpoint: the camera's mount, the allocation, the choice of
+actuators.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,14 @@ LIMITS: dict[Limit, str] = {
     "singular": "the robot is near a singular configuration, and leaves out a part of the twist",
     "motion": "the robot has no motion for a part of the twist, and leaves it out",
 }
-"""What each limit does to a commanded twist, in words; their order gives the numbers of the log's column `limit`."""
-ROUNDING = 1e-6  # a twist that differs by less than this share of it, or by 1e-9 m/s or rad/s, is the one that was commanded
-ALL_SIX = np.eye(6)  # The motion basis of a robot that can make any camera twist; read-only, since all frames share it
+"""What each limit does to a commanded twist, in words; their order gives the numbers of the log's
+column `limit`.
+"""
+# a twist that differs by less than this share of it, or by 1e-9 m/s or rad/s, is the one that was
+# commanded
+ROUNDING = 1e-6
+# The motion basis of a robot that can make any camera twist; read-only, since all frames share it
+ALL_SIX = np.eye(6)
 ALL_SIX.flags.writeable = False
 
 
@@ -32,10 +39,13 @@ class Allocation:
     Attributes:
         setpoint: of the actuators or the onboard controller (joint velocities [rad/s], or a twist).
         twist: the camera twist (6,) that the setpoint realises by the robot's own model.
-        scale: factor in [0, 1] by which the whole command was scaled to stay within limits, or the share of it that is realised.
-        limit: what makes `twist` another one than was commanded; "" where it is that one. turned_rad: the angle between both as vectors
-            of six numbers in m/s and rad/s, pi for one against the command [rad].
-        rates: the robot's own velocities (n,) that the setpoint orders (`OwnModel`); None: those of `twist`.
+        scale: factor in [0, 1] by which the whole command was scaled to stay within limits, or the
+            share of it that is realised.
+        limit: what makes `twist` another one than was commanded; "" where it is that one.
+            turned_rad: the angle between both as vectors of six numbers in m/s and rad/s, pi for
+            one against the command [rad].
+        rates: the robot's own velocities (n,) that the setpoint orders (`OwnModel`); None: those of
+            `twist`.
     """
 
     setpoint: Array
@@ -46,13 +56,17 @@ class Allocation:
     turned_rad: float = 0.0
 
     def told(self, wanted: Array) -> Allocation:
-        """The same, with what makes it differ from the commanded twist (6,), whatever the robot says of it."""
+        """The same, with what makes it differ from the commanded twist (6,), whatever the robot
+        says of it.
+        """
         if not differs(self.twist, wanted):
             return self
         sizes = float(np.linalg.norm(self.twist) * np.linalg.norm(wanted))
         cosine = float(self.twist @ wanted) / sizes if sizes > 0 else 1.0
         turned = math.acos(max(-1.0, min(1.0, cosine)))
-        return replace(self, limit=self.limit or "motion", turned_rad=turned if turned > ROUNDING else 0.0)
+        return replace(
+            self, limit=self.limit or "motion", turned_rad=turned if turned > ROUNDING else 0.0
+        )
 
 
 def differs(made: Array, wanted: Array) -> bool:
@@ -62,9 +76,11 @@ def differs(made: Array, wanted: Array) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """Where the camera sits on the robot, with the twist transforms between flange and camera, computed once.
+    """Where the camera sits on the robot, with the twist transforms between flange and camera,
+    computed once.
 
-    T_flange_camera: pose (4, 4). to_flange, to_camera: adjoints (6, 6), twist_flange = to_flange @ twist_camera and back.
+    T_flange_camera: pose (4, 4). to_flange, to_camera: adjoints (6, 6), twist_flange = to_flange @
+    twist_camera and back.
     """
 
     T_flange_camera: Array
@@ -80,10 +96,11 @@ class Mount:
     def facing(cls, T_flange_camera: Array) -> Mount:
         """The mount of an eye-to-hand camera, now at a pose (4, 4) in the flange's frame.
 
-        v_camera = -Ad(T_camera_flange) v_flange, the camera's twist relative to the target in the gripper.
+        v_camera = -Ad(T_camera_flange) v_flange, the camera's twist relative to the target in the
+        gripper.
         """
-        # The camera stands still in the room: moving the flange is, for the pictures, the opposite motion of the camera. With this
-        # sign, a law needs no eye-to-hand variant.
+        # The camera stands still in the room: moving the flange is, for the pictures, the opposite
+        # motion of the camera. With this sign, a law needs no eye-to-hand variant.
         return cls(T_flange_camera, -adjoint(T_flange_camera), -adjoint(inverse(T_flange_camera)))
 
 
@@ -91,9 +108,10 @@ class Mount:
 class Servo:
     """The servo of one joint, told its speed.
 
-    joint: its name. speed: largest one it is told [rad/s, m/s]. torque: largest one [Nm, N]; None for the file's own servo.
-    kp: position gain, of a servo that integrates the speed to a position [Nm/rad, N/m]; 0 for none. kv: velocity gain; with neither it is
-    a motor that is told its torque.
+    joint: its name. speed: largest one it is told [rad/s, m/s]. torque: largest one [Nm, N]; None
+    for the file's own servo.
+    kp: position gain, of a servo that integrates the speed to a position [Nm/rad, N/m]; 0 for none.
+    kv: velocity gain; with neither it is a motor that is told its torque.
     """
 
     joint: str
@@ -108,11 +126,13 @@ class Actuation:
     """Which actuators a scenario uses, and which forces act on its joints.
 
     Attributes:
-        prefix: actuators named `<prefix>_<joint>` in the robot's MJCF file are kept, the others deleted; None: all are kept.
+        prefix: actuators named `<prefix>_<joint>` in the robot's MJCF file are kept, the others
+            deleted; None: all are kept.
         friction: joints keep their damping and Coulomb friction.
         gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
         servos: take the place of the file's actuators on their joints.
-        gravity_error: share of the weight that a gravity compensation leaves uncarried, which the servos do not know; None: no error.
+        gravity_error: share of the weight that a gravity compensation leaves uncarried, which the
+            servos do not know; None: no error.
     """
 
     prefix: str | None
@@ -123,34 +143,50 @@ class Actuation:
 
     @property
     def carried(self) -> float:
-        """The share of a body's weight that the drives' gravity compensation carries; 0 for drives without one."""
+        """The share of a body's weight that the drives' gravity compensation carries; 0 for drives
+        without one.
+        """
         if self.gravity_error is not None:
             return 1.0 - self.gravity_error
         return 1.0 if self.gravity_compensated else 0.0
 
     def gains(self) -> dict[str, dict[str, float | None]]:
-        """Of the servos that take the file's place, by joint: `servo_kp` [Nm/rad, N/m], `servo_kv` [Nm s/rad, N s/m], `servo_torque`.
+        """Of the servos that take the file's place, by joint: `servo_kp` [Nm/rad, N/m], `servo_kv`
+        [Nm s/rad, N s/m], `servo_torque`.
 
-        The largest torque [Nm, N] is None without a limit. Empty where all servos are the file's own.
+        The largest torque [Nm, N] is None without a limit. Empty where all servos are the file's
+        own.
         """
         made = [servo for servo in self.servos if servo.torque is not None]
         if not made:
             return {}
-        torques = {s.joint: s.torque if s.torque is not None and np.isfinite(s.torque) else None for s in made}
-        return {"servo_kp": {s.joint: s.kp for s in made}, "servo_kv": {s.joint: s.kv for s in made}, "servo_torque": torques}
+        torques = {
+            s.joint: s.torque if s.torque is not None and np.isfinite(s.torque) else None
+            for s in made
+        }
+        return {
+            "servo_kp": {s.joint: s.kp for s in made},
+            "servo_kv": {s.joint: s.kv for s in made},
+            "servo_torque": torques,
+        }
 
 
 class Order(NamedTuple):
-    """What the robot is to do: a velocity, or a stop with its reason. All numbers are finite, and those of a stop are at rest.
+    """What the robot is to do: a velocity, or a stop with its reason. All numbers are finite, and
+    those of a stop are at rest.
 
     Attributes:
-        setpoint: of the actuators or the onboard controller (joint velocities [rad/s], or a twist); of a stop the one at which the robot
-            comes to rest (of a car: no speed, the steering as it was).
-        twist: the camera twist (6,) that the setpoint realises by the robot's own model [m/s, rad/s]; of a stop zero.
+        setpoint: of the actuators or the onboard controller (joint velocities [rad/s], or a twist);
+            of a stop the one at which the robot comes to rest (of a car: no speed, the steering as
+            it was).
+        twist: the camera twist (6,) that the setpoint realises by the robot's own model [m/s,
+            rad/s]; of a stop zero.
         rates: the robot's own velocities (n,) that it orders (`OwnModel`); None: those of `twist`.
         stop: "" for a velocity, `stop`, or `off`: see `Stop`.
-        reason: why the robot stops, or has another velocity than the law's; "" while it follows the law.
-        latched: the supervisor has taken the robot from the law for good: nothing but `Controller.reset` gives it back.
+        reason: why the robot stops, or has another velocity than the law's; "" while it follows the
+            law.
+        latched: the supervisor has taken the robot from the law for good: nothing but
+            `Controller.reset` gives it back.
     """
 
     setpoint: Array

@@ -1,7 +1,9 @@
-"""Serial arms with a camera or a target at the flange, driven by joint velocities: what all of them share.
+"""Serial arms with a camera or a target at the flange, driven by joint velocities: what all of them
+share.
 
-Without imperfections an arm is that of its file, and knows itself exactly. They are elastic gears, ripple, encoders, current loops, errors
-of the geometry and of the gravity compensation, and a payload.
+Without imperfections an arm is that of its file, and knows itself exactly. They are elastic gears,
+ripple, encoders, current loops, errors of the geometry and of the gravity compensation, and a
+payload.
 """
 
 from __future__ import annotations
@@ -21,17 +23,47 @@ from vstestbed.core.geometry import Array, adjoint, inverse, log, rigid_error
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
-from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, StrainWave, each, quickest
+from vstestbed.effects.joints import (
+    FINEST,
+    CurrentLoops,
+    ElasticJoints,
+    Encoders,
+    Gears,
+    Motors,
+    Ripple,
+    StrainWave,
+    each,
+    quickest,
+)
 from vstestbed.effects.links import GeometryError, Payload
 from vstestbed.effects.tool import FORCE, PLUG, TORQUE, Plug, Tool, WristSensor
 from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount, Servo, differs
-from vstestbed.robots.base import LARGEST_STEP_S, STOP_S, BodyFile, Reading, RobotLog, RobotState, SensorModel, Supervisor, random_of
+from vstestbed.robots.base import (
+    LARGEST_STEP_S,
+    STOP_S,
+    BodyFile,
+    Reading,
+    RobotLog,
+    RobotState,
+    SensorModel,
+    Supervisor,
+    random_of,
+)
 from vstestbed.robots.chain import JointChain, reader
-from vstestbed.robots.inner_loops import WRENCH, ArmModel, Impedance, Inner, TorqueControl, VelocityServos
+from vstestbed.robots.inner_loops import (
+    WRENCH,
+    ArmModel,
+    Impedance,
+    Inner,
+    TorqueControl,
+    VelocityServos,
+)
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Realistic
 
-THRESHOLD = 0.05  # smallest singular value that is left undamped, with lengths in the arm's own unit
+THRESHOLD = (
+    0.05  # smallest singular value that is left undamped, with lengths in the arm's own unit
+)
 
 
 def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRESHOLD) -> Array:
@@ -39,16 +71,21 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
 
     dq = Js^T (Js Js^T + lambda^2 I)^-1 ts,  where Js and ts have v divided by unit_m, and
     lambda^2 = (1 - (s_min / threshold)^2) threshold^2 where s_min < threshold, else 0.
-    Exact away from singularities, continuous across the threshold, and |dq| <= |ts| / threshold everywhere
-    (the largest damping equals the threshold, so the gain along the weakest direction is s_min / threshold^2).
-    With fewer than six joints the twist is met in the least-squares sense, with more dq is the smallest.
 
-    J: Jacobian, shape (6, n), rows (v, w). twist: (vx, vy, vz, wx, wy, wz) of the flange in the Jacobian's frame, [m/s, rad/s].
-    unit_m: length that makes metres and radians comparable [m]. threshold: smallest singular value of Js that is left undamped. Returns dq
-    (n,) [rad/s, m/s]; `J @ dq` is the realised twist.
+    Exact away from singularities, continuous across the threshold, and |dq| <= |ts| / threshold
+    everywhere (the largest damping equals the threshold, so the gain along the weakest direction is
+    s_min / threshold^2).
+    With fewer than six joints the twist is met in the least-squares sense, with more dq is the
+    smallest.
 
-    Reference: Nakamura & Hanafusa 1986, doi:10.1115/1.3143764; this law of lambda from Maciejewski & Klein 1988,
-    doi:10.1002/rob.4620050603, as written by Chiaverini, Siciliano & Egeland 1994, doi:10.1109/87.294335.
+    J: Jacobian, shape (6, n), rows (v, w). twist: (vx, vy, vz, wx, wy, wz) of the flange in the
+    Jacobian's frame, [m/s, rad/s].
+    unit_m: length that makes metres and radians comparable [m]. threshold: smallest singular value
+    of Js that is left undamped. Returns dq (n,) [rad/s, m/s]; `J @ dq` is the realised twist.
+
+    Reference: Nakamura & Hanafusa 1986, doi:10.1115/1.3143764; this law of lambda from Maciejewski
+    & Klein 1988, doi:10.1002/rob.4620050603, as written by Chiaverini, Siciliano & Egeland 1994,
+    doi:10.1109/87.294335.
     """
     scale = unit_scale(unit_m)
     U, s, Vt = np.linalg.svd(J * scale[:, None], full_matrices=False)
@@ -58,7 +95,11 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
 
 def singularity_damping2(J: Array, unit_m: float, threshold: float = THRESHOLD) -> float:
     """The lambda^2 of `resolved_rate`: 0 away from singularities."""
-    return max(0.0, threshold**2 - float(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)[-1]) ** 2)
+    return max(
+        0.0,
+        threshold**2
+        - float(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)[-1]) ** 2,
+    )
 
 
 @functools.cache
@@ -68,14 +109,20 @@ def unit_scale(unit_m: float) -> Array:
 
 
 def share(realised: Array, commanded: Array, unit_m: float) -> float:
-    """Projection of a realised twist (6,) on the commanded one, as a share of it, 0 to 1, lengths in unit_m; 1 for a zero command."""
+    """Projection of a realised twist (6,) on the commanded one, as a share of it, 0 to 1, lengths
+    in unit_m; 1 for a zero command.
+    """
     scale = unit_scale(unit_m)
     a, b = realised * scale, commanded * scale
     size = float(b @ b)
     return min(1.0, max(0.0, float(a @ b) / size)) if size > 0 else 1.0
 
 
-NEAR_M, NEAR_RAD = 1e-7, 1e-7  # from the wanted pose, where the joints count as found: a ten-thousandth of what a camera can tell
+# from the wanted pose, where the joints count as found: a ten-thousandth of what a camera can tell
+NEAR_M, NEAR_RAD = (
+    1e-7,
+    1e-7,
+)
 
 
 def joints_at(
@@ -88,17 +135,23 @@ def joints_at(
 ) -> Array:
     """Joint positions (n,) [rad, m] of a flange pose (4, 4).
 
-    q <- clip(q + J^+ log(T(q)^-1 T) + N inward(q)), with the damped inverse J^+ of `resolved_rate`, without the columns of joints that
-    stand at a limit and would move beyond it, and N the null space of J for more than six joints. Raises UnreachableError: the arm does not
-    get there; with how near it comes.
+    q <- clip(q + J^+ log(T(q)^-1 T) + N inward(q)), with the damped inverse J^+ of `resolved_rate`,
+    without the columns of joints that stand at a limit and would move beyond it, and N the null
+    space of J for more than six joints. Raises UnreachableError: the arm does not get there; with
+    how near it comes.
 
     Args:
-        kinematics: T_world_flange (4, 4) and the flange's Jacobian (6, n) of joints (n,). T_world_flange: the pose that is wanted.
-        near: joints to begin at: of several postures the one that Newton's steps reach from there is found.
-        limits: lowest and highest position of each joint (n, 2). unit_m: length that makes metres and radians comparable [m].
-        inward: motion of the joints (n,) away from their limits, in the null space of a seventh joint.
+        kinematics: T_world_flange (4, 4) and the flange's Jacobian (6, n) of joints (n,).
+            T_world_flange: the pose that is wanted.
+        near: joints to begin at: of several postures the one that Newton's steps reach from there
+            is found.
+        limits: lowest and highest position of each joint (n, 2). unit_m: length that makes metres
+            and radians comparable [m].
+        inward: motion of the joints (n,) away from their limits, in the null space of a seventh
+            joint.
 
-    Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
+    Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7,
+    doi:10.1007/978-1-84628-642-1.
     """
     q, away_m, away_rad = np.clip(near, *limits.T), np.inf, np.inf
     for _ in range(200):
@@ -108,16 +161,22 @@ def joints_at(
             return q
         step = _step(J, log(inverse(T) @ T_world_flange), q, limits, unit_m)
         if len(q) > 6:
-            free = inward(q) * min(1.0, away_rad + away_m / unit_m)  # it fades: with the damped inverse it moves the flange a little
+            # it fades: with the damped inverse it moves the flange a little
+            free = inward(q) * min(1.0, away_rad + away_m / unit_m)
             step = step + free - resolved_rate(J, J @ free, unit_m)
         # By .3 rad or m at most: within it the Jacobian is a fair guess.
         q = np.clip(q + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12)), *limits.T)
-    words = f"is out of its reach: it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
+    words = (
+        "is out of its reach:"
+        f" it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
+    )
     raise UnreachableError("robot.start", words)
 
 
 def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Array:
-    """Motion of the joints (n,) for a twist (6,) of the flange: joints at their limits stay, and the others make up for them."""
+    """Motion of the joints (n,) for a twist (6,) of the flange: joints at their limits stay, and
+    the others make up for them.
+    """
     low, high = limits.T
     step = resolved_rate(J, twist, unit_m)
     for _ in q:
@@ -129,10 +188,14 @@ def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Arr
     return step
 
 
-LIMIT_MARGIN = math.radians(1.0)  # distance from its hard stop at which a joint comes to rest [rad; m for one that slides]
-LIMIT_HORIZON_S = 0.25  # velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]
+# distance from its hard stop at which a joint comes to rest [rad; m for one that slides]
+LIMIT_MARGIN = math.radians(1.0)
+# velocity damper: near its limit a joint may approach no faster than to reach the margin in this
+# time [s]
+LIMIT_HORIZON_S = 0.25
 INNER = 0.8  # central share of a joint's range in which limit avoidance leaves it alone
-SHORTEST_STEP_S = 1e-4  # shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms
+# shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms
+SHORTEST_STEP_S = 1e-4
 
 
 @spec
@@ -174,26 +237,32 @@ class ArmStart:
 
 @spec
 class Arm(Realistic):
-    """A chain of joints on a base that stands at the world's origin. Fewer than six joints are motions of their own.
+    """A chain of joints on a base that stands at the world's origin. Fewer than six joints are
+    motions of their own.
 
-    A subclass gives `chain`, `joint_speeds`, `actuation` with its `servo_set`, and the gain `avoid_limits` of joint-limit avoidance [1/s].
+    A subclass gives `chain`, `joint_speeds`, `actuation` with its `servo_set`, and the gain
+    `avoid_limits` of joint-limit avoidance [1/s].
 
     Args:
         gears: elasticity and backlash; None: rigid, without play.
-        strain_wave: the strain wave gears in its joints, of which `realism`, and `gears` without a stiffness, make springs and rotors;
-            None: its joints are rigid with a preset that has no stiffness of its own; e.g. `{sizes: [20, 20, 20, 20, 14, 14, 0]}`.
+        strain_wave: the strain wave gears in its joints, of which `realism`, and `gears` without a
+            stiffness, make springs and rotors; None: its joints are rigid with a preset that has no
+            stiffness of its own; e.g. `{sizes: [20, 20, 20, 20, 14, 14, 0]}`.
         ripple: cogging and torque ripple of the motors; None: none.
         encoders: steps and eccentricity of what the joints read; None: exact.
         drives: lag and delay of the motors' torque; None: none.
-        geometry_error: the true geometry where it differs from the arm's own model; None: it does not.
-        gravity_error: share of the weight that the drives' gravity compensation leaves uncarried, negative for too much [1]; servos that
-            hold a position without compensation then have one, and sag by what it leaves over kp; e.g. `0.05`.
+        geometry_error: the true geometry where it differs from the arm's own model; None: it does
+            not.
+        gravity_error: share of the weight that the drives' gravity compensation leaves uncarried,
+            negative for too much [1]; servos that hold a position without compensation then have
+            one, and sag by what it leaves over kp; e.g. `0.05`.
         payload: a load at the flange; None: none.
         tool: a plug at the flange; None: none; e.g. `{radius: 0.01, length: 0.15}`.
-        wrist: a sensor of forces and moments between the flange and what it carries, whose reading is in the log; None: none; e.g.
-            `{noise_n: 0.1}`.
-        controller: what makes torques of the ordered joint speeds: the joints' own servos (`velocity`), or `computed_torque` or
-            `impedance` on motors with the same limits and friction.
+        wrist: a sensor of forces and moments between the flange and what it carries, whose reading
+            is in the log; None: none; e.g. `{noise_n: 0.1}`.
+        controller: what makes torques of the ordered joint speeds: the joints' own servos
+            (`velocity`), or `computed_torque` or `impedance` on motors with the same limits and
+            friction.
     """
 
     gears: Gears | None = None
@@ -216,7 +285,11 @@ class Arm(Realistic):
     chain: ClassVar[JointChain]  # its joints in plain numbers
     joint_speeds: ClassVar[Array]  # largest speed of each joint, (n,) [rad/s, m/s]
     servo_set: ClassVar[Actuation]  # its servos, without an error of their gravity compensation
-    lag_s: ClassVar[float] = 0.009  # by the velocity gain of its servos over the inertia: 112 / s for the Puma and for added servos
+    lag_s: ClassVar[float] = (
+        # by the velocity gain of its servos over the inertia: 112 / s for the Puma and for added
+        # servos
+        0.009
+    )
 
     @property
     def unit_m(self) -> float:
@@ -224,31 +297,61 @@ class Arm(Realistic):
         return self.chain.unit_m
 
     def _check(self) -> None:
-        """Refuse effects that do not fit the joints or the actuation, and a start outside of the limits."""
+        """Refuse effects that do not fit the joints or the actuation, and a start outside of the
+        limits.
+        """
         if self.realism != "none" and self.actuation == "ideal":
-            raise ParameterError.fixed("realism", "none", self.realism, where="with actuation: ideal", works="another actuation")
+            raise ParameterError.fixed(
+                "realism",
+                "none",
+                self.realism,
+                where="with actuation: ideal",
+                works="another actuation",
+            )
         given, chain = self.start.nominal.q_deg, self.chain
         if len(given) != len(chain.names):
-            raise ParameterError.count("start.nominal.q_deg", len(chain.names), f"positions, of {', '.join(chain.names)}", list(given))
+            raise ParameterError.count(
+                "start.nominal.q_deg",
+                len(chain.names),
+                f"positions, of {', '.join(chain.names)}",
+                list(given),
+            )
         # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
-        for i, (q, (low, high), slides) in enumerate(zip(self.configuration(), chain.limits, chain.slides, strict=True)):
+        for i, (q, (low, high), slides) in enumerate(
+            zip(self.configuration(), chain.limits, chain.slides, strict=True)
+        ):
             if not low <= q <= high:
                 size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
                 words = f"{chain.names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
                 raise ParameterError.bound(f"start.nominal.q_deg.{i}", "within", words, given[i])
         if self.controller.takes_wrench and len(chain.names) < 6:
             raise ParameterError.only_for(
-                "controller", "arms of six joints and more, which can yield in all directions", self.controller.kind
+                "controller",
+                "arms of six joints and more, which can yield in all directions",
+                self.controller.kind,
             )
         self.acting  # noqa: B018 - refuses what does not fit
         if self.encoders is not None:
             self.encoders.read(np.zeros(len(given)), np.zeros(len(given)), chain.slides)
         for field in ("drives", "ripple", "gravity_error"):
-            if self.controller.torques and field == "gravity_error" and self.gravity_error is not None:
-                words = f"servos, and controller {self.controller.kind} has a model of the masses; works: payload: {{declared: false}}"
+            if (
+                self.controller.torques
+                and field == "gravity_error"
+                and self.gravity_error is not None
+            ):
+                words = (
+                    f"servos, and controller {self.controller.kind} has a model of the masses;"
+                    " works: payload: {declared: false}"
+                )
                 raise ParameterError.only_for(field, words)
             if self.actuation == "ideal" and getattr(self, field) is not None:
-                raise ParameterError.only_for(field, "actuators with limits, and `actuation: ideal` has none; works: another actuation")
+                raise ParameterError.only_for(
+                    field,
+                    (
+                        "actuators with limits, and `actuation: ideal` has none;"
+                        " works: another actuation"
+                    ),
+                )
 
     @property
     def body(self) -> BodyFile:
@@ -269,17 +372,37 @@ class Arm(Realistic):
 
     @property
     def _actuation(self) -> Actuation:
-        """Its servos, or motors without servos for an inner loop of torques; those carry the weight, too."""
+        """Its servos, or motors without servos for an inner loop of torques; those carry the
+        weight, too.
+        """
         if self.controller.torques:
-            motors = zip(self.chain.names, self.joint_speeds.tolist(), self.motor_torques.tolist(), strict=True)
+            motors = zip(
+                self.chain.names,
+                self.joint_speeds.tolist(),
+                self.motor_torques.tolist(),
+                strict=True,
+            )
             given = (Servo(name, speed, torque) for name, speed, torque in motors)
-            return Actuation(None, friction=self.servo_set.friction, gravity_compensated=False, servos=tuple(given))
-        return self.servo_set if self.gravity_error is None else replace(self.servo_set, gravity_error=self.gravity_error)
+            return Actuation(
+                None,
+                friction=self.servo_set.friction,
+                gravity_compensated=False,
+                servos=tuple(given),
+            )
+        return (
+            self.servo_set
+            if self.gravity_error is None
+            else replace(self.servo_set, gravity_error=self.gravity_error)
+        )
 
     @property
     def motor_torques(self) -> Array:
         """Largest torques of its motors (n,) [Nm, N]; infinite where it has no limits."""
-        return self.largest_torques if self.servo_set.friction else np.full(len(self.chain.names), np.inf)
+        return (
+            self.largest_torques
+            if self.servo_set.friction
+            else np.full(len(self.chain.names), np.inf)
+        )
 
     @property
     def largest_torques(self) -> Array:
@@ -295,7 +418,11 @@ class Arm(Realistic):
         known = None if load is None else (load.mass_kg, *load.com_m, load.edge_m)
 
         def model() -> ArmModel:
-            return ArmModel(self.chain, reader().dynamics(self.file, self.flange, self.chain.names, known), self.motor_torques)
+            return ArmModel(
+                self.chain,
+                reader().dynamics(self.file, self.flange, self.chain.names, known),
+                self.motor_torques,
+            )
 
         return TorqueControl(self.controller, len(self.chain.names), model)
 
@@ -310,7 +437,9 @@ class Arm(Realistic):
         return self if error is given else replace(self, geometry_error=error)
 
     def idealised(self) -> Self:
-        """The same arm with stiff servos and gears and without friction; its geometry and its payload stay what they are."""
+        """The same arm with stiff servos and gears and without friction; its geometry and its
+        payload stay what they are.
+        """
         rigid = dict.fromkeys(("gears", "ripple", "encoders", "drives", "gravity_error"))
         return replace(self, **{"actuation": "ideal", "realism": "none", **rigid})
 
@@ -331,48 +460,84 @@ class Arm(Realistic):
         if self.ripple is not None or self.drives is not None:
             ripple, slides = self.ripple or Ripple(), self.chain.slides
             cogging = each("ripple.cogging_nm", ripple.cogging_nm, slides)
-            found.append(Motors(cogging, each("ripple.cycles", ripple.cycles, slides), ripple.share, self.drives))
+            found.append(
+                Motors(
+                    cogging, each("ripple.cycles", ripple.cycles, slides), ripple.share, self.drives
+                )
+            )
         if self.elastic is not None:
             found.append(self.elastic)
-        if self.geometry_error is not None and self.geometry_error.displacements(len(self.chain.names)) is not None:
+        if (
+            self.geometry_error is not None
+            and self.geometry_error.displacements(len(self.chain.names)) is not None
+        ):
             found.append(self.geometry_error)
         if self.tool is not None or self.wrist is not None:
             found.append(Tool(self.tool, self.wrist))
         return (*found, *((self.payload,) if self.payload is not None else ()), *self.effects)
 
     def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
-        """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where there are none of its own."""
+        """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where
+        there are none of its own.
+        """
         preset, slides = self.presets.get(self.realism, {}).get("gears"), self.chain.slides
         if gears.stiffness_nmprad:
             if self.strain_wave is not None and gears == preset:
-                words = f"is given by realism {self.realism} and by strain_wave; works: robot.gears.stiffness_nmprad=[]"
+                words = (
+                    f"is given by realism {self.realism} and by strain_wave;"
+                    " works: robot.gears.stiffness_nmprad=[]"
+                )
                 raise ParameterError("gears.stiffness_nmprad", words)
-            return each("gears.stiffness_nmprad", gears.stiffness_nmprad, slides, turns=False), None, None
+            return (
+                each("gears.stiffness_nmprad", gears.stiffness_nmprad, slides, turns=False),
+                None,
+                None,
+            )
         if self.strain_wave is not None:
             return *self.strain_wave.curves(slides), self.strain_wave.rotors(slides)
         if gears != preset:
-            words = "is missing; or give the catalogue sizes of its gears, e.g. robot.strain_wave: {sizes: [20]}"
+            words = (
+                "is missing; or give the catalogue sizes of its gears, e.g."
+                " robot.strain_wave: {sizes: [20]}"
+            )
             raise ParameterError("gears.stiffness_nmprad", words)
         return np.zeros(len(slides)), None, None
 
     def _gears_step(self) -> float:
         """The longest physics step that resolves the quickest vibration of the gears [s].
 
-        Raises ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a joint without rotor.
+        Raises ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a
+        joint without rotor.
         """
         assert self.elastic is not None
-        whole, own = reader().inertia_at(self.file, self.chain.names, tuple(self.configuration().tolist()))
-        M, rotors = whole - np.diag(own), own if self.elastic.rotors is None else self.elastic.rotors
+        whole, own = reader().inertia_at(
+            self.file, self.chain.names, tuple(self.configuration().tolist())
+        )
+        M, rotors = (
+            whole - np.diag(own),
+            own if self.elastic.rotors is None else self.elastic.rotors,
+        )
         k = self.elastic.stiffest
         for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
-            words = "must be 0 for {joint}, which has no rotor that could move by itself; give it an `armature` in its file{or_here}"
+            words = (
+                "must be 0 for {joint}, which has no rotor that could move by itself;"
+                " give it an `armature` in its file{or_here}"
+            )
             raise self._too_stiff(i, float(k[i]), words)
         w, joint = quickest(M, rotors, k)
         step = FINEST / w if w else np.inf
         if step < SHORTEST_STEP_S:
             most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
-            needs = f"it vibrates at {w / 2 / np.pi:.0f} Hz, which needs physics steps of {1e6 * step:.0f} us"
-            raise self._too_stiff(joint, float(k[joint]), f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}", most)
+            needs = (
+                f"it vibrates at {w / 2 / np.pi:.0f} Hz,"
+                f" which needs physics steps of {1e6 * step:.0f} us"
+            )
+            raise self._too_stiff(
+                joint,
+                float(k[joint]),
+                f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}",
+                most,
+            )
         return step
 
     def _too_stiff(self, joint: int, k: float, words: str, most: float = 0.0) -> ParameterError:
@@ -383,7 +548,9 @@ class Arm(Realistic):
             if len(self.gears.stiffness_nmprad) == 1:
                 said += "; works: a list, with a value for each joint"
             return ParameterError("robot.gears.stiffness_nmprad", said, k)
-        said = words.format(joint=name, or_here=", or its inertia in strain_wave.rotor_kgm2", or_softer="")
+        said = words.format(
+            joint=name, or_here=", or its inertia in strain_wave.rotor_kgm2", or_softer=""
+        )
         return ParameterError("robot.strain_wave.sizes", said)
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
@@ -412,16 +579,22 @@ class Arm(Realistic):
 
     def _from(self, given: Array) -> Self:
         """From positions (n,) [deg, m]."""
-        return replace(self, start=replace(self.start, nominal=Positions(q_deg=tuple(given.tolist()))))
+        return replace(
+            self, start=replace(self.start, nominal=Positions(q_deg=tuple(given.tolist())))
+        )
 
     def randomised(self, rng: np.random.Generator) -> Self:
         box, chain = random_of(self.start, "{q_deg: 15}"), self.chain
-        drawn = np.array(self.start.nominal.q_deg) + rng.uniform(-1, 1, len(chain.names)) * np.where(chain.slides, box.slide_m, box.q_deg)
+        drawn = np.array(self.start.nominal.q_deg) + rng.uniform(
+            -1, 1, len(chain.names)
+        ) * np.where(chain.slides, box.slide_m, box.q_deg)
         low, high = np.where(chain.slides, chain.limits.T, np.degrees(chain.limits.T))
         return self._from(np.clip(drawn, low, high))
 
     def kinematics(self, q: Array) -> tuple[Array, Array]:
-        """T_world_flange (4, 4) and the Jacobian (6, n): twist of the flange (v, w) in its own frame = J @ dq."""
+        """T_world_flange (4, 4) and the Jacobian (6, n): twist of the flange (v, w) in its own
+        frame = J @ dq.
+        """
         return self.chain.kinematics(q)
 
     def start_joints(self) -> Array:
@@ -434,23 +607,35 @@ class Arm(Realistic):
     def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
         """Joint positions (n,) by Newton steps from `near`, a margin within their limits."""
         inside = self.chain.limits + [LIMIT_MARGIN, -LIMIT_MARGIN]
-        q = joints_at(self.kinematics, T_world_flange, near, inside, self.unit_m, self._away_from_limits)
-        return np.radians(np.round(np.degrees(q), 4))  # 1.7 um at a metre: machines whose last digits differ begin alike
+        q = joints_at(
+            self.kinematics, T_world_flange, near, inside, self.unit_m, self._away_from_limits
+        )
+        # 1.7 um at a metre: machines whose last digits differ begin alike
+        return np.radians(np.round(np.degrees(q), 4))
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
-        """All six degrees of freedom, also near singularities, where `allocate` damps; of fewer joints their own twists (6, n)."""
+        """All six degrees of freedom, also near singularities, where `allocate` damps; of fewer
+        joints their own twists (6, n).
+        """
         return ALL_SIX if len(q) >= 6 else mount.to_camera @ self.kinematics(q)[1]
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings: J at the mean joint positions times dq / duration."""
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings: J at the mean joint positions times dq /
+        duration.
+        """
         if duration <= 0:
             return np.zeros(6)
-        # At the middle: the chord and the path differ in the third order of dq there, in the second at either end.
+        # At the middle: the chord and the path differ in the third order of dq there, in the second
+        # at either end.
         J = self.kinematics((before.q + now.q) / 2)[1]
         return mount.to_camera @ (J @ ((now.q - before.q) / duration))
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """Its joints: encoders, limits, speeds, and the accelerations that stop it from them within STOP_S."""
+        """Its joints: encoders, limits, speeds, and the accelerations that stop it from them within
+        STOP_S.
+        """
         speeds, n = self.joint_speeds, len(reading.q)
 
         def jacobian(q: Array) -> Array:
@@ -474,62 +659,86 @@ class Arm(Realistic):
             slides=self.chain.slides,
         )
 
-    def allocate_rates(self, rates: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
+    def allocate_rates(
+        self, rates: Array, reading: Reading, mount: Mount, period: float
+    ) -> Allocation:
         """Joint speeds, scaled as a whole into speed and position limits."""
         speed, position = self._allowed(rates, reading.q, max(LIMIT_HORIZON_S, period))
         scale = min(1.0, speed, position)
         limit: Limit = "" if scale == 1.0 else "joint_limit" if position < speed else "speed"
         dq = rates * scale
-        return Allocation(self._setpoint(dq), mount.to_camera @ (self.kinematics(reading.q)[1] @ dq), scale, limit, dq)
+        return Allocation(
+            self._setpoint(dq),
+            mount.to_camera @ (self.kinematics(reading.q)[1] @ dq),
+            scale,
+            limit,
+            dq,
+        )
 
     def _setpoint(self, dq: Array) -> Array:
         """Joint speeds (n,), and no wanted wrench where the inner loop takes one."""
         return np.append(dq, np.zeros(WRENCH)) if self.controller.takes_wrench else dq
 
     def pressed(self, allocation: Allocation, wrench: Array, mount: Mount) -> Allocation:
-        """The same with a wrench (6,), force and moment that the tool is to exert at the camera's origin, in the camera's frame [N, Nm]."""
+        """The same with a wrench (6,), force and moment that the tool is to exert at the camera's
+        origin, in the camera's frame [N, Nm].
+        """
         assert isinstance(self.controller, Impedance)  # it `takes_wrench`
-        there = adjoint(inverse(mount.T_flange_camera) @ self.controller.at.T).T @ wrench  # of the same power in the impedance's frame
+        # of the same power in the impedance's frame
+        there = adjoint(inverse(mount.T_flange_camera) @ self.controller.at.T).T @ wrench
         return replace(allocation, setpoint=np.append(allocation.setpoint[:-WRENCH], there))
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
         """Joint-limit avoidance in the null space of the law.
 
-        Desired: `_away_from_limits`. The null-space motion J^-1 null_space z nearest to it in the least-squares sense is taken.
+        Desired: `_away_from_limits`. The null-space motion J^-1 null_space z nearest to it in the
+            least-squares sense is taken.
 
-        References: Liegeois 1977, doi:10.1109/TSMC.1977.4309644; Chaumette & Marchand 2001, doi:10.1109/70.964671.
+        References: Liegeois 1977, doi:10.1109/TSMC.1977.4309644; Chaumette & Marchand 2001,
+            doi:10.1109/70.964671.
         """
         desired = self._away_from_limits(reading.q)
         if null_space.shape[1] == 0 or not desired.any():
             return np.zeros(6)
         J = self.kinematics(reading.q)[1]
-        # A projection: dq . dq* >= 0, so this task on its own never moves the joints as a whole nearer to their limits. The damped
-        # inverse for J^-1, as `allocate` will use it, so that the fit is of motions that the joints are really given.
-        joint_motions = np.column_stack([resolved_rate(J, mount.to_flange @ twist, self.unit_m) for twist in null_space.T])
+        # A projection: dq . dq* >= 0, so this task on its own never moves the joints as a whole
+        # nearer to their limits. The damped inverse for J^-1, as `allocate` will use it, so that
+        # the fit is of motions that the joints are really given.
+        joint_motions = np.column_stack(
+            [resolved_rate(J, mount.to_flange @ twist, self.unit_m) for twist in null_space.T]
+        )
         return null_space @ np.linalg.lstsq(joint_motions, desired, rcond=1e-6)[0]
 
     def _away_from_limits(self, q: Array) -> Array:
-        """dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0."""
+        """dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a
+        joint's range, else 0.
+        """
         limits = self.chain.limits
-        with np.errstate(invalid="ignore"):  # a joint that turns without end has no middle: nan, where it is always inside
-            low, high = (limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
+        # a joint that turns without end has no middle: nan, where it is always inside
+        with np.errstate(invalid="ignore"):
+            low, high = (
+                limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1)
+            )
         low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
         return -self.avoid_limits * (q - np.clip(q, low, high))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
-        """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.
+        """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into
+        speed and position limits.
 
         A seventh joint moves the arm away from its limits in the null space of the flange's motion.
 
-        Near a position limit a joint's speed towards it is bounded by its distance over LIMIT_HORIZON_S
-        (velocity damper: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982).
+        Near a position limit a joint's speed towards it is bounded by its distance over
+        LIMIT_HORIZON_S (velocity damper: Faverjon & Tournassoud 1987,
+        doi:10.1109/ROBOT.1987.1087982).
         """
         commanded = mount.to_flange @ twist
         J = self.kinematics(reading.q)[1]
         dq = resolved_rate(J, commanded, self.unit_m)
         if J.shape[1] > 6:
             away = self._away_from_limits(reading.q)
-            # undamped, but for 0 / 0: what damping leaves of a motion in the null space would move the flange
+            # undamped, but for 0 / 0: what damping leaves of a motion in the null space would move
+            # the flange
             dq = dq + away - resolved_rate(J, J @ away, self.unit_m, threshold=1e-9)
         realised = J @ dq
         along = share(realised, commanded, self.unit_m)
@@ -547,23 +756,34 @@ class Arm(Realistic):
         )
 
     def _allowed(self, dq: Array, q: Array, horizon_s: float) -> tuple[float, float]:
-        """Largest factors of the joint speeds dq (n,) within the speed limits, and within the velocity damper at the joints q (n,).
+        """Largest factors of the joint speeds dq (n,) within the speed limits, and within the
+        velocity damper at the joints q (n,).
 
-        The horizon is not shorter than a period: within one, no further command could slow a joint down. The joints are the measured
-        ones, not integrated commands: the servos lag behind those.
+        The horizon is not shorter than a period: within one, no further command could slow a joint
+        down. The joints are the measured ones, not integrated commands: the servos lag behind
+        those.
         """
         speed = position = math.inf
-        limits = zip(dq.tolist(), q.tolist(), self.chain.limits.tolist(), self.joint_speeds.tolist(), strict=True)
+        limits = zip(
+            dq.tolist(),
+            q.tolist(),
+            self.chain.limits.tolist(),
+            self.joint_speeds.tolist(),
+            strict=True,
+        )
         for u, at, (low, high), most in limits:  # numpy takes thrice as long
             size = max(abs(u), 1e-12)
             room = (high - at if u > 0 else at - low) - LIMIT_MARGIN
-            speed, position = min(speed, most / size), min(position, max(room, 0.0) / horizon_s / size)
+            speed, position = (
+                min(speed, most / size),
+                min(position, max(room, 0.0) / horizon_s / size),
+            )
         return speed, position
 
 
 class WristLog(RobotLog):
-    """The supervisor's mode and the wrist's reading, `wrist_fx` to `wrist_mz`: force and moment on the tool, in the flange's frame [N,
-    Nm].
+    """The supervisor's mode and the wrist's reading, `wrist_fx` to `wrist_mz`: force and moment on
+    the tool, in the flange's frame [N, Nm].
     """
 
     columns = (*RobotLog.columns, *(f"wrist_{part}{axis}" for part in "fm" for axis in "xyz"))

@@ -1,17 +1,21 @@
-"""Attitude estimation: the complementary filter of Mahony et al. for gyro and accelerometer, on the sphere of directions.
+"""Attitude estimation: the complementary filter of Mahony et al. for gyro and accelerometer, on the
+sphere of directions.
 
-The estimate is z, the world's up in body axes, unit: (-sin pitch, cos pitch sin roll, cos pitch cos roll). An IMU has no reference for
-heading, which is left out. With the gyro's reading w, its bias b and the measured up a / |a|:
+The estimate is z, the world's up in body axes, unit: (-sin pitch, cos pitch sin roll, cos pitch cos
+roll). An IMU has no reference for heading, which is left out. With the gyro's reading w, its bias b
+and the measured up a / |a|:
 
     e = a / |a| x z,   z_dot = z x (w - b + k_p e),   b_dot = -k_i e.
 
-An accelerometer measures specific force, a = up g + acceleration, which in flight is nearly the thrust alone. It indicates the tilt only
-averaged over times in which accelerations cancel; hence a low gain. Where a velocity is measured, its rate is first subtracted from a
-(`acceleration`): without that a step to 2 m/s disturbs the estimate by 5 degrees, and the velocity, levelled with it, overshoots by a
-quarter.
+An accelerometer measures specific force, a = up g + acceleration, which in flight is nearly the
+thrust alone. It indicates the tilt only averaged over times in which accelerations cancel; hence a
+low gain. Where a velocity is measured, its rate is first subtracted from a (`acceleration`):
+without that a step to 2 m/s disturbs the estimate by 5 degrees, and the velocity, levelled with it,
+overshoots by a quarter.
 
-Reference: Mahony, Hamel & Pflimlin 2008, doi:10.1109/TAC.2008.923738, the passive filter on one direction; Martin & Salaun 2010,
-doi:10.1109/ROBOT.2010.5509980, on what an accelerometer measures; Hua 2010, doi:10.1016/j.conengprac.2010.01.016, on the use of a velocity.
+Reference: Mahony, Hamel & Pflimlin 2008, doi:10.1109/TAC.2008.923738, the passive filter on one
+direction; Martin & Salaun 2010, doi:10.1109/ROBOT.2010.5509980, on what an accelerometer measures;
+Hua 2010, doi:10.1016/j.conengprac.2010.01.016, on the use of a velocity.
 """
 
 from __future__ import annotations
@@ -24,10 +28,11 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Vector
 
 Level = tuple[float, float, float, float, float, float, float, float, float]
-"""R_level_body (3, 3) row by row: from body axes to the level frame, which has z up and the body's heading; its yx is always 0.
+"""R_level_body (3, 3) row by row: from body axes to the level frame, which has z up and the body's
+heading; its yx is always 0.
 
-Vectors and matrices are plain floats, and equations written out: they run at 1 kHz, where numpy's overhead for three numbers would be
-most of the time.
+Vectors and matrices are plain floats, and equations written out: they run at 1 kHz, where numpy's
+overhead for three numbers would be most of the time.
 """
 
 
@@ -38,7 +43,8 @@ class Filter:
     Args:
         gain: k_p [1/s]: the accelerometer corrects the gyro over times longer than 1 / gain.
         bias_gain: k_i [1/s^2], for the gyro's bias.
-        acceleration: `imu` uses the accelerometer as it is, `velocity` subtracts the rate of the measured velocity from it.
+        acceleration: `imu` uses the accelerometer as it is, `velocity` subtracts the rate of the
+            measured velocity from it.
     """
 
     gain: PositiveGain = 0.5
@@ -60,7 +66,8 @@ class Attitude(NamedTuple):
     @property
     def pitch(self) -> float:
         """Pitch [rad]."""
-        # Rounding may leave a unit vector's part a little over 1, which asin refuses; `tilt` likewise.
+        # Rounding may leave a unit vector's part a little over 1, which asin refuses; `tilt`
+        # likewise.
         return -math.asin(max(-1.0, min(1.0, self.up[0])))
 
     @property
@@ -69,18 +76,23 @@ class Attitude(NamedTuple):
         return math.acos(max(-1.0, min(1.0, self.up[2])))
 
 
-def step(state: Attitude, gyro: Vector, force: Vector, acceleration: Vector, filter: Filter, dt: float) -> Attitude:
+def step(
+    state: Attitude, gyro: Vector, force: Vector, acceleration: Vector, filter: Filter, dt: float
+) -> Attitude:
     """One step of the filter.
 
-    gyro: angular velocity in body axes (3,) [rad/s]. force: the accelerometer's reading in body axes (3,) [m/s^2]: (0, 0, g) at rest.
-    acceleration: known acceleration in body axes (3,) [m/s^2], subtracted from the reading; zeros where none is known. dt: [s].
+    gyro: angular velocity in body axes (3,) [rad/s]. force: the accelerometer's reading in body
+    axes (3,) [m/s^2]: (0, 0, g) at rest.
+    acceleration: known acceleration in body axes (3,) [m/s^2], subtracted from the reading; zeros
+    where none is known. dt: [s].
     """
     (x, y, z), (bx, by, bz) = state
     (fx, fy, fz), (kx, ky, kz), (gx, gy, gz) = force, acceleration, gyro
     ax, ay, az = fx - kx, fy - ky, fz - kz
     size = math.sqrt(ax * ax + ay * ay + az * az)
     ex = ey = ez = 0.0
-    if 0.5 * GRAVITY < size < 1.5 * GRAVITY:  # else (free fall, a hard pull) the direction is mostly not gravity's
+    # else (free fall, a hard pull) the direction is mostly not gravity's
+    if 0.5 * GRAVITY < size < 1.5 * GRAVITY:
         ex, ey, ez = (ay * z - az * y) / size, (az * x - ax * z) / size, (ax * y - ay * x) / size
     k = filter.gain
     wx, wy, wz = gx - bx + k * ex, gy - by + k * ey, gz - bz + k * ez
@@ -88,14 +100,20 @@ def step(state: Attitude, gyro: Vector, force: Vector, acceleration: Vector, fil
     # z turns by the second-order series of exp(-[w] dt): |w|^3 dt^2 t / 6 of error; the first order
     # would have |w|^2 dt t / 2.
     h = 0.5 * dt
-    x, y, z = x + dx + h * (dy * wz - dz * wy), y + dy + h * (dz * wx - dx * wz), z + dz + h * (dx * wy - dy * wx)
+    x, y, z = (
+        x + dx + h * (dy * wz - dz * wy),
+        y + dy + h * (dz * wx - dx * wz),
+        z + dz + h * (dx * wy - dy * wx),
+    )
     n = 1.0 / math.sqrt(x * x + y * y + z * z)
     i = filter.bias_gain * dt
     return Attitude((x * n, y * n, z * n), (bx - i * ex, by - i * ey, bz - i * ez))
 
 
 def level(up: Vector) -> Level:
-    """R_level_body = Ry(pitch) Rx(roll) for an `up` (3,). With the nose straight up or down, roll is taken as 0."""
+    """R_level_body = Ry(pitch) Rx(roll) for an `up` (3,). With the nose straight up or down, roll
+    is taken as 0.
+    """
     x, y, z = up
     sp, cp = -x, math.hypot(y, z)
     sr, cr = (y / cp, z / cp) if cp > 1e-6 else (0.0, 1.0)
@@ -117,7 +135,8 @@ def to_body(R: Level, v: Vector) -> Vector:
 
 
 def heading_rate(R: Level, rates: Vector) -> float:
-    """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s].
+    """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,)
+    [rad/s].
 
     Bounded near a pitch of 90 degrees.
     """
@@ -129,8 +148,8 @@ def heading_rate(R: Level, rates: Vector) -> float:
 class Imu:
     """Noise of each reading (at the control rate) and constant bias, in body axes.
 
-    The defaults are an MPU-6000's by its data sheet (InvenSense 2013: .005 deg/s and 400 ug per root hertz, here over 500 Hz), with
-    the bias that calibration leaves.
+    The defaults are an MPU-6000's by its data sheet (InvenSense 2013: .005 deg/s and 400 ug per
+    root hertz, here over 500 Hz), with the bias that calibration leaves.
 
     Args:
         gyro_sigma_radps: standard deviation of the gyro's noise on each axis [rad/s].

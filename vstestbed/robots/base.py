@@ -1,7 +1,8 @@
-"""The contract of a robot: which camera twists it can make, and how a command becomes a setpoint within its limits.
+"""The contract of a robot: which camera twists it can make, and how a command becomes a setpoint
+within its limits.
 
-What only some robots have is a capability: a body in MuJoCo (`BodyFile`), an `Onboard` controller, the joint space of an `arm.Arm`, the
-wheels of a `vehicle.Vehicle`.
+What only some robots have is a capability: a body in MuJoCo (`BodyFile`), an `Onboard` controller,
+the joint space of an `arm.Arm`, the wheels of a `vehicle.Vehicle`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from vstestbed.robots.own_model import CAMERA, OwnModel
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Proprioception: joint encoders, and the two quantities of orientation that an observer can use.
+    """Proprioception: joint encoders, and the two quantities of orientation that an observer can
+    use.
 
     A robot with more sensors has a subclass with more fields (`FlightReading`).
 
@@ -34,7 +36,8 @@ class Reading:
         q, qd: joint positions and velocities [rad, rad/s], shape (n,) each.
         heading: by a compass, from the world's x axis, counter-clockwise [rad]; None without one.
         tilt: estimated roll and pitch, shape (2,) [rad]; None where the robot estimates none.
-        wrench: force and moment (6,) on what the flange carries, at its origin in its frame [N, Nm]; None without a sensor at the wrist.
+        wrench: force and moment (6,) on what the flange carries, at its origin in its frame [N,
+            Nm]; None without a sensor at the wrist.
     """
 
     q: Array
@@ -46,25 +49,32 @@ class Reading:
 
 # Supervisor: may override the law's order for the robot's safety, from proprioception alone.
 #
-#     follow --no measurement--> hold (the law rests, or drives on by what it knew) --lost_after_s, lost_after_m--> stop
-#     follow, hold --the law fails--> stop
+#     follow --no measurement--> hold (the law rests, or drives on by what it knew) --lost_after_s,
+#     lost_after_m--> stop follow, hold --the law fails--> stop
 #
-# Every robot has one. How a robot stops is its own matter (`Robot.stopping`); when it must is decided here, and for a craft that must
-# set down besides in `failsafe`.
+# Every robot has one. How a robot stops is its own matter (`Robot.stopping`); when it must is
+# decided here, and for a craft that must set down besides in `failsafe`.
 FOLLOWS, HOLDS, STOPS = range(3)  # modes, as numbered in the log's column `supervisor`
-STANDS_RADPS = 0.02  # a robot whose joints are all slower stands [rad/s; m/s for slides]: the rim of a car's wheel makes 3 mm/s
+# a robot whose joints are all slower stands [rad/s; m/s for slides]: the rim of a car's wheel makes
+# 3 mm/s
+STANDS_RADPS = 0.02
 
 
 @dataclass
 class Supervisor:
-    """Passes the law's order on, until the target has been out of sight for too long, or the law has failed: then it stops the robot.
+    """Passes the law's order on, until the target has been out of sight for too long, or the law
+    has failed: then it stops the robot.
 
-    lost_after_s, lost_after_m: longest time [s], and longest way of the camera by the robot's own sensors [m], without a measurement.
+    lost_after_s, lost_after_m: longest time [s], and longest way of the camera by the robot's own
+    sensors [m], without a measurement.
     aborted: why the task was aborted; None while it goes on. mode: see FOLLOWS, ...
     """
 
     # The end of an aborted task, in words: brought to rest, or not in time.
-    DOWN: ClassVar[tuple[str, str]] = "the robot stands", "the robot was still moving when the time ran out"
+    DOWN: ClassVar[tuple[str, str]] = (
+        "the robot stands",
+        "the robot was still moving when the time ran out",
+    )
     lost_after_s: float = math.inf
     lost_after_m: float = math.inf
     aborted: Verdict | None = None
@@ -74,17 +84,30 @@ class Supervisor:
     _seen_once: bool = False
     _stands: bool = False
 
-    def filter(self, t: float, blind: str, reading: Reading, order: Order, basis: Array, moved_m: float = 0.0) -> Order:
+    def filter(
+        self,
+        t: float,
+        blind: str,
+        reading: Reading,
+        order: Order,
+        basis: Array,
+        moved_m: float = 0.0,
+    ) -> Order:
         """The order that goes to the robot.
 
         Args:
             t: time of exposure [s].
-            blind: why the law has no measurement ("" while it has one). Without one it may command motion by what it knew.
-            reading: the robot's sensor reading. order: the law's, after allocation. basis: camera twists (6, n) of the robot's motions.
-            moved_m: way of the camera since the last frame, by the robot's own sensors [m]; it counts while blind.
+            blind: why the law has no measurement ("" while it has one). Without one it may command
+                motion by what it knew.
+            reading: the robot's sensor reading. order: the law's, after allocation. basis: camera
+                twists (6, n) of the robot's motions.
+            moved_m: way of the camera since the last frame, by the robot's own sensors [m]; it
+                counts while blind.
         """
         if (why := self._look(t, blind, moved_m)) and not self.aborted:
-            self.abort(t, Outcome.target_lost, why if self._seen_once else f"{why}, from the start on")
+            self.abort(
+                t, Outcome.target_lost, why if self._seen_once else f"{why}, from the start on"
+            )
         if not self.aborted:
             self.mode = HOLDS if blind else FOLLOWS
             return order
@@ -105,7 +128,9 @@ class Supervisor:
         return self.aborted is not None and self._stands
 
     def _look(self, t: float, blind: str, moved_m: float) -> str:
-        """Note whether there is a measurement; once it has been missing for too long, why ("" before)."""
+        """Note whether there is a measurement; once it has been missing for too long, why (""
+        before).
+        """
         if not blind:
             self._lost_at, self._blind_m, self._seen_once = math.nan, 0.0, True
             return ""
@@ -116,18 +141,25 @@ class Supervisor:
         # Times are sums of steps: without 1e-9 a rounding would cost a frame.
         if t - self._lost_at + 1e-9 >= self.lost_after_s:
             return f"{blind} for {self.lost_after_s:g} s"
-        return f"{blind} for {self.lost_after_m:g} m of the way" if self._blind_m >= self.lost_after_m else ""
+        return (
+            f"{blind} for {self.lost_after_m:g} m of the way"
+            if self._blind_m >= self.lost_after_m
+            else ""
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """Input of a robot's own log columns at one exposure. It holds truth, which goes to the log and nowhere else.
+    """Input of a robot's own log columns at one exposure. It holds truth, which goes to the log and
+    nowhere else.
 
     Attributes:
         t: time [s]. T_world_base: true pose of the base (4, 4).
-        place, odometry: (x, y, heading) [m, m, rad] as the observer estimates them, NaN where it has none.
+        place, odometry: (x, y, heading) [m, m, rad] as the observer estimates them, NaN where it
+            has none.
         reading: the robot's sensor reading.
-        act: true activations of its actuators (nu,). wind: true velocity of the air in the world (3,) [m/s].
+        act: true activations of its actuators (nu,). wind: true velocity of the air in the world
+            (3,) [m/s].
     """
 
     t: float
@@ -142,8 +174,9 @@ class RobotState:
 class RobotLog:
     """The columns that only this robot has in a log, and their values frame by frame.
 
-    Here `supervisor` alone: 0 follows the law, 1 holds (the law has no measurement: it rests, or goes on by what it knew), 2 stops for
-    good. Each run makes its own: it may hold the last frame's state.
+    Here `supervisor` alone: 0 follows the law, 1 holds (the law has no measurement: it rests, or
+    goes on by what it knew), 2 stops for good. Each run makes its own: it may hold the last frame's
+    state.
 
     supervisor: the robot's.
     """
@@ -158,12 +191,16 @@ class RobotLog:
         return np.array([self.supervisor.mode])
 
     def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
-        """Entries of `Robot.proprioception` by name, shape (frames,) each, as far as the robot's own columns of a log tell them."""
+        """Entries of `Robot.proprioception` by name, shape (frames,) each, as far as the robot's
+        own columns of a log tell them.
+        """
         return {}
 
 
 LARGEST_STEP_S = 0.002  # the largest default physics step of a robot that names no other [s]
-STOP_S = 0.25  # default time in which a robot stops from any speed [s]: it decelerates by its speed limits over this time at most
+# default time in which a robot stops from any speed [s]: it decelerates by its speed limits over
+# this time at most
+STOP_S = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,17 +209,22 @@ class BodyFile:
 
     Attributes:
         file: a name in models/, or a whole path.
-        actuators: in the order of their controls. sensors: those of the file that `Robot.instruments` turns into the reading.
+        actuators: in the order of their controls. sensors: those of the file that
+            `Robot.instruments` turns into the reading.
         flange: the site, or the body, in the file that carries the camera.
-        actuation: which of the file's actuators are used, and what is added to them; None: all, as they are.
+        actuation: which of the file's actuators are used, and what is added to them; None: all, as
+            they are.
         changes: what the robot's parameters change in the file.
-        limits: lowest and highest position of each of `Robot.joints`, (n, 2) [rad, m]; None where no joint has any.
-        rest_ctrl: controls and activations (nu,) that hold the robot at its start; None where the defaults of the file do.
-        feet: geoms that may touch the ground while nothing else of the body may. standing_m: height of the base frame over what the feet
-            stand on [m].
+        limits: lowest and highest position of each of `Robot.joints`, (n, 2) [rad, m]; None where
+            no joint has any.
+        rest_ctrl: controls and activations (nu,) that hold the robot at its start; None where the
+            defaults of the file do.
+        feet: geoms that may touch the ground while nothing else of the body may. standing_m: height
+            of the base frame over what the feet stand on [m].
         gripper: whether it can hold the target in front of a camera that stands in the room.
         slips: whether the robot feels the floor's friction (`world.floor_friction`).
-        largest_step_s: the largest physics step at which its actuators were tested [s]: servo gains of puma560.xml, contacts of wheels.
+        largest_step_s: the largest physics step at which its actuators were tested [s]: servo gains
+            of puma560.xml, contacts of wheels.
     """
 
     file: str
@@ -202,28 +244,43 @@ class BodyFile:
 
 Base = Literal["fixed", "planar", "floating"]
 SensorModel = Callable[[Array, Array, Mapping[str, list[float]]], Any]
-"""From true joint positions and speeds, (n,) each, and MuJoCo's perfect sensors by name to what the robot's sensors read."""
+"""From true joint positions and speeds, (n,) each, and MuJoCo's perfect sensors by name to what the
+robot's sensors read.
+"""
 
 
 class Robot:
-    """A robot that carries (or is) the camera. Its configuration: joint angles, a flattened pose, or (x, y, heading).
+    """A robot that carries (or is) the camera. Its configuration: joint angles, a flattened pose,
+    or (x, y, heading).
 
-    The defaults are those of a robot on a fixed base whose setpoint is its actuators' controls and whose instruments are exact. A robot of
-    one's own gives at least `kind`, `start` and the abstract methods.
+    The defaults are those of a robot on a fixed base whose setpoint is its actuators' controls and
+    whose instruments are exact. A robot of one's own gives at least `kind`, `start` and the
+    abstract methods.
     """
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
+    # it is a @spec: `dataclasses.replace` makes variants of it
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     kind: Any  # Its word in a scenario, a field of each robot
-    start: Any  # The start block: `nominal`, and `random` (None without one) from which starts are drawn
+    # The start block: `nominal`, and `random` (None without one) from which starts are drawn
+    start: Any
     base: ClassVar[Base] = "fixed"
-    """`fixed` in the world (an arm; the ideal camera), `planar` (a vehicle on the floor, whose configuration is (x, y, heading)) or
-    `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
+    """`fixed` in the world (an arm; the ideal camera), `planar` (a vehicle on the floor, whose
+    configuration is (x, y, heading)) or `floating` (a craft that flies). A base that moves is joint
+    `root` (or `root_x`, `root_y`, `root_yaw`) in its file.
+    """
     joints: ClassVar[tuple[str, ...]] = ()  # Joints that it measures, in the order of its reading
     body: ClassVar[BodyFile | None] = None  # Its body in MuJoCo; None for the ideal camera
-    onboard: ClassVar[Onboard | None] = None  # Its onboard controller; None where the setpoint is the actuators' controls
-    acting: ClassVar[tuple[Effect, ...]] = ()  # Its imperfections, in the order in which they change its model and act
-    draws: ClassVar[bool] = False  # Whether the scenario's seed makes a difference to its body or its sensors, besides the start
+    onboard: ClassVar[Onboard | None] = (
+        None  # Its onboard controller; None where the setpoint is the actuators' controls
+    )
+    # Its imperfections, in the order in which they change its model and act
+    acting: ClassVar[tuple[Effect, ...]] = ()
+    draws: ClassVar[bool] = (
+        # Whether the scenario's seed makes a difference to its body or its sensors, besides the
+        # start
+        False
+    )
 
     @property
     def proprioception_names(self) -> tuple[str, ...]:
@@ -240,12 +297,16 @@ class Robot:
         return np.zeros(len(self.joints))
 
     def drawn(self, rng: np.random.Generator) -> Any:
-        """The same robot, with what differs from one to the next of its kind drawn from `rng`; itself where that is listed already."""
+        """The same robot, with what differs from one to the next of its kind drawn from `rng`;
+        itself where that is listed already.
+        """
         return self
 
     @abstractmethod
     def randomised(self, rng: np.random.Generator) -> Robot:
-        """The same robot, its nominal start drawn from the random block. ParameterError when it has none."""
+        """The same robot, its nominal start drawn from the random block. ParameterError when it has
+        none.
+        """
         ...
 
     @abstractmethod
@@ -254,11 +315,18 @@ class Robot:
         ...
 
     def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
-        """The configuration nearest to another one, `near`, in which its flange is at a pose (4, 4), by the robot's own model.
+        """The configuration nearest to another one, `near`, in which its flange is at a pose (4,
+        4), by the robot's own model.
 
         UnreachableError where it does not get there, ParameterError where it has no such inverse.
         """
-        raise ParameterError("robot.kind", "must be an arm or the free camera: only they start where a view of the target asks for")
+        raise ParameterError(
+            "robot.kind",
+            (
+                "must be an arm or the free camera:"
+                " only they start where a view of the target asks for"
+            ),
+        )
 
     @abstractmethod
     def flange_pose(self, configuration: Array) -> Array:
@@ -267,9 +335,11 @@ class Robot:
 
     @abstractmethod
     def motion_basis(self, mount: Mount, q: Array) -> Array:
-        """Camera twists that the robot can make with its joints at q (len(joints),), shape (6, n): twist = basis @ u.
+        """Camera twists that the robot can make with its joints at q (len(joints),), shape (6, n):
+        twist = basis @ u.
 
-        The columns are independent: n is at most six, also for an arm of seven joints, whose `allocate` resolves the redundancy.
+        The columns are independent: n is at most six, also for an arm of seven joints, whose
+        `allocate` resolves the redundancy.
         """
         ...
 
@@ -278,12 +348,18 @@ class Robot:
         return lambda q, qd, sensors: Reading(q, qd)
 
     @abstractmethod
-    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings; the commanded one, `commanded`, where the robot cannot measure it."""
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings; the commanded one, `commanded`, where the
+        robot cannot measure it.
+        """
         ...
 
     def proprioception(self, reading: Any, odometry: Array | None) -> Array:
-        """What its sensors tell a learned policy (k,), `agent_pos`; odometry: a vehicle's way since its start (x, y, heading) [m, rad]."""
+        """What its sensors tell a learned policy (k,), `agent_pos`; odometry: a vehicle's way since
+        its start (x, y, heading) [m, rad].
+        """
         return reading.q
 
     @abstractmethod
@@ -292,16 +368,25 @@ class Robot:
         ...
 
     def own_model(self, reading: Any, mount: Mount) -> OwnModel:
-        """What its controller knows of it: its own velocities, their limits, the camera twist that they make."""
+        """What its controller knows of it: its own velocities, their limits, the camera twist that
+        they make.
+        """
         J = self.motion_basis(mount, reading.q)
         n = J.shape[1]
-        names = CAMERA if n == 6 else self.joints if len(self.joints) == n else tuple(f"u_{i}" for i in range(n))
+        names = (
+            CAMERA
+            if n == 6
+            else self.joints
+            if len(self.joints) == n
+            else tuple(f"u_{i}" for i in range(n))
+        )
         return OwnModel.of_motions(names, J, np.full(n, np.inf), np.full(n, np.inf))
 
     def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Supervisor:
         """What may override the law.
 
-        lands: the task ends on the ground; lost_after_s, lost_after_m: for how long and how far to go on without a measurement [s, m].
+        lands: the task ends on the ground; lost_after_s, lost_after_m: for how long and how far to
+            go on without a measurement [s, m].
         """
         return Supervisor(lost_after_s, lost_after_m)
 
@@ -310,9 +395,11 @@ class Robot:
         return RobotLog(supervisor)
 
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
-        """Its own way to stop: the setpoint `elapsed_s` [s] after the last one, `setpoint`, has lost its force.
+        """Its own way to stop: the setpoint `elapsed_s` [s] after the last one, `setpoint`, has
+        lost its force.
 
-        By default all velocities fall to zero within STOP_S by the same factor: the motion keeps its direction.
+        By default all velocities fall to zero within STOP_S by the same factor: the motion keeps
+        its direction.
         """
         return setpoint * max(0.0, 1.0 - elapsed_s / STOP_S)
 
@@ -325,7 +412,9 @@ class Onboard(Robot):
 
     reading: ClassVar[type[Reading]] = Reading  # the class of the reading that the loop sees
     control_period_s: float  # its period [s]
-    first_setpoint: ClassVar[Array | None] = None  # before the first command; None where the controls stay those of the start until then
+    first_setpoint: ClassVar[Array | None] = (
+        None  # before the first command; None where the controls stay those of the start until then
+    )
 
     @property
     def onboard(self) -> Onboard | None:
@@ -337,24 +426,34 @@ class Onboard(Robot):
         return None
 
     @abstractmethod
-    def actuate(self, state: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, ArrayLike]:
-        """One step of dt [s]: the next state, and the actuators' controls (nu,). reading: of the instruments."""
+    def actuate(
+        self, state: Any, setpoint: Array, reading: Any, dt: float
+    ) -> tuple[Any, ArrayLike]:
+        """One step of dt [s]: the next state, and the actuators' controls (nu,). reading: of the
+        instruments.
+        """
         ...
 
     def reported(self, state: Any, reading: Any) -> Any:
-        """The reading that the loop sees: what the instruments read, with the controller's estimates."""
+        """The reading that the loop sees: what the instruments read, with the controller's
+        estimates.
+        """
         return reading
 
 
 def random_of(start: Any, example: str) -> Any:
     """The block of random starts. ParameterError where a robot has none."""
     if start.random is None:
-        raise ParameterError.missing("robot.start.random", f"a seed draws the start from it, e.g. {example}")
+        raise ParameterError.missing(
+            "robot.start.random", f"a seed draws the start from it, e.g. {example}"
+        )
     return start.random
 
 
 def needed_step(robot: Robot) -> float:
-    """The longest physics step that a robot's vibrations and drives allow [s]; infinite where they allow any."""
+    """The longest physics step that a robot's vibrations and drives allow [s]; infinite where they
+    allow any.
+    """
     return min((effect.longest_step_s for effect in robot.acting), default=math.inf)
 
 

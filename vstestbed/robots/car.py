@@ -1,8 +1,10 @@
 """A car: bicycle kinematics both ways, onboard servos, odometry of the rear wheels, a compass.
 
-Its frame lies on the floor under the middle of the rear axle, x forward. It moves with u = (v, w) of that frame: it can neither go
-sideways nor turn on the spot. The setpoint is (speed [m/s], steering angle [rad]); `actuate` approaches both within their rate limits.
-The body is in models/car.xml, which `parameters` changes (`CarParameters`), and its imperfections (`vehicle.Vehicle`).
+Its frame lies on the floor under the middle of the rear axle, x forward. It moves with u = (v, w)
+of that frame: it can neither go sideways nor turn on the spot. The setpoint is (speed [m/s],
+steering angle [rad]); `actuate` approaches both within their rate limits. The body is in
+models/car.xml, which `parameters` changes (`CarParameters`), and its imperfections
+(`vehicle.Vehicle`).
 """
 
 from __future__ import annotations
@@ -19,7 +21,15 @@ from annotated_types import Ge, Gt, Le, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import moved
-from vstestbed.core.quantity import GRAVITY, AngleWidth, Mass, PositiveLength, PositiveRate, PositiveSpeed, TighterBounds
+from vstestbed.core.quantity import (
+    GRAVITY,
+    AngleWidth,
+    Mass,
+    PositiveLength,
+    PositiveRate,
+    PositiveSpeed,
+    TighterBounds,
+)
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.body import Change, couple, loosen, put, scale, stretch
@@ -31,19 +41,22 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
-# Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop with a law.
+# Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop
+# with a law.
 #
-# With the frame under the middle of the rear axle, x forward, L the wheelbase and gamma the steering angle of the middle of the
-# front axle:
+# With the frame under the middle of the rear axle, x forward, L the wheelbase and gamma the
+# steering angle of the middle of the front axle:
 #
 #     x_dot = v cos(heading),  y_dot = v sin(heading),  heading_dot = w = v tan(gamma) / L
 #
-# Places are (x, y, heading), shape (..., 3), [m, m, rad]; speeds and angles have the leading axes; a single car has none.
+# Places are (x, y, heading), shape (..., 3), [m, m, rad]; speeds and angles have the leading axes;
+# a single car has none.
 #
 # Reference: Corke 2017, Robotics, Vision & Control, eq. 4.2, doi:10.1007/978-3-319-54413-7.
 
 
-STANDSTILL = 1e-6  # below this speed [m/s] a car counts as standing: gamma = atan(L w / v) is undefined there
+# below this speed [m/s] a car counts as standing: gamma = atan(L w / v) is undefined there
+STANDSTILL = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +64,8 @@ class BicycleLimits:
     """Limits of a car.
 
     speed_mps, steering_rad: largest sizes of speed and steering angle.
-    acceleration_mps2, steering_rate_radps: largest changes of both; infinity for a car that obeys at once.
+    acceleration_mps2, steering_rate_radps: largest changes of both; infinity for a car that obeys
+    at once.
     """
 
     speed_mps: float = 1.0
@@ -61,9 +75,12 @@ class BicycleLimits:
 
 
 def steering_of(v: Array | float, w: Array | float, wheelbase: float) -> Array:
-    """The steering angle for a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in [-pi/2, pi/2]."""
+    """The steering angle for a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in
+    [-pi/2, pi/2].
+    """
     v, w = np.asarray(v, dtype=float), np.asarray(w, dtype=float)
-    # atan2(sign(v) L w, |v|) and not atan2(L w, v): in reverse that would point the wheels backwards. At v = 0 it is a quarter turn.
+    # atan2(sign(v) L w, |v|) and not atan2(L w, v): in reverse that would point the wheels
+    # backwards. At v = 0 it is a quarter turn.
     return np.arctan2(np.where(v < 0, -w, w) * wheelbase, np.abs(v))
 
 
@@ -72,21 +89,26 @@ def yaw_rate(v: Array | float, steering: Array | float, wheelbase: float) -> Arr
     return np.asarray(v * np.tan(steering) / wheelbase)
 
 
-def within_limits(v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: Limits) -> tuple[Array, Array]:
+def within_limits(
+    v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: Limits
+) -> tuple[Array, Array]:
     """The speed and steering angle that come nearest to a commanded (v, w) within a car's limits.
 
-    A command that is too fast becomes a slower motion along the same arc. On an arc that is too tight the steering angle saturates, with
-    the sign of the arc's curvature, and the speed stays as commanded. A car that is to stand, or to turn on the spot, keeps its steering
-    angle `held`.
+    A command that is too fast becomes a slower motion along the same arc. On an arc that is too
+    tight the steering angle saturates, with the sign of the arc's curvature, and the speed stays as
+    commanded. A car that is to stand, or to turn on the spot, keeps its steering angle `held`.
 
-    v, w: commanded speed [m/s] and yaw rate [rad/s], shape (...). held: the present steering angle, shape (...), [rad]. wheelbase: L [m].
-    limits: of the speed and of the steering angle. Returns (v, gamma): speed [m/s] and steering angle [rad], shape (...) each.
+    v, w: commanded speed [m/s] and yaw rate [rad/s], shape (...). held: the present steering angle,
+    shape (...), [rad]. wheelbase: L [m].
+    limits: of the speed and of the steering angle. Returns (v, gamma): speed [m/s] and steering
+    angle [rad], shape (...) each.
     """
     steering = np.clip(steering_of(v, w, wheelbase), -limits.steering_rad, limits.steering_rad)
     # Else rest would straighten the wheels, or turn them to their stop, under a car that stands.
     steering = np.where(np.abs(v) < STANDSTILL, held, steering)
-    # The angle is that of the arc before the speed is cut, so the yaw rate shrinks with the speed and the arc stays. In a bend that is
-    # too tight the speed is not cut: a slower car turns no tighter, and keeping the yaw rate would take a faster one.
+    # The angle is that of the arc before the speed is cut, so the yaw rate shrinks with the speed
+    # and the arc stays. In a bend that is too tight the speed is not cut: a slower car turns no
+    # tighter, and keeping the yaw rate would take a faster one.
     return np.clip(v, -limits.speed_mps, limits.speed_mps), steering
 
 
@@ -96,7 +118,9 @@ def toward(now: Array, setpoint: Array, most: float) -> Array:
 
 
 def rolled(place: Array, v: Array, steering: Array, wheelbase: float, duration: float) -> Array:
-    """The place after `duration` [s] at constant speed and steering angle from `place` (..., 3): the exact arc."""
+    """The place after `duration` [s] at constant speed and steering angle from `place` (..., 3):
+    the exact arc.
+    """
     v = np.asarray(v, dtype=float)
     motion = np.stack(np.broadcast_arrays(v, 0.0, yaw_rate(v, steering, wheelbase)), axis=-1)
     return moved(place, motion, duration)
@@ -117,9 +141,15 @@ class Drive:
 
 
 def drive(
-    law: Callable[[Array], tuple[Array, Array]], start: Array, wheelbase: float, limits: Limits, duration: float, period: float = 0.01
+    law: Callable[[Array], tuple[Array, Array]],
+    start: Array,
+    wheelbase: float,
+    limits: Limits,
+    duration: float,
+    period: float = 0.01,
 ) -> Drive:
-    """Closed loop of a law and a bicycle that knows its place, rolls without slip, and follows commands within its limits.
+    """Closed loop of a law and a bicycle that knows its place, rolls without slip, and follows
+    commands within its limits.
 
     Args:
         law: maps places (..., 3) to commanded speed and yaw rate (v, w), shape (...) each.
@@ -144,18 +174,22 @@ def drive(
 
 GRIP = 0.8  # friction of the tyres on a dry floor (models/car.xml)
 MOST_WHEEL_RAD = 1.25  # how far a front wheel can turn under the deck [rad]
-# Polynomial from the steering angle to the left crank in models/car.xml, for track / (2 wheelbase) = .3.
+# Polynomial from the steering angle to the left crank in models/car.xml, for track / (2
+# wheelbase) = .3.
 CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
-WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279  # polynomial from the left crank to the left front wheel there
+# polynomial from the left crank to the left front wheel there
+WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279
 
 
 @spec
 class CarParameters:
-    """Physical parameters of a car, which its onboard servos and its odometry know; the defaults are the buggy of models/car.xml.
+    """Physical parameters of a car, which its onboard servos and its odometry know; the defaults
+    are the buggy of models/car.xml.
 
-    The chassis is stretched with wheelbase and track, and raised by twice what the wheels' radius grows. All masses grow alike, springs,
-    dampers and rolling resistance with them, so that the ride frequency of 3 Hz stays; the gain of the motor's speed loop grows with
-    mass_kg wheel_radius_m^2, so that its time constant stays.
+    The chassis is stretched with wheelbase and track, and raised by twice what the wheels' radius
+    grows. All masses grow alike, springs, dampers and rolling resistance with them, so that the
+    ride frequency of 3 Hz stays; the gain of the motor's speed loop grows with mass_kg
+    wheel_radius_m^2, so that its time constant stays.
 
     Args:
         mass_kg: mass of the whole car [kg].
@@ -175,12 +209,17 @@ class CarParameters:
         L, track, r = self.wheelbase_m, self.track_m, self.wheel_radius_m
         if 2 * r + 0.1 > L:
             words = f"{2 * r + 0.1:.3g} m at wheel_radius_m {r:g}"
-            raise ParameterError.bound("wheelbase_m", "at least", words, L, why="front and rear wheels would meet")
-        height = 0.264 + 1.8 * (r - 0.15)  # of the centre of mass over the floor: four fifths of the mass are sprung
+            raise ParameterError.bound(
+                "wheelbase_m", "at least", words, L, why="front and rear wheels would meet"
+            )
+        # of the centre of mass over the floor: four fifths of the mass are sprung
+        height = 0.264 + 1.8 * (r - 0.15)
         least = max(2 * r, 2 * GRIP * height)
         if track < least:
             why = "a narrower car tips in a bend before its tyres slide"
-            raise ParameterError.bound("track_m", "at least", f"{least:.3g} m at wheel_radius_m {r:g}", track, why=why)
+            raise ParameterError.bound(
+                "track_m", "at least", f"{least:.3g} m at wheel_radius_m {r:g}", track, why=why
+            )
 
     @property
     def slant(self) -> float:
@@ -189,14 +228,22 @@ class CarParameters:
 
     @property
     def most_steering_rad(self) -> float:
-        """The steering angle of the middle of the axle at which the inner wheel stands at MOST_WHEEL_RAD [rad]: cot = cot + slant."""
+        """The steering angle of the middle of the axle at which the inner wheel stands at
+        MOST_WHEEL_RAD [rad]: cot = cot + slant.
+        """
         return math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + self.slant))
 
     def rolling(self, coefficient: float) -> tuple[Change, ...]:
-        """Torques on the wheels by a rolling resistance [1]: its share of each wheel's static load, at the radius."""
+        """Torques on the wheels by a rolling resistance [1]: its share of each wheel's static load,
+        at the radius.
+        """
         whole = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m
-        shares = 0.2044, 0.2044, 0.2956, 0.2956  # of the sprung four fifths .386 are on the front axle
-        return tuple((put, "joint", name, "frictionloss", whole * share) for name, share in zip(WHEELS, shares, strict=True))
+        # of the sprung four fifths .386 are on the front axle
+        shares = 0.2044, 0.2044, 0.2956, 0.2956
+        return tuple(
+            (put, "joint", name, "frictionloss", whole * share)
+            for name, share in zip(WHEELS, shares, strict=True)
+        )
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -206,8 +253,15 @@ class CarParameters:
         L, half, r = self.wheelbase_m, self.track_m / 2, self.wheel_radius_m
         heavier, larger, wide = self.mass_kg / 60.0, r / 0.15, self.track_m / 0.6
         raised = 2 * (r - 0.15)
-        found: list[Change] = [(scale, "geom", "mass", heavier), (stretch, "base", (L, wide, 1.0), (0.0, 0.0, raised))]
-        for name, x, y in (("column", 0.98, 0.0), ("crank_left", 0.94, 0.05), ("crank_right", 0.94, -0.05)):
+        found: list[Change] = [
+            (scale, "geom", "mass", heavier),
+            (stretch, "base", (L, wide, 1.0), (0.0, 0.0, raised)),
+        ]
+        for name, x, y in (
+            ("column", 0.98, 0.0),
+            ("crank_left", 0.94, 0.05),
+            ("crank_right", 0.94, -0.05),
+        ):
             found.append((put, "body", name, "pos", (x * L, y * wide, 0.30 + raised)))
         for end, part, x in (("front", "fork", L), ("rear", "carrier", 0.0)):
             for side, y in (("left", half), ("right", -half)):
@@ -228,9 +282,15 @@ class CarParameters:
             (put, "actuator", "drive", "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
         ]
         crank, wheel = ackermann(self.slant)
-        for side, sign in (("left", 1.0), ("right", -1.0)):  # the right side is the left's mirror image, -q(-p(-d))
-            mirrored = [tuple(c * sign ** (k + 1) for k, c in enumerate(poly)) for poly in (crank, wheel)]
-            found += [(couple, f"crank_{side}", mirrored[0]), (couple, f"front_{side}_steer", mirrored[1])]
+        # the right side is the left's mirror image, -q(-p(-d))
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            mirrored = [
+                tuple(c * sign ** (k + 1) for k, c in enumerate(poly)) for poly in (crank, wheel)
+            ]
+            found += [
+                (couple, f"crank_{side}", mirrored[0]),
+                (couple, f"front_{side}_steer", mirrored[1]),
+            ]
         return tuple(found)
 
 
@@ -239,13 +299,16 @@ BUGGY = CarParameters()  # the car of models/car.xml
 
 @functools.lru_cache(maxsize=64)
 def ackermann(slant: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Polynomials p, q of order 4, (5,) each, with q(p(d)) = atan2(sin d, cos d - slant sin d): the left wheel for a steering angle d.
+    """Polynomials p, q of order 4, (5,) each, with q(p(d)) = atan2(sin d, cos d - slant sin d): the
+    left wheel for a steering angle d.
 
-    Least squares by Levenberg and Marquardt's method over the steering angles that the car can have, from the solution for a slant of .3.
+    Least squares by Levenberg and Marquardt's method over the steering angles that the car can
+    have, from the solution for a slant of .3.
     """
     if slant == BUGGY.slant:
         return CRANK, WHEEL
-    from scipy.optimize import least_squares  # here: only a car of another shape pays for the import
+    # here: only a car of another shape pays for the import
+    from scipy.optimize import least_squares
 
     most = min(1.05, math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + slant)) + 0.05)
     d = most * np.cos(np.linspace(0, np.pi, 121))  # denser at the ends, where polynomials miss most
@@ -255,7 +318,9 @@ def ackermann(slant: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         crank = d + d[:, None] ** np.arange(2, 5) @ x[:3]
         return crank[:, None] ** np.arange(1, 5) @ x[3:] - wanted
 
-    first = np.array([*CRANK[2:], *WHEEL[1:]]) * (slant / BUGGY.slant) ** np.array([1, 2, 3, 0, 1, 2, 3])
+    first = np.array([*CRANK[2:], *WHEEL[1:]]) * (slant / BUGGY.slant) ** np.array(
+        [1, 2, 3, 0, 1, 2, 3]
+    )
     a, b, c, *q = least_squares(miss, first, method="lm", ftol=1e-15, xtol=1e-15).x.tolist()
     return (0.0, 1.0, a, b, c), (0.0, *q)
 
@@ -281,9 +346,11 @@ class CarLimits:
     """Limits of the onboard servos.
 
     Args:
-        speed_mps: largest speed, forward and in reverse [m/s]. At 3 m/s the car slides in a tight bend.
+        speed_mps: largest speed, forward and in reverse [m/s]. At 3 m/s the car slides in a tight
+            bend.
         steering_rad: largest steering angle of the middle of the front axle [rad].
-        acceleration_mps2: how fast the speed setpoint is followed [m/s^2]; the rear tyres hold about 3.
+        acceleration_mps2: how fast the speed setpoint is followed [m/s^2]; the rear tyres hold
+            about 3.
         steering_rate_radps: how fast the steering setpoint is followed [rad/s].
     """
 
@@ -295,7 +362,9 @@ class CarLimits:
 
 Limits = BicycleLimits | CarLimits
 Servos = tuple[float, float, float, float]
-"""State of the onboard servos: rate-limited speed [m/s] and steering [rad], the speed loop's integral [rad/s], the drive [rad/s]."""
+"""State of the onboard servos: rate-limited speed [m/s] and steering [rad], the speed loop's
+integral [rad/s], the drive [rad/s].
+"""
 
 
 CAR: Mapping[Level, Mapping[str, object]] = {
@@ -326,12 +395,12 @@ class Car(Vehicle, Onboard):
         parameters: mass, wheels and motor, which the car knows.
         start: where the middle of its rear axle starts on the floor, and its heading.
         compass: errors of its compass.
-        wheel_radius_error: relative error of the calibrated wheel radius, which its speed servo and its odometry use [1]: .02 for 2 %
-            too large.
+        wheel_radius_error: relative error of the calibrated wheel radius, which its speed servo and
+            its odometry use [1]: .02 for 2 % too large.
         limits: of its speed, its steering angle and their rates.
         tyres: that slip; none: friction alone; e.g. `{stiffness: 10, relaxation_m: 0.15}`.
-        steering_play_deg: how far the steering's servo turns from one end of its play to the other before the wheels follow [deg];
-            none: no play; e.g. `1`.
+        steering_play_deg: how far the steering's servo turns from one end of its play to the other
+            before the wheels follow [deg]; none: no play; e.g. `1`.
     """
 
     kind: Literal["car"] = "car"
@@ -349,21 +418,45 @@ class Car(Vehicle, Onboard):
         *("rear_left", "rear_right", "front_left", "front_right"),
     )
     control_period_s: ClassVar[float] = 0.01
-    proprioception_names: ClassVar[tuple[str, ...]] = (*Vehicle.proprioception_names, "compass", "steering")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    proprioception_names: ClassVar[tuple[str, ...]] = (
+        *Vehicle.proprioception_names,
+        "compass",
+        "steering",
+    )  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
 
     def __post_init__(self) -> None:
         body, limits = self.parameters, self.limits
         if limits.steering_rad > body.most_steering_rad:
-            words = f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m {body.track_m:g} and wheelbase_m"
-            words = f"{words} {body.wheelbase_m:g}: the inner front wheel would turn beyond 71 degrees, into the chassis"
+            words = (
+                f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m"
+                f" {body.track_m:g} and wheelbase_m"
+            )
+            words = (
+                f"{words} {body.wheelbase_m:g}:"
+                " the inner front wheel would turn beyond 71 degrees, into the chassis"
+            )
             raise ParameterError("limits.steering_rad", words, limits.steering_rad)
-        rolling = self.rolling_resistance  # by default 1.32 Nm of the buggy's four wheels, by the file
-        resistance = 1.32 / 0.15 * (body.mass_kg / 60.0) if rolling is None else rolling * body.mass_kg * GRAVITY
-        if (need := (body.mass_kg * limits.acceleration_mps2 + resistance) * body.wheel_radius_m) > body.motor_torque_nm:
-            most = limits.acceleration_mps2 - (need - body.motor_torque_nm) / (body.mass_kg * body.wheel_radius_m)
+        # by default 1.32 Nm of the buggy's four wheels, by the file
+        rolling = self.rolling_resistance
+        resistance = (
+            1.32 / 0.15 * (body.mass_kg / 60.0)
+            if rolling is None
+            else rolling * body.mass_kg * GRAVITY
+        )
+        if (
+            need := (body.mass_kg * limits.acceleration_mps2 + resistance) * body.wheel_radius_m
+        ) > body.motor_torque_nm:
+            most = limits.acceleration_mps2 - (need - body.motor_torque_nm) / (
+                body.mass_kg * body.wheel_radius_m
+            )
             other = f"; or lower that acceleration to {most:.2g} m/s^2" if most > 0.01 else ""
-            words = f"{need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g} with mass_kg {body.mass_kg:g}{other}"
-            raise ParameterError.bound("parameters.motor_torque_nm", "at least", words, body.motor_torque_nm)
+            words = (
+                f"{need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g} with"
+                f" mass_kg {body.mass_kg:g}{other}"
+            )
+            raise ParameterError.bound(
+                "parameters.motor_torque_nm", "at least", words, body.motor_torque_nm
+            )
 
     @property
     def body(self) -> BodyFile:
@@ -381,7 +474,9 @@ class Car(Vehicle, Onboard):
             found += [(put, "geom", f"{name}_contact", "condim", 1) for name in WHEELS]
         if self.steering_play_deg:
             found.append((loosen, "steering", math.radians(self.steering_play_deg)))
-        return BodyFile("car.xml", ("drive", "steering"), ("heading",), changes=tuple(found), limits=limits)
+        return BodyFile(
+            "car.xml", ("drive", "steering"), ("heading",), changes=tuple(found), limits=limits
+        )
 
     @property
     def acting(self) -> tuple[Effect, ...]:
@@ -414,12 +509,18 @@ class Car(Vehicle, Onboard):
         return mount.to_camera @ PLANE[:, [0, 2]]
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """(v, w): its speed and the yaw rate on its tightest circle; its servos' acceleration, and v / L times the rate of its steering."""
+        """(v, w): its speed and the yaw rate on its tightest circle; its servos' acceleration, and
+        v / L times the rate of its steering.
+        """
         v, limits = self.limits.speed_mps, self.limits
         speeds = np.array([v, v / self.turning_radius_m])
-        accelerations = np.array([limits.acceleration_mps2, v * limits.steering_rate_radps / self.parameters.wheelbase_m])
+        accelerations = np.array(
+            [limits.acceleration_mps2, v * limits.steering_rate_radps / self.parameters.wheelbase_m]
+        )
         J = self.motion_basis(mount, reading.q)
-        return OwnModel.of_motions(("v", "w"), J, speeds, accelerations, turning_radius_m=self.turning_radius_m)
+        return OwnModel.of_motions(
+            ("v", "w"), J, speeds, accelerations, turning_radius_m=self.turning_radius_m
+        )
 
     @property
     def draws_heading(self) -> bool:
@@ -427,43 +528,66 @@ class Car(Vehicle, Onboard):
         return self.compass.sigma_deg > 0
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
-        """Exact encoders, and the compass: the direction of the base's true x axis with bias and noise, in [-pi, pi)."""
+        """Exact encoders, and the compass: the direction of the base's true x axis with bias and
+        noise, in [-pi, pi).
+        """
 
         def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
             x, y = sensors["heading"][:2]
-            error = math.radians(self.compass.bias_deg + self.compass.sigma_deg * rng.standard_normal())
-            return Reading(q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi)
+            error = math.radians(
+                self.compass.bias_deg + self.compass.sigma_deg * rng.standard_normal()
+            )
+            return Reading(
+                q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi
+            )
 
         return read
 
     def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
-        """Dead reckoning (x, y, heading) from its start, the compass's heading, the steering angle: (5,) [m, m, rad, rad, rad]."""
-        return np.array([*super().proprioception(reading, odometry), reading.heading or 0.0, reading.q[_STEERING]])
+        """Dead reckoning (x, y, heading) from its start, the compass's heading, the steering angle:
+        (5,) [m, m, rad, rad, rad].
+        """
+        return np.array(
+            [
+                *super().proprioception(reading, odometry),
+                reading.heading or 0.0,
+                reading.q[_STEERING],
+            ]
+        )
 
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, 0, wz), shape (3,), of the base between two readings of its encoders.
 
-        v = r (left + right) / 2,  w = r (right - left) / track, of the rear wheels' speeds and the calibrated radius r.
+        v = r (left + right) / 2,  w = r (right - left) / track,
+
+        of the rear wheels' speeds and the calibrated radius r.
 
         Where a wheel spins, it is wrong.
         """
         if duration <= 0:
             return np.zeros(3)
-        # Not v tan(steering) / L: the rear wheels roll without side slip while tyres hold, so this is exact however the steering
-        # moves between the readings, and the front wheels slip sideways a little.
+        # Not v tan(steering) / L: the rear wheels roll without side slip while tyres hold, so this
+        # is exact however the steering moves between the readings, and the front wheels slip
+        # sideways a little.
         left, right = (now.q[_REAR] - before.q[_REAR]) * (self.believed_radius / duration)
         return np.array([(left + right) / 2, 0.0, (right - left) / self.parameters.track_m])
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
+        has passed.
+        """
         return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `within_limits` has it.
 
-        Only (v, w) of the base's twist can be realised; the rest is dropped, also from `Allocation.twist`. `scale` is the realised
-        share of the speed ("speed") or of the yaw rate, where the arc is too tight ("joint_limit": the steering is at its stop), or 0
-        for a turn on the spot ("singular"); of several the smallest. A car that is to stand keeps its measured steering angle.
+        Only (v, w) of the base's twist can be realised; the rest is dropped, also from
+        `Allocation.twist`. `scale` is the realised share of the speed ("speed") or of the yaw rate,
+        where the arc is too tight ("joint_limit": the steering is at its stop), or 0 for a turn on
+        the spot ("singular"); of several the smallest. A car that is to stand keeps its measured
+        steering angle.
         """
         v, w = (PLANE[:, [0, 2]].T @ (mount.to_flange @ twist)).tolist()
         held, wheelbase = float(reading.q[_STEERING]), self.parameters.wheelbase_m
@@ -472,25 +596,34 @@ class Car(Vehicle, Onboard):
         scale, limit = 1.0, ""
         if abs(v) < STANDSTILL:
             scale, limit = (1.0, "") if abs(w) < STANDSTILL else (0.0, "singular")
-        # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met the steering's stop. 1e-9 is for rounding.
         elif (of_turn := turn / w if abs(w) > STANDSTILL else 1.0) < speed / v - 1e-9:
+            # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met
+            # the steering's stop. 1e-9 is for rounding.
             scale, limit = of_turn, "joint_limit"
         elif speed / v < 1:
             scale, limit = speed / v, "speed"
         made = mount.to_camera @ (PLANE @ np.array([speed, 0.0, turn]))
-        return Allocation(setpoint=np.array([speed, steering]), twist=made, scale=scale, limit=limit)
+        return Allocation(
+            setpoint=np.array([speed, steering]), twist=made, scale=scale, limit=limit
+        )
 
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
-        """No speed, on the same arc: its speed servo slows it down within `limits.acceleration_mps2`."""
+        """No speed, on the same arc: its speed servo slows it down within
+        `limits.acceleration_mps2`.
+        """
         return np.array([0.0, setpoint[1]])
 
     def begin(self) -> Servos:
         return 0.0, 0.0, 0.0, 0.0
 
-    def actuate(self, state: Servos, setpoint: Array, reading: Reading, dt: float) -> tuple[Servos, Array]:
-        """One period dt [s] of the speed and steering servos: the next state, and ctrl (2,): wheels [rad/s], steering [rad].
+    def actuate(
+        self, state: Servos, setpoint: Array, reading: Reading, dt: float
+    ) -> tuple[Servos, Array]:
+        """One period dt [s] of the speed and steering servos: the next state, and ctrl (2,): wheels
+        [rad/s], steering [rad].
 
-        Both setpoints are approached within their rate limits. The speed loop has integral action on the rear wheels' mean speed.
+        Both setpoints are approached within their rate limits. The speed loop has integral action
+        on the rear wheels' mean speed.
         """
         limits, (speed, steering, integral, drive) = self.limits, state
         v, angle = setpoint.tolist()
@@ -499,9 +632,11 @@ class Car(Vehicle, Onboard):
         steering = steering + _within(turn, limits.steering_rate_radps * dt)
         wheels = speed / self.believed_radius
         error = wheels - sum(reading.qd[_REAR].tolist()) / 2
-        # Its gain of 8 / s removes the offset of .005 m/s that rolling resistance leaves in the motor loop, and is four times as slow as
-        # that loop, whose time constant is .03 s. The bound of 1 rad/s is for a car that is held up by a wall (anti-windup). None at rest:
-        # the motor loop alone holds a standing car, and an integral would creep it after a residual error.
+        # Its gain of 8 / s removes the offset of .005 m/s that rolling resistance leaves in the
+        # motor loop, and is four times as slow as that loop, whose time constant is .03 s. The
+        # bound of 1 rad/s is for a car that is held up by a wall (anti-windup). None at rest: the
+        # motor loop alone holds a standing car, and an integral would creep it after a residual
+        # error.
         integral = _within(integral + 8.0 * error * dt, 1.0) if speed else 0.0
         drive = self.lagged(drive, wheels + integral, dt)
         return (speed, steering, integral, drive), np.array([drive, steering])

@@ -1,4 +1,6 @@
-"""A mobile manipulator: an arm on the deck of an omnidirectional platform, as one chain of joints."""
+"""A mobile manipulator: an arm on the deck of an omnidirectional platform,
+as one chain of joints.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,11 @@ from vstestbed.robots.puma560 import Puma560
 
 PLATFORM = "omni_planar.xml"
 DECK_M = 0.119  # height of the platform's deck over the floor [m]
-WHEELS = "root_x", "root_y", "root_yaw"  # the platform's joints: along and across the world's axes, and about its own
+# the platform's joints: along and across the world's axes, and about its own
+WHEELS = "root_x", "root_y", "root_yaw"
 UPPER = "arm_"  # what stands before the names of the arm's joints
-BANDWIDTH_RADPS = 30.0  # of the platform's servos, critically damped: they answer like the loops of its wheels [rad/s]
+# of the platform's servos, critically damped: they answer like the loops of its wheels [rad/s]
+BANDWIDTH_RADPS = 30.0
 
 
 ARMS = Registry("arm", Puma560, Mjcf, default="puma560")
@@ -32,18 +36,22 @@ ARMS = Registry("arm", Puma560, Mjcf, default="puma560")
 
 @spec
 class Compound(Arm):
-    """An arm on an omnidirectional platform whose wheels do not slip: nine joints of a Puma's six, of which six are for the camera.
+    """An arm on an omnidirectional platform whose wheels do not slip: nine joints of a Puma's six,
+    of which six are for the camera.
 
-    A camera twist is shared by the least joint speeds, in metres and radians over the arm's longest link. What that leaves open keeps the
-    arm in its middle: its joints are drawn to those of the start, in the null space of the camera's motion, and the platform drives where
-    the arm would stretch. Of the platform there are mass, and its wheels' largest force and speed along each axis and in yaw; it neither
-    slips nor tips over, and its odometry is exact.
+    A camera twist is shared by the least joint speeds, in metres and radians over the arm's longest
+    link. What that leaves open keeps the arm in its middle: its joints are drawn to those of the
+    start, in the null space of the camera's motion, and the platform drives where the arm would
+    stretch. Of the platform there are mass, and its wheels' largest force and speed along each axis
+    and in yaw; it neither slips nor tips over, and its odometry is exact.
 
     Args:
         platform: its parameters, of an `omni` base.
-        arm: a `puma560` or an `mjcf` arm, with its servos and its own parameters; its `start` is not used.
+        arm: a `puma560` or an `mjcf` arm, with its servos and its own parameters; its `start` is
+            not used.
         start: the platform's x and y [m] and heading, then the arm's joints [m, m, deg, deg, ...].
-        posture_gain: of the pull of the arm's joints to those of the start, in the null space [1/s].
+        posture_gain: of the pull of the arm's joints to those of the start, in the null space
+            [1/s].
     """
 
     kind: Literal["compound"] = "compound"
@@ -57,7 +65,9 @@ class Compound(Arm):
         """Refuse what belongs to the arm's own block."""
         for field in ("gears", "strain_wave", "ripple", "encoders", "drives", "geometry_error"):
             if getattr(self, field) is not None:
-                raise ParameterError.only_for(field, "an arm on a base that stands", getattr(self, field))
+                raise ParameterError.only_for(
+                    field, "an arm on a base that stands", getattr(self, field)
+                )
         object.__setattr__(self, "joints", self.chain.names)  # frozen: those of both
         self._check()
 
@@ -89,7 +99,9 @@ class Compound(Arm):
     @property
     def file(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The model of both, made of the two files."""
-        return reader().mounted(PLATFORM, self.platform.changes(planar=True), self.arm.file, (0.0, 0.0, DECK_M))
+        return reader().mounted(
+            PLATFORM, self.platform.changes(planar=True), self.arm.file, (0.0, 0.0, DECK_M)
+        )
 
     @property
     def actuation(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - as above
@@ -115,15 +127,29 @@ class Compound(Arm):
 
     @property
     def servo_set(self) -> Actuation:  # pyright: ignore[reportIncompatibleVariableOverride] - as above
-        """Servos of the platform that hold what the ordered speeds have led to, and those of the arm."""
-        own, speeds, most = self.arm.servo_set, self.joint_speeds.tolist(), self.largest_torques.tolist()
-        M, _ = reader().inertia_at(self.file, self.chain.names, tuple(self.configuration().tolist()))
+        """Servos of the platform that hold what the ordered speeds have led to, and those of the
+        arm.
+        """
+        own, speeds, most = (
+            self.arm.servo_set,
+            self.joint_speeds.tolist(),
+            self.largest_torques.tolist(),
+        )
+        M, _ = reader().inertia_at(
+            self.file, self.chain.names, tuple(self.configuration().tolist())
+        )
         w = BANDWIDTH_RADPS
         wheels = [
             Servo(name, speed, torque, float(m) * w * w, 2 * float(m) * w)
             for name, speed, torque, m in zip(WHEELS, speeds, most, M.diagonal(), strict=False)
         ]
-        return replace(own, servos=(*wheels, *(replace(servo, joint=f"{UPPER}{servo.joint}") for servo in own.servos)))
+        return replace(
+            own,
+            servos=(
+                *wheels,
+                *(replace(servo, joint=f"{UPPER}{servo.joint}") for servo in own.servos),
+            ),
+        )
 
     def _away_from_limits(self, q: Array) -> Array:
         """dq* = -posture_gain (q - q_start) of the arm's joints; the platform has no middle."""

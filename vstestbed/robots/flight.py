@@ -1,17 +1,21 @@
-"""Cascaded flight control: velocity to acceleration, acceleration to tilt and thrust, tilt to rates, rates to torques.
+"""Cascaded flight control: velocity to acceleration, acceleration to tilt and thrust, tilt to
+rates, rates to torques.
 
 In the level frame (x the heading, z up) and in body axes:
 
     a      = k_v (v* - v) + k_vi int(v_m - v) + r* z x v*      (x and y; z with gains of its own)
-    F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): feedforward of the weight
+    F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): feedforward of the
+                           weight
     w*     = k_R (rotation that takes the body's z to F) + r* up
     torque = J (k_w (w* - w) + k_wi int(w* - w))
 
-v_m is a reference model, the velocity that the setpoint should give in still air, a_m' = k_R (k_v (v* - v_m) - a_m), v_m' = a_m.
-The integral acts on v_m - v, thus on wind and trim errors alone, and can be quick without overshoot after a step of the setpoint.
+v_m is a reference model, the velocity that the setpoint should give in still air, a_m' = k_R (k_v
+(v* - v_m) - a_m), v_m' = a_m. The integral acts on v_m - v, thus on wind and trim errors alone, and
+can be quick without overshoot after a step of the setpoint.
 
-Reference: the cascade of Mahony, Kumar & Corke 2012, doi:10.1109/MRA.2012.2206474, with the reduced attitude of
-Brescianini & D'Andrea 2020, doi:10.1016/j.automatica.2019.108703 (tilt first, heading by its rate alone).
+Reference: the cascade of Mahony, Kumar & Corke 2012, doi:10.1109/MRA.2012.2206474, with the reduced
+attitude of Brescianini & D'Andrea 2020, doi:10.1016/j.automatica.2019.108703 (tilt first, heading
+by its rate alone).
 """
 
 from __future__ import annotations
@@ -25,7 +29,14 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, clip
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import GRAVITY, GainOrZero, PositiveAngle, PositiveGain, PositiveTime, TighterBounds
+from vstestbed.core.quantity import (
+    GRAVITY,
+    GainOrZero,
+    PositiveAngle,
+    PositiveGain,
+    PositiveTime,
+    TighterBounds,
+)
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Vector
 from vstestbed.robots.allocation import Order
@@ -34,9 +45,13 @@ from vstestbed.robots.base import FOLLOWS, HOLDS, Reading, Supervisor
 from vstestbed.robots.rotors import X4, QuadrotorParameters
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
-"""Tilted by more than the first, the craft ignores its setpoint and levels; under the second it takes setpoints again."""
+"""Tilted by more than the first, the craft ignores its setpoint and levels; under the second it
+takes setpoints again.
+"""
 RECOVER_COSINE, RECOVERED_COSINE = math.cos(RECOVER_RAD), math.cos(RECOVERED_RAD)
-MAX_TILT_RATE = 4.0  # largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s
+# largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops
+# it in .15 s
+MAX_TILT_RATE = 4.0
 LEAST_LIFT = 0.3 * GRAVITY  # least upward part of the commanded force, by mass [m/s^2]
 MAX_TRIM = 3.0  # bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5
 MAX_RATE_TRIM = 3.0  # bound of the rate loop's integral [rad/s^2]
@@ -46,16 +61,19 @@ Model = tuple[float, float, float, float, float]
 
 @spec
 class Gains:
-    """Gains of the flight loops; each outer loop is two to three times as slow as the next inner one.
+    """Gains of the flight loops; each outer loop is two to three times as slow as the next inner
+    one.
 
     Args:
         rate, rate_integral: gains k_w and k_wi of the roll and pitch rates [1/s, 1/s^2].
         yaw: gain of the yaw rate [1/s].
         attitude: gain k_R of the tilt [1/s].
-        velocity, velocity_integral: gains k_v and k_vi of the velocity along x and y of the level frame [1/s, 1/s^2].
+        velocity, velocity_integral: gains k_v and k_vi of the velocity along x and y of the level
+            frame [1/s, 1/s^2].
         climb, climb_integral: gains k_v and k_vi of the velocity along z [1/s, 1/s^2].
         tilt_deg: largest commanded tilt [deg].
-        rotor_s: time constant that the speed controllers give the rotors [s]; without them it is `rotor_lag_s`, the X-4's .117.
+        rotor_s: time constant that the speed controllers give the rotors [s]; without them it is
+            `rotor_lag_s`, the X-4's .117.
     """
 
     rate: PositiveGain = 14.0
@@ -79,8 +97,10 @@ class Loops(NamedTuple):
     """State of the loops.
 
     Attributes:
-        trim: the velocity loop's integral (3,) in the level frame [m/s^2]. model: v_m (3,) [m/s] and a_m along x and y (2,) [m/s^2].
-        rate_trim: the rate loop's integral (2,) [rad/s^2]. yaw_rate: the yaw-rate command, its slope limited [rad/s].
+        trim: the velocity loop's integral (3,) in the level frame [m/s^2]. model: v_m (3,) [m/s]
+            and a_m along x and y (2,) [m/s^2].
+        rate_trim: the rate loop's integral (2,) [rad/s^2]. yaw_rate: the yaw-rate command, its
+            slope limited [rad/s].
         levelling: whether the craft ignores its setpoint until it is level.
         force: reference of the attitude loop: the thrust's direction (3,) in the level frame, unit.
         ref_rates: reference of the rate loop: body rates (3,) [rad/s].
@@ -112,21 +132,26 @@ def fly(
     craft: QuadrotorParameters,
     dt: float,
 ) -> tuple[Loops, float, Vector]:
-    """One step of all loops: their state, the commanded thrust [N] along the body's z and torque (3,) [Nm] in body axes.
+    """One step of all loops: their state, the commanded thrust [N] along the body's z and torque
+    (3,) [Nm] in body axes.
 
-    A craft tilted beyond 60 degrees levels first: it ignores its setpoint until it is within 15 degrees.
+    A craft tilted beyond 60 degrees levels first: it ignores its setpoint until it is within 15
+    degrees.
 
-    order, velocity: commanded and estimated velocity in the level frame, (3,) [m/s]. yaw_order: commanded rate of the heading [rad/s].
+    order, velocity: commanded and estimated velocity in the level frame, (3,) [m/s]. yaw_order:
+    commanded rate of the heading [rad/s].
     R: R_level_body, estimated. rates: body rates, (3,) [rad/s]. craft: what is flown. dt: [s].
     """
-    # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between levelling and its setpoint.
+    # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between
+    # levelling and its setpoint.
     trim, model, rate_trim, yaw_rate, levelling, _, _ = state
     _, _, _, _, _, _, zx, zy, zz = R
     levelling = zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
     most = craft.yaw_slope * dt
     yaw_rate += clip((0.0 if levelling else yaw_order) - yaw_rate, -most, most)
     if levelling:
-        # Trim and model start anew: integrated upside down, or from the fall, they would throw the craft off again.
+        # Trim and model start anew: integrated upside down, or from the fall, they would throw the
+        # craft off again.
         trim, model, acceleration = STILL, (*velocity, 0.0, 0.0), STILL
     else:
         model = respond(model, order, gains, dt)
@@ -139,7 +164,9 @@ def fly(
 
 
 def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
-    """The reference model v_m, a_m after one step, for a setpoint (3,) [m/s]; along z, without tilt in between, v_m' = k_c (v* - v_m)."""
+    """The reference model v_m, a_m after one step, for a setpoint (3,) [m/s]; along z, without tilt
+    in between, v_m' = k_c (v* - v_m).
+    """
     x, y, z, ax, ay = model
     vx, vy, vz = order
     k, lag = gains.velocity, gains.attitude * dt
@@ -148,25 +175,53 @@ def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
 
 
 def velocity_loop(
-    trim: Vector, model: Model, order: Vector, velocity: Vector, yaw_rate: float, gains: Gains, dt: float
+    trim: Vector,
+    model: Model,
+    order: Vector,
+    velocity: Vector,
+    yaw_rate: float,
+    gains: Gains,
+    dt: float,
 ) -> tuple[Vector, Vector]:
-    """The integral (3,) [m/s^2] after one step, within bounds, and the commanded acceleration (3,) in the level frame [m/s^2]."""
+    """The integral (3,) [m/s^2] after one step, within bounds, and the commanded acceleration (3,)
+    in the level frame [m/s^2].
+    """
     (x, y, z), (mx, my, mz, _, _), (ox, oy, oz), (vx, vy, vz) = trim, model, order, velocity
-    # The level frame turns with the heading, the wind does not: its compensation must turn back by as much.
-    i, j, turn, k = gains.velocity_integral * dt, gains.climb_integral * dt, yaw_rate * dt, gains.velocity
+    # The level frame turns with the heading, the wind does not: its compensation must turn back by
+    # as much.
+    i, j, turn, k = (
+        gains.velocity_integral * dt,
+        gains.climb_integral * dt,
+        yaw_rate * dt,
+        gains.velocity,
+    )
     x, y, z = x + turn * y + i * (mx - vx), y - turn * x + i * (my - vy), z + j * (mz - vz)
-    if not (-MAX_TRIM <= x <= MAX_TRIM and -MAX_TRIM <= y <= MAX_TRIM and -MAX_TRIM <= z <= MAX_TRIM):  # rare, and calls take time
-        x, y, z = clip(x, -MAX_TRIM, MAX_TRIM), clip(y, -MAX_TRIM, MAX_TRIM), clip(z, -MAX_TRIM, MAX_TRIM)
-    # The last terms are r* z x v*: to keep a velocity in a frame that turns, the craft must accelerate sideways.
-    acceleration = k * (ox - vx) + x - yaw_rate * oy, k * (oy - vy) + y + yaw_rate * ox, gains.climb * (oz - vz) + z
+    # rare, and calls take time
+    if not (
+        -MAX_TRIM <= x <= MAX_TRIM and -MAX_TRIM <= y <= MAX_TRIM and -MAX_TRIM <= z <= MAX_TRIM
+    ):
+        x, y, z = (
+            clip(x, -MAX_TRIM, MAX_TRIM),
+            clip(y, -MAX_TRIM, MAX_TRIM),
+            clip(z, -MAX_TRIM, MAX_TRIM),
+        )
+    # The last terms are r* z x v*: to keep a velocity in a frame that turns, the craft must
+    # accelerate sideways.
+    acceleration = (
+        k * (ox - vx) + x - yaw_rate * oy,
+        k * (oy - vy) + y + yaw_rate * ox,
+        gains.climb * (oz - vz) + z,
+    )
     return (x, y, z), acceleration
 
 
 def aim(acceleration: Vector, upright: float, gains: Gains, mass: float) -> tuple[Vector, float]:
-    """The force's direction (3,) in the level frame, unit, and the thrust [N], for a commanded acceleration (3,) [m/s^2].
+    """The force's direction (3,) in the level frame, unit, and the thrust [N], for a commanded
+    acceleration (3,) [m/s^2].
 
-    The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
-    upside down it is 0, and the rotors make only the torque that turns the craft over. upright: cos(tilt); mass: of the craft [kg].
+    The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 /
+    cos(tilt), to twice at most; upside down it is 0, and the rotors make only the torque that turns
+    the craft over. upright: cos(tilt); mass: of the craft [kg].
     """
     ax, ay, az = acceleration
     # Upward in any dive: a thrust of 0 would have no direction, and its tilt limit would be 0, too.
@@ -180,7 +235,8 @@ def aim(acceleration: Vector, upright: float, gains: Gains, mass: float) -> tupl
 
 
 def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
-    """Commanded roll and pitch rates [rad/s] that turn the body's z to `force` (3,), unit, in body axes.
+    """Commanded roll and pitch rates [rad/s] that turn the body's z to `force` (3,), unit, in body
+    axes.
 
     The rotation is by atan2(|(F_x, F_y)|, F_z) about (-F_y, F_x, 0).
     """
@@ -194,14 +250,25 @@ def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
 
 
 def rate_loop(
-    trim: tuple[float, float], ref_rates: Vector, rates: Vector, gains: Gains, craft: QuadrotorParameters, dt: float
+    trim: tuple[float, float],
+    ref_rates: Vector,
+    rates: Vector,
+    gains: Gains,
+    craft: QuadrotorParameters,
+    dt: float,
 ) -> tuple[tuple[float, float], Vector]:
-    """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]; the yaw torque stays within its share."""
+    """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]; the yaw torque stays
+    within its share.
+    """
     (tx, ty), (rx, ry, rz), (wx, wy, wz), (Jx, Jy, Jz) = trim, ref_rates, rates, craft.inertia
     ex, ey = rx - wx, ry - wy
     k, i, most = gains.rate, gains.rate_integral * dt, craft.yaw_torque
     tx, ty, z = tx + i * ex, ty + i * ey, Jz * gains.yaw * (rz - wz)
-    if not (-MAX_RATE_TRIM <= tx <= MAX_RATE_TRIM and -MAX_RATE_TRIM <= ty <= MAX_RATE_TRIM and -most <= z <= most):
+    if not (
+        -MAX_RATE_TRIM <= tx <= MAX_RATE_TRIM
+        and -MAX_RATE_TRIM <= ty <= MAX_RATE_TRIM
+        and -most <= z <= most
+    ):
         tx, ty = clip(tx, -MAX_RATE_TRIM, MAX_RATE_TRIM), clip(ty, -MAX_RATE_TRIM, MAX_RATE_TRIM)
         z = clip(z, -most, most)
     return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), z)
@@ -216,11 +283,14 @@ def descend(speed_mps: float) -> Array:
 
 
 class Instruments(NamedTuple):
-    """What the instruments read at one instant; plain floats, since the flight loops read them at 1 kHz.
+    """What the instruments read at one instant; plain floats, since the flight loops read them at 1
+    kHz.
 
     Attributes:
-        gyro: body rates (3,) [rad/s]. force: specific force of the accelerometer, body axes (3,) [m/s^2].
-        velocity: of the optical-flow instrument, body axes (3,) [m/s]. range_m: of the range finder that looks down, inf over nothing [m].
+        gyro: body rates (3,) [rad/s]. force: specific force of the accelerometer, body axes (3,)
+            [m/s^2].
+        velocity: of the optical-flow instrument, body axes (3,) [m/s]. range_m: of the range finder
+            that looks down, inf over nothing [m].
         voltage_v: of the battery, NaN where none is modelled [V].
     """
 
@@ -233,14 +303,16 @@ class Instruments(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlightEstimate:
-    """State of the flight loops at one instant: estimates, and the references that each loop gives to the next.
+    """State of the flight loops at one instant: estimates, and the references that each loop gives
+    to the next.
 
     Attributes:
         velocity: in body axes (3,) [m/s]. rates: body rates without the gyro's bias (3,) [rad/s].
-        ref_tilt: reference roll and pitch, from the velocity loop (2,) [rad]. ref_rates: reference body rates, from the attitude loop
-            (3,) [rad/s].
+        ref_tilt: reference roll and pitch, from the velocity loop (2,) [rad]. ref_rates: reference
+            body rates, from the attitude loop (3,) [rad/s].
         rotor_limit_s: for how long a rotor has been at its limit [s].
-        overturned: tilted beyond 60 degrees, or still levelling after that. stands: its feet carry its weight.
+        overturned: tilted beyond 60 degrees, or still levelling after that. stands: its feet carry
+            its weight.
     """
 
     velocity: Array
@@ -254,9 +326,11 @@ class FlightEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightReading(Reading):
-    """A quadrotor's reading at one instant: its range finder, and what its flight loops estimate from all instruments.
+    """A quadrotor's reading at one instant: its range finder, and what its flight loops estimate
+    from all instruments.
 
-    range_m: of the range finder that looks down, inf over nothing [m]. estimate: of the flight loops.
+    range_m: of the range finder that looks down, inf over nothing [m]. estimate: of the flight
+    loops.
     voltage_v: of the battery, NaN where none is modelled [V].
     """
 
@@ -270,50 +344,81 @@ class FlightReading(Reading):
         return np.concatenate([self.estimate.velocity, self.estimate.rates])
 
 
-# The quadrotor's failsafe: a state machine that overrides the law's setpoint, from onboard estimates alone.
+# The quadrotor's failsafe: a state machine that overrides the law's setpoint, from onboard
+# estimates alone.
 #
-#     follow --target lost--> hold (the law rests, or coasts after a moving target) --lost_after_s, lost_after_m--> sink --feet down--> off
-#     follow --overturned, a rotor at its limit, or the law fails--> hold --HOLD_S--> sink --feet down--> off
+#     follow --target lost--> hold (the law rests, or coasts after a moving target) --lost_after_s,
+#     lost_after_m--> sink --feet down--> off follow --overturned, a rotor at its limit, or the law
+#     fails--> hold --HOLD_S--> sink --feet down--> off
 #
-# A lost target that is seen again brings it back to `follow`, unless the craft is already near the ground. An overturned craft is
-# levelled by its flight loops, which ignore setpoints meanwhile; a rotor that stays at its limit means that setpoints cannot be
-# tracked. These end the task for good, since none of them is cured by seeing the target.
+# A lost target that is seen again brings it back to `follow`, unless the craft is already near the
+# ground. An overturned craft is levelled by its flight loops, which ignore setpoints meanwhile; a
+# rotor that stays at its limit means that setpoints cannot be tracked. These end the task for good,
+# since none of them is cured by seeing the target.
 HOLD_S = 2.0  # how long the craft holds after an abort before it sinks [s]
 RESUME_M = 0.5  # below this height the descent goes on even when the target is seen again [m]
-LIMIT_S = 1.0  # a rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a moment
-DOWN_S = 0.5  # how long the rotors must be off before the craft counts as down [s]; they spin down with a time constant of .117 s
+# a rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a
+# moment
+LIMIT_S = 1.0
+# how long the rotors must be off before the craft counts as down [s]; they spin down with a time
+# constant of .117 s
+DOWN_S = 0.5
 SINKS, OFF = 2, 3  # modes beside FOLLOWS and HOLDS, as numbered in the log's column `supervisor`
 
 
 @dataclass
 class Failsafe(Supervisor):
-    """The failsafe of one flight: where other robots stop, it holds the craft, and then sets it down.
+    """The failsafe of one flight: where other robots stop, it holds the craft, and then sets it
+    down.
 
     lands: the task ends on the ground. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
     """
 
-    DOWN: ClassVar[tuple[str, str]] = "the craft set down", "the craft was still on its way down when the time ran out"
+    DOWN: ClassVar[tuple[str, str]] = (
+        "the craft set down",
+        "the craft was still on its way down when the time ran out",
+    )
     lands: bool = False
     off_at: float = math.nan
     _since: float = math.nan
 
-    def filter(self, t: float, blind: str, reading: Reading, order: Order, basis: Array, moved_m: float = 0.0) -> Order:
-        """The order that the flight loops get: the law's, or a stop (hold, rotors off), or the velocity of the descent."""
+    def filter(
+        self,
+        t: float,
+        blind: str,
+        reading: Reading,
+        order: Order,
+        basis: Array,
+        moved_m: float = 0.0,
+    ) -> Order:
+        """The order that the flight loops get: the law's, or a stop (hold, rotors off), or the
+        velocity of the descent.
+        """
         assert isinstance(reading, FlightReading)
         lost = self._look(t, blind, moved_m)
         if math.isnan(self.off_at) and not self._final:
-            # A task whose target was lost goes on where it is seen again, unless the craft is near the ground.
+            # A task whose target was lost goes on where it is seen again, unless the craft is near
+            # the ground.
             if self.aborted and not blind and reading.range_m > RESUME_M:
                 self.aborted = None
             if cause := self._cause(lost, reading.estimate):
                 self.abort(t, *cause)
         self.mode = self._next_mode(t, blind, reading.estimate)
         if self.mode == OFF:
-            return order.halted(f"{self._why}the craft stands: rotors off", latched=True, stop="off")
+            return order.halted(
+                f"{self._why}the craft stands: rotors off", latched=True, stop="off"
+            )
         if self.mode == SINKS:
-            down = descend(0.4)  # under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)
-            return Order(down, basis @ down, reason=f"{self._why}the craft sinks", latched=self._final)
-        return order.halted(f"{self._why}the craft holds", latched=self._final) if self.aborted else order
+            # under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)
+            down = descend(0.4)
+            return Order(
+                down, basis @ down, reason=f"{self._why}the craft sinks", latched=self._final
+            )
+        return (
+            order.halted(f"{self._why}the craft holds", latched=self._final)
+            if self.aborted
+            else order
+        )
 
     @property
     def _why(self) -> str:
@@ -345,11 +450,14 @@ class Failsafe(Supervisor):
 
     @property
     def _final(self) -> bool:
-        """Whether the task was given up for good: overturned, a rotor at its limit, or no law that works."""
+        """Whether the task was given up for good: overturned, a rotor at its limit, or no law that
+        works.
+        """
         return self.aborted is not None and self.aborted[0] is not Outcome.target_lost
 
     def _cause(self, lost: str, estimate: FlightEstimate) -> Verdict | None:
-        """Why the task must be given up in this frame, the most urgent cause first; None where it need not.
+        """Why the task must be given up in this frame, the most urgent cause first; None where it
+        need not.
 
         lost: why the target counts as lost in this frame ("" while it does not).
         """

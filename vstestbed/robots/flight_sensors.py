@@ -18,20 +18,23 @@ from vstestbed.robots.flight import Instruments
 
 # Ground-speed estimation: a noisy velocity sensor, filtered for use at the control rate.
 #
-# The sensor (optical flow with a range finder, or Doppler) measures the velocity in body axes. Two filters, both in the level
-# frame, which turns with the heading at the rate r:
+# The sensor (optical flow with a range finder, or Doppler) measures the velocity in body axes. Two
+# filters, both in the level frame, which turns with the heading at the rate r:
 #
-#   flow      fused with the accelerometer. With f = R_level_body a - (0, 0, g), the innovation i = R_level_body v_measured - v and
-#             an estimated offset d:  v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
-#             d absorbs the bias of the accelerometer and the error of the attitude, so v has no steady error.
+#   flow      fused with the accelerometer. With f = R_level_body a - (0, 0, g), the innovation
+#             i = R_level_body v_measured - v and an estimated offset d:
+#             v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
+#             d absorbs the bias of the accelerometer and the error of the attitude, so v has no
+#             steady error.
 #   filtered  a first-order low pass: v_dot = i / tau, a trade of noise against lag.
 #
 # Reference: fixed-gain form of the observer of Hua 2010, doi:10.1016/j.conengprac.2010.01.016.
 
 
 READING_S = 0.02
-"""A flow sensor's exposure and period [s], 50 Hz, to which `sigma_mps` refers. The controller reads faster, with noise of the same
-power spectrum."""
+"""A flow sensor's exposure and period [s], 50 Hz, to which `sigma_mps` refers. The controller reads
+faster, with noise of the same power spectrum.
+"""
 
 
 @spec
@@ -41,7 +44,8 @@ class Flow:
     Args:
         sigma_mps: noise of a reading of 20 ms on each axis [m/s].
         scale_error: relative error of the scale, of the range by which a flow is multiplied [1].
-        bandwidth: w [1/s], the crossover: the velocity sensor counts below it, the accelerometer above.
+        bandwidth: w [1/s], the crossover: the velocity sensor counts below it, the accelerometer
+            above.
     """
 
     kind: Literal["flow"] = "flow"
@@ -72,15 +76,26 @@ VelocitySource = Annotated[Source, VELOCITIES]
 
 
 Groundspeed = tuple[Vector, Vector, Vector]
-"""Estimated velocity [m/s] and offset d [m/s^2] in the level frame, and acceleration [m/s^2] in body axes, (3,) each."""
+"""Estimated velocity [m/s] and offset d [m/s^2] in the level frame, and acceleration [m/s^2] in
+body axes, (3,) each.
+"""
 AT_REST: Groundspeed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
-def step(state: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
+def step(
+    state: Groundspeed,
+    R: Level,
+    measured: Vector,
+    force: Vector,
+    yaw_rate: float,
+    source: Source,
+    dt: float,
+) -> Groundspeed:
     """One step of the filter.
 
     R: R_level_body, estimated. measured: the sensor's velocity in body axes (3,) [m/s].
-    force: the accelerometer's reading in body axes (3,) [m/s^2]. yaw_rate: the level frame's rate about z [rad/s]. dt: [s].
+    force: the accelerometer's reading in body axes (3,) [m/s^2]. yaw_rate: the level frame's rate
+    about z [rad/s]. dt: [s].
     """
     (vx, vy, vz), (dx, dy, dz), _ = state
     mx, my, mz = to_level(R, measured)
@@ -88,7 +103,8 @@ def step(state: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate
     if isinstance(source, Filtered):
         k = 1.0 / source.tau_s
         ax, ay, az = k * ix, k * iy, k * iz
-        # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's rotation, r z x v.
+        # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's
+        # rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
         return v, (dx, dy, dz), to_body(R, (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
     fx, fy, fz = to_level(R, force)
@@ -100,20 +116,37 @@ def step(state: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate
     return v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az))
 
 
-def drawn_noise(imu: Imu, velocity: VelocitySource, range_sigma_m: float, rng: np.random.Generator) -> Iterator[list[float]]:
-    """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
-    # `sigma_mps` is that of a 20 ms reading; one of 1 ms has the same power spectrum with sqrt(20) times as much.
+def drawn_noise(
+    imu: Imu, velocity: VelocitySource, range_sigma_m: float, rng: np.random.Generator
+) -> Iterator[list[float]]:
+    """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the
+    other.
+    """
+    # `sigma_mps` is that of a 20 ms reading; one of 1 ms has the same power spectrum with sqrt(20)
+    # times as much.
     flow = velocity.sigma_mps * math.sqrt(READING_S / 0.001)
-    sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, range_sigma_m], [3, 3, 3, 1])
+    sigma = np.repeat(
+        [imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, range_sigma_m], [3, 3, 3, 1]
+    )
     bias = np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
-    while True:  # drawn one by one, at 1 kHz, they would take as long as the rotors' mixer and its speed controllers
+    # drawn one by one, at 1 kHz, they would take as long as the rotors' mixer and its speed
+    # controllers
+    while True:
         yield from (sigma * rng.standard_normal((64, 10)) + bias).tolist()
 
 
-def instruments(sensors: Mapping[str, list[float]], noise: list[float], scale_error: float) -> Instruments:
-    """The reading of perfect sensors by name (`voltage` [V] where there is one), with noise and bias (10,) and a scale error."""
+def instruments(
+    sensors: Mapping[str, list[float]], noise: list[float], scale_error: float
+) -> Instruments:
+    """The reading of perfect sensors by name (`voltage` [V] where there is one), with noise and
+    bias (10,) and a scale error.
+    """
     gx, gy, gz, fx, fy, fz, vx, vy, vz, e = noise
-    (wx, wy, wz), (ax, ay, az), (x, y, z) = sensors["gyro"], sensors["accelerometer"], sensors["velocity"]
+    (wx, wy, wz), (ax, ay, az), (x, y, z) = (
+        sensors["gyro"],
+        sensors["accelerometer"],
+        sensors["velocity"],
+    )
     scale, height = 1.0 + scale_error, sensors["range"][0]
     return Instruments(
         (wx + gx, wy + gy, wz + gz),

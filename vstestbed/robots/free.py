@@ -30,19 +30,24 @@ class Box:
 
 def _which(value: object) -> str:
     """Which of the two blocks of random starts is meant, so that its mistakes alone are named."""
-    arm = isinstance(value, PumaStart) or (isinstance(value, dict) and not value.keys().isdisjoint(("nominal", "random")))
+    arm = isinstance(value, PumaStart) or (
+        isinstance(value, dict) and not value.keys().isdisjoint(("nominal", "random"))
+    )
     return "PumaStart" if arm else "Box"
 
 
-RandomStart = Annotated[Annotated[Box, Tag("Box")] | Annotated[PumaStart, Tag("PumaStart")], Discriminator(_which)]
+RandomStart = Annotated[
+    Annotated[Box, Tag("Box")] | Annotated[PumaStart, Tag("PumaStart")], Discriminator(_which)
+]
 
 
 @spec
 class FreeStart:
     """Where the camera starts: `nominal`, and what `random` starts are drawn from.
 
-    `random` is a box of poses, or an arm's start block (`nominal` and `random` with their q_deg): each seed then starts the
-    camera where it starts the arm's flange, so that ideal and real motion can be compared in pairs.
+    `random` is a box of poses, or an arm's start block (`nominal` and `random` with their q_deg):
+    each seed then starts the camera where it starts the arm's flange, so that ideal and real motion
+    can be compared in pairs.
 
     Args:
         nominal: the camera's pose in the world at the start of a run without a seed.
@@ -71,7 +76,8 @@ class Free(Robot):
     def randomised(self, rng: np.random.Generator) -> Free:
         box = random_of(self.start, "{xyz: [.2, .2, .2]}")
         if isinstance(box, PumaStart):
-            # By the arm's own draw, joint by joint: the same random numbers give the arm's flange pose of the same seed.
+            # By the arm's own draw, joint by joint: the same random numbers give the arm's flange
+            # pose of the same seed.
             arm = Puma560(start=box).randomised(rng)
             nominal = Pose.of(arm.flange_pose(arm.configuration()))
             return Free(start=FreeStart(nominal=nominal, random=box))
@@ -82,7 +88,9 @@ class Free(Robot):
 
     def started_at(self, configuration: Array) -> Free:
         """The same camera from another pose, flat (16,)."""
-        return Free(start=FreeStart(nominal=Pose.of(configuration.reshape(4, 4)), random=self.start.random))
+        return Free(
+            start=FreeStart(nominal=Pose.of(configuration.reshape(4, 4)), random=self.start.random)
+        )
 
     def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
         """The pose itself, flat (16,)."""
@@ -95,7 +103,9 @@ class Free(Robot):
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         return ALL_SIX
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
         """The commanded twist, which it follows exactly."""
         return commanded
 

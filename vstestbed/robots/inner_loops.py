@@ -1,4 +1,6 @@
-"""Inner loops of arms: from the joint speeds that a law's command asks for to torques of the motors."""
+"""Inner loops of arms: from the joint speeds that a law's command asks for to torques of the
+motors.
+"""
 
 from __future__ import annotations
 
@@ -23,27 +25,41 @@ DampingRatio = Annotated[float, Ge(0), Le(10)]
 Stiffness = Annotated[float, Gt(0), Le(1e6)]
 WRENCH = 6  # numbers of a wanted wrench, after the joint speeds of a setpoint for an impedance
 LEAST_MOBILITY = 1e-6
-"""Added to the diagonal of J M^-1 J^T [1/kg, 1/(kg m^2)]: at a singularity the mass that is felt is a million kg, and not without bound."""
-POSTURE_RADPS = 5.0  # with which motions that leave the frame where it is follow the reference, critically damped [rad/s]
+"""Added to the diagonal of J M^-1 J^T [1/kg, 1/(kg m^2)]: at a singularity the mass that is felt is
+a million kg, and not without bound.
+"""
+# with which motions that leave the frame where it is follow the reference, critically damped
+# [rad/s]
+POSTURE_RADPS = 5.0
 
 
 class Reference(NamedTuple):
-    """State of an inner loop. q: joints (n,) that the ordered speeds have led to [rad, m]; None before the first step."""
+    """State of an inner loop. q: joints (n,) that the ordered speeds have led to [rad, m]; None
+    before the first step.
+    """
 
     q: Array | None = None
 
 
 class InnerLoop(ABC):
-    """A law of torques: tau (n,) from where the joints are and where the ordered speeds have led."""
+    """A law of torques: tau (n,) from where the joints are
+    and where the ordered speeds have led.
+    """
 
     kind: Any  # the word in a scenario: a field of each
     rate_hz: Any = 1000.0  # at which it is computed [Hz]; a field of each that has torques
-    takes_wrench: ClassVar[bool] = False  # whether a setpoint has a wanted wrench after the joint speeds
-    torques: ClassVar[bool] = True  # False: the joints' own velocity servos, and nothing is computed
+    takes_wrench: ClassVar[bool] = (
+        False  # whether a setpoint has a wanted wrench after the joint speeds
+    )
+    torques: ClassVar[bool] = (
+        True  # False: the joints' own velocity servos, and nothing is computed
+    )
 
     @abstractmethod
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
-        """Torques (n,) [Nm, N] at joints q and speeds qd (n,), for the reference q_ref and the setpoint (n,) or (n + 6,)."""
+        """Torques (n,) [Nm, N] at joints q and speeds qd (n,), for the reference q_ref and the
+        setpoint (n,) or (n + 6,).
+        """
 
 
 @spec
@@ -60,19 +76,20 @@ class VelocityServos(InnerLoop):
 
 @spec
 class ComputedTorque(InnerLoop):
-    """tau = M(q) (w^2 (q_ref - q) + 2 zeta w (v - qd)) + h(q, qd), with the reference q_ref that the ordered speeds v have led to.
+    """tau = M(q) (w^2 (q_ref - q) + 2 zeta w (v - qd)) + h(q, qd), with the reference q_ref that
+    the ordered speeds v have led to.
 
-    M and h are the arm's own model: inertia, Coriolis forces and weight by its file, with a declared payload. Where they are true the
-    errors of all joints decay alike, with the poles of s^2 + 2 zeta w s + w^2. Friction, elastic gears and an undeclared payload are not in
-    the model.
+    M and h are the arm's own model: inertia, Coriolis forces and weight by its file, with a
+    declared payload. Where they are true the errors of all joints decay alike, with the poles of
+    s^2 + 2 zeta w s + w^2. Friction, elastic gears and an undeclared payload are not in the model.
 
     Args:
         rate_hz: at which it is computed [Hz].
         bandwidth_radps: w [rad/s].
         damping: zeta [1].
 
-    Reference: Luh, Walker & Paul 1980, doi:10.1109/TAC.1980.1102367 (resolved acceleration); Lynch & Park 2017, Modern Robotics, section
-    11.4.
+    Reference: Luh, Walker & Paul 1980, doi:10.1109/TAC.1980.1102367 (resolved acceleration); Lynch
+    & Park 2017, Modern Robotics, section 11.4.
     """
 
     kind: Literal["computed_torque"] = "computed_torque"
@@ -82,17 +99,22 @@ class ComputedTorque(InnerLoop):
 
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
         w = self.bandwidth_radps
-        return arm.dynamics.inverse(q, qd, w * w * (q_ref - q) + 2 * self.damping * w * (setpoint - qd))
+        return arm.dynamics.inverse(
+            q, qd, w * w * (q_ref - q) + 2 * self.damping * w * (setpoint - qd)
+        )
 
 
 @spec
 class Impedance(InnerLoop):
-    """tau = J^T (K x + D v + F) + h(q, qd): the frame `at` on the flange yields as if springs and dampers held it to its reference.
+    """tau = J^T (K x + D v + F) + h(q, qd): the frame `at` on the flange yields as if springs and
+    dampers held it to its reference.
 
-    x = log(T^-1 T_ref) is the displacement to the reference, in which the ordered joint speeds have led T_ref, v the velocity to it, both
-    in the frame itself; F is a wanted wrench (`Command.wrench`). A static push f displaces it by K^-1 f. The mass that is felt is the arm's
-    own, Lambda = (J M^-1 J^T)^-1, and D = 2 zeta in the modes of K over Lambda ("double diagonalization"). What more than six joints
-    leave open follows the reference at 5 rad/s. What friction holds, springs do not move.
+    x = log(T^-1 T_ref) is the displacement to the reference, in which the ordered joint speeds have
+    led T_ref, v the velocity to it, both in the frame itself; F is a wanted wrench
+    (`Command.wrench`). A static push f displaces it by K^-1 f. The mass that is felt is the arm's
+    own, Lambda = (J M^-1 J^T)^-1, and D = 2 zeta in the modes of K over Lambda ("double
+    diagonalization"). What more than six joints leave open follows the reference at 5 rad/s. What
+    friction holds, springs do not move.
 
     Args:
         rate_hz: at which it is computed [Hz].
@@ -101,8 +123,8 @@ class Impedance(InnerLoop):
         damping: zeta, of all modes [1].
         at: the frame, in the flange's: the mount of a camera, or the tip of a tool.
 
-    References: Hogan 1985, doi:10.1115/1.3140702; without a force sensor, and the damping: Albu-Schaeffer, Ott, Frese & Hirzinger 2003,
-    doi:10.1109/ROBOT.2003.1242165.
+    References: Hogan 1985, doi:10.1115/1.3140702; without a force sensor, and the damping:
+    Albu-Schaeffer, Ott, Frese & Hirzinger 2003, doi:10.1109/ROBOT.2003.1242165.
     """
 
     kind: Literal["impedance"] = "impedance"
@@ -125,7 +147,11 @@ class Impedance(InnerLoop):
         M = arm.dynamics.mass(q)
         across = np.linalg.solve(M, J.T)  # M^-1 J^T
         felt = np.linalg.inv(J @ across + LEAST_MOBILITY * np.eye(6)).astype(float)  # Lambda
-        wrench = K @ log(inverse(T @ at) @ T_ref @ at) + damping_of(felt, K, self.damping) @ (J @ (setpoint[:n] - qd)) + setpoint[n:]
+        wrench = (
+            K @ log(inverse(T @ at) @ T_ref @ at)
+            + damping_of(felt, K, self.damping) @ (J @ (setpoint[:n] - qd))
+            + setpoint[n:]
+        )
         tau = J.T @ wrench + arm.dynamics.inverse(q, qd, np.zeros(n))
         if n > 6:  # torques that leave the frame alone, J M^-1 tau = 0
             w = POSTURE_RADPS
@@ -135,8 +161,8 @@ class Impedance(InnerLoop):
 
 
 def damping_of(mass: Array, K: Array, zeta: float) -> Array:
-    """D (k, k) with which the modes of mass x'' + D x' + K x = 0 have the damping ratio zeta: with mass = Q Q^T and
-    Q^-1 K Q^-T = U diag(k) U^T it is 2 zeta Q U diag(sqrt k) U^T Q^T.
+    """D (k, k) with which the modes of mass x'' + D x' + K x = 0 have the damping ratio zeta: with
+    mass = Q Q^T and Q^-1 K Q^-T = U diag(k) U^T it is 2 zeta Q U diag(sqrt k) U^T Q^T.
     """
     Q = np.linalg.cholesky(mass)
     inner = np.linalg.solve(Q, np.linalg.solve(Q, K).T)
@@ -145,13 +171,22 @@ def damping_of(mass: Array, K: Array, zeta: float) -> Array:
     return 2 * zeta * (W * np.sqrt(np.maximum(k, 0.0))) @ W.T
 
 
-INNER_LOOPS = Registry("inner_loop", VelocityServos, ComputedTorque, Impedance, default="velocity", contract=Contract(InnerLoop))
+INNER_LOOPS = Registry(
+    "inner_loop",
+    VelocityServos,
+    ComputedTorque,
+    Impedance,
+    default="velocity",
+    contract=Contract(InnerLoop),
+)
 Inner = Annotated[InnerLoop, INNER_LOOPS]
 
 
 @dataclass(frozen=True)
 class ArmModel:
-    """What the inner loop knows of its arm: its joints, and masses by its own model. most: largest torques (n,) [Nm, N]."""
+    """What the inner loop knows of its arm: its joints, and masses by its own model. most: largest
+    torques (n,) [Nm, N].
+    """
 
     chain: JointChain
     dynamics: ArmDynamics
@@ -159,11 +194,14 @@ class ArmModel:
 
 
 class TorqueControl:
-    """An arm's inner loop as an onboard controller (`robots.base.Onboard`), between ordered joint speeds and torques.
+    """An arm's inner loop as an onboard controller (`robots.base.Onboard`), between ordered joint
+    speeds and torques.
 
-    The reference follows the ordered speeds, but for joints whose motor is at its limit: there it waits (anti-windup).
+    The reference follows the ordered speeds, but for joints whose motor is at its limit: there it
+    waits (anti-windup).
 
-    loop: of torques. n: number of joints. model: makes what it knows of the arm, when it is first needed.
+    loop: of torques. n: number of joints. model: makes what it knows of the arm, when it is first
+    needed.
     """
 
     reading: ClassVar[type[Reading]] = Reading
@@ -171,7 +209,8 @@ class TorqueControl:
     def __init__(self, loop: InnerLoop, n: int, model: Callable[[], ArmModel]):
         self._loop, self._model = loop, model
         self.control_period_s = 1.0 / loop.rate_hz
-        self.first_setpoint = np.zeros(n + (WRENCH if loop.takes_wrench else 0))  # it holds its start until the first command
+        # it holds its start until the first command
+        self.first_setpoint = np.zeros(n + (WRENCH if loop.takes_wrench else 0))
 
     @cached_property
     def _arm(self) -> ArmModel:
@@ -181,7 +220,9 @@ class TorqueControl:
         """Nothing read yet."""
         return Reference()
 
-    def actuate(self, state: Reference, setpoint: Array, reading: Reading, dt: float) -> tuple[Reference, Array]:
+    def actuate(
+        self, state: Reference, setpoint: Array, reading: Reading, dt: float
+    ) -> tuple[Reference, Array]:
         """One step of dt [s]: the next reference, and the torques (n,)."""
         q, n = reading.q, len(reading.q)
         q_ref = q.copy() if state.q is None else state.q

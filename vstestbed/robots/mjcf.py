@@ -22,12 +22,16 @@ from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.realism import Level
 
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
-"""Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over that [s]. The Puma's servos have 3500 to
-5800 and the same ratio: 40 ms of rise, under 5 % of overshoot."""
+"""Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over
+that [s]. The Puma's servos have 3500 to 5800 and the same ratio: 40 ms of rise, under 5 % of
+overshoot.
+"""
 WIND_UP_RAD, WIND_UP_M = float(np.radians(0.5)), 1e-3
-"""Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a joint that slides [m]."""
-# Cycles of the errors of a strain wave gear in a turn of the joint: two in a turn of the motor (Tuttle & Seering 1996,
-# doi:10.1109/70.499819), at a ratio of 100.
+"""Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a
+joint that slides [m].
+"""
+# Cycles of the errors of a strain wave gear in a turn of the joint: two in a turn of the motor
+# (Tuttle & Seering 1996, doi:10.1109/70.499819), at a ratio of 100.
 WAVES = (200.0,)
 PRESETS: Mapping[Level, Mapping[str, object]] = {
     "lab": {
@@ -45,32 +49,43 @@ PRESETS: Mapping[Level, Mapping[str, object]] = {
         "geometry_error": GeometryError(sigma_m=1e-3, sigma_deg=0.1),
     },
 }
-"""Those of an arm with strain wave gears, whose springs are in `strain_wave`. The wave of the encoders is the gears' kinematic error: half
-of a positioning accuracy of 1 and of 1.5 arc minutes, which the catalogue of the gears CSF and CSG has for sizes from 20 on and from 11 to
-17 (Harmonic Drive LLC, table 40). The play of `field` is 1 arc minute, of the order of the hysteresis loss of such gears; new ones have no
-backlash. The other values are chosen."""
+"""Those of an arm with strain wave gears, whose springs are in `strain_wave`. The wave of the
+encoders is the gears' kinematic error: half of a positioning accuracy of 1 and of 1.5 arc minutes,
+which the catalogue of the gears CSF and CSG has for sizes from 20 on and from 11 to 17 (Harmonic
+Drive LLC, table 40). The play of `field` is 1 arc minute, of the order of the hysteresis loss of
+such gears; new ones have no backlash. The other values are chosen.
+"""
 
 
 @spec
 class Mjcf(Arm):
-    """An arm of one's own, driven by joint velocities; masses, gears, friction and torque limits are those of its file.
+    """An arm of one's own, driven by joint velocities; masses, gears, friction and torque limits
+    are those of its file.
 
     Args:
-        file: MJCF or URDF, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package.
+        file: MJCF or URDF, absolute, relative to the scenario's file, or `package:NAME/path` inside
+            an installed package.
         flange: the site, or the body, that carries the camera or the target.
-        joints: those between root and flange, in their order; by default as the file has them; e.g. `[shoulder, elbow, wrist]`.
-        actuation: `velocity` adds a servo to each joint, which integrates the commanded speed to a position that it holds
-            (`servo_kp`); `ideal` servos are stiff and without limits, the joints without friction and weight; `file` uses the file's
-            own velocity servos, or position servos fed with the integrated speed.
-        speed_limits: largest speed of each joint, one for all or one for each [rad/s, m/s], which such files do not have.
-        torque_limits: largest torque of each added servo, one for all or one for each (force in N where the joint slides), in place of
-            the file's; by default the file's [Nm]; e.g. `[87, 87, 87, 87, 12, 12, 12]`.
-        servo_kp: position gain of each added servo, one for all or one for each (N/m where the joint slides); by default `servo_gains`
-            at the nominal start, which random and displaced starts keep [Nm/rad]; e.g. `[2000, 2000, 500, 100, 100, 100]`.
-        servo_kv: velocity gain of each added servo, one for all or one for each (N s/m where the joint slides); by default servo_kp
-            times 1/40 s [Nm s/rad]; e.g. `[50, 50, 12, 3, 3, 3]`.
+        joints: those between root and flange, in their order; by default as the file has them; e.g.
+            `[shoulder, elbow, wrist]`.
+        actuation: `velocity` adds a servo to each joint, which integrates the commanded speed to a
+            position that it holds (`servo_kp`); `ideal` servos are stiff and without limits, the
+            joints without friction and weight; `file` uses the file's own velocity servos, or
+            position servos fed with the integrated speed.
+        speed_limits: largest speed of each joint, one for all or one for each [rad/s, m/s], which
+            such files do not have.
+        torque_limits: largest torque of each added servo, one for all or one for each (force in N
+            where the joint slides), in place of the file's; by default the file's [Nm]; e.g.
+            `[87, 87, 87, 87, 12, 12, 12]`.
+        servo_kp: position gain of each added servo, one for all or one for each (N/m where the
+            joint slides); by default `servo_gains` at the nominal start, which random and displaced
+            starts keep [Nm/rad]; e.g. `[2000, 2000, 500, 100, 100, 100]`.
+        servo_kv: velocity gain of each added servo, one for all or one for each (N s/m where the
+            joint slides); by default servo_kp times 1/40 s [Nm s/rad]; e.g.
+            `[50, 50, 12, 3, 3, 3]`.
         start: joint positions at the start.
-        avoid_limits: gain of joint-limit avoidance [1/s] in the null space of the law (`law.redundant`) and of a seventh joint.
+        avoid_limits: gain of joint-limit avoidance [1/s] in the null space of the law
+            (`law.redundant`) and of a seventh joint.
     """
 
     kind: Literal["mjcf"] = "mjcf"
@@ -88,9 +103,11 @@ class Mjcf(Arm):
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""
-        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen: a run remembers where its arm is
+        # frozen: a run remembers where its arm is
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         chain = self.chain
-        object.__setattr__(self, "joints", chain.names)  # frozen: what the file has is part of the scenario from here on
+        # frozen: what the file has is part of the scenario from here on
+        object.__setattr__(self, "joints", chain.names)
         n = len(chain.names)
         # A number for each joint, also where one was given for all of them.
         for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
@@ -99,24 +116,38 @@ class Mjcf(Arm):
                 object.__setattr__(self, field, given * n)  # frozen, as above
             elif given and len(given) != n:
                 words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
-                raise ParameterError.count(field, n, f"{words}, of {', '.join(chain.names)}, or one for all", list(given))
+                raise ParameterError.count(
+                    field, n, f"{words}, of {', '.join(chain.names)}, or one for all", list(given)
+                )
         self._check()
-        unfit = [pair for pair in zip(chain.names, chain.drives, strict=True) if pair[1] not in ("velocity", "position")]
+        unfit = [
+            pair
+            for pair in zip(chain.names, chain.drives, strict=True)
+            if pair[1] not in ("velocity", "position")
+        ]
         if self.actuation == "file" and unfit:
             name, drive = unfit[0]
             found = f"a {drive} actuator" if drive else "no actuator"
-            words = f"must not be file: {name} has {found} there, which follows no speed; works: velocity, which adds servos"
+            words = (
+                f"must not be file: {name} has {found} there, which follows no speed;"
+                " works: velocity, which adds servos"
+            )
             raise ParameterError("actuation", words)
         if self.actuation == "velocity":
             self._fill_gains(chain)
 
     def _fill_gains(self, chain: JointChain) -> None:
-        """Gains that are not given become those of this start: a run's copies, started elsewhere, keep them."""
+        """Gains that are not given become those of this start: a run's copies, started elsewhere,
+        keep them.
+        """
         if not self.servo_kp:
             each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
-            object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))  # frozen, as above
+            # frozen, as above
+            object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))
         if not self.servo_kv:
-            object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
+            object.__setattr__(
+                self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp)
+            )
 
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
         M, own = reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
@@ -133,13 +164,21 @@ class Mjcf(Arm):
         """The servos: added, or the file's own."""
         chain, speeds = self.chain, self.speed_limits
         if self.actuation == "file":
-            servos = [Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)]
+            servos = [
+                Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)
+            ]
         elif self.actuation == "ideal":
             each = zip(chain.names, speeds, self._inertia(chain), strict=True)
-            servos = [Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each]  # stiff: [1/s] times the inertia
+            # stiff: [1/s] times the inertia
+            servos = [Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each]
         else:
             torques = self.torque_limits or chain.torque.tolist()
-            servos = [Servo(*joint) for joint in zip(chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True)]
+            servos = [
+                Servo(*joint)
+                for joint in zip(
+                    chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True
+                )
+            ]
         ideal = self.actuation == "ideal"
         return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(servos))
 
@@ -155,21 +194,27 @@ class Mjcf(Arm):
 
 
 def servo_gains(inertia: float, friction: float, slides: bool) -> tuple[float, float]:
-    """Position and velocity gain (kp, kv) of the servo that `actuation: velocity` gives a joint, both to four digits.
+    """Position and velocity gain (kp, kv) of the servo that `actuation: velocity` gives a joint,
+    both to four digits.
 
     kp = max(STIFFNESS M, F / w),  kv = kp RATIO_S
 
-    Where friction sets kp, the joint answers more slowly than its inertia would let it, but with the lag kv / kp of all the others.
+    Where friction sets kp, the joint answers more slowly than its inertia would let it, but with
+    the lag kv / kp of all the others.
 
-    The joint holds still until the servo is wound up by F / kp, hence by w at most. No inertia is too small for this kp: MuJoCo's
-    `implicitfast` takes the force of kp at the beginning of a step of h and that of kv at its end,
+    The joint holds still until the servo is wound up by F / kp, hence by w at most. No inertia is
+    too small for this kp: MuJoCo's `implicitfast` takes the force of kp at the beginning of a step
+    of h and that of kv at its end,
 
-        M (q'' - 2 q' + q) = -h^2 kp q' - h kv (q'' - q')    for positions q, q', q'' at successive steps,
+        M (q'' - 2 q' + q) = -h^2 kp q' - h kv (q'' - q')
+        for positions q, q', q'' at successive steps,
 
-    whose two modes decay where h^2 kp < 4 M + 2 h kv (Jury's criterion). kv >= h kp / 2 is enough for that whatever M: with this kv steps
-    up to 50 ms, the physics' own being 2 ms. For a whole arm M, kp and kv are those of each mode x (x^T K x), and the same holds.
+    whose two modes decay where h^2 kp < 4 M + 2 h kv (Jury's criterion). kv >= h kp / 2 is enough
+    for that whatever M: with this kv steps up to 50 ms, the physics' own being 2 ms. For a whole
+    arm M, kp and kv are those of each mode x (x^T K x), and the same holds.
 
-    inertia: M, what its motor moves [kg m^2, kg]. friction: F, Coulomb friction [Nm, N]. slides: w is WIND_UP_M, else WIND_UP_RAD.
+    inertia: M, what its motor moves [kg m^2, kg]. friction: F, Coulomb friction [Nm, N]. slides: w
+    is WIND_UP_M, else WIND_UP_RAD.
 
     Reference: Jury 1964, Theory and Application of the z-Transform Method.
     """
@@ -178,5 +223,7 @@ def servo_gains(inertia: float, friction: float, slides: bool) -> tuple[float, f
 
 
 def four_digits(number: float) -> float:
-    """A number as summaries and scenarios show it: the same on all machines, whose sums differ in the last digits."""
+    """A number as summaries and scenarios show it: the same on all machines, whose sums differ in
+    the last digits.
+    """
     return float(f"{number:.4g}")

@@ -1,21 +1,24 @@
 """Omnidirectional base on four mecanum wheels: wheel kinematics both ways, odometry, limits.
 
-A wheel's rollers turn freely about their axles: the floor constrains the point under the wheel only along the axis of the roller that
-lies there. With the wheel at (x, y), turning at q_dot, and that roller along (cos(phi), side):
+A wheel's rollers turn freely about their axles: the floor constrains the point under the wheel only
+along the axis of the roller that lies there. With the wheel at (x, y), turning at q_dot, and that
+roller along (cos(phi), side):
 
     cos(phi) (vx - wz y - R q_dot) + side (vy + wz x) = 0
 
-where phi is how far the wheel has turned from "a roller straight below", in [-pi/n, pi/n] for n rollers: a roller at 45 degrees
-to the axle is tilted by phi, and its projection on the floor turned. Textbooks have cos(phi) = 1, as for infinitely many rollers; a wheel
-with n rollers has the mean over a roller's turn, kappa = sin(pi/n) / (pi/n), which is .980 for nine. Thus
+where phi is how far the wheel has turned from "a roller straight below", in [-pi/n, pi/n] for n
+rollers: a roller at 45 degrees to the axle is tilted by phi, and its projection on the floor
+turned. Textbooks have cos(phi) = 1, as for infinitely many rollers; a wheel with n rollers has the
+mean over a roller's turn, kappa = sin(pi/n) / (pi/n), which is .980 for nine. Thus
 
     R q_dot = vx + side (vy + wz x) / kappa - wz y
 
 and with kappa = 1 the equations of the textbooks: vx -+ vy -+ (half base + half track) wz.
 
-Reference: Muir & Neuman 1987, "Kinematic modeling for feedback control of an omnidirectional wheeled mobile robot", ICRA, pp.
-1772-1778; Taheri, Qiao & Ghaeminezhad 2015, doi:10.5120/19804-1586. Any roller angle: Lynch & Park 2017, Modern Robotics, 13.2.
-Bodies are in models/omni.xml and models/omni_planar.xml, which `parameters` changes (`OmniParameters`).
+Reference: Muir & Neuman 1987, "Kinematic modeling for feedback control of an omnidirectional
+wheeled mobile robot", ICRA, pp. 1772-1778; Taheri, Qiao & Ghaeminezhad 2015,
+doi:10.5120/19804-1586. Any roller angle: Lynch & Park 2017, Modern Robotics, 13.2. Bodies are in
+models/omni.xml and models/omni_planar.xml, which `parameters` changes (`OmniParameters`).
 """
 
 from __future__ import annotations
@@ -41,18 +44,23 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
-CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])  # signs of the wheels' places (x, y) in the base frame (4, 2)
+# signs of the wheels' places (x, y) in the base frame (4, 2)
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
-"""Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at the centre, and yaw is lost."""
+"""Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at
+the centre, and yaw is lost.
+"""
 ROLLERS = 9  # rollers on each wheel of models/omni.xml
 
 
 @spec
 class OmniParameters:
-    """Physical parameters of an omnidirectional base, which its allocation and its odometry know; the defaults are models/omni.xml.
+    """Physical parameters of an omnidirectional base, which its allocation and its odometry know;
+    the defaults are models/omni.xml.
 
-    The chassis is stretched with wheelbase and track, a wheel scaled as a whole with its radius at a constant mass of .455 kg. The gains
-    of the wheels' speed loops grow with what they move, mass_kg R^2 / 4 + 1.6e-3 kg m^2, so that their bandwidth stays.
+    The chassis is stretched with wheelbase and track, a wheel scaled as a whole with its radius at
+    a constant mass of .455 kg. The gains of the wheels' speed loops grow with what they move,
+    mass_kg R^2 / 4 + 1.6e-3 kg m^2, so that their bandwidth stays.
 
     Args:
         mass_kg: mass of the whole base [kg].
@@ -60,7 +68,8 @@ class OmniParameters:
         track_m: distance between the middles of a pair of wheels [m].
         wheel_radius_m: R, of all four wheels [m].
         motor_torque_nm: largest torque of each wheel's motor [Nm].
-        wheel_speed_radps: largest speed of a wheel [rad/s]; a little under the 20.9 of the default's motors without load.
+        wheel_speed_radps: largest speed of a wheel [rad/s]; a little under the 20.9 of the
+            default's motors without load.
     """
 
     mass_kg: Annotated[Mass, TighterBounds(ge=2.5, le=500)] = 8.0
@@ -71,18 +80,27 @@ class OmniParameters:
     wheel_speed_radps: Annotated[PositiveRate, TighterBounds(ge=0.1, le=200)] = 20.0
 
     def __post_init__(self) -> None:
-        for field, least in (("wheelbase_m", 2.4 * self.wheel_radius_m), ("track_m", 2.0 * self.wheel_radius_m)):
+        for field, least in (
+            ("wheelbase_m", 2.4 * self.wheel_radius_m),
+            ("track_m", 2.0 * self.wheel_radius_m),
+        ):
             if getattr(self, field) < least:
                 words = f"{least:.3g} m at wheel_radius_m {self.wheel_radius_m:g}"
-                raise ParameterError.bound(field, "at least", words, getattr(self, field), why="the wheels would meet")
-        # m a = 4 T / R; under 1 m/s^2 it neither follows a law's changes nor stops within half a second.
+                raise ParameterError.bound(
+                    field, "at least", words, getattr(self, field), why="the wheels would meet"
+                )
+        # m a = 4 T / R; under 1 m/s^2 it neither follows a law's changes nor stops within half a
+        # second.
         most = 4 * self.motor_torque_nm / self.wheel_radius_m / 1.0
         if self.mass_kg > most:
             why = f"motor_torque_nm {self.motor_torque_nm:g} accelerates more by under 1 m/s^2"
-            raise ParameterError.bound("mass_kg", "at most", f"{most:.3g} kg", self.mass_kg, why=why)
+            raise ParameterError.bound(
+                "mass_kg", "at most", f"{most:.3g} kg", self.mass_kg, why=why
+            )
 
     def wheel_matrix(self, rollers: float = ROLLERS) -> Array:
-        """Wheel speeds of a motion without slip, shape (4, 3): q_dot = W @ (vx, vy, wz), in the order of WHEELS.
+        """Wheel speeds of a motion without slip, shape (4, 3): q_dot = W @ (vx, vy, wz), in the
+        order of WHEELS.
 
         Row: (1, side / kappa, side x / kappa - y) / R, with kappa = sin(pi/n) / (pi/n).
 
@@ -90,7 +108,10 @@ class OmniParameters:
         """
         kappa = float(np.sinc(1 / rollers))  # numpy's sinc(x) is sin(pi x) / (pi x)
         x, y = self.places.T
-        return np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1) / self.wheel_radius_m
+        return (
+            np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1)
+            / self.wheel_radius_m
+        )
 
     @property
     def places(self) -> Array:
@@ -104,12 +125,16 @@ class OmniParameters:
 
     @cached_property
     def W_inverse(self) -> Array:
-        """Motion from wheel speeds (3, 4). Four wheels overdetermine three velocities: least squares where slip makes them disagree."""
+        """Motion from wheel speeds (3, 4). Four wheels overdetermine three velocities: least
+        squares where slip makes them disagree.
+        """
         return np.asarray(np.linalg.pinv(self.W), dtype=np.float64)
 
     @property
     def spin(self) -> float:
-        """Moment of inertia about the axle of a wheel, 4e-4 at a radius of 50 mm, with its motor behind its gears [kg m^2]."""
+        """Moment of inertia about the axle of a wheel, 4e-4 at a radius of 50 mm, with its motor
+        behind its gears [kg m^2].
+        """
         return 1.2e-3 + 4.0e-4 * (self.wheel_radius_m / 0.05) ** 2
 
     @property
@@ -118,7 +143,9 @@ class OmniParameters:
         return self.mass_kg * self.wheel_radius_m**2 / 4 + self.spin
 
     def changes(self, planar: bool) -> tuple[Change, ...]:
-        """What makes the base of omni.xml, or of omni_planar.xml, this one; () where it is that one."""
+        """What makes the base of omni.xml, or of omni_planar.xml, this one; () where it is that
+        one.
+        """
         if self == PLATFORM:
             return ()
         larger = self.wheel_radius_m / PLATFORM.wheel_radius_m
@@ -128,30 +155,50 @@ class OmniParameters:
             (stretch, "base", wider, (0.0, 0.0, self.wheel_radius_m - PLATFORM.wheel_radius_m)),
         ]
         harder = self.moved / PLATFORM.moved
-        for name, (x, y), row, before in zip(WHEELS, self.places.tolist(), self.W, PLATFORM.W, strict=True):
+        for name, (x, y), row, before in zip(
+            WHEELS, self.places.tolist(), self.W, PLATFORM.W, strict=True
+        ):
             found += [
                 (put, "body", name, "pos", (x, y, self.wheel_radius_m)),
                 (scale, "geom", "size", larger, name),
                 (scale, "geom", "pos", larger, name),
                 (scale, "actuator", "gainprm", harder, name),
                 (scale, "actuator", "biasprm", harder, name),
-                (put, "actuator", name, "ctrlrange", (-self.wheel_speed_radps, self.wheel_speed_radps)),
-                (put, "actuator", name, "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
+                (
+                    put,
+                    "actuator",
+                    name,
+                    "ctrlrange",
+                    (-self.wheel_speed_radps, self.wheel_speed_radps),
+                ),
+                (
+                    put,
+                    "actuator",
+                    name,
+                    "forcerange",
+                    (-self.motor_torque_nm, self.motor_torque_nm),
+                ),
             ]
             if planar:  # the gear is the wheel's row; ratios, since the file has five digits of it
                 of_x, of_y, of_yaw = (row / before).tolist()
                 found.append((scale, "actuator", "gear", (of_x, of_y, 1.0, 1.0, 1.0, of_yaw), name))
             else:
                 found += _larger_rollers(name, larger)
-        if planar:  # the wheels' spin, W^T J W, as the planar joints have it; the mean of x and y for both slides
+        # the wheels' spin, W^T J W, as the planar joints have it; the mean of x and y for both
+        # slides
+        if planar:
             J, before = (p.spin * (p.W**2).sum(axis=0) for p in (self, PLATFORM))
             along, turning = float((J[0] + J[1]) / (before[0] + before[1])), float(J[2] / before[2])
-            found += [(put, "joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y")]
+            found += [
+                (put, "joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y")
+            ]
             found.append((put, "joint", "root_yaw", "armature", 0.250 * turning))
         return tuple(found)
 
     def rolling(self, coefficient: float) -> tuple[Change, ...]:
-        """Torques on the wheels by a rolling resistance [1]: its share of a quarter of the weight, at the radius."""
+        """Torques on the wheels by a rolling resistance [1]: its share of a quarter of the weight,
+        at the radius.
+        """
         torque = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m / 4
         return tuple((put, "joint", name, "frictionloss", torque) for name in WHEELS)
 
@@ -159,7 +206,12 @@ class OmniParameters:
 def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
     rollers = [f"{name}_roller{i}" for i in range(ROLLERS)]
     return tuple(
-        change for roller in rollers for change in ((scale, "body", "pos", factor, roller), (scale, "geom", "size", factor, roller))
+        change
+        for roller in rollers
+        for change in (
+            (scale, "body", "pos", factor, roller),
+            (scale, "geom", "size", factor, roller),
+        )
     )
 
 
@@ -185,14 +237,16 @@ OMNI: Mapping[Level, Mapping[str, object]] = {
 
 @spec
 class Omni(Vehicle, Onboard):
-    """A platform on four mecanum wheels, driven by wheel speeds. Of its imperfections `planar` wheels can have lag alone.
+    """A platform on four mecanum wheels, driven by wheel speeds. Of its imperfections `planar`
+    wheels can have lag alone.
 
     Args:
-        wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where it is slippery;
-            `planar`: ideal wheels without contact, a tenth of the cost.
+        wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where
+            it is slippery; `planar`: ideal wheels without contact, a tenth of the cost.
         parameters: mass, wheels and motors, which the base knows.
         start: where it starts on the floor.
-        wheel_radius_error: relative error of the calibrated wheel radius [1]: .02 for 2 % too large.
+        wheel_radius_error: relative error of the calibrated wheel radius [1]: .02 for 2 % too
+            large.
     """
 
     kind: Literal["omni"] = "omni"
@@ -208,7 +262,13 @@ class Omni(Vehicle, Onboard):
         for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
             if self.wheels == "planar" and getattr(self, name) is not None:
                 words = "with realism, wheel_spread, rolling_resistance or uneven_floor"
-                raise ParameterError.fixed("wheels", "rollers", self.wheels, where=words, why="planar wheels do not touch the floor")
+                raise ParameterError.fixed(
+                    "wheels",
+                    "rollers",
+                    self.wheels,
+                    where=words,
+                    why="planar wheels do not touch the floor",
+                )
 
     @property
     def onboard(self) -> Onboard | None:
@@ -229,8 +289,14 @@ class Omni(Vehicle, Onboard):
             found += self.parameters.rolling(self.rolling_resistance)
         if self.wheel_spread is not None:
             for name, factor in zip(WHEELS, self.wheel_spread.factors, strict=True):
-                found += [(scale, "geom", "size", factor, name), (scale, "geom", "pos", factor, name), *_larger_rollers(name, factor)]
-        return BodyFile("omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=tuple(found), slips=rolls)
+                found += [
+                    (scale, "geom", "size", factor, name),
+                    (scale, "geom", "pos", factor, name),
+                    *_larger_rollers(name, factor),
+                ]
+        return BodyFile(
+            "omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=tuple(found), slips=rolls
+        )
 
     @property
     def ends_m(self) -> tuple[float, float]:
@@ -245,7 +311,9 @@ class Omni(Vehicle, Onboard):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The joints that its encoders read: the wheels, or the base's own joints in the model without wheel joints."""
+        """The joints that its encoders read: the wheels, or the base's own joints in the model
+        without wheel joints.
+        """
         # Only differences of the latter are used (`odometry`): the absolute place would be truth.
         return WHEELS if self.wheels == "rollers" else ("root_x", "root_y", "root_yaw")
 
@@ -254,23 +322,29 @@ class Omni(Vehicle, Onboard):
         return mount.to_camera @ PLANE
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """(vx, vy, wz), as its wheels' speed allows them one at a time, with the speed that each wheel may have."""
+        """(vx, vy, wz), as its wheels' speed allows them one at a time, with the speed that each
+        wheel may have.
+        """
         p = self.parameters
         speeds = p.wheel_speed_radps / np.abs(p.W).max(axis=0)
         wheels = p.W / (1 + self.wheel_radius_error)
         most = np.full(len(wheels), p.wheel_speed_radps)
         J = self.motion_basis(mount, reading.q)
-        return OwnModel.of_motions(("vx", "vy", "wz"), J, speeds, speeds / self.stop_s, sums=wheels, most=most)
+        return OwnModel.of_motions(
+            ("vx", "vy", "wz"), J, speeds, speeds / self.stop_s, sums=wheels, most=most
+        )
 
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
         """All wheels fall to rest within `stop_s`."""
         return setpoint * max(0.0, 1.0 - elapsed_s / self.stop_s)
 
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
-        """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the calibrated radius.
+        """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the
+        calibrated radius.
 
-        Rollers: inverse wheel kinematics, blind to slip. Planar: the arc of constant velocity between the two poses, which is what
-        wheels without slip would measure, to third order in the duration.
+        Rollers: inverse wheel kinematics, blind to slip. Planar: the arc of constant velocity
+        between the two poses, which is what wheels without slip would measure, to third order in
+        the duration.
         """
         belief = 1 + self.wheel_radius_error
         if duration <= 0:
@@ -279,27 +353,44 @@ class Omni(Vehicle, Onboard):
             return belief * motion_between(before.q, now.q, duration)
         return belief * (self.parameters.W_inverse @ (now.q - before.q)) / duration
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
+        has passed.
+        """
         return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
 
     def begin(self) -> Array:
         """A drive at rest (4,) [rad/s]."""
         return np.zeros(4)
 
-    def actuate(self, state: Array, setpoint: Array, reading: Reading, dt: float) -> tuple[Array, Array]:
-        """The wheel speeds (4,) [rad/s] that the drive follows: behind those of the setpoint, by its lag."""
+    def actuate(
+        self, state: Array, setpoint: Array, reading: Reading, dt: float
+    ) -> tuple[Array, Array]:
+        """The wheel speeds (4,) [rad/s] that the drive follows: behind those of the setpoint, by
+        its lag.
+        """
         drive = self.lagged(state, setpoint, dt)
         return drive, drive
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Wheel speeds (4,) [rad/s] for a camera twist (6,), scaled as a whole into their limits.
 
-        Only (vx, vy, wz) of the base's twist can be realised; the rest is dropped, also from `Allocation.twist`.
+        Only (vx, vy, wz) of the base's twist can be realised; the rest is dropped, also from
+        `Allocation.twist`.
         """
         motion = PLANE.T @ (mount.to_flange @ twist)
-        # Wheels that the robot takes for larger than they are get less speed, and the base moves by less than `twist` says.
+        # Wheels that the robot takes for larger than they are get less speed, and the base moves by
+        # less than `twist` says.
         speeds = self.parameters.W @ motion / (1 + self.wheel_radius_error)
-        scale = min(1.0, self.parameters.wheel_speed_radps / max(float(np.abs(speeds).max()), 1e-12))
+        scale = min(
+            1.0, self.parameters.wheel_speed_radps / max(float(np.abs(speeds).max()), 1e-12)
+        )
         limit: Literal["", "speed"] = "speed" if scale < 1.0 else ""
-        return Allocation(setpoint=speeds * scale, twist=mount.to_camera @ PLANE @ motion * scale, scale=scale, limit=limit)
+        return Allocation(
+            setpoint=speeds * scale,
+            twist=mount.to_camera @ PLANE @ motion * scale,
+            scale=scale,
+            limit=limit,
+        )

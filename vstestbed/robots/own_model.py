@@ -1,4 +1,6 @@
-"""What a controller knows of its robot: the velocities that it can order, their limits, and the camera twist that they make."""
+"""What a controller knows of its robot: the velocities that it can order, their limits, and the
+camera twist that they make.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +19,36 @@ CAMERA = ("vx", "vy", "vz", "wx", "wy", "wz")  # the motions of a camera that fl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnModel:
-    """A robot's n own velocities, by its own sensors and its own model, errors of calibration included; nothing of the truth.
+    """A robot's n own velocities, by its own sensors and its own model, errors of calibration
+    included; nothing of the truth.
 
-    They are the joints' of an arm, and the motions of `Robot.motion_basis` for all others: the twist of an ideal camera, (vx, vy, wz) or
-    (v, w) of a vehicle, (vx, vy, vz, wz) of a level craft. A law orders them by `Command.rates`.
+    They are the joints' of an arm, and the motions of `Robot.motion_basis` for all others: the
+    twist of an ideal camera, (vx, vy, wz) or (v, w) of a vehicle, (vx, vy, vz, wz) of a level
+    craft. A law orders them by `Command.rates`.
 
     Attributes:
-        names: of the velocities. J: camera twist (6,) = J @ rates, (6, n), now. jacobian: the same at other positions q (n,).
-        q, qd: positions and measured velocities (n,) [rad, m; per s]; 0 where only the velocities are known (all but arms).
-        low, high: lowest and highest position (n,); infinite without one. nominal: positions at the nominal start (n,).
-        speed, acceleration: largest of each (n,) [rad/s, m/s; per s^2]; infinite where the robot has no such limit.
-        sums, most: |sums @ rates| <= most, (k, n) and (k,), for limits that several velocities share (a wheel's speed).
-        turning_radius_m: of the tightest circle: |w| <= |v| / radius for the last and the first velocity; 0: on the spot.
-        tilt, most_tilt_rad: roll and pitch (2,) of a craft, and the largest it may order; its acceleration needs them.
-        unit_m: length that makes metres and radians comparable [m]. slides: which positions are lengths (n,); empty for none.
+        names: of the velocities. J: camera twist (6,) = J @ rates, (6, n), now. jacobian: the same
+            at other positions q (n,).
+        q, qd: positions and measured velocities (n,) [rad, m; per s]; 0 where only the velocities
+            are known (all but arms).
+        low, high: lowest and highest position (n,); infinite without one. nominal: positions at the
+            nominal start (n,).
+        speed, acceleration: largest of each (n,) [rad/s, m/s; per s^2]; infinite where the robot
+            has no such limit.
+        sums, most: |sums @ rates| <= most, (k, n) and (k,), for limits that several velocities
+            share (a wheel's speed).
+        turning_radius_m: of the tightest circle: |w| <= |v| / radius for the last and the first
+            velocity; 0: on the spot.
+        tilt, most_tilt_rad: roll and pitch (2,) of a craft, and the largest it may order; its
+            acceleration needs them.
+        unit_m: length that makes metres and radians comparable [m]. slides: which positions are
+            lengths (n,); empty for none.
         lag_s: time constant with which velocities follow their orders [s].
-        moved: displacement (n,) between the exposures of the last picture and this one, and since_s the time between them [s].
-        underway: displacement (n,) from the exposure until this frame's command takes effect: measured until now, as ordered from then;
-            underway_s: that time [s]. coming: the part of it from now on (n,).
+        moved: displacement (n,) between the exposures of the last picture and this one, and since_s
+            the time between them [s].
+        underway: displacement (n,) from the exposure until this frame's command takes effect:
+            measured until now, as ordered from then; underway_s: that time [s]. coming: the part of
+            it from now on (n,).
         ordered: the velocities ordered last (n,). period_s: time between pictures [s].
     """
 
@@ -65,21 +79,35 @@ class OwnModel:
     period_s: float = 0.04
 
     @classmethod
-    def of_motions(cls, names: tuple[str, ...], J: Array, speed: Array, acceleration: Array, **more: object) -> OwnModel:
+    def of_motions(
+        cls, names: tuple[str, ...], J: Array, speed: Array, acceleration: Array, **more: object
+    ) -> OwnModel:
         """Of a robot whose positions along its motions, J (6, n), are unknown or without limits."""
         n = J.shape[1]
         zero, endless = np.zeros(n), np.full(n, np.inf)
         still = {"q": zero, "qd": zero, "nominal": zero, "low": -endless, "high": endless}
         values = {**still, "sums": np.zeros((0, n)), "most": np.zeros(0), **more}
-        return cls(names=names, J=J, jacobian=lambda q: J, speed=speed, acceleration=acceleration, **values)  # pyright: ignore[reportArgumentType] - fields by name
+        return cls(
+            names=names, J=J, jacobian=lambda q: J, speed=speed, acceleration=acceleration, **values
+        )  # pyright: ignore[reportArgumentType] - fields by name
 
     @classmethod
     def of_ideal_camera(cls, period_s: float, moved: Array | None = None) -> OwnModel:
-        """A camera that follows every twist at once and without limit; moved: displacement since the last picture (6,)."""
+        """A camera that follows every twist at once and without limit; moved: displacement since
+        the last picture (6,).
+        """
         zero = np.zeros(6)
-        values = {"underway": zero, "coming": zero, "ordered": zero, "period_s": period_s, "moved": zero if moved is None else moved}
+        values = {
+            "underway": zero,
+            "coming": zero,
+            "ordered": zero,
+            "period_s": period_s,
+            "moved": zero if moved is None else moved,
+        }
         since = 0.0 if moved is None else period_s
-        return cls.of_motions(CAMERA, np.eye(6), np.full(6, np.inf), np.full(6, np.inf), since_s=since, **values)
+        return cls.of_motions(
+            CAMERA, np.eye(6), np.full(6, np.inf), np.full(6, np.inf), since_s=since, **values
+        )
 
     @property
     def q_then(self) -> Array:
@@ -88,11 +116,24 @@ class OwnModel:
 
     @property
     def way(self) -> Array:
-        """The camera's own displacement (6,) from the exposure until this frame's command takes effect [m, rad], by J halfway."""
+        """The camera's own displacement (6,) from the exposure until this frame's command takes
+        effect [m, rad], by J halfway.
+        """
         return self.jacobian(self.q_then - self.underway / 2) @ self.underway
 
     def positions(self, given: tuple[float, ...]) -> Array:
-        """Positions (n,) given in degrees, in metres where a joint slides. Raises ParameterError: another number of them."""
+        """Positions (n,) given in degrees, in metres where a joint slides. Raises ParameterError:
+        another number of them.
+        """
         if len(given) != len(self.names):
-            raise ParameterError.count("law.secondary.q_deg", len(self.names), f"positions, of {', '.join(self.names)}", list(given))
-        return np.where(self.slides, given, np.radians(given)) if len(self.slides) else np.radians(given)
+            raise ParameterError.count(
+                "law.secondary.q_deg",
+                len(self.names),
+                f"positions, of {', '.join(self.names)}",
+                list(given),
+            )
+        return (
+            np.where(self.slides, given, np.radians(given))
+            if len(self.slides)
+            else np.radians(given)
+        )

@@ -1,9 +1,11 @@
-"""Quadrotor: a craft, of 4 kg by default, with velocity setpoints in its level frame, flown by its onboard sensors.
+"""Quadrotor: a craft, of 4 kg by default, with velocity setpoints in its level frame, flown by its
+onboard sensors.
 
-A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, at 1 kHz: attitude from the IMU
-(`attitude`), velocity from its sensor (`flight_sensors`), the control loops and the failsafe (`flight`), the rotors (`rotors`). All of it
-reads `Instruments` alone, after `instruments` has added noise and bias. Its body and sensors are in `models/quadrotor.xml`, which
-`parameters` changes (`rotors.QuadrotorParameters`).
+A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On
+board, at 1 kHz: attitude from the IMU (`attitude`), velocity from its sensor (`flight_sensors`),
+the control loops and the failsafe (`flight`), the rotors (`rotors`). All of it reads `Instruments`
+alone, after `instruments` has added noise and bias. Its body and sensors are in
+`models/quadrotor.xml`, which `parameters` changes (`rotors.QuadrotorParameters`).
 """
 
 from __future__ import annotations
@@ -18,7 +20,15 @@ from pydantic import model_validator
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import GRAVITY, Angle, AngleWidth, Position, PositiveRate, PositiveSpeed, Sigma
+from vstestbed.core.quantity import (
+    GRAVITY,
+    Angle,
+    AngleWidth,
+    Position,
+    PositiveRate,
+    PositiveSpeed,
+    Sigma,
+)
 from vstestbed.core.spatial import is_matrix, upright
 from vstestbed.core.spec import spec
 from vstestbed.effects.airframe import FIELD, LAB, FlightBlocks, FlightEffects
@@ -28,7 +38,17 @@ from vstestbed.robots import flight_sensors
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, Imu, heading_rate, level, to_body, to_level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Base, BodyFile, Onboard, Reading, RobotLog, RobotState, SensorModel, Supervisor, random_of
+from vstestbed.robots.base import (
+    Base,
+    BodyFile,
+    Onboard,
+    Reading,
+    RobotLog,
+    RobotState,
+    SensorModel,
+    Supervisor,
+    random_of,
+)
 from vstestbed.robots.flight import (
     HOLD,
     MAX_TRIM,
@@ -42,7 +62,14 @@ from vstestbed.robots.flight import (
     Loops,
     fly,
 )
-from vstestbed.robots.flight_sensors import AT_REST, Flow, Groundspeed, VelocitySource, drawn_noise, instruments
+from vstestbed.robots.flight_sensors import (
+    AT_REST,
+    Flow,
+    Groundspeed,
+    VelocitySource,
+    drawn_noise,
+    instruments,
+)
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotors import X4, QuadrotorParameters, mix, speed_control
@@ -66,7 +93,11 @@ class FlightPose:
     @model_validator(mode="before")
     @classmethod
     def _from_matrix(cls, given: Any) -> Any:
-        return dict(zip(("xyz", "yaw_deg"), upright(given), strict=True)) if is_matrix(given) else given
+        return (
+            dict(zip(("xyz", "yaw_deg"), upright(given), strict=True))
+            if is_matrix(given)
+            else given
+        )
 
 
 @spec
@@ -86,7 +117,8 @@ class FlightBox:
 
 @spec
 class FlightStart:
-    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn.
+    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are
+    drawn.
 
     Args:
         nominal: place and heading at the start of a run without a seed.
@@ -100,10 +132,12 @@ class FlightStart:
 class FlightLog(RobotLog):
     """Estimates, references and rotor speeds of a flight.
 
-    `est_roll`, `est_pitch` [rad], `est_vx`, `est_vy`, `est_vz` (level frame) [m/s], `est_wx`, `est_wy`, `est_wz` (body) [rad/s]: the
-    craft's own estimate; `ref_roll`, ..., `ref_wz`: references from its velocity loop and its attitude loop; `wind_x`, ... true, in the
-    world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the law, 1 holds, 2 sinks, 3
-    rotors off; of a craft with a battery `battery_v`, its voltage as measured [V].
+    `est_roll`, `est_pitch` [rad], `est_vx`, `est_vy`, `est_vz` (level frame) [m/s], `est_wx`,
+    `est_wy`, `est_wz` (body) [rad/s]: the craft's own estimate; `ref_roll`, ..., `ref_wz`:
+    references from its velocity loop and its attitude loop; `wind_x`, ... true, in the world [m/s];
+    `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the
+    law, 1 holds, 2 sinks, 3 rotors off; of a craft with a battery `battery_v`, its voltage as
+    measured [V].
 
     supervisor: the craft's. battery: whether it has one.
     """
@@ -113,40 +147,75 @@ class FlightLog(RobotLog):
         estimate = (f"est_{name}" for name in ("roll", "pitch", "vx", "vy", "vz", "wx", "wy", "wz"))
         reference = (f"ref_{name}" for name in ("roll", "pitch", "wx", "wy", "wz"))
         added = ("wind_x", "wind_y", "wind_z", *(f"speed_rotor_{name}" for name in ROTORS))
-        self.columns = (*estimate, *reference, *added, "supervisor", *(("battery_v",) if battery else ()))
+        self.columns = (
+            *estimate,
+            *reference,
+            *added,
+            "supervisor",
+            *(("battery_v",) if battery else ()),
+        )
 
     def row(self, state: RobotState) -> Array:
         reading = state.reading
         assert isinstance(reading, FlightReading) and reading.tilt is not None
         roll, pitch = reading.tilt.tolist()
-        # The level frame is the estimate's own: with the true tilt, an error of tilt would show as one of velocity, too.
+        # The level frame is the estimate's own: with the true tilt, an error of tilt would show as
+        # one of velocity, too.
         up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
         estimate = reading.estimate
         velocity = to_level(level(up), tuple(estimate.velocity.tolist()))
         loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
         speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
-        row = [roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode, reading.voltage_v]
+        row = [
+            roll,
+            pitch,
+            *velocity,
+            *loops,
+            *state.wind,
+            *speeds,
+            self.supervisor.mode,
+            reading.voltage_v,
+        ]
         return np.array(row[: len(self.columns)])
 
     def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
-        """Tilt and body twist; the velocity back from the estimate's level frame into body axes. The range is not in the log."""
+        """Tilt and body twist; the velocity back from the estimate's level frame into body axes.
+        The range is not in the log.
+        """
         roll, pitch = log["est_roll"], log["est_pitch"]
-        up = zip((-np.sin(pitch)).tolist(), (np.cos(pitch) * np.sin(roll)).tolist(), (np.cos(pitch) * np.cos(roll)).tolist(), strict=True)
+        up = zip(
+            (-np.sin(pitch)).tolist(),
+            (np.cos(pitch) * np.sin(roll)).tolist(),
+            (np.cos(pitch) * np.cos(roll)).tolist(),
+            strict=True,
+        )
         velocities = zip(*(log[f"est_v{axis}"].tolist() for axis in "xyz"), strict=True)
-        body = np.array([to_body(level(z), v) for z, v in zip(up, velocities, strict=True)]).reshape(-1, 3)
+        body = np.array(
+            [to_body(level(z), v) for z, v in zip(up, velocities, strict=True)]
+        ).reshape(-1, 3)
         rates = {f"w{axis}": log[f"est_w{axis}"] for axis in "xyz"}
-        return {"roll": roll, "pitch": pitch, **dict(zip(("vx", "vy", "vz"), body.T, strict=True)), **rates}
+        return {
+            "roll": roll,
+            "pitch": pitch,
+            **dict(zip(("vx", "vy", "vz"), body.T, strict=True)),
+            **rates,
+        }
 
 
-STEP_S = 0.001  # period of the flight loops, and the largest physics step, at which the rate loop is tuned [s]
+# period of the flight loops, and the largest physics step, at which the rate loop is tuned [s]
+STEP_S = 0.001
 STANDING_M = 0.172  # height of the centre over what the feet stand on, by models/quadrotor.xml [m]
-FAR_M = 100.0  # the range that a learned policy is given where the measured one is larger, or there is none [m]
+# the range that a learned policy is given where the measured one is larger, or there is none [m]
+FAR_M = 100.0
 NO_JOINTS = np.zeros(0)
-LEVEL_AXES = [0, 1, 2, 5]  # of vx, vy, vz and wz in a twist: the four velocities that a level craft can track
+# of vx, vy, vz and wz in a twist: the four velocities that a level craft can track
+LEVEL_AXES = [0, 1, 2, 5]
 
 
 class Flight(NamedTuple):
-    """Onboard state: estimates, flight loops, squared rotor speeds W, `armed`, and for how long a rotor has been at its limit [s]."""
+    """Onboard state: estimates, flight loops, squared rotor speeds W, `armed`, and for how long a
+    rotor has been at its limit [s].
+    """
 
     attitude: Attitude = Attitude()
     ground: Groundspeed = AT_REST
@@ -164,7 +233,8 @@ class Flight(NamedTuple):
 
 @spec
 class Quadrotor(FlightBlocks, Realistic, Onboard):
-    """A quadrotor with four simulated rotors; the camera is mounted relative to its centre (x forward, y left, z up).
+    """A quadrotor with four simulated rotors; the camera is mounted relative to its centre (x
+    forward, y left, z up).
 
     Args:
         parameters: its mass, arms and rotors, which its flight loops know.
@@ -174,7 +244,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         range_sigma_m: noise of the downward range finder [m].
         attitude: gains of the attitude filter.
         gains: gains of the flight loops.
-        max_speed_mps, max_climb_mps, max_yaw_rate_radps: largest value in a setpoint; a setpoint beyond a limit is scaled as a whole.
+        max_speed_mps, max_climb_mps, max_yaw_rate_radps: largest value in a setpoint; a setpoint
+            beyond a limit is scaled as a whole.
     """
 
     kind: Literal["quadrotor"] = "quadrotor"
@@ -190,7 +261,17 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     max_yaw_rate_radps: PositiveRate = 0.8
 
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
-    proprioception_names: ClassVar[tuple[str, ...]] = ("roll", "pitch", "range", "vx", "vy", "vz", "wx", "wy", "wz")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    proprioception_names: ClassVar[tuple[str, ...]] = (
+        "roll",
+        "pitch",
+        "range",
+        "vx",
+        "vy",
+        "vz",
+        "wx",
+        "wy",
+        "wz",
+    )  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
     base: ClassVar[Base] = "floating"
     reading: ClassVar[type[Reading]] = FlightReading
     control_period_s: ClassVar[float] = STEP_S
@@ -199,32 +280,54 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     def __post_init__(self) -> None:
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:
-            raise ParameterError.bound("start.nominal.xyz.2", "at least", f"{LOWEST_M:g} m above the ground", low)
+            raise ParameterError.bound(
+                "start.nominal.xyz.2", "at least", f"{LOWEST_M:g} m above the ground", low
+            )
         if self.gains.rotor_s > (lag := self.parameters.rotor_lag_s):
             words = f"{lag:g} s, the rotors' own lag (parameters.rotor_lag_s)"
             raise ParameterError.bound("gains.rotor_s", "at most", words, self.gains.rotor_s)
         self._check_hover()
 
     def _check_hover(self) -> None:
-        """Refuse a battery or listed motors with which it cannot hover at its start; motors that are drawn are not known yet."""
+        """Refuse a battery or listed motors with which it cannot hover at its start; motors that
+        are drawn are not known yet.
+        """
         craft = self.parameters
         share = self.battery.share_at_start(craft) if self.battery else 1.0
         least = max(GRAVITY / (GRAVITY + MAX_TRIM), craft.hover / craft.limit)
         if self.battery and share < least:
-            words = f"leaves {share:.2g} of the ordered thrust at the start; the flight loops make up for {least:.2g} at least. Works:"
-            raise ParameterError("battery.charge", f"{words} more charge, or a lower reference_charge", self.battery.charge)
+            words = (
+                f"leaves {share:.2g} of the ordered thrust at the start;"
+                f" the flight loops make up for {least:.2g} at least. Works:"
+            )
+            raise ParameterError(
+                "battery.charge",
+                f"{words} more charge, or a lower reference_charge",
+                self.battery.charge,
+            )
         if self.motors and self.motors.thrust:
             front, right, back, left = self.motors.thrust
             squares = hover_squares((front, right, back, left), craft)
-            for name, W, factor in zip(ROTORS, squares, self.motors.limit or (1.0,) * 4, strict=True):
+            for name, W, factor in zip(
+                ROTORS, squares, self.motors.limit or (1.0,) * 4, strict=True
+            ):
                 most = share * factor * craft.limit
                 if most < W:
-                    words = f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover, beyond its {most**0.5:.4g}"
-                    raise ParameterError("motors.thrust", f"{words}; works: factors nearer to 1", list(self.motors.thrust))
+                    words = (
+                        f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover,"
+                        f" beyond its {most**0.5:.4g}"
+                    )
+                    raise ParameterError(
+                        "motors.thrust",
+                        f"{words}; works: factors nearer to 1",
+                        list(self.motors.thrust),
+                    )
 
     @property
     def body(self) -> BodyFile:
-        """Its rotors, which carry the weight at the start; the drag that `rotor_drag` models is taken from the air drag."""
+        """Its rotors, which carry the weight at the start; the drag that `rotor_drag` models is
+        taken from the air drag.
+        """
         return BodyFile(
             "quadrotor.xml",
             tuple(f"rotor_{name}" for name in ROTORS),
@@ -260,7 +363,13 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     def started_at(self, configuration: Array) -> Quadrotor:
         """The same craft from another (x, y, z, yaw)."""
         x, y, z, yaw = configuration.tolist()
-        return replace(self, start=FlightStart(nominal=FlightPose(xyz=(x, y, z), yaw_deg=math.degrees(yaw)), random=self.start.random))
+        return replace(
+            self,
+            start=FlightStart(
+                nominal=FlightPose(xyz=(x, y, z), yaw_deg=math.degrees(yaw)),
+                random=self.start.random,
+            ),
+        )
 
     def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Failsafe:
         return Failsafe(lost_after_s, lost_after_m, lands=lands)
@@ -283,59 +392,114 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         return mount.to_camera[:, LEVEL_AXES]
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """(vx, vy, vz, wz) up to its largest setpoints, with its tilt; a lag of first order would not describe its flight loops.
+        """(vx, vy, vz, wz) up to its largest setpoints, with its tilt; a lag of first order would
+        not describe its flight loops.
 
-        Accelerations are those of its largest tilt, g tan(tilt), and of its rotors: down it has its weight alone.
+        Accelerations are those of its largest tilt, g tan(tilt), and of its rotors: down it has its
+        weight alone.
         """
-        level, climb = GRAVITY * self.gains.slope, GRAVITY * min(1.0, self.parameters.limit / self.parameters.hover - 1)
-        speeds = np.array([self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps])
+        level, climb = (
+            GRAVITY * self.gains.slope,
+            GRAVITY * min(1.0, self.parameters.limit / self.parameters.hover - 1),
+        )
+        speeds = np.array(
+            [self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps]
+        )
         accelerations = np.array([level, level, climb, np.inf])
         J, most = self.motion_basis(mount, reading.q), math.radians(self.gains.tilt_deg)
-        return OwnModel.of_motions(("vx", "vy", "vz", "wz"), J, speeds, accelerations, tilt=reading.tilt, most_tilt_rad=most)
+        return OwnModel.of_motions(
+            ("vx", "vy", "vz", "wz"),
+            J,
+            speeds,
+            accelerations,
+            tilt=reading.tilt,
+            most_tilt_rad=most,
+        )
 
     @property
     def draws(self) -> bool:
-        """Motors that are not listed, a wake that fluctuates, vibration, and the noise of its instruments."""
-        blocks = (self.motors is not None and self.motors.draws) or self.downwash is not None or self.vibration is not None
-        sigmas = (self.imu.gyro_sigma_radps, self.imu.accel_sigma_mps2, self.velocity.sigma_mps, self.range_sigma_m)
+        """Motors that are not listed, a wake that fluctuates, vibration, and the noise of its
+        instruments.
+        """
+        blocks = (
+            (self.motors is not None and self.motors.draws)
+            or self.downwash is not None
+            or self.vibration is not None
+        )
+        sigmas = (
+            self.imu.gyro_sigma_radps,
+            self.imu.accel_sigma_mps2,
+            self.velocity.sigma_mps,
+            self.range_sigma_m,
+        )
         return blocks or any(sigmas)
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
-        """MuJoCo's perfect sensors with noise and bias (10,) of gyro, accelerometer, velocity and range, and the velocity's scale error."""
-        noise, scale_error = drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng), self.velocity.scale_error
+        """MuJoCo's perfect sensors with noise and bias (10,) of gyro, accelerometer, velocity and
+        range, and the velocity's scale error.
+        """
+        noise, scale_error = (
+            drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng),
+            self.velocity.scale_error,
+        )
         return lambda q, qd, sensors: instruments(sensors, next(noise), scale_error)
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both,
+        through the mount.
+        """
         assert isinstance(before, FlightReading) and isinstance(now, FlightReading)
         return mount.to_camera @ (0.5 * (before.body_twist + now.body_twist))
 
     def proprioception(self, reading: FlightReading, odometry: Array | None) -> Array:
-        """Estimated roll and pitch [rad], measured range [m] (FAR_M over nothing), estimated body twist [m/s, rad/s]: shape (9,)."""
+        """Estimated roll and pitch [rad], measured range [m] (FAR_M over nothing), estimated body
+        twist [m/s, rad/s]: shape (9,).
+        """
         assert reading.tilt is not None
         return np.concatenate([reading.tilt, [min(reading.range_m, FAR_M)], reading.body_twist])
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
-        """The setpoint (vx, vy, vz, wz) in the level frame for a camera twist (6,), scaled as a whole into the speed limits.
+        """The setpoint (vx, vy, vz, wz) in the level frame for a camera twist (6,), scaled as a
+        whole into the speed limits.
 
         Roll and pitch rates are dropped: the craft needs its tilt to accelerate.
         """
         u = (mount.to_flange @ twist)[LEVEL_AXES]
         vx, vy, vz, wz = u.tolist()
-        over = max(math.hypot(vx, vy) / self.max_speed_mps, abs(vz) / self.max_climb_mps, abs(wz) / self.max_yaw_rate_radps, 1.0)
+        over = max(
+            math.hypot(vx, vy) / self.max_speed_mps,
+            abs(vz) / self.max_climb_mps,
+            abs(wz) / self.max_yaw_rate_radps,
+            1.0,
+        )
         u /= over
-        return Allocation(setpoint=u, twist=mount.to_camera[:, LEVEL_AXES] @ u, scale=1.0 / over, limit="speed" if over > 1.0 else "")
+        return Allocation(
+            setpoint=u,
+            twist=mount.to_camera[:, LEVEL_AXES] @ u,
+            scale=1.0 / over,
+            limit="speed" if over > 1.0 else "",
+        )
 
     def begin(self) -> Flight:
-        """The state of a craft that hovers, level and at rest; its climb loop knows its battery's voltage by its trim."""
+        """The state of a craft that hovers, level and at rest; its climb loop knows its battery's
+        voltage by its trim.
+        """
         share = self.battery.share_at_start(self.parameters) if self.battery else 1.0
         hover = self.parameters.hover / share
-        return Flight(loops=Loops(trim=(0.0, 0.0, GRAVITY * (1.0 / share - 1.0))), W=(hover, hover, hover, hover))
+        return Flight(
+            loops=Loops(trim=(0.0, 0.0, GRAVITY * (1.0 / share - 1.0))),
+            W=(hover, hover, hover, hover),
+        )
 
-    def actuate(self, state: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
+    def actuate(
+        self, state: Flight, setpoint: Array, reading: Instruments, dt: float
+    ) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
-        A setpoint that is not finite means hover; the stop `off` (a climb rate of -inf) disarms the craft for good: its rotors run out.
+        A setpoint that is not finite means hover; the stop `off` (a climb rate of -inf) disarms the
+        craft for good: its rotors run out.
         """
         attitude, ground, loops, W, _, armed, limited_s = state
         (gyro, force, speed, _, _), gains, craft = reading, self.gains, self.parameters
@@ -343,31 +507,41 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         armed = armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
             vx = vy = vz = wz = 0.0
-        # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the new attitude the new velocity.
+        # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the
+        # new attitude the new velocity.
         known = STILL if self.attitude.acceleration == "imu" else ground[2]
         attitude = attitude_step(attitude, gyro, force, known, self.attitude, dt)
         R = level(attitude.up)
         (gx, gy, gz), (bx, by, bz) = gyro, attitude.bias
         rates = gx - bx, gy - by, gz - bz
-        ground = flight_sensors.step(ground, R, speed, force, heading_rate(R, rates), self.velocity, dt)
+        ground = flight_sensors.step(
+            ground, R, speed, force, heading_rate(R, rates), self.velocity, dt
+        )
         if not armed:  # for good: nothing sets `armed` again
             W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt, craft)
             return Flight(attitude, ground, Loops(), W, rates, False), orders
         loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground[0], R, rates, gains, craft, dt)
         reference, cut = mix(thrust, torque, craft)
         W, orders = speed_control(W, reference, gains.rotor_s, dt, craft)
-        return Flight(attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0), orders
+        return Flight(
+            attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0
+        ), orders
 
     def stands(self, state: Flight, reading: Instruments) -> bool:
-        """Whether the ground carries the craft, by its own sensors: upright, near the ground, and it does not sink as commanded.
+        """Whether the ground carries the craft, by its own sensors: upright, near the ground, and
+        it does not sink as commanded.
 
-        Either its climb rate stays above the one that its setpoints should give (`Loops.model`), which shows at once; or, in a slow
-        descent, the climb loop has taken thrust away, to under .9 of the weight.
+        Either its climb rate stays above the one that its setpoints should give (`Loops.model`),
+        which shows at once; or, in a slow descent, the climb loop has taken thrust away, to under
+        .9 of the weight.
         """
-        upright = math.cos(state.attitude.roll) * math.cos(state.attitude.pitch) > math.cos(math.radians(30))
-        near = reading.range_m < STANDING_M + 0.05  # a margin for the range finder's noise and a few degrees of tilt
-        # The estimate's noise is .02 m/s. By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its
-        # feet slides off meanwhile.
+        upright = math.cos(state.attitude.roll) * math.cos(state.attitude.pitch) > math.cos(
+            math.radians(30)
+        )
+        # a margin for the range finder's noise and a few degrees of tilt
+        near = reading.range_m < STANDING_M + 0.05
+        # The estimate's noise is .02 m/s. By the rotors alone it takes .5 s and more; on a deck
+        # that moves, in wind, a craft light on its feet slides off meanwhile.
         stopped = state.armed and state.ground[0][2] - state.loops.model[2] > 0.12
         return upright and near and (stopped or sum(state.W) < 4 * 0.9 * self.parameters.hover)
 
@@ -383,4 +557,11 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
             overturned=state.overturned,
             stands=self.stands(state, reading),
         )
-        return FlightReading(NO_JOINTS, NO_JOINTS, tilt=tilt, range_m=reading.range_m, voltage_v=reading.voltage_v, estimate=estimate)
+        return FlightReading(
+            NO_JOINTS,
+            NO_JOINTS,
+            tilt=tilt,
+            range_m=reading.range_m,
+            voltage_v=reading.voltage_v,
+            estimate=estimate,
+        )

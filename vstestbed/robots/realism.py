@@ -1,4 +1,6 @@
-"""Presets of a robot's imperfections (`robot.realism`): sets of effects that are otherwise switched on one by one."""
+"""Presets of a robot's imperfections (`robot.realism`): sets of effects that are otherwise switched
+on one by one.
+"""
 
 from __future__ import annotations
 
@@ -37,15 +39,16 @@ def _preset_in(file: str) -> dict[str, Any]:
 class Realistic(Robot):
     """A robot with imperfections. Each is a block (or a number) of its own, None where it is off.
 
-    A subclass names in `presets` what each level fills when a robot is made. What is given stays: None switches an effect off, and a
-    mapping of some fields of a block has the other fields from the preset (an object of the block's class is whole).
-    `dataclasses.replace` gives every field, so that a level in it fills nothing: `at_level` makes the same robot at another level.
+    A subclass names in `presets` what each level fills when a robot is made. What is given stays:
+    None switches an effect off, and a mapping of some fields of a block has the other fields from
+    the preset (an object of the block's class is whole). `dataclasses.replace` gives every field,
+    so that a level in it fills nothing: `at_level` makes the same robot at another level.
 
     Args:
         effects: further imperfections, of kinds that plugins add; e.g. `[]`.
-        realism: imperfections that are not given: `none`, those of a well-kept robot in a `lab`, or those of one in the `field`, worn and
-            badly calibrated; or the name of a file with them, such as `vstestbed identify` writes it, which is read with the scenario;
-            e.g. `lab`.
+        realism: imperfections that are not given: `none`, those of a well-kept robot in a `lab`, or
+            those of one in the `field`, worn and badly calibrated; or the name of a file with them,
+            such as `vstestbed identify` writes it, which is read with the scenario; e.g. `lab`.
 
     Attributes:
         presets: by level, the fields that it fills and their values.
@@ -70,24 +73,40 @@ class Realistic(Robot):
             return given  # which is refused
         if level != "none" and level not in cls.presets:
             raise ParameterError(
-                "realism", f"fills nothing: {cls.__name__} has no preset of that name; works: none, and single effects", level
+                "realism",
+                (
+                    f"fills nothing: {cls.__name__} has no preset of that name;"
+                    " works: none, and single effects"
+                ),
+                level,
             )
         if isinstance(given, ArgsKwargs):
             cls._refuse_another_level(level, values)
         own: dict[str, Any] = dict(values)
         for name, preset in cls.presets.get(level, {}).items():
             value = own.setdefault(name, preset)
-            if isinstance(value, Mapping) and dataclasses.is_dataclass(preset):  # some fields of a block: the others are the preset's
-                own[name] = {**{f.name: getattr(preset, f.name) for f in dataclasses.fields(preset)}, **value}
+            # some fields of a block: the others are the preset's
+            if isinstance(value, Mapping) and dataclasses.is_dataclass(preset):
+                own[name] = {
+                    **{f.name: getattr(preset, f.name) for f in dataclasses.fields(preset)},
+                    **value,
+                }
         return ArgsKwargs((), own) if isinstance(given, ArgsKwargs) else own
 
     @classmethod
     def _refuse_another_level(cls, level: Level, values: Mapping[str, Any]) -> None:
-        """Refuse a level whose effects are all given, with the values of another level: it would fill nothing."""
+        """Refuse a level whose effects are all given, with the values of another level: it would
+        fill nothing.
+        """
         for other in LEVELS:
             filled = cls._filled(other)
-            if filled != cls._filled(level) and all(name in values and values[name] == value for name, value in filled.items()):
-                words = f"fills nothing here, where every effect is given as at {other}; works: robot.at_level({level!r})"
+            if filled != cls._filled(level) and all(
+                name in values and values[name] == value for name, value in filled.items()
+            ):
+                words = (
+                    f"fills nothing here, where every effect is given as at {other};"
+                    f" works: robot.at_level({level!r})"
+                )
                 raise ParameterError("realism", words, level)
 
     @classmethod
@@ -102,7 +121,9 @@ class Realistic(Robot):
         return self._filled(self.realism)
 
     def at_level(self, level: Level) -> Self:
-        """The same robot at another level, which fills anew what this one's level has filled; what differs from that stays."""
+        """The same robot at another level, which fills anew what this one's level has filled; what
+        differs from that stays.
+        """
         own: Any = brief_mapping(self)
         block = own if isinstance(own, Mapping) else {}
         return type(self)(**{**block, "realism": level})

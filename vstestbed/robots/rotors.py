@@ -1,4 +1,5 @@
-"""Four rotors in a plus: the craft's parameters, mixer with priorities at the rotors' limits, speed controllers.
+"""Four rotors in a plus: the craft's parameters, mixer with priorities at the rotors' limits, speed
+controllers.
 
 With squared speeds W = w^2 of front, right, back and left, arm d, thrust b W and drag torque k W:
 
@@ -19,35 +20,50 @@ from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import clip
-from vstestbed.core.quantity import GRAVITY, Mass, PositiveLength, PositiveRate, PositiveTime, TighterBounds
+from vstestbed.core.quantity import (
+    GRAVITY,
+    Mass,
+    PositiveLength,
+    PositiveRate,
+    PositiveTime,
+    TighterBounds,
+)
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
 from vstestbed.effects.body import Change, put
 
 LEAST_THRUST_TO_WEIGHT = 1.3
-"""The flight loops' largest tilt, 30 degrees, takes a thrust of 1.15 times the weight; under this limit no margin is left."""
-LEAST_TURN = 10.0  # least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27
+"""The flight loops' largest tilt, 30 degrees, takes a thrust of 1.15 times the weight; under this
+limit no margin is left.
+"""
+# least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's
+# is 27
+LEAST_TURN = 10.0
 HUB_M = 0.075  # radius of the hub, where the arms begin [m]
-Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]  # Moments of inertia about x, y and z [kg m^2]
+# Moments of inertia about x, y and z [kg m^2]
+Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
 
 
 @spec
 class QuadrotorParameters:
-    """Physical parameters of a quadrotor, which its flight loops know; the defaults are those of the X-4 Flyer.
+    """Physical parameters of a quadrotor, which its flight loops know; the defaults are those of
+    the X-4 Flyer.
 
     Args:
         mass_kg: mass of the whole craft [kg].
-        inertia_kgm2: moments of inertia about x, y and z [kg m^2]; None scales the X-4's, (.082, .082, .149), with mass_kg and the
-            square of arm_m; e.g. `[0.08, 0.08, 0.15]`.
+        inertia_kgm2: moments of inertia about x, y and z [kg m^2]; None scales the X-4's, (.082,
+            .082, .149), with mass_kg and the square of arm_m; e.g. `[0.08, 0.08, 0.15]`.
         arm_m: distance from the centre to each rotor [m].
-        rotor_radius_m: radius of the discs as drawn and as touched [m]; the thrust is `thrust_coefficient` alone.
+        rotor_radius_m: radius of the discs as drawn and as touched [m]; the thrust is
+            `thrust_coefficient` alone.
         thrust_coefficient: b, a rotor's thrust over its squared speed [N s^2].
         drag_coefficient: k, a rotor's drag torque over its squared speed [Nm s^2].
         rotor_speed_radps: largest speed of a rotor [rad/s].
         rotor_lag_s: time constant of w^2 behind its command, without a speed controller [s].
         drag_area_m2: air drag is -1/2 rho A |v| v with this A = C_d times area [m^2].
 
-    Reference: Pounds 2007, PhD thesis, Australian National University; models/quadrotor.xml has the details.
+    Reference: Pounds 2007, PhD thesis, Australian National University; models/quadrotor.xml has the
+    details.
     """
 
     mass_kg: Annotated[Mass, TighterBounds(ge=0.05, le=200)] = 4.0
@@ -72,18 +88,45 @@ class QuadrotorParameters:
             )
         a, b, c = sorted(self.inertia)
         if a + b < c:
-            words = f"must have no moment over the sum of the two others, as any body has; {c:g} is over {a + b:.4g}"
+            words = (
+                "must have no moment over the sum of the two others, as any body has;"
+                f" {c:g} is over {a + b:.4g}"
+            )
             raise ParameterError("inertia_kgm2", words, list(self.inertia))
         ratio = 4 * self.thrust_coefficient * self.limit / (self.mass_kg * GRAVITY)
         if ratio < LEAST_THRUST_TO_WEIGHT:
             need = LEAST_THRUST_TO_WEIGHT / ratio
-            words = f"leaves a thrust of {ratio:.3g} times the weight; to hover with a margin takes {LEAST_THRUST_TO_WEIGHT:g}. Works:"
-            ways = f"mass_kg up to {self.mass_kg / need:.3g}, or thrust_coefficient from {self.thrust_coefficient * need:.3g}"
-            raise ParameterError("mass_kg", f"{words} {ways}, or rotor_speed_radps from {self.rotor_speed_radps * math.sqrt(need):.4g}")
-        turn = 2 * self.arm_m * self.thrust_coefficient * min(self.hover, self.limit - self.hover) / max(self.inertia[:2])
+            words = (
+                f"leaves a thrust of {ratio:.3g} times the weight;"
+                f" to hover with a margin takes {LEAST_THRUST_TO_WEIGHT:g}. Works:"
+            )
+            ways = (
+                f"mass_kg up to {self.mass_kg / need:.3g},"
+                f" or thrust_coefficient from {self.thrust_coefficient * need:.3g}"
+            )
+            raise ParameterError(
+                "mass_kg",
+                (
+                    f"{words} {ways}, or rotor_speed_radps from"
+                    f" {self.rotor_speed_radps * math.sqrt(need):.4g}"
+                ),
+            )
+        turn = (
+            2
+            * self.arm_m
+            * self.thrust_coefficient
+            * min(self.hover, self.limit - self.hover)
+            / max(self.inertia[:2])
+        )
         if turn < LEAST_TURN:
-            words = f"lets the rotors turn the craft by {turn:.2g} rad/s^2, which takes {LEAST_TURN:g} to keep it level"
-            raise ParameterError("inertia_kgm2", f"{words}; works: moments up to {max(self.inertia[:2]) * turn / LEAST_TURN:.3g}")
+            words = (
+                f"lets the rotors turn the craft by {turn:.2g} rad/s^2,"
+                f" which takes {LEAST_TURN:g} to keep it level"
+            )
+            raise ParameterError(
+                "inertia_kgm2",
+                f"{words}; works: moments up to {max(self.inertia[:2]) * turn / LEAST_TURN:.3g}",
+            )
 
     @cached_property
     def inertia(self) -> Vector:
@@ -106,7 +149,8 @@ class QuadrotorParameters:
 
     @cached_property
     def yaw_torque(self) -> float:
-        """Largest yaw torque [Nm], of the X-4 .066. Yaw is weak, since only the rotors' drag torques turn a craft about z.
+        """Largest yaw torque [Nm], of the X-4 .066. Yaw is weak, since only the rotors' drag
+        torques turn a craft about z.
 
         It may use .6 of the rotors' margin at hover: the rest is for attitude and thrust.
         """
@@ -114,34 +158,69 @@ class QuadrotorParameters:
 
     @cached_property
     def yaw_slope(self) -> float:
-        """Slope of the yaw-rate command [rad/s^2]: .4 of the X-4, whose rotors can realise .45, and as much less of other craft."""
+        """Slope of the yaw-rate command [rad/s^2]: .4 of the X-4, whose rotors can realise .45, and
+        as much less of other craft.
+        """
         return 0.4 * ((self.yaw_torque / self.inertia[2]) / (X4.yaw_torque / X4.inertia[2]))
 
     @cached_property
     def units(self) -> Vector:
-        """Roll or pitch torque of a unit of r or p, thrust of a unit of t, yaw torque of a unit of y [Nm s^2, N s^2, Nm s^2]."""
-        return 2 * self.arm_m * self.thrust_coefficient, 4 * self.thrust_coefficient, 4 * self.drag_coefficient
+        """Roll or pitch torque of a unit of r or p, thrust of a unit of t, yaw torque of a unit of
+        y [Nm s^2, N s^2, Nm s^2].
+        """
+        return (
+            2 * self.arm_m * self.thrust_coefficient,
+            4 * self.thrust_coefficient,
+            4 * self.drag_coefficient,
+        )
 
     def changes(self, body_share: float = 1.0) -> tuple[Change, ...]:
-        """What makes the craft of the file, the X-4, this one; body_share: of its air drag, where a model of the rotors has the rest."""
+        """What makes the craft of the file, the X-4, this one; body_share: of its air drag, where a
+        model of the rotors has the rest.
+        """
         b, k = self.thrust_coefficient, self.drag_coefficient
         wide, d = self.arm_m / X4.arm_m, self.arm_m
-        found: list[Change] = [(put, "body", "base", "mass", self.mass_kg), (put, "body", "base", "inertia", self.inertia)]
-        found.append((put, "geom", "air", "fluid_coefs", (1.5915 * (body_share * self.drag_area_m2 / X4.drag_area_m2),)))
-        for name, x, y, turn in (("front", 1, 0, -1), ("right", 0, -1, 1), ("back", -1, 0, -1), ("left", 0, 1, 1)):
+        found: list[Change] = [
+            (put, "body", "base", "mass", self.mass_kg),
+            (put, "body", "base", "inertia", self.inertia),
+        ]
+        found.append(
+            (
+                put,
+                "geom",
+                "air",
+                "fluid_coefs",
+                (1.5915 * (body_share * self.drag_area_m2 / X4.drag_area_m2),),
+            )
+        )
+        for name, x, y, turn in (
+            ("front", 1, 0, -1),
+            ("right", 0, -1, 1),
+            ("back", -1, 0, -1),
+            ("left", 0, 1, 1),
+        ):
             along, half = (d + HUB_M) / 2, (d - HUB_M) / 2
             found += [
                 (put, "actuator", f"rotor_{name}", "gear", (0, 0, b, 0, 0, turn * k)),
                 (put, "actuator", f"rotor_{name}", "dynprm", (self.rotor_lag_s,)),
                 (put, "actuator", f"rotor_{name}", "ctrlrange", (0, self.limit)),
-                *((put, "geom", f"{part}_{name}", "pos", (x * d, y * d)) for part in ("motor", "disc", "blade")),
+                *(
+                    (put, "geom", f"{part}_{name}", "pos", (x * d, y * d))
+                    for part in ("motor", "disc", "blade")
+                ),
                 (put, "site", f"rotor_{name}", "pos", (x * d, y * d)),
                 (put, "geom", f"arm_{name}", "pos", (x * along, y * along)),
                 (put, "geom", f"arm_{name}", "size", (half, 0.011) if x else (0.011, half)),
                 (put, "geom", f"disc_{name}", "size", (self.rotor_radius_m,)),
                 (put, "geom", f"blade_{name}", "size", (self.rotor_radius_m - 0.005,)),
                 (put, "geom", f"foot_{name}", "pos", (x * 0.22 * wide, y * 0.22 * wide)),
-                (put, "geom", f"leg_{name}", "fromto", (*_at(x, y, 0.14 * wide, -0.008), *_at(x, y, 0.22 * wide, -0.16))),
+                (
+                    put,
+                    "geom",
+                    f"leg_{name}",
+                    "fromto",
+                    (*_at(x, y, 0.14 * wide, -0.008), *_at(x, y, 0.22 * wide, -0.16)),
+                ),
             ]
         return tuple(found)
 
@@ -154,20 +233,24 @@ X4 = QuadrotorParameters()  # the X-4 Flyer, of models/quadrotor.xml
 
 
 def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four, bool]:
-    """W (4,) of front, right, back and left within limits, for a thrust [N] and a torque (3,) [Nm]; and whether any of these was cut.
+    """W (4,) of front, right, back and left within limits, for a thrust [N] and a torque (3,) [Nm];
+    and whether any of these was cut.
 
-    At the limits roll and pitch come first, then thrust, then yaw: the mean is moved until the pairs' differences fit, and yaw gets
-    the margin that is left. Differences beyond the whole range are cut to it.
+    At the limits roll and pitch come first, then thrust, then yaw: the mean is moved until the
+    pairs' differences fit, and yaw gets the margin that is left. Differences beyond the whole range
+    are cut to it.
     """
-    # Attitude before thrust: a craft that is level can climb later; one that is not level accelerates sideways. Clipping each rotor
-    # by itself would lose roll and pitch torque whenever the thrust is high.
+    # Attitude before thrust: a craft that is level can climb later; one that is not level
+    # accelerates sideways. Clipping each rotor by itself would lose roll and pitch torque whenever
+    # the thrust is high.
     limit = craft.limit
     half = 0.5 * limit
     x, y, z = torque
     per_pair, per_four, per_yaw = craft.units
     r, p, t, y = x / per_pair, y / per_pair, thrust / per_four, z / per_yaw
     cut = False
-    if not (-half <= r <= half and -half <= p <= half):  # here and below: such a case is rare, and calls take time
+    # here and below: such a case is rare, and calls take time
+    if not (-half <= r <= half and -half <= p <= half):
         r, p, cut = clip(r, -half, half), clip(p, -half, half), True
     ar, ap = abs(r), abs(p)
     widest = ar if ar > ap else ap
@@ -179,20 +262,40 @@ def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four
     return (t - p - y, t - r + y, t + p - y, t + r + y), cut
 
 
-def speed_control(turning: Four, reference: Four, response_s: float, dt: float, craft: QuadrotorParameters) -> tuple[Four, Four]:
-    """Speed controllers: commands that make the rotors reach `reference` with the time constant `response_s` instead of their lag.
+def speed_control(
+    turning: Four, reference: Four, response_s: float, dt: float, craft: QuadrotorParameters
+) -> tuple[Four, Four]:
+    """Speed controllers: commands that make the rotors reach `reference` with the time constant
+    `response_s` instead of their lag.
 
-    u = W + (lag / response_s) (W_wanted - W), within 0 and the limit: lead compensation, bounded by full voltage. A real controller
-    measures its rotor's speed by commutation; this one predicts W by the lag's own equation.
+    u = W + (lag / response_s) (W_wanted - W), within 0 and the limit: lead compensation, bounded by
+    full voltage. A real controller measures its rotor's speed by commutation; this one predicts W
+    by the lag's own equation.
 
-    turning, reference: W of the rotors now and as commanded, (4,). response_s: [s], up to `craft.rotor_lag_s`.
-    dt: [s] until the next command. craft: whose rotors these are. Returns W after dt, and the commands u (4,).
+    turning, reference: W of the rotors now and as commanded, (4,). response_s: [s], up to
+    `craft.rotor_lag_s`.
+    dt: [s] until the next command. craft: whose rotors these are. Returns W after dt, and the
+    commands u (4,).
     """
     lag, limit = craft.rotor_lag_s, craft.limit
-    lead, ahead = lag / response_s, dt / (lag + 0.5 * dt)  # (1, 1) Pade of 1 - exp(-dt / lag): 1e-7 at 1 ms
+    # (1, 1) Pade of 1 - exp(-dt / lag): 1e-7 at 1 ms
+    lead, ahead = lag / response_s, dt / (lag + 0.5 * dt)
     a, b, c, d = turning
     A, B, C, D = reference
     ua, ub, uc, ud = a + lead * (A - a), b + lead * (B - b), c + lead * (C - c), d + lead * (D - d)
-    if not (0.0 <= ua <= limit and 0.0 <= ub <= limit and 0.0 <= uc <= limit and 0.0 <= ud <= limit):  # as in `mix`
-        ua, ub, uc, ud = clip(ua, 0.0, limit), clip(ub, 0.0, limit), clip(uc, 0.0, limit), clip(ud, 0.0, limit)
-    return (a + ahead * (ua - a), b + ahead * (ub - b), c + ahead * (uc - c), d + ahead * (ud - d)), (ua, ub, uc, ud)
+    # as in `mix`
+    if not (
+        0.0 <= ua <= limit and 0.0 <= ub <= limit and 0.0 <= uc <= limit and 0.0 <= ud <= limit
+    ):
+        ua, ub, uc, ud = (
+            clip(ua, 0.0, limit),
+            clip(ub, 0.0, limit),
+            clip(uc, 0.0, limit),
+            clip(ud, 0.0, limit),
+        )
+    return (
+        a + ahead * (ua - a),
+        b + ahead * (ub - b),
+        c + ahead * (uc - c),
+        d + ahead * (ud - d),
+    ), (ua, ub, uc, ud)

@@ -1,7 +1,8 @@
 """Defaults of ground vehicles: start, planar motion, log.
 
-A vehicle's configuration is (x, y, heading), shape (..., 3), [m, m, rad]; its frame lies on the floor with x forward and z up.
-Its motion is u = (vx, vy, wz) of that frame in its own axes, shape (..., 3), [m/s, m/s, rad/s].
+A vehicle's configuration is (x, y, heading), shape (..., 3), [m, m, rad]; its frame lies on the
+floor with x forward and z up. Its motion is u = (vx, vy, wz) of that frame in its own axes, shape
+(..., 3), [m/s, m/s, rad/s].
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Superviso
 from vstestbed.robots.realism import Realistic
 
 PLANE = np.zeros((6, 3))
-"""Selection matrix (6, 3): a planar motion (vx, vy, wz) as a body twist (v, w); its transpose projects a twist on the plane."""
+"""Selection matrix (6, 3): a planar motion (vx, vy, wz) as a body twist (v, w); its transpose
+projects a twist on the plane.
+"""
 PLANE[[0, 1, 5], [0, 1, 2]] = 1.0
 
 
@@ -58,18 +61,23 @@ class GroundStart:
     random: GroundBox | None = None
 
     def drawn(self, rng: np.random.Generator) -> GroundStart:
-        """A start whose nominal pose is drawn from the box, uniformly. Raises ParameterError: there is no box."""
+        """A start whose nominal pose is drawn from the box, uniformly. Raises ParameterError: there
+        is no box.
+        """
         at, box = self.nominal, random_of(self, "{x: .5, y: .5, heading_deg: 20}")
-        x, y, heading = (rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)).tolist()
+        x, y, heading = (
+            rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)
+        ).tolist()
         return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=heading), random=box)
 
 
 class VehicleLog(RobotLog):
     """Columns of a vehicle: places (x, y [m], heading [rad]) in the world, and its slip.
 
-    `base_` is the true place, `est_` the estimate from landmarks, compass and encoders, `odo_` dead reckoning by encoders alone from the
-    true start; `slip_mps` and `slip_radps` are the rates at which odometry and truth diverge from frame to frame (wheels that slide or turn
-    on the spot, a wrong wheel radius).
+    `base_` is the true place, `est_` the estimate from landmarks, compass and encoders, `odo_` dead
+    reckoning by encoders alone from the true start; `slip_mps` and `slip_radps` are the rates at
+    which odometry and truth diverge from frame to frame (wheels that slide or turn on the spot, a
+    wrong wheel radius).
 
     supervisor: the vehicle's. start: the true start (x, y, heading), shape (3,) [m, m, rad].
     """
@@ -93,11 +101,16 @@ class VehicleLog(RobotLog):
         # Of the first frame there is no step.
         slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
         self._before = state
-        return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip, super().row(state)])
+        return np.concatenate(
+            [place_of(state.T_world_base), state.place, dead_reckoning, slip, super().row(state)]
+        )
 
     def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
         """Dead reckoning from the start: the inverse of what `row` does with it."""
-        x, y, heading = (log[f"odo_{name}"] - at for name, at in zip(("x", "y", "heading"), self._start, strict=True))
+        x, y, heading = (
+            log[f"odo_{name}"] - at
+            for name, at in zip(("x", "y", "heading"), self._start, strict=True)
+        )
         c, s = self._turn
         return {"odo_x": c * x + s * y, "odo_y": c * y - s * x, "odo_heading": heading}
 
@@ -123,14 +136,18 @@ Value = TypeVar("Value", float, Array)
 
 @spec
 class Vehicle(Realistic):
-    """A robot on wheels that starts on the floor. Its allocation and its odometry go by the nominal vehicle, and know no imperfection.
+    """A robot on wheels that starts on the floor. Its allocation and its odometry go by the nominal
+    vehicle, and know no imperfection.
 
     Args:
-        wheel_spread: unequal radii of its wheels; none: all have the nominal one; e.g. `{sigma: 0.003}`.
-        rolling_resistance: torque on each wheel over its static load and radius [1]; none: that of its file; e.g. `0.02`.
-        drive_lag_s: time constant with which the drive follows the speed it is told, of first order [s]; none: it follows at once;
-            e.g. `0.1`.
-        uneven_floor: heights of the floor that its wheels meet; none: a plane; e.g. `{rms_m: 0.002}`.
+        wheel_spread: unequal radii of its wheels; none: all have the nominal one; e.g.
+            `{sigma: 0.003}`.
+        rolling_resistance: torque on each wheel over its static load and radius [1]; none: that of
+            its file; e.g. `0.02`.
+        drive_lag_s: time constant with which the drive follows the speed it is told, of first order
+            [s]; none: it follows at once; e.g. `0.1`.
+        uneven_floor: heights of the floor that its wheels meet; none: a plane; e.g.
+            `{rms_m: 0.002}`.
     """
 
     wheel_spread: WheelSpread | None = None
@@ -139,20 +156,32 @@ class Vehicle(Realistic):
     uneven_floor: UnevenFloor | None = None
 
     start: ClassVar[GroundStart]
-    imperfect_wheels: ClassVar[bool] = False  # Whether the class's model and drive follow the three fields of its wheels
+    imperfect_wheels: ClassVar[bool] = (
+        False  # Whether the class's model and drive follow the three fields of its wheels
+    )
     base: ClassVar[Base] = "planar"
     proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)  # x of its rear and of its front end in the base frame [m]
+    # x of its rear and of its front end in the base frame [m]
+    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
     turning_radius_m: ClassVar[float] = 0.0  # of its tightest circle [m]; 0: it turns on the spot
     top_speed_mps: ClassVar[float] = np.inf  # largest forward speed [m/s]
-    # Whether its measured heading has noise drawn from the seed; this matters where the place is estimated from landmarks.
+    # Whether its measured heading has noise drawn from the seed; this matters where the place is
+    # estimated from landmarks.
     draws_heading: ClassVar[bool] = False
 
     @model_validator(mode="after")
     def _refuse_what_it_has_not(self) -> Self:
-        for name in () if self.imperfect_wheels else ("wheel_spread", "rolling_resistance", "drive_lag_s"):
+        for name in (
+            () if self.imperfect_wheels else ("wheel_spread", "rolling_resistance", "drive_lag_s")
+        ):
             if getattr(self, name) is not None:
-                raise ParameterError.only_for(name, f"robots whose class says `imperfect_wheels`, and {type(self).__name__} does not")
+                raise ParameterError.only_for(
+                    name,
+                    (
+                        "robots whose class says `imperfect_wheels`,"
+                        f" and {type(self).__name__} does not"
+                    ),
+                )
         return self
 
     @property
@@ -164,10 +193,14 @@ class Vehicle(Realistic):
     def draws(self) -> bool:
         """Wheels whose errors are not listed, a floor whose seed is not given."""
         wheels, floor = self.wheel_spread, self.uneven_floor
-        return (wheels is not None and wheels.sigma > 0) or (floor is not None and floor.seed is None)
+        return (wheels is not None and wheels.sigma > 0) or (
+            floor is not None and floor.seed is None
+        )
 
     def drawn(self, rng: np.random.Generator) -> Self:
-        """The same vehicle with wheels and a floor of its own, drawn from `rng`: each the same with the other as without."""
+        """The same vehicle with wheels and a floor of its own, drawn from `rng`: each the same with
+        the other as without.
+        """
         of_wheels, of_floor = rng.spawn(2)
         wheels = self.wheel_spread and self.wheel_spread.drawn(of_wheels)
         floor = self.uneven_floor and self.uneven_floor.drawn(of_floor)
@@ -180,11 +213,15 @@ class Vehicle(Realistic):
         return self.start.nominal.place
 
     def flange_pose(self, configuration: Array) -> Array:
-        """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
+        """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame,
+        on the floor.
+        """
         return pose_on_ground(configuration)
 
     def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
-        """Its dead reckoning: (x, y, heading) from its start [m, m, rad]. Not its joints, which in a model without wheels are the place."""
+        """Its dead reckoning: (x, y, heading) from its start [m, m, rad]. Not its joints, which in
+        a model without wheels are the place.
+        """
         return np.zeros(3) if odometry is None else odometry
 
     def log(self, supervisor: Supervisor) -> RobotLog:
@@ -198,8 +235,14 @@ class Vehicle(Realistic):
         """The same vehicle from another place (x, y, heading)."""
         x, y, heading = configuration.tolist()
         nominal = GroundPose(x=x, y=y, heading_deg=math.degrees(heading))
-        return dataclasses.replace(self, start=GroundStart(nominal=nominal, random=self.start.random))
+        return dataclasses.replace(
+            self, start=GroundStart(nominal=nominal, random=self.start.random)
+        )
 
     def lagged(self, now: Value, order: Value, dt: float) -> Value:
-        """What the drive follows after dt [s] of an order, from what it follows now, (n,) each: y' = (order - y) / drive_lag_s, exactly."""
-        return order + (now - order) * math.exp(-dt / self.drive_lag_s) if self.drive_lag_s else order
+        """What the drive follows after dt [s] of an order, from what it follows now, (n,) each:
+        y' = (order - y) / drive_lag_s, exactly.
+        """
+        return (
+            order + (now - order) * math.exp(-dt / self.drive_lag_s) if self.drive_lag_s else order
+        )

@@ -1,4 +1,6 @@
-"""Bags of others, element by element: what is broken is passed over and counted, and nothing unpacks without a bound."""
+"""Bags of others, element by element: what is broken is passed over and counted, and nothing
+unpacks without a bound.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,9 @@ from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.ros.messages import NS, Message, PassedOver, from_cdr, stamp, time_of
 
 WORKS = (
-    "a folder of rosbag2, or its MCAP or .db3 file; `mcap recover FILE -o OUT`, or `sqlite3 FILE.db3 .recover`,"
-    " mends one that was cut off, `ros2 bag reindex` a folder, `rosbags-convert` makes one of ROS 1"
+    "a folder of rosbag2, or its MCAP or .db3 file;"
+    " `mcap recover FILE -o OUT`, or `sqlite3 FILE.db3 .recover`, mends one that was cut off,"
+    " `ros2 bag reindex` a folder, `rosbags-convert` makes one of ROS 1"
 )
 MOST_BAG, MOST_METADATA = 1 << 36, 1 << 19  # bytes of a bag's file, and of its metadata.yaml
 LONGEST_QOS = 1000  # characters that tell how a topic is transmitted
@@ -45,7 +48,9 @@ def refusal(path: object, why: str, works: str) -> RunFolderError:
 
 @contextmanager
 def of_bag(path: Path) -> Iterator[None]:
-    """Turn what a library raises of a bag into RunFolderError: also for want of memory, of which a broken length asks any amount."""
+    """Turn what a library raises of a bag into RunFolderError: also for want of memory, of which a
+    broken length asks any amount.
+    """
     try:
         with foreign(path, WORKS, refusal):
             yield
@@ -53,7 +58,8 @@ def of_bag(path: Path) -> Iterator[None]:
         raise refusal(path, error.lack, WORKS) from error
 
 
-# Of some kilobytes a bomb unpacks to more than a memory or a disk holds, and rosbags and mcap unpack whatever there is.
+# Of some kilobytes a bomb unpacks to more than a memory or a disk holds, and rosbags and mcap
+# unpack whatever there is.
 class _Unpacked(zstd.ZstdFile):
     """A packed file that unpacks to at most half of what is free where rosbags puts it."""
 
@@ -91,7 +97,9 @@ def _bounded(connection: Any) -> None:
 
 
 def _qos(told: Any) -> Any:
-    """What rosbags makes of a topic's quality of service: nothing of a text that is broken, or so long that it could take hours."""
+    """What rosbags makes of a topic's quality of service: nothing of a text that is broken, or so
+    long that it could take hours.
+    """
     with suppress(Exception):  # whatever it raises: it is not used here
         return parse_qos(told) if len(told) < LONGEST_QOS else []
     return []
@@ -101,8 +109,8 @@ _open_whole = mcap.McapReader._open
 
 
 def _open_mcap(reader: Any) -> None:
-    """Open an MCAP file. Of one that was cut off, what lies before the break is indexed, record by record, from its start: `cut_at` is
-    the byte where it breaks.
+    """Open an MCAP file. Of one that was cut off, what lies before the break is indexed, record by
+    record, from its start: `cut_at` is the byte where it breaks.
     """
     try:
         _open_whole(reader)
@@ -112,7 +120,8 @@ def _open_mcap(reader: Any) -> None:
         _index(reader)
 
 
-NO_END = "File end magic is invalid."  # how rosbags says that a file lacks its end, having read its beginning
+# how rosbags says that a file lacks its end, having read its beginning
+NO_END = "File end magic is invalid."
 OPCODE_CHUNK, LAST_OPCODE = 0x06, 0x0F  # of the format's records: https://mcap.dev/spec#records
 RECORD_HEAD, CHUNK_HEAD = struct.Struct("<BQ"), struct.Struct("<QQQII")
 
@@ -137,10 +146,16 @@ def _index(reader: Any) -> None:
     reader.cut_at = reader.data_end = at
     reader.meta_scan()
     told = reader.statistics
-    reader.metadata = reader.metadata._replace(start_time=told.start_time, end_time=told.end_time + 1, message_count=told.message_count)
+    reader.metadata = reader.metadata._replace(
+        start_time=told.start_time, end_time=told.end_time + 1, message_count=told.message_count
+    )
     any_channel = dict.fromkeys(reader.channels, 1)
     for first, last, start, length, packing, packed, unpacked in found:
-        reader.chunks.append(mcap.ChunkInfo(first, last, start, length, {}, 0, packing, packed, unpacked, any_channel))
+        reader.chunks.append(
+            mcap.ChunkInfo(
+                first, last, start, length, {}, 0, packing, packed, unpacked, any_channel
+            )
+        )
 
 
 mcap.McapReader._open = _open_mcap
@@ -152,7 +167,9 @@ folders.zstd = SimpleNamespace(decompress=of_zstd, open=_open)  # all that is ca
 
 
 def checked(path: Path) -> Path:
-    """The path of a bag whose files are regular, and of a size that is read; RunFolderError for others, or where nothing is."""
+    """The path of a bag whose files are regular, and of a size that is read; RunFolderError for
+    others, or where nothing is.
+    """
     if not path.exists():
         raise RunFolderError(path, "no such file or folder", WORKS)
     with of_bag(path):
@@ -163,7 +180,9 @@ def checked(path: Path) -> Path:
 
 
 class Event(NamedTuple):
-    """A message of a bag: what it is here (`image_raw`, `depth`, `twist`, or a topic of `sensors_of`), its topic, when it came [s]."""
+    """A message of a bag: what it is here (`image_raw`, `depth`, `twist`, or a topic of
+    `sensors_of`), its topic, when it came [s].
+    """
 
     role: str
     topic: str
@@ -172,7 +191,8 @@ class Event(NamedTuple):
 
 
 class BagFile:
-    """An open bag of ROS 2. kinds: the message types of its topics. passed: where what cannot be used is counted.
+    """An open bag of ROS 2. kinds: the message types of its topics. passed: where what cannot be
+    used is counted.
     Raises RunFolderError: it cannot be read.
     """
 
@@ -184,17 +204,30 @@ class BagFile:
             self._reader: Any = Reader(path)
             self._reader.open()
             # Types mean what they mean here, whatever definitions a bag has of them.
-            self.kinds = {c.topic: c.msgtype for c in self._reader.connections if c.ext.serialization_format == "cdr"}
+            self.kinds = {
+                c.topic: c.msgtype
+                for c in self._reader.connections
+                if c.ext.serialization_format == "cdr"
+            }
             whole = self._reader.storage
             files = getattr(whole, "storages", [whole])
             for one in [whole, *files]:
-                # Where metadata and file tell another quality of service, rosbags finds no message of the topic.
-                one.connections = [c._replace(ext=c.ext._replace(offered_qos_profiles=[])) for c in one.connections]
+                # Where metadata and file tell another quality of service, rosbags finds no message
+                # of the topic.
+                one.connections = [
+                    c._replace(ext=c.ext._replace(offered_qos_profiles=[])) for c in one.connections
+                ]
             for one in files:
                 if (cut_at := getattr(one, "cut_at", None)) is not None:
                     if not self.kinds:
-                        raise refusal(one.path, f"it was cut off at byte {cut_at}, before its first message", WORKS)
-                    words = f"the file ends in the middle, at byte {cut_at}: what came before is used"
+                        raise refusal(
+                            one.path,
+                            f"it was cut off at byte {cut_at}, before its first message",
+                            WORKS,
+                        )
+                    words = (
+                        f"the file ends in the middle, at byte {cut_at}: what came before is used"
+                    )
                     passed.lost(path, one.metadata.end_time / NS, refusal(one.path, words, WORKS))
             self._parts = [(one, part) for one in files for part in _parts(one)]
 
@@ -203,14 +236,18 @@ class BagFile:
         self._reader.close()
 
     def messages(self, roles: Mapping[str, str]) -> Iterator[Event]:
-        """Messages of topics, by their roles, as they came. Where all stamps of a topic are the same, the times of receipt stand in."""
+        """Messages of topics, by their roles, as they came. Where all stamps of a topic are the
+        same, the times of receipt stand in.
+        """
         stamps: dict[str, list[float]] = {topic: [] for topic in roles}
         for one in itertools.islice(self._decoded(roles, PassedOver()), LOOKED_AT):
             stamps[one.topic].append(time_of(one.message))
         for one in self._decoded(roles, self._passed):
             if len(stamps[one.topic]) > 1 and len({*stamps[one.topic]}) == 1:
                 words = "are all the same: the times at which the bag received them stand in"
-                self._passed.note(one.topic, one.arrived, ParameterError("stamps", words, time_of(one.message)))
+                self._passed.note(
+                    one.topic, one.arrived, ParameterError("stamps", words, time_of(one.message))
+                )
                 one.message.header.stamp = stamp(one.arrived)
             yield one
 
@@ -227,7 +264,9 @@ class BagFile:
                 yield Event(roles[topic], topic, self._at, message)
 
     def _raw(self, topics: Collection[str], passed: PassedOver) -> Iterator[tuple[Any, Any, Any]]:
-        """Connection, time [ns] and bytes; a part of the file that cannot be read costs no other."""
+        """Connection, time [ns] and bytes; a part of the file
+        that cannot be read costs no other.
+        """
         those = [c for c in self._reader.connections if c.topic in topics]
         for storage, chunks in self._parts:
             storage.chunks = chunks
@@ -242,7 +281,9 @@ class BagFile:
 
 
 def _parts(storage: Any) -> list[list[Any]]:
-    """Chunks of an MCAP file by time, those together that overlap; one part of a file that has none."""
+    """Chunks of an MCAP file by time, those together that overlap; one part of a file that has
+    none.
+    """
     parts: list[list[Any]] = []
     end = -math.inf
     for chunk in sorted(getattr(storage, "chunks", []), key=lambda one: one.message_start_time):

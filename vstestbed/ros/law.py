@@ -1,4 +1,6 @@
-"""The law as a node: pictures and readings of a robot in, twists out, for a real robot or the simulated one."""
+"""The law as a node: pictures and readings of a robot in, twists out, for a real robot or the
+simulated one.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +45,15 @@ from vstestbed.tasks.frame import Cycle
 
 REMEMBERED = 400  # readings of each topic, two seconds of joints at 200 Hz
 OF_CLOCK_S = 10.0  # stamps this near to a running `/clock` are of it, and so are all that follow
-WALL_S = 3600.0  # stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
-WAIT_S = 1.0  # for how long a picture waits for the reading of its exposure, unless the next picture comes first [s]
+# stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
+WALL_S = 3600.0
+# for how long a picture waits for the reading of its exposure, unless the next picture comes first
+# [s]
+WAIT_S = 1.0
 RESTART_S = 5.0  # a clock that goes back by more has begun anew [s]
-DRIFT = 2e-4  # by so much a camera's clock may be slower than this machine's; a queue that grows no faster is not noticed [s/s]
+# by so much a camera's clock may be slower than this machine's; a queue that grows no faster is not
+# noticed [s/s]
+DRIFT = 2e-4
 LONGEST_S = 10.0  # a watchdog that lets a twist stand for longer is none [s]
 CLOCK_SET = "by the node's own clock; if the camera's was set or started anew, start this node anew"
 SET_CLOCKS = "set the clocks of both machines by NTP"
@@ -59,22 +66,37 @@ def command_topic(scenario: Scenario) -> str:
 
 
 def command_frame(scenario: Scenario) -> str:
-    """In which frame twists are: the camera's, which arms take; the body's of a base, and of an arm in front of a camera in the room."""
+    """In which frame twists are: the camera's, which arms take; the body's of a base, and of an arm
+    in front of a camera in the room.
+    """
     by_camera = scenario.robot.base == "fixed" and not scenario.target.on_gripper
     return OPTICAL if by_camera else body_frame(scenario.robot)
 
 
 def sent(scenario: Scenario, mount: Mount, order: Order, q: Array) -> Array:
-    """The twist (6,) of an order in the frame in which twists are sent; of a robot whose joints are at q."""
-    return order.twist if command_frame(scenario) == OPTICAL else mount_at(scenario, mount, q).to_flange @ order.twist
+    """The twist (6,) of an order in the frame in which twists are sent; of a robot whose joints are
+    at q.
+    """
+    return (
+        order.twist
+        if command_frame(scenario) == OPTICAL
+        else mount_at(scenario, mount, q).to_flange @ order.twist
+    )
 
 
 def watchdog_of(scenario: Scenario, given: float | None) -> float:
-    """The time without the other side after which a node rests [s]; by default for as long as an order lasts. ParameterError: no time."""
+    """The time without the other side after which a node rests [s]; by default for as long as an
+    order lasts. ParameterError: no time.
+    """
     watchdog_s = given or scenario.timing.order_s(scenario.camera)
     if not 0 < watchdog_s <= LONGEST_S:
-        words = "for so long the last twist may stand; by default it is as long as an order lasts (`timing.command_timeout_s`)"
-        raise ParameterError.bound("--watchdog", "between", f"0 and {LONGEST_S:g} s", watchdog_s, words)
+        words = (
+            "for so long the last twist may stand;"
+            " by default it is as long as an order lasts (`timing.command_timeout_s`)"
+        )
+        raise ParameterError.bound(
+            "--watchdog", "between", f"0 and {LONGEST_S:g} s", watchdog_s, words
+        )
     return watchdog_s
 
 
@@ -82,7 +104,9 @@ Heard = TypeVar("Heard")
 
 
 def _remember(known: list[tuple[float, Heard]], t: float, heard: Heard) -> None:
-    """Put what was heard in its place by time: a reading of an exposure may come after a later one; of one time the newer counts."""
+    """Put what was heard in its place by time: a reading of an exposure may come after a later one;
+    of one time the newer counts.
+    """
     if known and t < known[-1][0] - RESTART_S:
         known.clear()
     after = bisect.bisect_left(known, t, key=lambda one: one[0])
@@ -97,7 +121,8 @@ def _nearest(known: list[tuple[float, Heard]], t: float) -> tuple[float, Heard]:
 
 
 class Senses:
-    """What was heard of a robot, by time: readings are found for the exposure of a picture, and for now.
+    """What was heard of a robot, by time: readings are found for the exposure of a picture, and for
+    now.
 
     robot: whose. near_s: a reading further than this from an exposure is none of it [s].
     """
@@ -111,8 +136,8 @@ class Senses:
         self._lock = threading.Lock()
 
     def hear(self, topic: str, message: Message) -> None:
-        """Remember a message of a topic of `sensors_of`; joints of another device, such as a gripper, are passed over and counted, and so
-        is what has numbers that are none.
+        """Remember a message of a topic of `sensors_of`; joints of another device, such as a
+        gripper, are passed over and counted, and so is what has numbers that are none.
         """
         t = time_of(message)
         with self._lock:
@@ -129,7 +154,9 @@ class Senses:
             _remember(self._heard[topic], t, message)
 
     def clear(self) -> None:
-        """Forget all: what is heard from now on may be of another run of the robot, at the same times."""
+        """Forget all: what is heard from now on may be of another run of the robot, at the same
+        times.
+        """
         with self._lock:
             self._joints.clear()
             for known in self._heard.values():
@@ -141,11 +168,14 @@ class Senses:
             return all(known and known[-1][0] >= stamp - 1e-9 for known in self._heard.values())
 
     def at(self, stamp: float | None = None) -> Reading:
-        """The reading at a time [s], of joints by a straight line between two messages; None: the newest.
-        ParameterError: nothing was heard of a topic, or nothing near to that time.
+        """The reading at a time [s], of joints by a straight line between two messages; None: the
+        newest. ParameterError: nothing was heard of a topic, or nothing near to that time.
         """
         with self._lock:
-            known, joints = {topic: list(messages) for topic, messages in self._heard.items()}, list(self._joints)
+            known, joints = (
+                {topic: list(messages) for topic, messages in self._heard.items()},
+                list(self._joints),
+            )
         if self._others and not joints:
             raise ParameterError(self._others)
         near = math.inf if stamp is None else stamp
@@ -153,13 +183,20 @@ class Senses:
         reading = reading_of(self._robot, {name: message for name, (_, message) in found.items()})
         for name, (t, _) in found.items():
             if stamp is not None and abs(t - stamp) > self._near_s:
-                words = f"of {name} nearest to the picture of {stamp:.3f} s is of {t:.3f} s; are both stamped by one clock?"
+                words = (
+                    f"of {name} nearest to the picture of {stamp:.3f} s is of {t:.3f} s;"
+                    " are both stamped by one clock?"
+                )
                 raise ParameterError("readings", words)
         return reading if not joints else replace(reading, **self._between(joints, stamp))
 
     @staticmethod
-    def _between(joints: list[tuple[float, tuple[Array, Array]]], stamp: float | None) -> dict[str, Array]:
-        """Positions and velocities at a time; velocities that the driver does not tell are those of the way between two messages."""
+    def _between(
+        joints: list[tuple[float, tuple[Array, Array]]], stamp: float | None
+    ) -> dict[str, Array]:
+        """Positions and velocities at a time; velocities that the driver does not tell are those of
+        the way between two messages.
+        """
         times = [t for t, _ in joints]
         stamp = times[-1] if stamp is None else stamp
         after = min(max(int(np.searchsorted(times, stamp, side="left")), 1), len(joints) - 1)
@@ -173,9 +210,11 @@ class Senses:
 
 
 class Feed:
-    """The controller of a scenario, fed with messages: its clock begins with the first picture. It is the same for a node and for a bag.
+    """The controller of a scenario, fed with messages: its clock begins with the first picture. It
+    is the same for a node and for a bag.
 
-    scenario: whose detector, law, calibration and robot work. live: stamps are of this machine's clock where they are near to it.
+    scenario: whose detector, law, calibration and robot work. live: stamps are of this machine's
+    clock where they are near to it.
     """
 
     def __init__(self, scenario: Scenario, live: bool = True):
@@ -184,18 +223,24 @@ class Feed:
         self.controller = Controller(scenario)
         self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
         self.mount = Mount.of(scenario.believed_camera.mount.T)
-        self._order_s, self._latest_s = scenario.timing.order_s(scenario.camera), scenario.timing.latest_s(scenario.camera)
+        self._order_s, self._latest_s = (
+            scenario.timing.order_s(scenario.camera),
+            scenario.timing.latest_s(scenario.camera),
+        )
         self.began: float | None = None
         self.controller.simulates(not live)
         # Which clock stamps are of, and how late pictures came, outlive a reset: a queue does, too.
         self.by_wall, self.hint = False, ""
-        # The own clock minus the stamp, of another clock: of the task's first picture, and the sooner ones of two that followed each other.
+        # The own clock minus the stamp, of another clock: of the task's first picture, and the
+        # sooner ones of two that followed each other.
         self._first_s = self._soonest_s = math.inf
         self._last, self._newest, self._heard_s = (-math.inf, math.inf), -math.inf, 0.0
         self.depth: Message | None = None
 
     def reset(self) -> None:
-        """Begin the task anew with the next picture. How late pictures came so far is kept, unless stamps begin anew."""
+        """Begin the task anew with the next picture. How late pictures came so far is kept, unless
+        stamps begin anew.
+        """
         self.controller.reset()
         self.began, self.depth, self._first_s = None, None, math.inf
 
@@ -205,17 +250,24 @@ class Feed:
         last = self.controller.before
         return None if last is None or self.began is None else self.began + last.t
 
-    def step(self, message: Message, arrived: float | None = None, heard: float | None = None) -> Cycle:
-        """One control step for a picture. arrived: when it came [s], by the clock of the stamps; None: after `camera.latency_s`, or as the
-        own clock tells: heard, when it came by a clock that goes on while the robot moves [s]; None: time is simulated.
-        ParameterError: see `Controller.step`; an encoding that is not read; no reading near to the exposure.
+    def step(
+        self, message: Message, arrived: float | None = None, heard: float | None = None
+    ) -> Cycle:
+        """One control step for a picture. arrived: when it came [s], by the clock of the stamps;
+        None: after `camera.latency_s`, or as the own clock tells: heard, when it came by a clock
+        that goes on while the robot moves [s]; None: time is simulated. ParameterError: see
+        `Controller.step`; an encoding that is not read; no reading near to the exposure.
         """
         stamp = time_of(message)
         picture = picture_of(message)
         given = self.senses.at(stamp), self.senses.at()
         depth = None if self.depth is None else self._depth_at(stamp, self.depth)
-        # Once it is the clock of this machine, a stamp far from it is wrong. One of 0, before a driver has begun, tells nothing.
-        self.by_wall, self.hint = self.by_wall or (self._live and abs(time.time() - stamp) < WALL_S), ""
+        # Once it is the clock of this machine, a stamp far from it is wrong. One of 0, before a
+        # driver has begun, tells nothing.
+        self.by_wall, self.hint = (
+            self.by_wall or (self._live and abs(time.time() - stamp) < WALL_S),
+            "",
+        )
         if self._live:
             self.controller.simulates(heard is None)
         if arrived is None and self.by_wall:
@@ -229,15 +281,21 @@ class Feed:
         return self.controller.step(picture, stamp - self.began, given, now, depth=depth)
 
     def _arrived(self, stamp: float) -> float:
-        """When a picture comes that is stamped by this machine's clock [s]. ParameterError: its stamp is far ahead, and tells no age."""
+        """When a picture comes that is stamped by this machine's clock [s]. ParameterError: its
+        stamp is far ahead, and tells no age.
+        """
         now = time.time()
         if stamp - now > self._order_s:
-            raise ParameterError(f"the picture's stamp is {stamp - now:.3g} s ahead of this machine's clock; {SET_CLOCKS}")
+            raise ParameterError(
+                f"the picture's stamp is {stamp - now:.3g} s ahead of this machine's clock;"
+                f" {SET_CLOCKS}"
+            )
         return now
 
     def _arrived_by(self, stamp: float, heard: float) -> float:
-        """When a picture comes, by a clock of which no more is known than this [s]: its age is unknown, but not by how much it grows, of
-        stamps that hardly advance, or a queue that fills. A single stamp that is ahead counts for no longer than its task.
+        """When a picture comes, by a clock of which no more is known than this [s]: its age is
+        unknown, but not by how much it grows, of stamps that hardly advance, or a queue that fills.
+        A single stamp that is ahead counts for no longer than its task.
         """
         if stamp == 0:  # it tells nothing
             return heard - min(self._first_s, self._soonest_s, heard)
@@ -254,13 +312,17 @@ class Feed:
         return heard - min(self._first_s, self._soonest_s, behind_s)
 
     def clock_told(self, now: float, heard: float) -> None:
-        """The `/clock` of the stamps told a time [s], when the own clock told another: where it ends, that goes on from there."""
+        """The `/clock` of the stamps told a time [s], when the own clock told another: where it
+        ends, that goes on from there.
+        """
         self._first_s = self._soonest_s = heard - now
         self._last, self._newest, self._heard_s = (now, heard - now), now, heard
 
     def _depth_at(self, stamp: float, message: Message) -> DepthImage:
         if self._live and abs(time_of(message) - stamp) > self._order_s:
-            raise ParameterError("depth", f"is of {time_of(message):.3f} s, and the picture of {stamp:.3f} s")
+            raise ParameterError(
+                "depth", f"is of {time_of(message):.3f} s, and the picture of {stamp:.3f} s"
+            )
         return depth_of(message)
 
     def silent(self, elapsed_s: float) -> Order:
@@ -275,33 +337,46 @@ class Feed:
 
 
 class LawNode:
-    """The node: it serves `~/start`, `~/stop` and `~/reset`, and says in `~/status` what it does. A stop is latched: no twist but zero
-    leaves it until `~/start`, whatever it sees.
+    """The node: it serves `~/start`, `~/stop` and `~/reset`, and says in `~/status` what it does. A
+    stop is latched: no twist but zero leaves it until `~/start`, whatever it sees.
 
-    link: to the others. watchdog_s: wall time without a new picture after which zero is sent [s]; by default for as long as an order lasts.
+    link: to the others. watchdog_s: wall time without a new picture after which zero is sent [s];
+    by default for as long as an order lasts.
     started: servo at once; else with `~/start`.
     """
 
-    def __init__(self, scenario: Scenario, link: Link, watchdog_s: float | None = None, started: bool = False):
+    def __init__(
+        self, scenario: Scenario, link: Link, watchdog_s: float | None = None, started: bool = False
+    ):
         self.servo, self.link, self.scenario = Feed(scenario), link, scenario
         self.watchdog_s = watchdog_of(scenario, watchdog_s)
         self._stopped = "" if started else "not started"
         self._asked_to_reset = self._moved = False  # moved: it has sent a twist since it was reset
-        self._picture: tuple[Message, float, float] | None = None  # with the times of the own clock and `/clock` at which it was heard
-        self._fresh, self._fresh_clock_s = time.monotonic(), math.nan  # when the last new picture was heard
+        self._picture: tuple[Message, float, float] | None = (
+            None  # with the times of the own clock and `/clock` at which it was heard
+        )
+        # when the last new picture was heard
+        self._fresh, self._fresh_clock_s = time.monotonic(), math.nan
         self._moves = self._spins = False  # moves: the twist in force is none of rest
-        self._clock_s, self._ticked_at = math.nan, -math.inf  # of `/clock`, and when it last advanced, by the own clock
+        # of `/clock`, and when it last advanced, by the own clock
+        self._clock_s, self._ticked_at = math.nan, -math.inf
         self._clock_anew = False  # its next time counts, although it may be an earlier one
-        self._order_of = -math.inf, math.nan  # when the twist in force was given, by both clocks: by a picture, when that was heard
+        # when the twist in force was given, by both clocks: by a picture, when that was heard
+        self._order_of = -math.inf, math.nan
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self._of_clock = False  # the pictures are stamped by a `/clock` that has run
-        self._simulated = False  # and it runs: pictures, orders and the law's work are as old as it says, and in lockstep it stands
+        # and it runs: pictures, orders and the law's work are as old as it says, and in lockstep it
+        # stands
+        self._simulated = False
         self._news = threading.Condition()
         self._status = ""
         self.took_s: list[float] = []
         for name, kind in sensors_of(scenario.robot).items():
             link.subscribe(name, kind, lambda message, name=name: self._sensed(name, message))
-        for name, kind in (("/vstestbed_robot/image_raw", IMAGE), ("/vstestbed_robot/image_raw/compressed", COMPRESSED)):
+        for name, kind in (
+            ("/vstestbed_robot/image_raw", IMAGE),
+            ("/vstestbed_robot/image_raw/compressed", COMPRESSED),
+        ):
             link.subscribe(name, kind, self._seen)
         link.subscribe("/clock", CLOCK, self._ticked)
         if scenario.law.depth.measured:
@@ -317,7 +392,8 @@ class LawNode:
 
     def _seen(self, message: Message) -> None:
         with self._news:
-            self._picture = message, time.monotonic(), self._clock_s  # the newest: one that the law had no time for is past
+            # the newest: one that the law had no time for is past
+            self._picture = message, time.monotonic(), self._clock_s
             self._news.notify()
 
     def _ticked(self, message: Message) -> None:
@@ -326,8 +402,9 @@ class LawNode:
             self._clock_s, self._ticked_at, self._clock_anew = told, time.monotonic(), False
 
     def _by_clock(self, stamp: float) -> bool:
-        """Whether a stamp is of a `/clock` that runs, and simulated; not of a dead one, or of somebody else. Before the first twist it
-        stands still in lockstep, where the robot waits for one. Once stamps were of it, one that is far from it is late, or wrong.
+        """Whether a stamp is of a `/clock` that runs, and simulated; not of a dead one, or of
+        somebody else. Before the first twist it stands still in lockstep, where the robot waits for
+        one. Once stamps were of it, one that is far from it is late, or wrong.
         """
         runs = time.monotonic() - self._ticked_at < self.watchdog_s
         near = abs(self._clock_s - stamp) < OF_CLOCK_S and abs(self._clock_s - time.time()) > WALL_S
@@ -337,15 +414,21 @@ class LawNode:
         return (runs and self._of_clock) or (near and not self._moved)
 
     def _arrived(self, stamp: float) -> float | None:
-        """When a picture came by `/clock`, where it is late [s]. ParameterError: its stamp is of the future."""
+        """When a picture came by `/clock`, where it is late [s]. ParameterError: its stamp is of
+        the future.
+        """
         if not self._simulated:
             return None
         if stamp - self._clock_s > OF_CLOCK_S:
-            raise ParameterError(f"the picture's stamp is {stamp - self._clock_s:.3g} s ahead of /clock")
+            raise ParameterError(
+                f"the picture's stamp is {stamp - self._clock_s:.3g} s ahead of /clock"
+            )
         return self._clock_s if self._clock_s - stamp > self._latest_s else None
 
     def _since(self, own_s: float, clock_s: float) -> float:
-        """The time since two clocks told these times [s], by the one that counts: in lockstep `/clock` stands while the law is at work."""
+        """The time since two clocks told these times [s], by the one that counts: in lockstep
+        `/clock` stands while the law is at work.
+        """
         return self._clock_s - clock_s if self._simulated else time.monotonic() - own_s
 
     def _deep(self, message: Message) -> None:
@@ -377,7 +460,8 @@ class LawNode:
         return True, self._stopped
 
     def _rest(self, why: str) -> None:
-        if self._moved:  # who has not begun leaves the robot to others, who may bring it to its start
+        # who has not begun leaves the robot to others, who may bring it to its start
+        if self._moved:
             self._send(np.zeros(6), self._now())
         self._tell(f"stopped: {why}")
 
@@ -399,7 +483,9 @@ class LawNode:
         return self.servo.began + last.t + self.scenario.camera.latency_s
 
     def spin(self, ended: threading.Event) -> None:
-        """Servo until `ended`; then, and whatever happens, send zero and say that it has stopped."""
+        """Servo until `ended`; then, and whatever happens,
+        send zero and say that it has stopped.
+        """
         self._fresh, self._spins = time.monotonic(), True
         threading.Thread(target=self._watch, daemon=True).start()
         try:
@@ -411,7 +497,9 @@ class LawNode:
                 self._rest("the node has ended")
 
     def _watch(self) -> None:
-        """Stop the robot where its order is too old while the law is still at work on the next one."""
+        """Stop the robot where its order is too old while the law is still at work on the
+        next one.
+        """
         while self._spins:
             time.sleep(min(self.watchdog_s, 0.1) / 4)
             with self._news:
@@ -419,13 +507,19 @@ class LawNode:
                     self._rest(f"no new order for over {self.watchdog_s:g} s")
 
     def _silent_s(self) -> float:
-        """For how long no new picture has been heard [s], by this machine's clock that no one sets, or by `/clock`."""
+        """For how long no new picture has been heard [s], by this machine's clock that no one sets,
+        or by `/clock`.
+        """
         return max(time.monotonic() - self._fresh, self._since(self._fresh, self._fresh_clock_s))
 
     def _turn(self) -> None:
-        """Wait for a picture with its reading, and answer it; without a new one for too long, stop."""
+        """Wait for a picture with its reading, and answer it;
+        without a new one for too long, stop.
+        """
         with self._news:
-            self._news.wait_for(lambda: self._picture is not None, timeout=min(self.watchdog_s, 0.1))
+            self._news.wait_for(
+                lambda: self._picture is not None, timeout=min(self.watchdog_s, 0.1)
+            )
             heard, self._picture = self._picture, None
             stopped = self._stopped
             if self._asked_to_reset:
@@ -440,13 +534,17 @@ class LawNode:
             self._silent(why)
 
     def _answered(self, message: Message, heard: float, clock_s: float) -> str:
-        """Answer a picture that was heard at these times of the own clock and `/clock` [s]; why the robot does not move by it, or ""."""
+        """Answer a picture that was heard at these times of the own clock and `/clock` [s]; why the
+        robot does not move by it, or "".
+        """
         stamp, clock_s = time_of(message), min(self._clock_s, clock_s)  # it may have begun anew
         self._wait_for_reading(stamp)
         self._simulated = self._by_clock(stamp)
         began, before = time.perf_counter(), self.servo.controller.before
         try:
-            cycle = self.servo.step(message, self._arrived(stamp), None if self._simulated else heard)
+            cycle = self.servo.step(
+                message, self._arrived(stamp), None if self._simulated else heard
+            )
         except ParameterError as error:
             self._rest(str(error))
             return str(error)
@@ -457,8 +555,12 @@ class LawNode:
                 self._ticked_at = self._fresh  # in lockstep it waited for this answer
             self._fresh_clock_s = clock_s
         if self._silent_s() >= self.watchdog_s and not self._is_over(cycle.order):
-            return next(iter(cycle.notes), f"the last one was answered after {self._since(heard, clock_s):.2g} s")
-        with self._news:  # held while it is sent: a stop comes before it, and then it is not, or after it
+            return next(
+                iter(cycle.notes),
+                f"the last one was answered after {self._since(heard, clock_s):.2g} s",
+            )
+        # held while it is sent: a stop comes before it, and then it is not, or after it
+        with self._news:
             if self._stopped:
                 return ""
             self._moved, self._order_of = True, (self._fresh, self._fresh_clock_s)
@@ -481,17 +583,21 @@ class LawNode:
         end = time.monotonic() + min(WAIT_S, self.watchdog_s)
         with self._news:
             self._news.wait_for(
-                lambda: self.servo.senses.until(stamp) or self._picture is not None, timeout=max(0.0, end - time.monotonic())
+                lambda: self.servo.senses.until(stamp) or self._picture is not None,
+                timeout=max(0.0, end - time.monotonic()),
             )
 
     def _silent(self, why: str) -> None:
-        """No new picture for too long: rest, and after `stop.lost_after_s` stop; a craft, which cannot stop in the air, is told to sink.
-        why: of pictures that came and are none to move by.
+        """No new picture for too long: rest, and after `stop.lost_after_s` stop; a craft, which
+        cannot stop in the air, is told to sink. why: of pictures that came and are none to move by.
         """
         if self.servo.controller.before is None:
             self._rest(why or "waits for pictures")
             return
-        words = f"no {'new ' if why else ''}picture for over {self.watchdog_s:g} s{': ' if why else ''}{why}"
+        words = (
+            f"no {'new ' if why else ''}picture for over {self.watchdog_s:g}"
+            f" s{': ' if why else ''}{why}"
+        )
         try:
             order = self.servo.silent(self._silent_s())
             v = self.servo.sent(order)
@@ -520,8 +626,9 @@ def median_ms(seconds: list[float]) -> float:
 
 
 def excite(scenario: Scenario, link: Link, motion: Array, ended: threading.Event) -> int:
-    """Send the commands of a motion (n, motions), one each camera period of wall time, as twists, and zero at the end, or when `ended`; how
-    many were sent. Record them, and what the robot and its camera say, as a bag: `identify` reads it.
+    """Send the commands of a motion (n, motions), one each camera period of wall time, as twists,
+    and zero at the end, or when `ended`; how many were sent. Record them, and what the robot and
+    its camera say, as a bag: `identify` reads it.
     """
     robot, sent_ones, begun = scenario.robot, 0, time.monotonic()
     mount = mount_at(scenario, Mount.of(scenario.believed_camera.mount.T), robot.start_joints())
@@ -531,9 +638,14 @@ def excite(scenario: Scenario, link: Link, motion: Array, ended: threading.Event
         for u in motion:
             if ended.wait(max(0.0, begun + sent_ones * scenario.camera.period - time.monotonic())):
                 break
-            link.publish(command_topic(scenario), twist(time.time(), turn @ (basis @ u), command_frame(scenario)))
+            link.publish(
+                command_topic(scenario),
+                twist(time.time(), turn @ (basis @ u), command_frame(scenario)),
+            )
             sent_ones += 1
     finally:
         for _ in range(3):
-            link.publish(command_topic(scenario), twist(time.time(), np.zeros(6), command_frame(scenario)))
+            link.publish(
+                command_topic(scenario), twist(time.time(), np.zeros(6), command_frame(scenario))
+            )
     return sent_ones

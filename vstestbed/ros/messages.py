@@ -1,7 +1,9 @@
-"""ROS 2 messages and what they are here: pictures, calibrations, readings, twists, poses; in CDR by rosbags, which needs no ROS.
+"""ROS 2 messages and what they are here: pictures, calibrations, readings, twists, poses; in CDR by
+rosbags, which needs no ROS.
 
-Frames follow REP 103 and 105: `world`, `base_link` (of a vehicle or a craft) or `flange` (of an arm), `camera_optical_frame` (x right, y
-down, z forward). Units are SI. Joints go by their names, whatever their order.
+Frames follow REP 103 and 105: `world`, `base_link` (of a vehicle or a craft) or `flange` (of an
+arm), `camera_optical_frame` (x right, y down, z forward). Units are SI. Joints go by their names,
+whatever their order.
 """
 
 from __future__ import annotations
@@ -19,7 +21,13 @@ from vstestbed.camera import Camera, DepthImage, Image
 from vstestbed.camera.intrinsics import as_ros
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, short
 from vstestbed.core.foreign import foreign
-from vstestbed.core.geometry import Array, quaternion_wxyz, rotation_from_quaternion, rotation_from_rpy, rpy_of
+from vstestbed.core.geometry import (
+    Array,
+    quaternion_wxyz,
+    rotation_from_quaternion,
+    rotation_from_rpy,
+    rpy_of,
+)
 from vstestbed.core.lazy import MOST_PIXELS
 from vstestbed.robots import Reading, Robot
 from vstestbed.robots.flight import RECOVER_RAD, FlightEstimate, FlightReading
@@ -30,7 +38,9 @@ try:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 except ImportError as error:
-    raise EnvironmentLackError(f"ROS messages need {error.name}, which is not installed", "pip install 'vstestbed[ros]'") from error
+    raise EnvironmentLackError(
+        f"ROS messages need {error.name}, which is not installed", "pip install 'vstestbed[ros]'"
+    ) from error
 
 NS = 1_000_000_000
 OPTICAL, WORLD = "camera_optical_frame", "world"
@@ -41,19 +51,37 @@ COMPRESSED, JOINTS, IMU, ODOMETRY = (
     "sensor_msgs/msg/Imu",
     "nav_msgs/msg/Odometry",
 )
-RANGE, TWIST, TRANSFORMS = "sensor_msgs/msg/Range", "geometry_msgs/msg/TwistStamped", "tf2_msgs/msg/TFMessage"
-CLOCK, TEXT, POSE = "rosgraph_msgs/msg/Clock", "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped"
+RANGE, TWIST, TRANSFORMS = (
+    "sensor_msgs/msg/Range",
+    "geometry_msgs/msg/TwistStamped",
+    "tf2_msgs/msg/TFMessage",
+)
+CLOCK, TEXT, POSE = (
+    "rosgraph_msgs/msg/Clock",
+    "std_msgs/msg/String",
+    "geometry_msgs/msg/PoseStamped",
+)
 TRIGGER = "std_srvs/srv/Trigger"
 
-Message = Any  # of one of rosbags' message classes: a dataclass whose fields are those of the ROS message
+Message = (
+    Any  # of one of rosbags' message classes: a dataclass whose fields are those of the ROS message
+)
 
 
 @cache
 def types() -> Any:
-    """The messages of ROS 2 Jazzy, of which Humble's differ in Range alone (`variance`), and those of the service Trigger."""
+    """The messages of ROS 2 Jazzy, of which Humble's differ in Range alone (`variance`), and those
+    of the service Trigger.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg("uint8 structure_needs_at_least_one_member\n", "std_srvs/msg/Trigger_Request"))
-    store.register(get_types_from_msg("bool success\nstring message\n", "std_srvs/msg/Trigger_Response"))
+    store.register(
+        get_types_from_msg(
+            "uint8 structure_needs_at_least_one_member\n", "std_srvs/msg/Trigger_Request"
+        )
+    )
+    store.register(
+        get_types_from_msg("bool success\nstring message\n", "std_srvs/msg/Trigger_Response")
+    )
     return store
 
 
@@ -73,7 +101,9 @@ def to_cdr(message: Message) -> bytes:
 
 
 def from_cdr(data: bytes, kind: str) -> Message:
-    """The message of what was received; of a range also one of Humble, which has a field less. ParameterError: it is none of that kind."""
+    """The message of what was received; of a range also one of Humble, which has a field less.
+    ParameterError: it is none of that kind.
+    """
     works = f"the CDR of {kind}"
     with foreign("message", works):
         try:
@@ -122,7 +152,9 @@ HELPS = {
 
 
 class PassedOver:
-    """Elements that could not be used, by topic and by what is wrong in them: how many, when the first and the last, and why."""
+    """Elements that could not be used, by topic and by what is wrong in them: how many, when the
+    first and the last, and why.
+    """
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], tuple[int, float, float, str]] = {}
@@ -147,7 +179,8 @@ class PassedOver:
     def lines(self) -> list[str]:
         """The same in sentences."""
         return [
-            f"{topic}: {count} told or passed over, the first of {first} s, the last of {last} s: {words}{helps and '; '}{helps}"
+            f"{topic}: {count} told or passed over, the first of {first} s, the last of {last} s:"
+            f" {words}{helps and '; '}{helps}"
             for topic, count, first, last, words, helps in self.rows()
         ]
 
@@ -157,14 +190,32 @@ def image(t: float, picture: Image) -> Message:
     """A picture (H, W, 3), RGB."""
     height, width = picture.shape[:2]
     data = np.ascontiguousarray(picture).reshape(-1)
-    return made(IMAGE, header=header(t, OPTICAL), height=height, width=width, encoding="rgb8", is_bigendian=0, step=3 * width, data=data)
+    return made(
+        IMAGE,
+        header=header(t, OPTICAL),
+        height=height,
+        width=width,
+        encoding="rgb8",
+        is_bigendian=0,
+        step=3 * width,
+        data=data,
+    )
 
 
 def depth_image(t: float, depth: DepthImage) -> Message:
     """A depth picture (H, W) [m]."""
     height, width = depth.shape
     data = np.ascontiguousarray(depth, np.float32).view(np.uint8).reshape(-1)
-    return made(IMAGE, header=header(t, OPTICAL), height=height, width=width, encoding="32FC1", is_bigendian=0, step=4 * width, data=data)
+    return made(
+        IMAGE,
+        header=header(t, OPTICAL),
+        height=height,
+        width=width,
+        encoding="32FC1",
+        is_bigendian=0,
+        step=4 * width,
+        data=data,
+    )
 
 
 CHANNELS = {
@@ -178,12 +229,18 @@ CHANNELS = {
 }
 """Where red, green and blue stand in a pixel of each encoding."""
 WIDTHS = {"rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}
-DEPTHS = {"16UC1": (np.dtype(np.uint16), 1e-3), "mono16": (np.dtype(np.uint16), 1e-3), "32FC1": (np.dtype(np.float32), 1.0)}
+DEPTHS = {
+    "16UC1": (np.dtype(np.uint16), 1e-3),
+    "mono16": (np.dtype(np.uint16), 1e-3),
+    "32FC1": (np.dtype(np.float32), 1.0),
+}
 """Numbers of each encoding of depths, and their unit [m]: REP 118."""
 
 
 def picture_of(message: Message) -> Image:
-    """The picture (H, W, 3), RGB, of an Image or a CompressedImage. ParameterError: an encoding that is not read, or too few bytes."""
+    """The picture (H, W, 3), RGB, of an Image or a CompressedImage. ParameterError: an encoding
+    that is not read, or too few bytes.
+    """
     if message.__msgtype__ == COMPRESSED:
         from vstestbed.core.lazy import cv2
 
@@ -191,7 +248,9 @@ def picture_of(message: Message) -> Image:
         with foreign("image", "JPEG or PNG"):
             found = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
         if found is None:
-            raise ParameterError("image", "is compressed, and neither JPEG nor PNG, or broken", short(message.format))
+            raise ParameterError(
+                "image", "is compressed, and neither JPEG nor PNG, or broken", short(message.format)
+            )
         return np.ascontiguousarray(np.asarray(found, np.uint8)[..., ::-1])
     if message.encoding not in CHANNELS:
         raise ParameterError.choice("image.encoding", CHANNELS, message.encoding)
@@ -215,13 +274,20 @@ def _rows(message: Message, kind: np.dtype[Any], channels: int) -> Any:
     """The numbers (H, W, channels) of an Image, without what stands between its rows."""
     height, width, used = message.height, message.width, message.width * channels * kind.itemsize
     if not 0 < height * width <= MOST_PIXELS:
-        raise ParameterError("image", f"must have between 1 and {MOST_PIXELS} pixels", f"{width} x {height}")
+        raise ParameterError(
+            "image", f"must have between 1 and {MOST_PIXELS} pixels", f"{width} x {height}"
+        )
     data, step = np.asarray(message.data, np.uint8), message.step or used
     if step < used or data.size < step * height:
-        words = f"has {data.size} bytes in rows of {step}; {width} x {height} pixels of {message.encoding} are {used * height}"
+        words = (
+            f"has {data.size} bytes in rows of {step};"
+            f" {width} x {height} pixels of {message.encoding} are {used * height}"
+        )
         raise ParameterError("image", words)
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :used]).view(kind)
-    return (rows.byteswap() if message.is_bigendian and kind.itemsize > 1 else rows).reshape(height, width, channels)
+    return (rows.byteswap() if message.is_bigendian and kind.itemsize > 1 else rows).reshape(
+        height, width, channels
+    )
 
 
 def camera_info(t: float, camera: Camera) -> Message | None:
@@ -229,7 +295,14 @@ def camera_info(t: float, camera: Camera) -> Message | None:
     if (lens := as_ros(camera)) is None:
         return None
     K, model, k = lens
-    region = made("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    region = made(
+        "sensor_msgs/msg/RegionOfInterest",
+        x_offset=0,
+        y_offset=0,
+        height=0,
+        width=0,
+        do_rectify=False,
+    )
     return made(
         INFO,
         header=header(t, OPTICAL),
@@ -285,7 +358,11 @@ def transforms(t: float, poses: Mapping[tuple[str, str], Array]) -> Message:
             "geometry_msgs/msg/TransformStamped",
             header=header(t, parent),
             child_frame_id=child,
-            transform=made("geometry_msgs/msg/Transform", translation=vector(T[:3, 3]), rotation=quaternion(T[:3, :3])),
+            transform=made(
+                "geometry_msgs/msg/Transform",
+                translation=vector(T[:3, 3]),
+                rotation=quaternion(T[:3, :3]),
+            ),
         )
         for (parent, child), T in poses.items()
     ]
@@ -296,14 +373,21 @@ def pose(t: float, T: Array, frame: str = WORLD) -> Message:
     """A pose (4, 4) in a frame."""
     x, y, z = T[:3, 3].tolist()
     at = made("geometry_msgs/msg/Point", x=x, y=y, z=z)
-    return made(POSE, header=header(t, frame), pose=made("geometry_msgs/msg/Pose", position=at, orientation=quaternion(T[:3, :3])))
+    return made(
+        POSE,
+        header=header(t, frame),
+        pose=made("geometry_msgs/msg/Pose", position=at, orientation=quaternion(T[:3, :3])),
+    )
 
 
 # Readings of a robot's sensors.
 def check_single(camera: Camera) -> None:
     """Refuse a camera whose pictures are no one image; ParameterError."""
     if len(camera.panels) > 1:
-        words = f"has {len(camera.panels)} pictures at once, and a topic has one; works: perspective, fisheye or catadioptric"
+        words = (
+            f"has {len(camera.panels)} pictures at once, and a topic has one; works: perspective,"
+            " fisheye or catadioptric"
+        )
         raise ParameterError("camera", words)
 
 
@@ -322,37 +406,60 @@ def sensors_of(robot: Robot) -> dict[str, str]:
     return topics
 
 
-UNIT = 0.1  # by so much the norm of an attitude's quaternion may differ from 1: of one that was rounded, it is far less
+# by so much the norm of an attitude's quaternion may differ from 1: of one that was rounded, it is
+# far less
+UNIT = 0.1
 UNKNOWN = np.zeros(36)
-NONE = np.array([-1.0, *[0.0] * 8])  # a covariance that begins with -1: there is no such measurement
+# a covariance that begins with -1: there is no such measurement
+NONE = np.array([-1.0, *[0.0] * 8])
 
 
 def readings(t: float, robot: Robot, reading: Reading) -> dict[str, Message]:
-    """A reading [rad, m, s] as messages by topic: joints; of a vehicle or a craft its attitude; of a craft its velocity and its height."""
+    """A reading [rad, m, s] as messages by topic: joints; of a vehicle or a craft its attitude; of
+    a craft its velocity and its height.
+    """
     found: dict[str, Message] = {}
     if robot.joints:
         q, qd = np.asarray(reading.q, dtype=float), np.asarray(reading.qd, dtype=float)
         found["joint_states"] = made(
-            JOINTS, header=header(t, ""), name=list(robot.joints), position=q.copy(), velocity=qd.copy(), effort=np.zeros(0)
+            JOINTS,
+            header=header(t, ""),
+            name=list(robot.joints),
+            position=q.copy(),
+            velocity=qd.copy(),
+            effort=np.zeros(0),
         )
     if robot.base == "fixed":
         return found
     known = reading.heading is not None or reading.tilt is not None
     roll, pitch = (0.0, 0.0) if reading.tilt is None else reading.tilt
-    R, craft = rotation_from_rpy(np.array([roll, pitch, reading.heading or 0.0])), isinstance(reading, FlightReading)
+    R, craft = (
+        rotation_from_rpy(np.array([roll, pitch, reading.heading or 0.0])),
+        isinstance(reading, FlightReading),
+    )
     found["imu"] = made(
         IMU,
         header=header(t, "base_link"),
         orientation=quaternion(R),
         orientation_covariance=np.zeros(9) if known else NONE,
-        angular_velocity=vector(reading.estimate.rates if isinstance(reading, FlightReading) else (0.0, 0.0, 0.0)),
+        angular_velocity=vector(
+            reading.estimate.rates if isinstance(reading, FlightReading) else (0.0, 0.0, 0.0)
+        ),
         angular_velocity_covariance=np.zeros(9) if craft else NONE,
         linear_acceleration=vector((0.0, 0.0, 0.0)),
         linear_acceleration_covariance=NONE,
     )
     if isinstance(reading, FlightReading):
-        moved = made("geometry_msgs/msg/Twist", linear=vector(reading.estimate.velocity), angular=vector(reading.estimate.rates))
-        at = made("geometry_msgs/msg/Pose", position=made("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0), orientation=quaternion(R))
+        moved = made(
+            "geometry_msgs/msg/Twist",
+            linear=vector(reading.estimate.velocity),
+            angular=vector(reading.estimate.rates),
+        )
+        at = made(
+            "geometry_msgs/msg/Pose",
+            position=made("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+            orientation=quaternion(R),
+        )
         found["odom"] = made(
             ODOMETRY,
             header=header(t, "odom"),
@@ -385,45 +492,71 @@ def reading_of(robot: Robot, found: Mapping[str, Message]) -> Reading:
         return Reading(q, qd)
     imu = found["imu"]
     o, oriented = imu.orientation, imu.orientation_covariance[0] >= 0
-    R = rotation_from_quaternion(np.array([o.w, o.x, o.y, o.z]) / (math.hypot(o.w, o.x, o.y, o.z) or 1.0))
+    R = rotation_from_quaternion(
+        np.array([o.w, o.x, o.y, o.z]) / (math.hypot(o.w, o.x, o.y, o.z) or 1.0)
+    )
     roll, pitch, heading = np.radians(rpy_of(R.tolist())).tolist()
     if robot.base == "planar":
         return Reading(q, qd, heading if oriented else None)
     tilt, rates = np.array([roll, pitch]), np.array(three(imu.angular_velocity))
     velocity = np.array(three(found["odom"].twist.twist.linear))
-    # Of the flight loops' own state these messages tell nothing: their references are what the craft does.
-    estimate = FlightEstimate(velocity, rates, tilt, rates, 0.0, bool(R[2, 2] < math.cos(RECOVER_RAD)), False)
-    return FlightReading(q, qd, heading if oriented else None, tilt, range_m=float(found["range"].range), estimate=estimate)
+    # Of the flight loops' own state these messages tell nothing: their references are what the
+    # craft does.
+    estimate = FlightEstimate(
+        velocity, rates, tilt, rates, 0.0, bool(R[2, 2] < math.cos(RECOVER_RAD)), False
+    )
+    return FlightReading(
+        q,
+        qd,
+        heading if oriented else None,
+        tilt,
+        range_m=float(found["range"].range),
+        estimate=estimate,
+    )
 
 
 def check_finite(topic: str, message: Message) -> None:
-    """Refuse a message of an IMU, an odometry or a range with a number that is none; ParameterError. A range is infinite over nothing."""
+    """Refuse a message of an IMU, an odometry or a range with a number that is none;
+    ParameterError. A range is infinite over nothing.
+    """
     oriented = False
     if topic == "imu":
         o, oriented = message.orientation, message.orientation_covariance[0] >= 0
         numbers = [o.w, o.x, o.y, o.z] if oriented else []
-        numbers += three(message.angular_velocity) if message.angular_velocity_covariance[0] >= 0 else []
+        numbers += (
+            three(message.angular_velocity) if message.angular_velocity_covariance[0] >= 0 else []
+        )
     else:
-        numbers = three(message.twist.twist.linear) if topic == "odom" else [math.atan(message.range)]
+        numbers = (
+            three(message.twist.twist.linear) if topic == "odom" else [math.atan(message.range)]
+        )
     if not np.isfinite(numbers).all():
         raise ParameterError.infinite(topic, numbers)
     if topic == "imu" and oriented and abs(math.hypot(*numbers[:4]) - 1.0) > UNIT:
-        words = "is no unit quaternion; a driver without an attitude sets the first number of its covariance to -1"
+        words = (
+            "is no unit quaternion;"
+            " a driver without an attitude sets the first number of its covariance to -1"
+        )
         raise ParameterError("imu.orientation", words, numbers[:4])
 
 
 def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
-    """Positions and velocities (n,) [rad, m] of joints by their names; velocities that are not told are NaN.
-    ParameterError: one is not in the message, or has no position, or none that is finite.
+    """Positions and velocities (n,) [rad, m] of joints by their names; velocities that are not told
+    are NaN. ParameterError: one is not in the message, or has no position, or none that is finite.
     """
     there = {name: i for i, name in enumerate(message.name)}
     if missing := [name for name in names if name not in there]:
-        words = f"have no {', '.join(missing)}; this robot's joints are {', '.join(names)}, in any order, with others or without"
+        words = (
+            f"have no {', '.join(missing)};"
+            f" this robot's joints are {', '.join(names)}, in any order, with others or without"
+        )
         raise ParameterError("joint_states", words, list(message.name))
     order = [there[name] for name in names]
     q, qd = np.asarray(message.position, dtype=float), np.asarray(message.velocity, dtype=float)
     if len(q) != len(message.name):
-        raise ParameterError("joint_states", f"have {len(q)} positions of {len(message.name)} joints")
+        raise ParameterError(
+            "joint_states", f"have {len(q)} positions of {len(message.name)} joints"
+        )
     if not np.isfinite(q[order]).all():
         raise ParameterError.infinite("joint_states", q[order].tolist())
     return q[order], qd[order] if len(qd) == len(message.name) else np.full(len(order), np.nan)

@@ -1,4 +1,6 @@
-"""The simulated robot as a node: what its camera and its sensors tell goes out, twists come in, with its latency, limits and supervisor."""
+"""The simulated robot as a node: what its camera and its sensors tell goes out, twists come in,
+with its latency, limits and supervisor.
+"""
 
 from __future__ import annotations
 
@@ -48,12 +50,15 @@ from vstestbed.tasks.frame import Frame
 
 Pace = Literal["lockstep", "wall"]
 AGAIN_S = 0.01  # after so long without an answer readings are told again [s]
-FASTEST = 1e6  # a faster twist is a mistake, and squares of its numbers could be infinite [m/s, rad/s]
+FASTEST = (
+    1e6  # a faster twist is a mistake, and squares of its numbers could be infinite [m/s, rad/s]
+)
 
 
 class Voice:
-    """What a robot's camera and sensors tell, frame by frame, as messages. link: where to. offset_s: what t = 0 is by the stamps [s].
-    truth: whether the poses of camera and target are told, under `/truth`.
+    """What a robot's camera and sensors tell, frame by frame, as messages. link: where to.
+    offset_s: what t = 0 is by the stamps [s]. truth: whether the poses of camera and target are
+    told, under `/truth`.
     """
 
     def __init__(self, scenario: Scenario, link: Link, truth: bool, offset_s: float = 0.0):
@@ -77,13 +82,17 @@ class Voice:
         return told
 
     def readings(self) -> None:
-        """Those of the last exposure and of now; again, as a robot's driver tells them: single ones may be lost beside a picture."""
+        """Those of the last exposure and of now; again, as a robot's driver tells them: single ones
+        may be lost beside a picture.
+        """
         for stamp, reading in self._readings:
             for topic, message in readings(stamp, self._scenario.robot, reading).items():
                 self._link.publish(topic, message, stamp)
 
     def frame(self, episode: Episode, frame: Frame) -> None:
-        """A frame that has just arrived: readings at its exposure and now, where the camera is, then the picture."""
+        """A frame that has just arrived: readings at its exposure and now, where the camera is,
+        then the picture.
+        """
         s, link, shot = self._scenario, self._link, episode.controller.before
         assert shot is not None and frame.image is not None
         t, now = shot.t + self._offset, episode.now + self._offset
@@ -97,8 +106,12 @@ class Voice:
         poses[WORLD if s.target.on_gripper else parent, OPTICAL] = self._mount.T_flange_camera
         link.publish("/tf", transforms(t, poses), t)
         if self._truth:
-            link.publish("/truth/camera_pose", pose(frame.t + self._offset, frame.truth.T_world_camera), now)
-            link.publish("/truth/target_pose", pose(frame.t + self._offset, frame.truth.T_world_target), now)
+            link.publish(
+                "/truth/camera_pose", pose(frame.t + self._offset, frame.truth.T_world_camera), now
+            )
+            link.publish(
+                "/truth/target_pose", pose(frame.t + self._offset, frame.truth.T_world_target), now
+            )
         if self._info is not None:
             link.publish("~/camera_info", replace(self._info, header=header(t, OPTICAL)), now)
         if frame.depth_image is not None:
@@ -107,18 +120,21 @@ class Voice:
 
 
 class RobotNode:
-    """A session whose commands come from outside. Services: `~/stop` (latched: no twist moves it until `~/start`), `~/start`.
+    """A session whose commands come from outside. Services: `~/stop` (latched: no twist moves it
+    until `~/start`), `~/start`.
 
     Args:
         scenario: the experiment; its law computes too, for the log, and moves nothing.
         link: to the others.
-        pace: `lockstep`: simulated time waits for a command to each picture; `wall`: it goes with the clock of this machine, and stamps are
-            of it.
+        pace: `lockstep`: simulated time waits for a command to each picture; `wall`: it goes with
+            the clock of this machine, and stamps are of it.
         truth: whether the poses of camera and target are told, under `/truth`.
-        watchdog_s: wall time without a command after which the robot is told to rest [s]; by default for as long as an order lasts.
+        watchdog_s: wall time without a command after which the robot is told to rest [s]; by
+            default for as long as an order lasts.
         ended: when to end.
 
-    Its `record` is a bag that keeps what is told and commanded; None for none. Raises ParameterError: see `Link.publishes`.
+    Its `record` is a bag that keeps what is told and commanded; None for none. Raises
+    ParameterError: see `Link.publishes`.
     """
 
     def __init__(
@@ -136,8 +152,12 @@ class RobotNode:
         self.record: Link | None = None
         self.watchdog_s = watchdog_of(self.scenario, watchdog_s)
         self._news = threading.Condition()
-        self._command: tuple[float, Array, float] | None = None  # stamp, twist of the camera, when it came
-        self._past = 0.0  # commands of stamps before it came too late: of the last one obeyed, or when it was told to rest
+        self._command: tuple[float, Array, float] | None = (
+            None  # stamp, twist of the camera, when it came
+        )
+        # commands of stamps before it came too late: of the last one obeyed, or when it was told to
+        # rest
+        self._past = 0.0
         self._least_age_s = math.inf  # of all commands: clocks may differ by so much
         self._stopped = False
         self._as_told = np.zeros(6), command_frame(scenario)
@@ -172,17 +192,23 @@ class RobotNode:
             v = twist_of(message)
             frame = message.header.frame_id
             if frame not in (OPTICAL, body_frame(self.scenario.robot), ""):
-                words = f"is in the frame {frame}; works: {OPTICAL} or {body_frame(self.scenario.robot)}"
+                words = (
+                    f"is in the frame {frame};"
+                    f" works: {OPTICAL} or {body_frame(self.scenario.robot)}"
+                )
                 raise ParameterError("twist", words)
             if np.abs(v).max() > FASTEST:
-                raise ParameterError.bound("twist", "at most", f"{FASTEST:g} m/s and rad/s", v.tolist())
+                raise ParameterError.bound(
+                    "twist", "at most", f"{FASTEST:g} m/s and rad/s", v.tolist()
+                )
         except ParameterError as error:
             self._refuse(str(error))
             return
         age_s = self._age_s(message)
         if time_of(message) and abs(age_s) <= self.scenario.timing.order_s(self.scenario.camera):
             self._least_age_s = min(self._least_age_s, age_s)
-        if v.any() and (self._drops(age_s) or self._outdated(message)):  # a rest is obeyed, whenever it was ordered
+        # a rest is obeyed, whenever it was ordered
+        if v.any() and (self._drops(age_s) or self._outdated(message)):
             return
         stamp, came = time_of(message), time.monotonic() - max(age_s, 0.0)
         with self._news:
@@ -197,12 +223,18 @@ class RobotNode:
             self._news.notify()
 
     def _passes(self, t: float) -> None:
-        """Commands stamped before t [s] are past, and those before the newest one; unless the clock has been set back."""
+        """Commands stamped before t [s] are past, and those before the newest one; unless the clock
+        has been set back.
+        """
         self._past = t if self._is_ahead(self._past) else max(self._past, t)
 
     def _latest(self) -> float:
-        """The latest stamp that a command may have which was sent before now [s]: the law's clock may be behind this one."""
-        return time.time() - (max(self._least_age_s, 0.0) if math.isfinite(self._least_age_s) else 0.0)
+        """The latest stamp that a command may have which was sent before now [s]: the law's clock
+        may be behind this one.
+        """
+        return time.time() - (
+            max(self._least_age_s, 0.0) if math.isfinite(self._least_age_s) else 0.0
+        )
 
     def _is_ahead(self, t: float) -> bool:
         return t - time.time() > self.scenario.timing.order_s(self.scenario.camera)
@@ -219,12 +251,20 @@ class RobotNode:
         self.dropped += 1
         side = f"s {'behind' if age_s > 0 else 'ahead of'} this clock"
         if side not in self.refused:
-            self._refuse(f"the commands' stamps are {abs(age_s):.3g} {side}: they are dropped; {SET_CLOCKS}")
+            self._refuse(
+                f"the commands' stamps are {abs(age_s):.3g} {side}: they are dropped; {SET_CLOCKS}"
+            )
         return True
 
     def _outdated(self, message: Message) -> bool:
-        """Whether a command was stamped before the one in force, or before the robot was told to rest, whenever that was ordered."""
-        if self._pace != "wall" or not 0 < time_of(message) < self._past or self._is_ahead(self._past):
+        """Whether a command was stamped before the one in force, or before the robot was told to
+        rest, whenever that was ordered.
+        """
+        if (
+            self._pace != "wall"
+            or not 0 < time_of(message) < self._past
+            or self._is_ahead(self._past)
+        ):
             return False
         self.dropped += 1
         words = "a command that is older than the one in force, or than the last rest, is dropped"
@@ -244,7 +284,14 @@ class RobotNode:
         """The camera's twist of one of the flange or the base."""
         return mount_at(self.scenario, self._mount, self._voice.q).to_camera @ v
 
-    def fly(self, scenario: Scenario, watch: Iterable[Watcher] = (), folder: Path | None = None, *, pictures: bool = True) -> Recording:
+    def fly(
+        self,
+        scenario: Scenario,
+        watch: Iterable[Watcher] = (),
+        folder: Path | None = None,
+        *,
+        pictures: bool = True,
+    ) -> Recording:
         """Run it until an outcome, or `ended`; as `loop.run`."""
         episode = Episode(scenario, True, tuple(watch), folder)
         with contextlib.closing(episode):
@@ -266,25 +313,35 @@ class RobotNode:
                     self.answered_s.append(time.monotonic() - sent)
                     if self.record is not None:
                         raw, frame_id = self._as_told
-                        self.record.publish(command_topic(scenario), twist(self._voice.now, raw, frame_id), self._voice.now)
+                        self.record.publish(
+                            command_topic(scenario),
+                            twist(self._voice.now, raw, frame_id),
+                            self._voice.now,
+                        )
                 episode.changed_by_hand("commanded from outside")
                 frame = episode.advance(np.zeros(6) if v is None else v)
                 if frame is not None:
-                    self.behind_s = max(self.behind_s, time.monotonic() - began - (frame.t - simulated))
+                    self.behind_s = max(
+                        self.behind_s, time.monotonic() - began - (frame.t - simulated)
+                    )
         return episode.recording()
 
     def _wait_for_the_first(self, episode: Episode, frame: Frame) -> None:
         """Tell a frame again until there is a command: who will give it may not be there yet."""
-        logging.getLogger("vstestbed").warning("waits for commands on %s", self.link.name(command_topic(self.scenario)))
+        logging.getLogger("vstestbed").warning(
+            "waits for commands on %s", self.link.name(command_topic(self.scenario))
+        )
         while not (self._heard or self.ended.is_set()):
             with self._news:
-                self._news.wait(self.watchdog_s / 2)  # before the law takes the same picture for silence
+                # before the law takes the same picture for silence
+                self._news.wait(self.watchdog_s / 2)
             if not self._heard:
                 self._voice.frame(episode, frame)
 
     def _wait(self, due: float) -> Array | None:
-        """The twist for the frame that was told; None for rest. due: when the next picture is due [s]. What it tells meanwhile it tells
-        without the lock: who hears it may be about to command.
+        """The twist for the frame that was told; None for rest. due: when the next picture is due
+        [s]. What it tells meanwhile it tells without the lock: who hears it may be about to
+        command.
         """
         v = self._by_the_clock(due) if self._pace == "wall" else self._in_step()
         with self._news:
@@ -302,15 +359,20 @@ class RobotNode:
         return None if command is None or self._silent else command[1]
 
     def _in_step(self) -> Array | None:
-        """The twist that answers the picture, once; None where none comes within the watchdog time. After a silence simulated time goes on
-        with the wall's: a robot whose law is dead comes to rest, and its pictures go on.
+        """The twist that answers the picture, once; None where none comes within the watchdog time.
+        After a silence simulated time goes on with the wall's: a robot whose law is dead comes to
+        rest, and its pictures go on.
         """
         wait_s = self.scenario.camera.period if self._silent or self._stopped else self.watchdog_s
         end = time.monotonic() + wait_s
         while not self.ended.is_set() and (left := end - time.monotonic()) > 0:
             with self._news:
                 command = self._command
-                if command is not None and command[0] >= self._voice.stamp - 1e-6 and not self._stopped:
+                if (
+                    command is not None
+                    and command[0] >= self._voice.stamp - 1e-6
+                    and not self._stopped
+                ):
                     self._command, self._silent = None, False  # each answers one picture
                     return command[1]
                 heard = self._news.wait(min(left, AGAIN_S))

@@ -1,1 +1,3 @@
-"""One experiment as a frozen object: its YAML, its checks, every mistake with its place in the file."""
+"""One experiment as a frozen object: its YAML, its checks, every mistake with its place in the
+file.
+"""

@@ -42,17 +42,24 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 
 @spec
 class FurtherCamera:
-    """A camera besides the one of the law (`camera`), with a rate, a latency and a detector of its own.
+    """A camera besides the one of the law (`camera`), with a rate, a latency and a detector of its
+    own.
 
-    Its pictures arrive when they arrive; at each picture of `camera` the law has the last observation of every other one.
+    Its pictures arrive when they arrive; at each picture of `camera` the law has the last
+    observation of every other one.
 
     Args:
         camera: lens, size, rate and latency of its pictures, and where it is mounted.
-        on: what carries it: the robot's `flange` (of a vehicle its body), or the `world`, in whose frame `camera.mount` is then its pose.
-        detector: how markers are found in its pictures; None: as in those of `camera`; e.g. `blobs`.
-        noise: of its pictures and measured coordinates; None: that of the scenario; e.g. `{pixel_sigma_px: 0.5}`.
-        calibration: the calibration that robot, detector, observer and law work with: its errors, or the name of its file.
-        weight: of its squared errors in pixels in the fused pose (`fusion`), beside those of `camera` [1].
+        on: what carries it: the robot's `flange` (of a vehicle its body), or the `world`, in whose
+            frame `camera.mount` is then its pose.
+        detector: how markers are found in its pictures; None: as in those of `camera`; e.g.
+            `blobs`.
+        noise: of its pictures and measured coordinates; None: that of the scenario; e.g.
+            `{pixel_sigma_px: 0.5}`.
+        calibration: the calibration that robot, detector, observer and law work with: its errors,
+            or the name of its file.
+        weight: of its squared errors in pixels in the fused pose (`fusion`), beside those of
+            `camera` [1].
     """
 
     camera: Annotated[Camera, CAMERAS] = Perspective()
@@ -65,7 +72,8 @@ class FurtherCamera:
 
 @dataclass(frozen=True)
 class OtherCamera:
-    """A further camera in its scenario. It has the names that a Scenario has for its own camera, so that both are used alike.
+    """A further camera in its scenario. It has the names that a Scenario has for its own camera, so
+    that both are used alike.
 
     scenario: to which it belongs. name: of the camera; number: its place among them, from 1 on.
     """
@@ -106,7 +114,9 @@ class OtherCamera:
 
     @property
     def rigid(self) -> bool:
-        """Whether it and the law's camera move as one, so that their twists are one motion: both on the flange, or both in the room."""
+        """Whether it and the law's camera move as one, so that their twists are one motion: both on
+        the flange, or both in the room.
+        """
         return self.stands == self.scenario.target.on_gripper
 
     @property
@@ -118,11 +128,18 @@ class OtherCamera:
     def draws(self) -> bool:
         """Whether the seed makes a difference to what it tells."""
         sensed = self.needs_image and self.camera.sensor is not None
-        return sensed or self.block.calibration.draws or self.detector.draws or self.noise.draws(self.needs_image, True)
+        return (
+            sensed
+            or self.block.calibration.draws
+            or self.detector.draws
+            or self.noise.draws(self.needs_image, True)
+        )
 
     @cached_property
     def depth_scale(self) -> Array | None:
-        """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for exact depths."""
+        """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for
+        exact depths.
+        """
         return self.block.calibration.depth_scale(len(self.target.points), self.rng(DEPTH_STREAM))
 
     @property
@@ -160,43 +177,71 @@ class OtherCamera:
         """The law's source of depth, where this camera has it; else the pose."""
         own: DepthSource = self.scenario.law.depth
         lacks = own.measured and self.camera.depth_sensor is None
-        return PnP() if lacks or own.camera or own.on_floor or (own.true and not self.detector.needs_truth) else own
+        return (
+            PnP()
+            if lacks or own.camera or own.on_floor or (own.true and not self.detector.needs_truth)
+            else own
+        )
 
     @property
     def required_fields(self) -> tuple[str, ...]:
-        """The fields of an Observation of it that are used: those of the law, the pose where poses are fused, rays where depths are."""
-        of_law = tuple(name for name in inputs_of(self.scenario.law) if name in ("xy", "xyw", "depth", "ray", "range", "T_camera_target"))
+        """The fields of an Observation of it that are used: those of the law, the pose where poses
+        are fused, rays where depths are.
+        """
+        of_law = tuple(
+            name
+            for name in inputs_of(self.scenario.law)
+            if name in ("xy", "xyw", "depth", "ray", "range", "T_camera_target")
+        )
         pose = ("T_camera_target",) if self.scenario.fusion == "pose" else ()
         rays = ("ray",) if self.scenario.law.depth.camera == self.name else ()
         return (*of_law, *pose, *rays)
 
     def rng(self, stream: int) -> np.random.Generator:
-        """The generator of one of the independent streams, another one than that of the law's camera."""
+        """The generator of one of the independent streams, another one than that of the law's
+        camera.
+        """
         return np.random.default_rng([self.scenario.seed, stream, self.number])
 
     def perturbed(self) -> Perturbed | None:
         """The perturbations of a run, with what is drawn for it; None where there are none."""
-        return Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
+        return (
+            Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
+        )
 
     def T_camera_eye(self, q: Array, mount: Array) -> Array:
-        """Pose (4, 4) of this camera in the frame of the law's camera by what the robot knows: its joints q (n,), the calibrations.
+        """Pose (4, 4) of this camera in the frame of the law's camera by what the robot knows: its
+        joints q (n,), the calibrations.
 
-        mount: of the law's camera as calibrated (4, 4); eye to hand its pose in the world. Of a camera in the room the robot must be an
-        arm.
+        mount: of the law's camera as calibrated (4, 4); eye to hand its pose in the world. Of a
+        camera in the room the robot must be an arm.
         """
         own = self.believed_camera.mount.T
-        return inverse(mount) @ own if self.rigid else inverse(self.robot.flange_pose(q) @ mount) @ own
+        return (
+            inverse(mount) @ own if self.rigid else inverse(self.robot.flange_pose(q) @ mount) @ own
+        )
 
     def goal(self, goal: Goal, T_camera_eye: Array) -> Goal:
-        """What it sees at a goal view of the law's camera, for T_camera_eye (4, 4) there, with the markers that count there.
+        """What it sees at a goal view of the law's camera, for T_camera_eye (4, 4) there, with the
+        markers that count there.
 
         Of a calibration whose goal is `shown`, that is what the true camera records there.
         """
-        T, believed, target = inverse(T_camera_eye) @ goal.T_camera_target, self.believed_camera, self.target
-        shown = self.block.calibration.goal == "shown" and not self.block.calibration.camera_exact and self.rigid
+        T, believed, target = (
+            inverse(T_camera_eye) @ goal.T_camera_target,
+            self.believed_camera,
+            self.target,
+        )
+        shown = (
+            self.block.calibration.goal == "shown"
+            and not self.block.calibration.camera_exact
+            and self.rigid
+        )
         if shown:
             rig = inverse(self.scenario.camera.mount.T) @ self.camera.mount.T
-            made = shown_goal(self.camera, believed, target, inverse(rig) @ self.scenario.goal_poses[goal.view])
+            made = shown_goal(
+                self.camera, believed, target, inverse(rig) @ self.scenario.goal_poses[goal.view]
+            )
         else:
             made = Goal.of_points(believed, target.points_at(T), T)
         return replace(made, counted=goal.counted, view=goal.view, moves=goal.moves)
@@ -204,32 +249,48 @@ class OtherCamera:
 
 def eyes_of(scenario: Scenario) -> dict[str, OtherCamera]:
     """The further cameras of a scenario by name."""
-    return {name: OtherCamera(scenario, name, number) for number, name in enumerate(scenario.cameras, start=1)}
+    return {
+        name: OtherCamera(scenario, name, number)
+        for number, name in enumerate(scenario.cameras, start=1)
+    }
 
 
 def check_cameras(scenario: Scenario) -> None:
-    """Refuse further cameras with names or rates that do not fit, and uses of cameras that there are not. Raises ParameterError."""
+    """Refuse further cameras with names or rates that do not fit, and uses of cameras that there
+    are not. Raises ParameterError.
+    """
     eyes, law = scenario.eyes, scenario.law
     for name, eye in eyes.items():
         try:
             _check_camera(scenario, eye)
         except ParameterError as error:
-            raise ParameterError(f"cameras.{name}.{error.field}".removesuffix("."), error.problem, error.found) from None
+            raise ParameterError(
+                f"cameras.{name}.{error.field}".removesuffix("."), error.problem, error.found
+            ) from None
     for field, name in _uses(law):
         if name not in eyes:
-            raise ParameterError.choice(field, list(eyes) or ["none: there are no further cameras"], name)
+            raise ParameterError.choice(
+                field, list(eyes) or ["none: there are no further cameras"], name
+            )
         if not eyes[name].rigid:
-            words = f"must name a camera that moves as the law's own does, and {name} does not; works: fusion: pose"
+            words = (
+                f"must name a camera that moves as the law's own does, and {name} does not;"
+                " works: fusion: pose"
+            )
             raise ParameterError(field, words, name)
     if law.cameras and not getattr(law, "law", law).stacks:
-        raise ParameterError.only_for("law.cameras", "laws of an error and its Jacobian, such as ibvs and pbvs", law.kind)
+        raise ParameterError.only_for(
+            "law.cameras", "laws of an error and its Jacobian, such as ibvs and pbvs", law.kind
+        )
     if law.depth.camera:
         _check_pair(scenario, eyes[law.depth.camera])
     if scenario.fusion == "pose" and not eyes:
         raise ParameterError.needs("fusion", "further cameras (`cameras`)")
     if scenario.fusion == "pose" and scenario.detector.rows is not None:
         words = "fuses poses of the target by its markers"
-        raise ParameterError.excluded("fusion", f"pose with detector {scenario.detector.kind}", why=words)
+        raise ParameterError.excluded(
+            "fusion", f"pose with detector {scenario.detector.kind}", why=words
+        )
 
 
 def _uses(law: Any) -> Iterator[tuple[str, str]]:
@@ -248,29 +309,52 @@ def _check_camera(scenario: Scenario, eye: OtherCamera) -> None:
         raise ParameterError("", words, name)
     frames = camera.period / step
     if abs(round(frames) - frames) > 1e-6 * frames:
-        words = f"must be that of pictures a whole number of physics steps of {step:g} s apart; {1 / (round(frames) * step):.6g} Hz is"
+        words = (
+            f"must be that of pictures a whole number of physics steps of {step:g} s apart;"
+            f" {1 / (round(frames) * step):.6g} Hz is"
+        )
         raise ParameterError("camera.rate_hz", words, camera.rate_hz)
     eye.timing.check(camera, step)
     if detector.rows is not None:
-        raise ParameterError.excluded("detector", detector.kind, why="further cameras see the target's markers; works: blobs, tags or raw")
+        raise ParameterError.excluded(
+            "detector",
+            detector.kind,
+            why="further cameras see the target's markers; works: blobs, tags or raw",
+        )
     check_detected(eye.target, detector, scenario.law)
     check_length("camera.mount", camera.mount.T, MOST_MOUNT_M if eye.rigid else MOST_PLACE_M)
     if not eye.stands and eye.target.on_gripper:
-        raise ParameterError.fixed("on", "world", "flange", why="on the flange it sees a target in the gripper always alike")
+        raise ParameterError.fixed(
+            "on",
+            "world",
+            "flange",
+            why="on the flange it sees a target in the gripper always alike",
+        )
     if not eye.rigid and not isinstance(eye.robot, Arm):
-        words = f"must be flange for robot {eye.robot.kind}, which does not know its place in the room; an arm does"
+        words = (
+            f"must be flange for robot {eye.robot.kind},"
+            " which does not know its place in the room; an arm does"
+        )
         raise ParameterError("on", words, "world")
 
 
 def _check_pair(scenario: Scenario, eye: OtherCamera) -> None:
-    """Refuse a pair whose pictures are not taken at the same times, or whose lenses lie in one place, for depths by triangulation."""
+    """Refuse a pair whose pictures are not taken at the same times, or whose lenses lie in one
+    place, for depths by triangulation.
+    """
     own, other = scenario.camera, eye.camera
     for name in ("rate_hz", "latency_s"):
         if getattr(own, name) != getattr(other, name):
-            words = f"{getattr(own, name):g}, as camera.{name} is: depths are triangulated from pictures of the same time"
-            raise ParameterError.bound(f"cameras.{eye.name}.camera.{name}", "equal to", words, getattr(other, name))
+            words = (
+                f"{getattr(own, name):g}, as camera.{name} is:"
+                " depths are triangulated from pictures of the same time"
+            )
+            raise ParameterError.bound(
+                f"cameras.{eye.name}.camera.{name}", "equal to", words, getattr(other, name)
+            )
     if float(np.linalg.norm(own.mount.T[:3, 3] - other.mount.T[:3, 3])) < LEAST_BASELINE_M:
         raise ParameterError("law.depth.camera", "must name a camera at another place", eye.name)
 
 
-LEAST_BASELINE_M = 1e-6  # least distance between the lenses of a pair [m]: nearer they are in one place but for rounding
+# least distance between the lenses of a pair [m]: nearer they are in one place but for rounding
+LEAST_BASELINE_M = 1e-6

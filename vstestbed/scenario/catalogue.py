@@ -1,4 +1,6 @@
-"""Every block of a scenario by the word that people have for it: `pbvs`, `law.pbvs`, `stop`, `law.solve`, `law` for all its kinds."""
+"""Every block of a scenario by the word that people have for it: `pbvs`, `law.pbvs`, `stop`,
+`law.solve`, `law` for all its kinds.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,8 @@ from vstestbed.scenario.yaml_marks import bundled_mapping, read_value
 
 @dataclass(frozen=True)
 class Entry:
-    """A block, or a list of kinds (its `cls` is None). registry: the list of kinds that it is, or to which its kind belongs.
-    field: the field that holds it, `NAME[]` where it is one of a list.
+    """A block, or a list of kinds (its `cls` is None). registry: the list of kinds that it is, or
+    to which its kind belongs. field: the field that holds it, `NAME[]` where it is one of a list.
     """
 
     name: str
@@ -34,17 +36,25 @@ class Entry:
 
 
 def catalogue(**roots: type) -> dict[str, Entry]:
-    """All entries by full name, from the outside in. roots: the blocks that are files; the fields of `scenario` go without that name."""
+    """All entries by full name, from the outside in. roots: the blocks that are files; the fields
+    of `scenario` go without that name.
+    """
     found = {name: Entry(name, cls, None, name) for name, cls in roots.items()}
     waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
     while waiting:
         owner, cls = waiting.popleft()
         kinds = _kinds_of(found[owner]) if owner in found else [cls]
-        blocks = ((each.name, each.node.type is tuple, *block) for each in fields(cls).values() for block in each.node.blocks())
+        blocks = (
+            (each.name, each.node.type is tuple, *block)
+            for each in fields(cls).values()
+            for block in each.node.blocks()
+        )
         for at, listed, union, inner in blocks:
             place = f"{at}[]" if listed else at
             if union is None:
-                name = _field_name(owner if _alike(kinds, at) else kind_of(cls), at, cls, inner, found)
+                name = _field_name(
+                    owner if _alike(kinds, at) else kind_of(cls), at, cls, inner, found
+                )
             else:
                 name = f"{union.what}.{kind_of(inner)}"
                 found.setdefault(union.what, Entry(union.what, None, union, place))
@@ -55,13 +65,17 @@ def catalogue(**roots: type) -> dict[str, Entry]:
 
 
 def _alike(classes: Iterable[type], field: str) -> bool:
-    """Whether a field holds the same blocks in all classes that have it; `start` is another one in each robot."""
+    """Whether a field holds the same blocks in all classes that have it; `start` is another one in
+    each robot.
+    """
     held = [_blocks_at(cls, field) for cls in classes if field in fields(cls)]
     return all(blocks == held[0] for blocks in held)
 
 
 def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str, Entry]) -> str:
-    """The name of a block in a field: `stop.converged`; with its kind where the owner's is the name of another block."""
+    """The name of a block in a field: `stop.converged`; with its kind where the owner's is the name
+    of another block.
+    """
     name = f"{owner}.{field}".removeprefix(".")
     if name not in found or found[name].cls is inner:
         return name
@@ -79,14 +93,20 @@ def _blocks_at(cls: type, field: str) -> list[tuple[Registry | None, type]]:
 
 
 def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
-    """The lists of kinds of which the last field of a dotted path holds one: `depth` for `law.depth`; none where it holds something else
-    in some kinds of the owner, as `target.marker` does.
+    """The lists of kinds of which the last field of a dotted path holds one: `depth` for
+    `law.depth`; none where it holds something else in some kinds of the owner, as `target.marker`
+    does.
     """
     owner, _, field = path.rpartition(".")
     holders = _kinds_of(entries[owner]) if owner in entries else []
     if not _alike(holders, field):
         return []
-    registries = {registry.what for cls in holders for registry, _ in _blocks_at(cls, field) if registry is not None}
+    registries = {
+        registry.what
+        for cls in holders
+        for registry, _ in _blocks_at(cls, field)
+        if registry is not None
+    }
     return [entry for entry in entries.values() if entry.cls is None and entry.name in registries]
 
 
@@ -96,14 +116,16 @@ def _kinds_of(entry: Entry) -> list[type]:
     return [] if entry.registry is None else list(entry.registry.members.values())
 
 
-# Every field of a scenario by its dotted path: `camera.readout_s`, `robot.puma560.gears.damping_s`, `world.plates.0.pose`, `randomise`.
+# Every field of a scenario by its dotted path: `camera.readout_s`, `robot.puma560.gears.damping_s`,
+# `world.plates.0.pose`, `randomise`.
 MOST_NAMED = 6  # most paths that a message lists of a word that is a field of many blocks
 
 
 @dataclass(frozen=True)
 class FieldPlace:
     """A field in all the blocks that have it at one place of a scenario.
-    path: as it was asked for. owners: the classes that have it, by their entries. settable: whether `--set` takes the path.
+    path: as it was asked for. owners: the classes that have it, by their entries. settable: whether
+    `--set` takes the path.
     """
 
     path: str
@@ -113,23 +135,28 @@ class FieldPlace:
 
 
 def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
-    """The entry of a full name, of its last part where only one thing has that, or of a field with or without a kind (`law.depth.pnp`);
-    else the field of this name. Raises ParameterError: there is none, with the nearest, or there are several, with their full names.
+    """The entry of a full name, of its last part where only one thing has that, or of a field with
+    or without a kind (`law.depth.pnp`); else the field of this name. Raises ParameterError: there
+    is none, with the nearest, or there are several, with their full names.
     """
     if word in entries:
         return entries[word]
     if "." in word:
-        field, _, kind = word.rpartition(".")  # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
+        # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
+        field, _, kind = word.rpartition(".")
         inner = (f"{registry.name}.{kind}" for registry in _held_in(field, entries))
         held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]
         return held[0] if len(held) == 1 else _at(word, entries)
     by_name = [entry for entry in entries.values() if named(entry) == word]
-    # a kind that its field alone may hold, such as the marker `stripe` of target `lines`, has the field's name
+    # a kind that its field alone may hold, such as the marker `stripe` of target `lines`, has the
+    # field's name
     by_kind = [entry for entry in entries.values() if getattr(entry.cls, "kind", None) == word]
     things = list({entry.cls: entry for entry in reversed(by_name or by_kind)}.values())
     if len(things) > 1:
         names = sorted(entry.name for entry in things)
-        raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
+        raise ParameterError(
+            word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names"
+        )
     return things[0] if things else _at(word, entries)
 
 
@@ -138,13 +165,16 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     *before, name = (part.removesuffix("[]") for part in path.split(".") if not part.isdecimal())
     if not before:
         return _top_or_only(name, entries)
-    holders = [_scenario(entries)]  # the classes of the blocks to which the parts of the path so far lead
+    # the classes of the blocks to which the parts of the path so far lead
+    holders = [_scenario(entries)]
     for i, part in enumerate(before):
         within = list(_within(holders, part)) if i else _begun(part, entries)
         if not within:
             raise _none_in(path, part, before[:i], holders)
         holders = within
-    by_name = {next(entry.name for entry in entries.values() if entry.cls is cls): cls for cls in holders}
+    by_name = {
+        next(entry.name for entry in entries.values() if entry.cls is cls): cls for cls in holders
+    }
     if owners := {named_so: cls for named_so, cls in by_name.items() if name in fields(cls)}:
         return FieldPlace(path, name, owners, _settable(before, entries))
     for named_so, cls in by_name.items():
@@ -167,8 +197,12 @@ def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:
         return FieldPlace(path, name, owners, _settable(path.split(".")[:-1], entries))
     if held:
         shown = ", ".join(list(held)[:MOST_NAMED])
-        raise ParameterError(name, f"is a field of {len(held)} blocks; give its path, such as {shown}")
-    raise ParameterError.unknown(name, "kind, block or field of a scenario", _nearest_of_all(name, entries))
+        raise ParameterError(
+            name, f"is a field of {len(held)} blocks; give its path, such as {shown}"
+        )
+    raise ParameterError.unknown(
+        name, "kind, block or field of a scenario", _nearest_of_all(name, entries)
+    )
 
 
 def _scenario(entries: Mapping[str, Entry]) -> type:
@@ -178,20 +212,29 @@ def _scenario(entries: Mapping[str, Entry]) -> type:
 
 
 def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
-    """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name."""
+    """The classes that the first word of a path may mean: a field of the scenario, a list of kinds,
+    a kind or a block by its name.
+    """
     scenario = _scenario(entries)
     if word in fields(scenario):
         return list(_within([scenario], word))
     found = [
-        e.cls for e in entries.values() if e.cls is not None and (word == named(e) or (e.registry is not None and e.registry.what == word))
+        e.cls
+        for e in entries.values()
+        if e.cls is not None
+        and (word == named(e) or (e.registry is not None and e.registry.what == word))
     ]
     if not found:
-        raise ParameterError.unknown(word, "kind and no block of a scenario", _nearest_of_all(word, entries))
+        raise ParameterError.unknown(
+            word, "kind and no block of a scenario", _nearest_of_all(word, entries)
+        )
     return found
 
 
 def _within(holders: Sequence[type], part: str) -> Iterator[type]:
-    """The classes of the blocks to which a part of a path leads: those that a field of this name holds, and the kind of this name."""
+    """The classes of the blocks to which a part of a path leads: those that a field of this name
+    holds, and the kind of this name.
+    """
     inner = [inner for cls in holders for _, inner in _blocks_at(cls, part)]
     yield from dict.fromkeys([*inner, *(cls for cls in holders if _kind(cls) == part)])
 
@@ -211,24 +254,39 @@ def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
     return True
 
 
-def _none_in(path: str, name: str, before: Sequence[str], holders: Iterable[type]) -> ParameterError:
+def _none_in(
+    path: str, name: str, before: Sequence[str], holders: Iterable[type]
+) -> ParameterError:
     inside = {inner for cls in holders for inner in fields(cls) if inner != "kind"}
     if name in inside:
-        return ParameterError.unknown(path, "field of a scenario", f"{'.'.join((*before, name))} is no block, and has no fields")
-    return ParameterError.unknown(path, f"field of a scenario: {'.'.join(before)} has no {name}", nearest(name, inside))
+        return ParameterError.unknown(
+            path,
+            "field of a scenario",
+            f"{'.'.join((*before, name))} is no block, and has no fields",
+        )
+    return ParameterError.unknown(
+        path, f"field of a scenario: {'.'.join(before)} has no {name}", nearest(name, inside)
+    )
 
 
 def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:
     """The nearest name, or where to begin: a list of all names would fill a screen."""
-    inside = {name for entry in entries.values() if entry.cls is not None for name in fields(entry.cls)}
+    inside = {
+        name for entry in entries.values() if entry.cls is not None for name in fields(entry.cls)
+    }
     hint = nearest(word, {named(entry) for entry in entries.values()} | set(entries) | inside)
-    return hint if hint.startswith("did you mean") else f"a scenario has {', '.join(fields(_scenario(entries)))}"
+    return (
+        hint
+        if hint.startswith("did you mean")
+        else f"a scenario has {', '.join(fields(_scenario(entries)))}"
+    )
 
 
 @dataclass
 class Uses:
-    """What is written in bundled files. files: names of those that use a class. blocks: the field (`NAME[]` for one of a list) and the
-    block in the first of them. values: what is written in each field, by the name of its class and its own, in the order of the files.
+    """What is written in bundled files. files: names of those that use a class. blocks: the field
+    (`NAME[]` for one of a list) and the block in the first of them. values: what is written in each
+    field, by the name of its class and its own, in the order of the files.
     """
 
     files: dict[type, list[str]] = field(default_factory=dict)
@@ -236,7 +294,9 @@ class Uses:
     values: dict[tuple[str, str], list[Any]] = field(default_factory=dict)
 
     def add(self, cls: type, file: str, name: str, written: Any) -> None:
-        """Take in a block of a class, as it is written in a field of a file: a mapping, or the shorthand for one."""
+        """Take in a block of a class, as it is written in a field of a file: a mapping, or the
+        shorthand for one.
+        """
         files = self.files.setdefault(cls, [])
         if file not in files:
             files.append(file)
@@ -286,8 +346,13 @@ def _in_field(node: Node, key: str, written: Any) -> Iterator[tuple[type, str, A
 
 
 def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
-    """The same of a comparison, whose blocks with a `kind` stand anywhere: under a dotted path, or in a list of values."""
-    what, kind = key.rpartition(".")[2], written.get("kind") if isinstance(written, Mapping) else written
+    """The same of a comparison, whose blocks with a `kind` stand anywhere: under a dotted path, or
+    in a list of values.
+    """
+    what, kind = (
+        key.rpartition(".")[2],
+        written.get("kind") if isinstance(written, Mapping) else written,
+    )
     members = registry(f"{what}s").members if f"{what}s" in HOMES else {}
     if isinstance(kind, str) and kind in members:
         yield members[kind], what, written
@@ -299,42 +364,62 @@ def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
             yield from _in_comparison(key, value)
 
 
-# JSON Schema with the words of the docstrings: a description, a unit and an example for every field.
+# JSON Schema with the words of the docstrings: a description, a unit and an example for every
+# field.
 #
-# Editors show the description where the cursor is. `unit` is no word of JSON Schema, which leaves room for such: a reader that does not
-# know it passes over it.
+# Editors show the description where the cursor is. `unit` is no word of JSON Schema, which leaves
+# room for such: a reader that does not know it passes over it.
 LONGEST_EXAMPLE = 100  # longest example of a field, in characters of its YAML
 _NOTHING = ({}, [], "", None)
 
 
 def schema_of(cls: type) -> dict[str, Any]:
-    """JSON Schema of a spec class, Scenario or Comparison, with the kinds that plugins have added until now."""
+    """JSON Schema of a spec class, Scenario or Comparison, with the kinds that plugins have added
+    until now.
+    """
     draft = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     whole = whole_adapter(cls).json_schema(schema_generator=_Described)
     return draft | whole | {"$defs": dict(sorted(whole["$defs"].items()))}
 
 
 class _Described(GenerateJsonSchema):
-    """Pydantic's generator, which takes a whole docstring for a class and nothing for its fields."""
+    """Pydantic's generator, which takes a whole docstring for a class
+    and nothing for its fields.
+    """
 
     def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
         """The block of a class."""
         block, cls = super().dataclass_schema(schema), schema["cls"]
         words, uses = class_text(cls), bundled_uses()
-        block["description"] = "\n\n".join([words.summary, *filter(None, [words.text]), *(f"Source: {s}" for s in words.sources)])
+        block["description"] = "\n\n".join(
+            [words.summary, *filter(None, [words.text]), *(f"Source: {s}" for s in words.sources)]
+        )
         # Pydantic has fields here, too, that no constructor takes.
-        block["properties"] = {name: p for name, p in block["properties"].items() if name in words.fields}
+        block["properties"] = {
+            name: p for name, p in block["properties"].items() if name in words.fields
+        }
         for name, rule in block["properties"].items():
             rule.pop("title", None)  # the name of the field once more
             if not fields(cls)[name].needed:
                 rule.setdefault("default", fields(cls)[name].default)  # one that a function makes
             if name == "kind":
-                rule |= {"description": words.summary or f"The kind of {cls.__name__}.", "examples": [kind_of(cls)]}
+                rule |= {
+                    "description": words.summary or f"The kind of {cls.__name__}.",
+                    "examples": [kind_of(cls)],
+                }
                 continue
             field = words.fields[name]
-            has_unit = field.unit in ("", DIMENSIONLESS) or "[" in field.description or not field.description
+            has_unit = (
+                field.unit in ("", DIMENSIONLESS)
+                or "[" in field.description
+                or not field.description
+            )
             described = field.description if has_unit else f"{field.description} [{field.unit}]"
-            found = ("description", described), ("unit", field.unit), ("examples", list(examples_of(cls, name, uses)))
+            found = (
+                ("description", described),
+                ("unit", field.unit),
+                ("examples", list(examples_of(cls, name, uses))),
+            )
             rule |= {word: value for word, value in found if value}
         return block
 
@@ -344,11 +429,16 @@ class _Described(GenerateJsonSchema):
 
 
 def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
-    """One example of a field, if there is any: one in a bundled file that is not its default; the docstring's; the default."""
+    """One example of a field, if there is any: one in a bundled file that is not its default; the
+    docstring's; the default.
+    """
     default = fields(cls)[name].default
-    written = [v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in _NOTHING]
+    written = [
+        v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in _NOTHING
+    ]
     if written:
-        yield min(written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE))  # the first that is short enough, else the shortest
+        # the first that is short enough, else the shortest
+        yield min(written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE))
     elif example := class_text(cls).fields[name].example:
         yield read_value(example)
     elif (filled := _filled(default)) not in _NOTHING:
@@ -359,12 +449,21 @@ def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
 
 
 def example_block(cls: type, uses: Uses) -> dict[str, Any]:
-    """A block of a class, which need not be used anywhere: its kind and the fields that it needs, else its first field."""
+    """A block of a class, which need not be used anywhere: its kind and the fields that it needs,
+    else its first field.
+    """
     names = [name for name in fields(cls) if name != "kind"]
     kind = {"kind": kind_of(cls)} if "kind" in fields(cls) else {}
-    return kind | {name: next(examples_of(cls, name, uses), None) for name in needed(cls) or ([] if kind else names[:1])}
+    return kind | {
+        name: next(examples_of(cls, name, uses), None)
+        for name in needed(cls) or ([] if kind else names[:1])
+    }
 
 
 def _filled(value: Any) -> Any:
     """Plain values without the fields that are None, which say nothing in an example."""
-    return {name: _filled(inner) for name, inner in value.items() if inner is not None} if isinstance(value, dict) else value
+    return (
+        {name: _filled(inner) for name, inner in value.items() if inner is not None}
+        if isinstance(value, dict)
+        else value
+    )

@@ -1,4 +1,6 @@
-"""The block `randomise`, fields of a scenario that are drawn anew for each seed, and the random streams of a seed."""
+"""The block `randomise`, fields of a scenario that are drawn anew for each seed, and the random
+streams of a seed.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ if TYPE_CHECKING:
 
 
 NOT_DRAWN = "name", "description", "plugins", "seed", "randomise"
-"""Blocks that no distribution may change: the seed decides what is drawn, and the others describe the experiment."""
+"""Blocks that no distribution may change: the seed decides what is drawn, and the others describe
+the experiment.
+"""
 TRIES = 1000  # largest number of draws until one lies within its bounds
 Finite = Annotated[float, Ge(-1e9), Le(1e9)]
 Whole = Annotated[int, Ge(-(10**9)), Le(10**9)]
@@ -30,7 +34,8 @@ Pair = Annotated[tuple[Finite, ...], Len(2, 2)]
 
 
 class Distribution:
-    """How one field is drawn; of your own, call `__post_init__` from that of the class, if it has one.
+    """How one field is drawn; of your own, call `__post_init__` from that of the class, if it has
+    one.
 
     Attributes:
         field: dotted path of the field that is drawn, as `--set` takes it.
@@ -38,11 +43,15 @@ class Distribution:
 
     kind: Any  # the word in a scenario, a field of each distribution
     field: str
-    _bounds: ClassVar[str] = ""  # the name of the field that holds the smallest and the largest value
+    _bounds: ClassVar[str] = (
+        ""  # the name of the field that holds the smallest and the largest value
+    )
 
     def __post_init__(self) -> None:
         if self.field.split(".")[0] in NOT_DRAWN:
-            raise ParameterError.excluded("field", f"in {', '.join(NOT_DRAWN)}", self.field, works="world.light.brightness")
+            raise ParameterError.excluded(
+                "field", f"in {', '.join(NOT_DRAWN)}", self.field, works="world.light.brightness"
+            )
         if self._bounds and getattr(self, self._bounds) is not None:
             check_range(self, self._bounds, equal=False)
 
@@ -77,8 +86,8 @@ class Gaussian(Distribution):
     Args:
         field: dotted path of the field that is drawn; e.g. `camera.latency_s`.
         normal: mean and standard deviation [unit of the field]; e.g. `[0.04, 0.005]`.
-        within: smallest and largest value: the distribution is cut off there, and not heaped up at its bounds; none: unbounded
-            [unit of the field]; e.g. `[0.02, 0.06]`.
+        within: smallest and largest value: the distribution is cut off there, and not heaped up at
+            its bounds; none: unbounded [unit of the field]; e.g. `[0.02, 0.06]`.
     """
 
     kind: Literal["normal"] = "normal"
@@ -91,15 +100,23 @@ class Gaussian(Distribution):
         super().__post_init__()
         mean, sigma = self.normal
         if sigma < 0:
-            raise ParameterError.form("normal", "[mean, standard deviation of 0 or more]", list(self.normal))
-        if self.within is not None and not (self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma):
-            words = f"must reach into three standard deviations about the mean, {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
+            raise ParameterError.form(
+                "normal", "[mean, standard deviation of 0 or more]", list(self.normal)
+            )
+        if self.within is not None and not (
+            self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma
+        ):
+            words = (
+                "must reach into three standard deviations about the mean,"
+                f" {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
+            )
             raise ParameterError("within", words, list(self.within))
 
     def draw(self, rng: np.random.Generator) -> float:
         (mean, sigma), (low, high) = self.normal, self.within or (-math.inf, math.inf)
         for _ in range(TRIES):
-            if low <= (x := mean + sigma * float(rng.standard_normal())) <= high:  # `normal` refuses a sigma of -0.0
+            # `normal` refuses a sigma of -0.0
+            if low <= (x := mean + sigma * float(rng.standard_normal())) <= high:
                 return x
         raise ParameterError("within", f"held none of {TRIES} draws; make it wider", [low, high])
 
@@ -147,7 +164,8 @@ class Chosen(Distribution):
 
     Args:
         field: dotted path of the field that is drawn; e.g. `world.floor.texture`.
-        choice: the values: numbers, words, or lists of numbers [unit of the field]; e.g. `["texture:brick", "texture:leaves"]`.
+        choice: the values: numbers, words, or lists of numbers [unit of the field]; e.g.
+            `["texture:brick", "texture:leaves"]`.
     """
 
     kind: Literal["choice"] = "choice"
@@ -168,20 +186,42 @@ DISTRIBUTIONS = Registry(
 )
 
 # Domain randomisation: the block `randomise`, and clutter, drawn from a scenario's seed.
-# Independent random streams of one seed. Their numbers enter the seed: a new one comes last, or all recorded runs change.
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
-"""The start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing, of the calibration of depths, the target's
-random walk, perturbations."""
-RGBD_STREAM, GOAL_STREAM, BODY_STREAM, LINK_STREAM, STAMP_STREAM, IMAGING_STREAM, RANDOMISE_STREAM, CLUTTER_STREAM = range(8, 16)
-"""The depth camera, the goal's picture, what differs from one robot to the next of its kind, losses of the link, time stamps, the image
-sensor, the block `randomise`, clutter."""
+# Independent random streams of one seed. Their numbers enter the seed: a new one comes last, or all
+# recorded runs change.
+(
+    START_STREAM,
+    NOISE_STREAM,
+    IMAGE_STREAM,
+    SENSOR_STREAM,
+    TIMING_STREAM,
+    DEPTH_STREAM,
+    MOTION_STREAM,
+    PERTURB_STREAM,
+) = range(8)
+"""The start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing, of
+the calibration of depths, the target's random walk, perturbations.
+"""
+(
+    RGBD_STREAM,
+    GOAL_STREAM,
+    BODY_STREAM,
+    LINK_STREAM,
+    STAMP_STREAM,
+    IMAGING_STREAM,
+    RANDOMISE_STREAM,
+    CLUTTER_STREAM,
+) = range(8, 16)
+"""The depth camera, the goal's picture, what differs from one robot to the next of its kind, losses
+of the link, time stamps, the image sensor, the block `randomise`, clutter.
+"""
 TARGET_STREAM = 16  # changes of the target's own picture
 
 
 def drawn(scenario: Scenario) -> Scenario:
-    """The scenario with the values of `randomise`, which is then empty, and the objects of `world.clutter` that its seed draws. Itself
-    where it has them already.
-    Raises ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
+    """The scenario with the values of `randomise`, which is then empty, and the objects of
+    `world.clutter` that its seed draws. Itself where it has them already.
+    Raises ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the
+    value and why.
     """
     if scenario.randomise:
         plain, found = to_mapping(scenario) | {"randomise": []}, values_of(scenario)
@@ -195,19 +235,34 @@ def drawn(scenario: Scenario) -> Scenario:
             mistake = error.mistakes[0]
             wrong, places = f"{mistake.field}.", [f"{field}." for field in fields]
             # It is of the drawn field, of one in it, or of its block.
-            i = next((i for i, at in enumerate(places) if wrong.startswith(at) or (wrong != "." and at.startswith(wrong))), 0)
-            words = f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}: {mistake.field} {mistake.sentence}"
+            i = next(
+                (
+                    i
+                    for i, at in enumerate(places)
+                    if wrong.startswith(at) or (wrong != "." and at.startswith(wrong))
+                ),
+                0,
+            )
+            words = (
+                f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}:"
+                f" {mistake.field} {mistake.sentence}"
+            )
             raise ParameterError(f"randomise.{i}", words) from None
     clutter = scenario.world.clutter
     if clutter is None or clutter.placed or not clutter.count:
         return scenario
-    placed = clutter.draw(np.random.default_rng([scenario.seed, CLUTTER_STREAM]), scenario.target.hues_deg)
+    placed = clutter.draw(
+        np.random.default_rng([scenario.seed, CLUTTER_STREAM]), scenario.target.hues_deg
+    )
     return replace(scenario, world=replace(scenario.world, clutter=replace(clutter, placed=placed)))
 
 
 def values_of(scenario: Scenario) -> dict[str, Any]:
     """What the seed draws for the fields of `randomise`, by their paths."""
-    of_field = [(one, np.random.default_rng([scenario.seed, RANDOMISE_STREAM, *one.field.encode()])) for one in scenario.randomise]
+    of_field = [
+        (one, np.random.default_rng([scenario.seed, RANDOMISE_STREAM, *one.field.encode()]))
+        for one in scenario.randomise
+    ]
     return {one.field: one.draw(rng) for one, rng in of_field}
 
 
@@ -215,5 +270,9 @@ def check_randomise(randomise: Sequence[Distribution]) -> None:
     """Refuse two distributions of one field, or of a block and a field in it."""
     for i, one in enumerate(randomise):
         for j, other in enumerate(randomise[:i]):
-            if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(f"{one.field}."):
-                raise ParameterError.conflict(f"randomise.{i}.field", f"randomise.{j}.field: {other.field}", one.field)
+            if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(
+                f"{one.field}."
+            ):
+                raise ParameterError.conflict(
+                    f"randomise.{i}.field", f"randomise.{j}.field: {other.field}", one.field
+                )

@@ -1,4 +1,6 @@
-"""Scenario files: read with all mistakes reported at once (file, line, column, field), written with all defaults."""
+"""Scenario files: read with all mistakes reported at once (file, line, column, field), written with
+all defaults.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,28 @@ from vstestbed.core.messages import UNKNOWN
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, build, place_of, plain_mapping, put_over, respelled, text_of
+from vstestbed.scenario.yaml_marks import (
+    FROM_PYTHON,
+    Marks,
+    build,
+    place_of,
+    plain_mapping,
+    put_over,
+    respelled,
+    text_of,
+)
 
 GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
-"""In a run's folder: the scenario as it was given, and as it ran, with every default, preset and draw written out."""
+"""In a run's folder: the scenario as it was given, and as it ran, with every default, preset and
+draw written out.
+"""
 SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
 """The first line of a bundled file, by which editors find its schema beside it."""
 
 
 def find(name: str | Path) -> Path:
-    """The file of a scenario given by path or by the name of a bundled one, which no file of the current folder takes: that is
-    `./NAME`. ScenarioError names the nearest where neither exists.
+    """The file of a scenario given by path or by the name of a bundled one, which no file of the
+    current folder takes: that is `./NAME`. ScenarioError names the nearest where neither exists.
     """
     path, bundled = Path(name), bundled_scenarios()
     try:
@@ -33,9 +46,13 @@ def find(name: str | Path) -> Path:
         if path.is_file():
             return path
         if str(name) and path.is_dir():
-            raise ScenarioError([Mistake(str(name), "", "is a folder; give a scenario's YAML file")])
+            raise ScenarioError(
+                [Mistake(str(name), "", "is a folder; give a scenario's YAML file")]
+            )
     except OSError as error:
-        raise ScenarioError([Mistake(short(str(name)), "", f"cannot be read ({error.strerror})")]) from None
+        raise ScenarioError(
+            [Mistake(short(str(name)), "", f"cannot be read ({error.strerror})")]
+        ) from None
     words = f"no such file, and no bundled scenario of that name; {nearest(path.stem, bundled)}"
     raise ScenarioError([Mistake(str(name) or "SCENARIO", "", words)])
 
@@ -47,21 +64,37 @@ def load(
     places: Mapping[str, Marks] | None = None,
     plugins: Sequence[str] = (),
 ) -> Scenario:
-    """Read a scenario from a file or a bundled name. This runs the code of the plugins that it names.
+    """Read a scenario from a file or a bundled name. This runs the code of the plugins that it
+    names.
 
     Args:
         name: path of a YAML file, or the name of a bundled scenario.
-        overrides: values by dotted path, such as {"law.gain": 1.0}; they replace what the file says before it is checked.
+        overrides: values by dotted path, such as {"law.gain": 1.0}; they replace what the file says
+            before it is checked.
         seed: draw the start from the robot's random block, and all noise, from this seed.
-        places: for messages, where each override stands: of its value and of the keys in it, relative to it; by default `overrides`.
-        plugins: files (`mylaw.py`) or modules that add kinds, besides those that the file names under `plugins`.
-    Raises ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be imported.
+        places: for messages, where each override stands: of its value and of the keys in it,
+            relative to it; by default `overrides`.
+        plugins: files (`mylaw.py`) or modules that add kinds, besides those that the file names
+            under `plugins`.
+    Raises ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be
+    imported.
     """
     if not isinstance(overrides or {}, Mapping):
-        raise ScenarioError([Mistake("overrides", "", f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}")])
+        raise ScenarioError(
+            [
+                Mistake(
+                    "overrides",
+                    "",
+                    f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}",
+                )
+            ]
+        )
     path = find(name)
     if path.name == RESOLVED and (overrides or seed is not None):
-        words = f"is the record of a run, with every preset and draw written out; put other values and seeds over {GIVEN} beside it"
+        words = (
+            "is the record of a run, with every preset and draw written out;"
+            f" put other values and seeds over {GIVEN} beside it"
+        )
         raise ScenarioError([Mistake(str(path), "", words)])
     scenario = parse(text_of(path), str(path), overrides, seed, places, plugins)
     return scenario if scenario.name else scenario.but(name=path.stem)
@@ -81,16 +114,23 @@ def parse(
     plain = absolute_files(plain, Path(file).absolute().parent)
     overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
     put_over(plain, _part(overrides, of_plugins=True), marks, places)
-    load_named(plain, marks, file, plugins)  # before the other settings, which may use the words that plugins add
+    # before the other settings, which may use the words that plugins add
+    load_named(plain, marks, file, plugins)
     put_over(plain, _part(overrides, of_plugins=False), marks, places)
     start = "robot.start.nominal."
-    gives_start = any(start.startswith(f"{dotted}.") or dotted.startswith(start) for dotted in overrides)
+    gives_start = any(
+        start.startswith(f"{dotted}.") or dotted.startswith(start) for dotted in overrides
+    )
     if gives_start and "draw_start" in plain and "draw_start" not in overrides:
         plain["draw_start"] = False
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
-        raise (_other_kinds(_blame_settings(error, text, file, overrides, places), overrides, places) if overrides else error) from None
+        raise (
+            _other_kinds(_blame_settings(error, text, file, overrides, places), overrides, places)
+            if overrides
+            else error
+        ) from None
     _refuse_drawn(scenario, overrides, places)
     if _is_plain(plain):
         scenario.loaded_from(plain)
@@ -112,45 +152,81 @@ def _is_plain(value: object) -> bool:
 
 
 def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object]:
-    return {path: value for path, value in overrides.items() if (path.split(".")[0] == "plugins") == of_plugins}
+    return {
+        path: value
+        for path, value in overrides.items()
+        if (path.split(".")[0] == "plugins") == of_plugins
+    }
 
 
-def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> None:
+def _refuse_drawn(
+    scenario: Scenario, overrides: Mapping[str, object], places: Mapping[str, Marks]
+) -> None:
     for i, one in enumerate(scenario.randomise):
         for dotted in overrides:
             if f"{dotted}.".startswith(f"{one.field}."):
-                words = f"is drawn from the seed by randomise.{i}; set randomise=[], or leave that distribution out, to give it a value"
+                words = (
+                    f"is drawn from the seed by randomise.{i};"
+                    " set randomise=[], or leave that distribution out, to give it a value"
+                )
                 raise ScenarioError([Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words)])
 
 
 def _blame_settings(
-    error: ScenarioError, text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]
+    error: ScenarioError,
+    text: str,
+    file: str,
+    overrides: Mapping[str, object],
+    places: Mapping[str, Marks],
 ) -> ScenarioError:
-    """The same mistakes, each with the position of the override that brings it; those that the file has by itself are left alone. A
-    contradiction between two fields names one of them, which may be the file's: so the file is read again with one more override at a time.
+    """The same mistakes, each with the position of the override that brings it; those that the file
+    has by itself are left alone. A contradiction between two fields names one of them, which may be
+    the file's: so the file is read again with one more override at a time.
     """
     known = {place for dotted in overrides for place in places.get(dotted, FROM_PYTHON).values()}
     if all(m.where in known for m in error.mistakes):
         return error
-    origins = dict.fromkeys(_mistakes(text, file, {}), "")  # the position of the first override with which a mistake is there
+    # the position of the first override with which a mistake is there
+    origins = dict.fromkeys(_mistakes(text, file, {}), "")
     for number, dotted in enumerate(overrides, start=1):
         found = _mistakes(text, file, dict(itertools.islice(overrides.items(), number)))
         origins = dict.fromkeys(found, places.get(dotted, FROM_PYTHON)[()]) | origins
-    places_found = [m.where if m.where in known else origins[m.field, m.sentence] or m.where for m in error.mistakes]
-    return ScenarioError([dataclasses.replace(m, where=where) for m, where in zip(error.mistakes, places_found, strict=True)])
+    places_found = [
+        m.where if m.where in known else origins[m.field, m.sentence] or m.where
+        for m in error.mistakes
+    ]
+    return ScenarioError(
+        [
+            dataclasses.replace(m, where=where)
+            for m, where in zip(error.mistakes, places_found, strict=True)
+        ]
+    )
 
 
-def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> ScenarioError:
-    """The same mistakes, with one in place of those of fields that a block keeps though an override makes another kind of it."""
+def _other_kinds(
+    error: ScenarioError, overrides: Mapping[str, object], places: Mapping[str, Marks]
+) -> ScenarioError:
+    """The same mistakes, with one in place of those of fields that a block keeps though an override
+    makes another kind of it.
+    """
     mistakes = list(error.mistakes)
     for dotted, kind in overrides.items():
         block, _, last = dotted.rpartition(".")
         given = tuple(f"{other}." for other in overrides if other != dotted)
-        kept = [m for m in mistakes if m.field.startswith(f"{block}.") and UNKNOWN in m.sentence and not f"{m.field}.".startswith(given)]
+        kept = [
+            m
+            for m in mistakes
+            if m.field.startswith(f"{block}.")
+            and UNKNOWN in m.sentence
+            and not f"{m.field}.".startswith(given)
+        ]
         if last != "kind" or not kept:
             continue
         names = ", ".join(dict.fromkeys(m.field.removeprefix(f"{block}.") for m in kept))
-        words = f"leaves the block's other fields as they are, and {kind} has no {names}; {block}={kind}, without .kind, replaces the block"
+        words = (
+            f"leaves the block's other fields as they are, and {kind} has no {names};"
+            f" {block}={kind}, without .kind, replaces the block"
+        )
         mistakes = [m for m in mistakes if m not in kept]
         mistakes.append(Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words))
     return ScenarioError(mistakes)
@@ -169,16 +245,19 @@ def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tup
 
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone."""
-    # A fixed start with noise is a fair experiment for many seeds; without either, every seed would give the same run.
+    """The scenario with a start drawn from a seed, and all else that is random with it; without a
+    random block that alone.
+    """
+    # A fixed start with noise is a fair experiment for many seeds; without either, every seed would
+    # give the same run.
     if scenario.robot.start.random is None and scenario.draws:
         return scenario.with_seed(seed)
     return scenario.randomised(seed)
 
 
 def for_another_folder(path: Path) -> str:
-    """The text of a scenario file for a copy elsewhere. Its plugins and the files that it names are named absolutely; it names no schema,
-    which an editor would not find there.
+    """The text of a scenario file for a copy elsewhere. Its plugins and the files that it names are
+    named absolutely; it names no schema, which an editor would not find there.
     """
     text, folder = SCHEMA_LINE.sub("", text_of(path)), path.absolute().parent
     plain = plain_mapping(text, str(path), "")[0]

@@ -22,16 +22,19 @@ Kinds = tuple[Annotated[PerturbationBase, PERTURBATIONS], ...]
 
 @spec
 class TargetNoise:
-    """Changes of the target's own picture, drawn once a run: a poster that has faded or is partly covered since the goal was taught.
+    """Changes of the target's own picture, drawn once a run: a poster that has faded or is partly
+    covered since the goal was taught.
 
-    The picture of the goal shows it unchanged, and so does the file that a detector of the target's picture has learned. With
-    `noise.perturb` the pictures of the camera change instead, each anew: a rectangle on a poster stays where it is on it, one in a
-    picture moves. Both are called perturbed in the literature. It costs some 0.5 s when a run begins, and nothing in a picture.
+    The picture of the goal shows it unchanged, and so does the file that a detector of the target's
+    picture has learned. With `noise.perturb` the pictures of the camera change instead, each anew:
+    a rectangle on a poster stays where it is on it, one in a picture moves. Both are called
+    perturbed in the literature. It costs some 0.5 s when a run begins, and nothing in a picture.
 
     Args:
-        image_sigma: standard deviation of Gaussian noise on each channel of each pixel of the file, of 0 to 255, added last
-            [grey levels]; e.g. `12.75`.
-        perturb: kinds of `noise.perturb` that change pictures, as they are at t = 0, in this order; e.g. `[{kind: erasing}]`.
+        image_sigma: standard deviation of Gaussian noise on each channel of each pixel of the file,
+            of 0 to 255, added last [grey levels]; e.g. `12.75`.
+        perturb: kinds of `noise.perturb` that change pictures, as they are at t = 0, in this order;
+            e.g. `[{kind: erasing}]`.
     """
 
     image_sigma: GreySigma = 0.0
@@ -47,12 +50,22 @@ class TargetNoise:
         if self.none:
             return
         if not hasattr(target, "repainted"):
-            words = f"changes the target's own picture, and a {kind_of(type(target))} has none; works: target picture, or noise.perturb"
+            words = (
+                f"changes the target's own picture, and a {kind_of(type(target))} has none;"
+                " works: target picture, or noise.perturb"
+            )
             raise ParameterError("noise.target", words)
         for i, kind in enumerate(self.perturb):
             if "picture" not in kind.changes:
-                able = [word for word, member in PERTURBATIONS.members.items() if "picture" in member.changes]
-                words = f"changes measured pixels, and here the target's picture is changed; works: {', '.join(able)}"
+                able = [
+                    word
+                    for word, member in PERTURBATIONS.members.items()
+                    if "picture" in member.changes
+                ]
+                words = (
+                    "changes measured pixels, and here the target's picture is changed;"
+                    f" works: {', '.join(able)}"
+                )
                 raise ParameterError(f"noise.target.perturb.{i}", words, kind.kind)
 
     def on(self, target: Target, rng: np.random.Generator) -> Target:
@@ -67,7 +80,9 @@ class TargetNoise:
             assert perturbed is not None
             if not self.image_sigma:
                 return perturbed
-            grain = grains.standard_normal(image.shape, dtype=np.float32) * np.float32(self.image_sigma)
+            grain = grains.standard_normal(image.shape, dtype=np.float32) * np.float32(
+                self.image_sigma
+            )
             return np.clip(perturbed + grain + np.float32(0.5), 0, 255).astype(np.uint8)
 
         able: Any = target  # see `check`
@@ -79,13 +94,18 @@ class Noise:
     """Sensor noise, and changes of what is looked at.
 
     Args:
-        image_sigma: standard deviation of Gaussian noise on each channel of the picture, of 0 to 255 [grey levels]. Its effect on a
-            measured coordinate depends on the detector: with `blobs` and its `grey` moments, a standard deviation of about .0025 px
-            per grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost; e.g. `2`.
-        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px]; e.g. `0.1`.
-        dropout: probability that a detected marker is not reported, for every detector [1]; e.g. `0.05`.
+        image_sigma: standard deviation of Gaussian noise on each channel of the picture, of 0 to
+            255 [grey levels]. Its effect on a measured coordinate depends on the detector: with
+            `blobs` and its `grey` moments, a standard deviation of about .0025 px per grey level
+            for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost;
+            e.g. `2`.
+        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for
+            every detector [px]; e.g. `0.1`.
+        dropout: probability that a detected marker is not reported, for every detector [1]; e.g.
+            `0.05`.
         drift: slow drift of the picture's brightness and colour.
-        perturb: further kinds of noise, of the finished picture or of measured coordinates, in this order (`vision.perturb`).
+        perturb: further kinds of noise, of the finished picture or of measured coordinates, in this
+            order (`vision.perturb`).
         target: changes of the target's own picture, drawn once a run.
     """
 
@@ -102,6 +122,14 @@ class Noise:
         return any("picture" in kind.changes for kind in self.perturb)
 
     def draws(self, pictures: bool, points: bool) -> bool:
-        """Whether a seed makes a difference; pictures: some are looked at, points: some are measured."""
-        on_pixels = self.pixel_sigma_px > 0 or self.dropout > 0 or any("pixels" in kind.changes for kind in self.perturb)
-        return (points and on_pixels) or (pictures and (self.image_sigma > 0 or self.on_pictures or not self.target.none))
+        """Whether a seed makes a difference; pictures: some are looked at, points: some are
+        measured.
+        """
+        on_pixels = (
+            self.pixel_sigma_px > 0
+            or self.dropout > 0
+            or any("pixels" in kind.changes for kind in self.perturb)
+        )
+        return (points and on_pixels) or (
+            pictures and (self.image_sigma > 0 or self.on_pictures or not self.target.none)
+        )

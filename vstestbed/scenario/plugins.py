@@ -1,7 +1,9 @@
-"""Plugins: Python files and modules that add kinds. To load a scenario runs the code of the plugins that it names.
+"""Plugins: Python files and modules that add kinds. To load a scenario runs the code of the plugins
+that it names.
 
-A plugin is named by its file (`laws/mine.py`) or as a module (`mylab.laws`). A file gets a module name of its own, made from its
-path, so that files of one name in different folders are different plugins, and one file is loaded once in a process.
+A plugin is named by its file (`laws/mine.py`) or as a module (`mylab.laws`). A file gets a module
+name of its own, made from its path, so that files of one name in different folders are different
+plugins, and one file is loaded once in a process.
 """
 
 from __future__ import annotations
@@ -15,7 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from vstestbed.core.errors import PluginError
-from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, absolute_file, is_there, line_of, load_file, module_of
+from vstestbed.core.named_files import (
+    ENDINGS,
+    FILE_FIELDS,
+    absolute_file,
+    is_there,
+    line_of,
+    load_file,
+    module_of,
+)
 from vstestbed.core.registry import REGISTRIES, Registry, undone_on_error
 from vstestbed.scenario.yaml_marks import FROM_OPTION, FROM_PYTHON, Marks, place_of
 
@@ -42,7 +52,9 @@ HOMES = {
     "perturbations": "vstestbed.vision.perturb",
     "distributions": "vstestbed.scenario.distributions",
 }
-"""The module of each registry that plugins extend, in which it has its name in capitals; imported when somebody asks for it."""
+"""The module of each registry that plugins extend, in which it has its name in capitals; imported
+when somebody asks for it.
+"""
 _installed: list[str] = []  # registries whose entry points are loaded
 
 
@@ -58,9 +70,11 @@ def registries() -> dict[str, Registry]:
 
 def load_plugins(names: Sequence[str]) -> tuple[str, ...]:
     """Load plugins, which register their kinds, and the entry points of installed packages.
-    names: files, relative to the current folder, and modules, searched on Python's path and in the current folder.
-    Returns the names under which they are found again from any folder: absolute files, and modules.
-    Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its registry's contract.
+    names: files, relative to the current folder, and modules, searched on Python's path and in the
+    current folder. Returns the names under which they are found again from any folder: absolute
+    files, and modules.
+    Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its
+    registry's contract.
     """
     _load_installed()
     return _load_given(names)
@@ -73,8 +87,9 @@ def _load_given(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def load_named(plain: dict[str, Any], marks: Marks, file: str, given: Sequence[str] = ()) -> None:
-    """Load the plugins that a file's mapping names under `plugins`, and those given beside it, each of which also takes the place of a file
-    of the same name that is not there any more; `plain["plugins"]` then holds them all. Raises PluginError: see `load_plugins`.
+    """Load the plugins that a file's mapping names under `plugins`, and those given beside it, each
+    of which also takes the place of a file of the same name that is not there any more;
+    `plain["plugins"]` then holds them all. Raises PluginError: see `load_plugins`.
     """
     if len(_installed) < len(HOMES):
         _load_installed()
@@ -84,7 +99,11 @@ def load_named(plain: dict[str, Any], marks: Marks, file: str, given: Sequence[s
     found = []
     for i, name in enumerate(named):
         where = place_of(("plugins", i), marks, file)
-        folder = Path.cwd() if where in (FROM_OPTION[()], FROM_PYTHON[()]) else Path(file).absolute().parent
+        folder = (
+            Path.cwd()
+            if where in (FROM_OPTION[()], FROM_PYTHON[()])
+            else Path(file).absolute().parent
+        )
         found.append(_loaded(name, folder, where, beside, f"plugins.{i}"))
     if found or beside:
         plain["plugins"] = list(dict.fromkeys([*found, *beside]))
@@ -101,17 +120,23 @@ def absolute(name: str, folder: Path) -> str:
 
 
 def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
-    """A scenario's or a comparison's plain values, with the files that they name without reference to the folder."""
+    """A scenario's or a comparison's plain values, with the files that they name without reference
+    to the folder.
+    """
     if isinstance(value, Mapping):
         return {name: absolute_files(inner, folder, str(name)) for name, inner in value.items()}
     if isinstance(value, list | tuple):
         return type(value)(absolute_files(inner, folder, key) for inner in value)
-    names_file = isinstance(value, str) and key.rpartition(".")[2] in FILE_FIELDS and ENDINGS.search(value)
+    names_file = (
+        isinstance(value, str) and key.rpartition(".")[2] in FILE_FIELDS and ENDINGS.search(value)
+    )
     return absolute_file(value, folder) if names_file else value
 
 
 def relative_files(value: Any, folder: Path, key: str = "") -> Any:
-    """A scenario's plain values, with its plugins and files (`file`, `texture`) in the folder, or below it, named relative to it."""
+    """A scenario's plain values, with its plugins and files (`file`, `texture`) in the folder, or
+    below it, named relative to it.
+    """
     if isinstance(value, dict):
         return {name: relative_files(inner, folder, name) for name, inner in value.items()}
     if isinstance(value, list):
@@ -122,8 +147,9 @@ def relative_files(value: Any, folder: Path, key: str = "") -> Any:
 
 
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:
-    """Load a plugin; returns the name under which it is found again. folder: to which a file's name is relative. where, field: for
-    messages. beside: plugins that are loaded already, one of which may be this one in its new place.
+    """Load a plugin; returns the name under which it is found again. folder: to which a file's name
+    is relative. where, field: for messages. beside: plugins that are loaded already, one of which
+    may be this one in its new place.
     """
     if is_file_name(name):
         path = Path(absolute(name, folder))
@@ -138,10 +164,20 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
         module = load_file(path)
     if known is None and _members() == before:
         del sys.modules[module.__name__]  # to be read again when it is corrected
-        own = [cls.__name__ for cls in vars(module).values() if isinstance(cls, type) and cls.__module__ == module.__name__]
+        own = [
+            cls.__name__
+            for cls in vars(module).values()
+            if isinstance(cls, type) and cls.__module__ == module.__name__
+        ]
         above = f"its class {own[0]}" if own else "a class in it"
-        raise PluginError(str(path), "adds no kind", f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {above}", field)
-    if not is_file_name(name):  # by its own name, too, so that an import of it does not load the file again
+        raise PluginError(
+            str(path),
+            "adds no kind",
+            f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {above}",
+            field,
+        )
+    # by its own name, too, so that an import of it does not load the file again
+    if not is_file_name(name):
         sys.modules.setdefault(name, module)
     return str(path)
 
@@ -153,7 +189,8 @@ def _members() -> int:
 def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> str:
     origin = _origin(name)
     if origin is None and name not in sys.modules and (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)  # at the end: a file here named like an installed package must not replace it
+        # at the end: a file here named like an installed package must not replace it
+        sys.path.append(here)
         importlib.invalidate_caches()
         origin = _origin(name)
     if origin is None and name not in sys.modules:
@@ -169,21 +206,33 @@ def _origin(name: str) -> Path | None:
     """The file of a module; None for one that is not found, or that has no file."""
     try:
         spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError, TypeError, AttributeError):  # its package is not there, or it is no name of a module
+    except (ImportError, ValueError, TypeError, AttributeError):
+        # its package is not there, or it is no name of a module
         return None
-    return Path(spec.origin).resolve() if spec is not None and spec.origin and spec.has_location else None
+    return (
+        Path(spec.origin).resolve()
+        if spec is not None and spec.origin and spec.has_location
+        else None
+    )
 
 
-def _moved(stem: str, beside: Sequence[str], where: str, found: str, remedy: str, field: str) -> str:
-    """The plugin of this name among those given beside, which are in a new place. Raises PluginError: there is none."""
+def _moved(
+    stem: str, beside: Sequence[str], where: str, found: str, remedy: str, field: str
+) -> str:
+    """The plugin of this name among those given beside, which are in a new place. Raises
+    PluginError: there is none.
+    """
     for name in beside:
         if (Path(name).stem if is_file_name(name) else name.rpartition(".")[2]) == stem:
             return name
-    raise PluginError(where, found, f"put it there, or give its place with --plugin {remedy}", field)
+    raise PluginError(
+        where, found, f"put it there, or give its place with --plugin {remedy}", field
+    )
 
 
 def _load_installed() -> None:
-    offered: Any = importlib.metadata.entry_points()  # once: every call reads the metadata of all packages
+    # once: every call reads the metadata of all packages
+    offered: Any = importlib.metadata.entry_points()
     if any(offered.select(group=f"vstestbed.{name}") for name in HOMES):
         for name, kinds in registries().items():
             with _loading(f"an installed plugin of vstestbed.{name}", None), undone_on_error():
@@ -193,12 +242,19 @@ def _load_installed() -> None:
 
 @contextmanager
 def _loading(name: str, path: Path | None) -> Iterator[None]:
-    """Turn whatever a plugin raises while it is imported, which is code of others, into a PluginError with its file and line."""
+    """Turn whatever a plugin raises while it is imported, which is code of others, into a
+    PluginError with its file and line.
+    """
     try:
         yield
     except KeyboardInterrupt:
         raise
     except SystemExit as error:
-        raise PluginError(line_of(error, name, path), f"ends Python with sys.exit({error.code!r}) when it is imported") from error
+        raise PluginError(
+            line_of(error, name, path),
+            f"ends Python with sys.exit({error.code!r}) when it is imported",
+        ) from error
     except Exception as error:
-        raise PluginError(line_of(error, name, path), f"cannot be imported ({type(error).__name__}: {error})") from error
+        raise PluginError(
+            line_of(error, name, path), f"cannot be imported ({type(error).__name__}: {error})"
+        ) from error

@@ -49,16 +49,23 @@ from vstestbed.vision.perturb import Perturbed
 VIEW_MARGIN_PX = 10.0  # margin round each whole marker in the picture of a random start [px]
 
 
-def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], goal: Goal, world: World) -> bool:
-    """Whether the robot's start has the whole target in the picture, or all of it that counts for the first goal, seen from its front."""
+def in_view(
+    robot: Robot, camera: Camera, target: Target, detector: Detector[Any], goal: Goal, world: World
+) -> bool:
+    """Whether the robot's start has the whole target in the picture, or all of it that counts for
+    the first goal, seen from its front.
+    """
     T_world_camera = camera_start(robot, camera, target)
     T = inverse(T_world_camera) @ target_start(robot, target)
-    if detector.rows is not None:  # points that are not its markers: its middle must be seen from the front
+    # points that are not its markers: its middle must be seen from the front
+    if detector.rows is not None:
         return bool(T[2, 2] > 0.17 and camera.whole(T[None, :3, 3], 0.0, VIEW_MARGIN_PX).all())
     p = target.seen_from(inverse(T))
-    facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
+    # cosine of the view on the plane
+    facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)
     turned = T[2, 2] if isinstance(camera, Perspective) else facing
-    faces = turned > 0.17 or not target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
+    # within 80 degrees of the target's normal: beyond, discs are slivers
+    faces = turned > 0.17 or not target.one_sided
     whole = camera.whole(p, target.marker.radius, VIEW_MARGIN_PX) & ~target.hides(inverse(T))
     if world.scenery is not None and whole.any():
         names = world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
@@ -68,13 +75,17 @@ def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any
 
 TRIES = 1000  # largest number of random starts drawn until the target is in view
 DISPLACEMENT_STEPS = 12
-"""Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
+"""Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within
+which Newton's steps keep a posture.
+"""
 
 
 def check_scenario(given: object) -> None:
     """Refuse what is no Scenario, such as the name of one."""
     if not isinstance(given, Scenario):
-        raise ParameterError.fixed("scenario", "a Scenario", given, why="vstestbed.load('arm_ibvs') returns one")
+        raise ParameterError.fixed(
+            "scenario", "a Scenario", given, why="vstestbed.load('arm_ibvs') returns one"
+        )
 
 
 @spec
@@ -84,35 +95,41 @@ class Scenario:
     Args:
         name: names the folder of its results; by default its file's name; e.g. `my_experiment`.
         description: one line for lists and reports.
-        plugins: files or modules that add kinds, loaded before the rest is checked (`scenario.plugins`); e.g. `[my_law.py]`.
+        plugins: files or modules that add kinds, loaded before the rest is checked
+            (`scenario.plugins`); e.g. `[my_law.py]`.
         seed: seed of all random numbers of a run.
-        draw_start: draw the start from `robot.start.random` with the seed, as `--seed` does; a nominal start that is put over the file
-            (`--set robot.start.nominal=...`) is where a run begins.
+        draw_start: draw the start from `robot.start.random` with the seed, as `--seed` does; a
+            nominal start that is put over the file (`--set robot.start.nominal=...`) is where a run
+            begins.
         robot: what moves the camera, or the target.
         camera: lens, size, rate and latency of the pictures, and where the camera is mounted.
-        cameras: further cameras by name, each with a block of its own, for laws of several cameras, for a fused pose, for films and
-            learners; e.g. `{room: {on: world, camera: {mount: {xyz: [1, -1.5, 1], rpy_deg: [-90, 0, 0]}}}}`.
-        fusion: whether the target's pose is that which fits the markers in the pictures of all cameras best (`pose`), also where `camera`
-            itself sees too few of them; or its own alone (`none`).
+        cameras: further cameras by name, each with a block of its own, for laws of several cameras,
+            for a fused pose, for films and learners; e.g.
+            `{room: {on: world, camera: {mount: {xyz: [1, -1.5, 1], rpy_deg: [-90, 0, 0]}}}}`.
+        fusion: whether the target's pose is that which fits the markers in the pictures of all
+            cameras best (`pose`), also where `camera` itself sees too few of them; or its own alone
+            (`none`).
         target: what the camera looks at: markers, or lines on the floor.
         detector: how markers are found in a picture.
         law: the control law.
         goal: what is to be reached or kept.
-        derotation: how image features of a tilted craft are rotated into its level frame (`vision.derotate`).
-        level_trim_s: time constant with which the picture corrects the IMU's roll and pitch for derotation [s]; 0: not at all
-            (`vision.derotate.trimmed`).
+        derotation: how image features of a tilted craft are rotated into its level frame
+            (`vision.derotate`).
+        level_trim_s: time constant with which the picture corrects the IMU's roll and pitch for
+            derotation [s]; 0: not at all (`vision.derotate.trimmed`).
         metrics: figures of the summary besides those of every run.
         monitors: rules of when a run ends besides those of every run.
         stop: when a run ends.
         noise: noise of pictures and of measured coordinates.
-        calibration: the calibration that robot, detector, observer and law work with: its errors, or the name of its file.
+        calibration: the calibration that robot, detector, observer and law work with: its errors,
+            or the name of its file.
         timing: exposure, jitter, lost pictures, clocks, and latency and rate of the commands.
         world: floor, scenery, wind, plates and decoys.
         physics: the clock of the simulation.
         randomise: fields that are drawn anew for each seed (domain randomisation).
 
-    A scenario is what was given. `resolved` is the same with everything written out that its seed draws, which is what runs; a run's folder
-    keeps both, as `scenario.yaml` and `resolved.yaml`.
+    A scenario is what was given. `resolved` is the same with everything written out that its seed
+    draws, which is what runs; a run's folder keeps both, as `scenario.yaml` and `resolved.yaml`.
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
@@ -144,8 +161,11 @@ class Scenario:
 
     def __post_init__(self) -> None:
         checks.check_depth(self.robot, self.camera, self.detector, self.law)
-        self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
-        checks.check_times(self.robot, self.camera, self.timing, self.stop, self.clock[0], self.needs_image)
+        # first: the clock refuses a step that does not divide the camera's period
+        self.timing.check(self.camera, self.clock[0])
+        checks.check_times(
+            self.robot, self.camera, self.timing, self.stop, self.clock[0], self.needs_image
+        )
         checks.check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         check_cameras(self)
@@ -153,13 +173,22 @@ class Scenario:
         checks.check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
         checks.check_carrier(self.target)
         if self.world.floor.mirror and self.camera.renderer == "rays":
-            raise ParameterError.fixed("camera.renderer", "gl or auto", self.camera.renderer, why="a floor that mirrors needs OpenGL")
+            raise ParameterError.fixed(
+                "camera.renderer",
+                "gl or auto",
+                self.camera.renderer,
+                why="a floor that mirrors needs OpenGL",
+            )
         self.noise.target.check(self.target)
         if self.stop.duration_s < self.camera.period:
             words = f"one camera period, {self.camera.period:g} s"
             raise ParameterError.bound("stop.duration_s", "at least", words, self.stop.duration_s)
-        checks.check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
-        checks.check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
+        checks.check_markers(
+            self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose
+        )
+        checks.check_goal_pictures(
+            self.goal, self.camera, self.needs_goal_image, self.law, self.detector
+        )
         checks.check_judged(self.stop, self.target, self.detector, self.law)
         check_metrics(self.metrics)
         check_randomise(self.randomise)
@@ -176,11 +205,21 @@ class Scenario:
 
     @property
     def draws(self) -> bool:
-        """Whether another seed gives another run: some part of the experiment says that it draws from a stream of the seed."""
+        """Whether another seed gives another run: some part of the experiment says that it draws
+        from a stream of the seed.
+        """
         depth = self.camera.depth_sensor if self.law.depth.measured else None
         pictured = self.needs_image and self.camera.sensor is not None
         taught = self.needs_goal_image and any(picture.draws for picture in self.goal.pictures)
-        parts = (self.robot, self.target.motion, self.detector, self.world, self.timing, self.calibration, depth)
+        parts = (
+            self.robot,
+            self.target.motion,
+            self.detector,
+            self.world,
+            self.timing,
+            self.calibration,
+            depth,
+        )
         seen = pictured or taught or self.noise.draws(self.needs_image, self.detector.rows != 0)
         landmarks = not self.target.moves and self.target.painted_route is None
         by_compass = landmarks and isinstance(self.robot, Vehicle) and self.robot.draws_heading
@@ -203,7 +242,16 @@ class Scenario:
         """The parts that the task uses."""
         wrong = self.calibration
         shown = wrong.goal == "shown" and not (wrong.camera_exact and wrong.depth_exact)
-        parts = (self.robot, self.camera, self.believed_camera, self.target, self.law, self.detector, self.stop, self.world)
+        parts = (
+            self.robot,
+            self.camera,
+            self.believed_camera,
+            self.target,
+            self.law,
+            self.detector,
+            self.stop,
+            self.world,
+        )
         return Setup(*parts, depth_scale=self.depth_scale, goal_shown=shown)
 
     @cached_property
@@ -218,19 +266,25 @@ class Scenario:
 
     @cached_property
     def free_motions(self) -> int:
-        """How many motions `law.redundant` leaves free at the goal, whose pose is then not determined; 0 for none."""
+        """How many motions `law.redundant` leaves free at the goal, whose pose is then not
+        determined; 0 for none.
+        """
         if self.detector.rows is not None:
             return 0
         return checks.free_motions(self.robot, self.camera, self.target, self.law, self.goal_view)
 
     @property
     def rows(self) -> int:
-        """Number of points in an observation: the target's markers, or as many as a detector of other points reports."""
+        """Number of points in an observation: the target's markers, or as many as a detector of
+        other points reports.
+        """
         return len(self.target.points) if self.detector.rows is None else self.detector.rows
 
     @property
     def by_rows(self) -> bool:
-        """Whether a picture is not that of an instant under steady light: rolling shutter, flicker."""
+        """Whether a picture is not that of an instant under steady light:
+        rolling shutter, flicker.
+        """
         light = self.world.light
         return self.camera.readout_s > 0 or (light is not None and light.flicker.depth > 0)
 
@@ -251,21 +305,29 @@ class Scenario:
 
     @cached_property
     def believed_camera(self) -> Camera:
-        """The camera as calibrated, known to robot, detector, observer and law; `camera` is the true one."""
+        """The camera as calibrated, known to robot, detector, observer and law; `camera` is the
+        true one.
+        """
         return self.calibration.believed(self.camera)
 
     @cached_property
     def depth_scale(self) -> Array | None:
-        """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for exact depths."""
+        """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for
+        exact depths.
+        """
         return self.calibration.depth_scale(self.rows, self.rng(DEPTH_STREAM))
 
     @cached_property
     def goal_poses(self) -> tuple[Array, ...]:
-        """T_camera_target (4, 4) of the true camera at each goal view in turn: for the log, not for the law."""
+        """T_camera_target (4, 4) of the true camera at each goal view in turn: for the log, not for
+        the law.
+        """
         return self.goal.goal_poses(self.target, self.camera.mount.T)
 
     def goal_pose_at(self, t: float, view: int) -> Array | None:
-        """T_camera_target (4, 4) at the goal of a time [s] and a view; None where the goal is no single pose."""
+        """T_camera_target (4, 4) at the goal of a time [s] and a view; None where the goal is no
+        single pose.
+        """
         return self.goal.goal_pose_at(self.setup, self.goal_poses, t, view)
 
     @cached_property
@@ -273,15 +335,30 @@ class Scenario:
         """The robot's, its effects' and the task's own columns of the log."""
         supervisor = self.robot.supervisor(self.goal.lands, *self.stop.lost_after)
         of_effects = tuple(name for effect in self.robot.acting for name in effect.columns)
-        return self.robot.log(supervisor).columns + of_effects + self.goal.monitor(self.setup, supervisor).columns
+        return (
+            self.robot.log(supervisor).columns
+            + of_effects
+            + self.goal.monitor(self.setup, supervisor).columns
+        )
 
     @property
     def sights(self) -> tuple[tuple[float, float, float], ...]:
-        """Points that the outside view must show besides the start and the target: goals, and routes every 50 cm [m]."""
-        low = [(p[0], p[1], 0.0) for p in (*(g.place for g in self.goal_views if g.place is not None), *self.target.floor_path[::50])]
+        """Points that the outside view must show besides the start and the target: goals, and
+        routes every 50 cm [m].
+        """
+        low = [
+            (p[0], p[1], 0.0)
+            for p in (
+                *(g.place for g in self.goal_views if g.place is not None),
+                *self.target.floor_path[::50],
+            )
+        ]
         if self.robot.base != "floating":
             return tuple((float(x), float(y), z) for x, y, z in low)
-        high = [(self.target.T_world_start @ inverse(goal.T_camera_target))[:3, 3] for goal in self.goal_views]
+        high = [
+            (self.target.T_world_start @ inverse(goal.T_camera_target))[:3, 3]
+            for goal in self.goal_views
+        ]
         return tuple((float(x), float(y), float(z)) for x, y, z in (*low, *high))
 
     @property
@@ -298,12 +375,16 @@ class Scenario:
 
     @cached_property
     def target_in_run(self) -> Target:
-        """The target as it looks in this run, with the changes of its picture that the seed draws (`noise.target`)."""
+        """The target as it looks in this run, with the changes of its picture that the seed draws
+        (`noise.target`).
+        """
         return self.noise.target.on(self.target, self.rng(TARGET_STREAM))
 
     def perturbed(self) -> Perturbed | None:
         """The perturbations of a run, with what is drawn for it; None where there are none."""
-        return Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
+        return (
+            Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
+        )
 
     def rng(self, stream: int) -> np.random.Generator:
         """The generator of one of the independent streams (START_STREAM, ...)."""
@@ -311,14 +392,19 @@ class Scenario:
 
     @cached_property
     def resolved(self) -> Scenario:
-        """The scenario that runs: all that the seed draws is written out, so that nothing is left to draw; itself where nothing is.
+        """The scenario that runs: all that the seed draws is written out, so that nothing is left
+        to draw; itself where nothing is.
 
-        The start stands in `robot.start.nominal`, drawn again until the target is in view; the body in the robot's blocks, whose lists take
-        the place of the standard deviations; what `randomise` draws in its fields, clutter in `world.clutter.placed`.
-        Raises ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
+        The start stands in `robot.start.nominal`, drawn again until the target is in view; the body
+        in the robot's blocks, whose lists take the place of the standard deviations; what
+        `randomise` draws in its fields, clutter in `world.clutter.placed`.
+        Raises ParameterError: a drawn value is refused, the robot has no random block, or no start
+        in it sees the target.
         """
         made = drawn(self)
-        robot = made.start(made.seed) if made.draw_start else made.robot.drawn(made.rng(BODY_STREAM))
+        robot = (
+            made.start(made.seed) if made.draw_start else made.robot.drawn(made.rng(BODY_STREAM))
+        )
         if robot is not made.robot or made.draw_start:
             made = replace(made, robot=robot, draw_start=False)
         if made is not self:
@@ -326,13 +412,22 @@ class Scenario:
         return made
 
     def start(self, seed: int) -> Robot:
-        """The robot that a seed draws, at the start that it draws, of a scenario with nothing else to be drawn. Errors: see `resolved`."""
-        body, rng = (np.random.default_rng([seed, stream]) for stream in (BODY_STREAM, START_STREAM))
-        drawn_body, parts = self.robot.drawn(body), (self.camera, self.target, self.detector, self.goal_views[0], self.world)
+        """The robot that a seed draws, at the start that it draws, of a scenario with nothing else
+        to be drawn. Errors: see `resolved`.
+        """
+        body, rng = (
+            np.random.default_rng([seed, stream]) for stream in (BODY_STREAM, START_STREAM)
+        )
+        drawn_body, parts = (
+            self.robot.drawn(body),
+            (self.camera, self.target, self.detector, self.goal_views[0], self.world),
+        )
         started = (drawn_body.randomised(rng) for _ in range(TRIES))
         robot = next((start for start in started if in_view(start, *parts)), None)
         if robot is None:
-            words = f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
+            words = (
+                f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
+            )
             raise ParameterError("robot.start.random", words)
         return robot
 
@@ -343,41 +438,57 @@ class Scenario:
 
     @property
     def made_of(self) -> dict[str, Any] | None:
-        """The plain values that it was loaded from, with what was put over them; None where it was made or changed in Python."""
+        """The plain values that it was loaded from, with what was put over them; None where it was
+        made or changed in Python.
+        """
         return self.__dict__.get("_made_of")
 
     def loaded_from(self, plain: dict[str, Any]) -> Self:
         """Itself, which remembers the plain values that it was loaded from."""
-        self.__dict__["_made_of"] = plain  # no field: a copy with other values was not loaded from these
+        self.__dict__["_made_of"] = (
+            plain  # no field: a copy with other values was not loaded from these
+        )
         return self
 
     def but(self, **values: str | int | bool) -> Scenario:
-        """A copy with other plain values, such as another name, which remembers what it was loaded from with them."""
+        """A copy with other plain values, such as another name, which remembers what it was loaded
+        from with them.
+        """
         made, known = replace(self, **values), self.made_of
-        return made if known is None else made.loaded_from({**values, **known, **values})  # what is new stands first
+        # what is new stands first
+        return made if known is None else made.loaded_from({**values, **known, **values})
 
     def with_seed(self, seed: int) -> Scenario:
-        """The same experiment with another seed; its start is the given one, unless `draw_start` says otherwise. Errors: see `resolved`."""
+        """The same experiment with another seed; its start is the given one, unless `draw_start`
+        says otherwise. Errors: see `resolved`.
+        """
         made = self.given.but(seed=seed)
         made.resolved  # noqa: B018 - refuses what it draws
         return made
 
     def randomised(self, seed: int) -> Scenario:
-        """The same experiment with this seed and a start drawn from it (`draw_start`). Errors: see `resolved`."""
+        """The same experiment with this seed and a start drawn from it (`draw_start`). Errors: see
+        `resolved`.
+        """
         made = self.given.but(seed=seed, draw_start=True)
         made.resolved  # noqa: B018 - refuses what it draws
         return made
 
     def displaced(self, by: Pose, of: Literal["camera", "target"]) -> Scenario:
-        """The same experiment, begun at a displacement D from its goal view: the robot's start is found by inverse kinematics.
+        """The same experiment, begun at a displacement D from its goal view: the robot's start is
+        found by inverse kinematics.
 
-        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in its own
-        frame at the goal, T_camera_target = T* D. Raises UnreachableError. ParameterError: the robot is neither an arm nor the free camera.
+        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*;
+        or `target`, seen displaced in its own frame at the goal, T_camera_target = T* D. Raises
+        UnreachableError. ParameterError: the robot is neither an arm nor the free camera.
         """
         T = self.goal_poses[-1]
         q = posture_at(self.robot, flange_for(self.camera, self.target, T))
-        for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):  # in small steps: the arm keeps its posture at the goal
-            xyz, rpy_deg = (tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg))
+        # in small steps: the arm keeps its posture at the goal
+        for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):
+            xyz, rpy_deg = (
+                tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg)
+            )
             D = Pose(xyz=xyz, rpy_deg=rpy_deg).T
             seen = inverse(D) @ T if of == "camera" else T @ D
             q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)

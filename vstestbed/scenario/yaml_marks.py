@@ -1,5 +1,6 @@
-"""YAML text as plain mappings, lists and scalars with the position (`FILE:LINE:COL`) of each; overrides by dotted path; the specs that are
-built from them, with every mistake as a sentence at its position.
+"""YAML text as plain mappings, lists and scalars with the position (`FILE:LINE:COL`) of each;
+overrides by dotted path; the specs that are built from them, with every mistake as a sentence at
+its position.
 """
 
 from __future__ import annotations
@@ -24,26 +25,40 @@ from vstestbed.core.registry import REGISTRIES, to_mapping, validator_of
 T = TypeVar("T")
 
 Key = tuple[str | int, ...]
-Marks = dict[Key, str]  # the position of each key, `FILE:LINE:COL`, or the option or argument that it comes from
-FROM_OPTION: Mapping[Key, str] = {(): "--set"}  # position of a value that comes from the command line
+# the position of each key, `FILE:LINE:COL`, or the option or argument that it comes from
+Marks = dict[Key, str]
+# position of a value that comes from the command line
+FROM_OPTION: Mapping[Key, str] = {(): "--set"}
 FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
 DEEPEST, MOST_VALUES = 32, 20_000
-"""Limits on nesting and on the number of values: far above any scenario, and low enough that a file of aliases of aliases (a
-"billion laughs") cannot fill the memory."""
+"""Limits on nesting and on the number of values: far above any scenario, and low enough that a file
+of aliases of aliases (a "billion laughs") cannot fill the memory.
+"""
 
-MOST_BYTES = 100_000  # largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes
+# largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB
+# would take minutes
+MOST_BYTES = 100_000
 
 
 def text_of(path: Path) -> str:
     """The text of a UTF-8 file; ScenarioError where it cannot be read."""
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise ScenarioError([Mistake(str(path), "", "is not a regular file, and would be waited for; save it as one")])
+        raise ScenarioError(
+            [
+                Mistake(
+                    str(path), "", "is not a regular file, and would be waited for; save it as one"
+                )
+            ]
+        )
     try:
-        # Bytes first: the position of a bad byte is its line and column only while nothing is decoded.
+        # Bytes first: the position of a bad byte is its line and column only while nothing is
+        # decoded.
         with path.open("rb") as stream:
             raw = stream.read(MOST_BYTES + 1)
     except OSError as error:
-        raise ScenarioError([Mistake(str(path), "", f"cannot be read ({error.strerror})")]) from None
+        raise ScenarioError(
+            [Mistake(str(path), "", f"cannot be read ({error.strerror})")]
+        ) from None
     if len(raw) > MOST_BYTES:
         words = f"has more than {MOST_BYTES // 1000} kB; a scenario needs far less"
         raise ScenarioError([Mistake(f"{path}:1:1", "", words)])
@@ -57,7 +72,8 @@ def text_of(path: Path) -> str:
 
 
 def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
-    """The mapping in YAML 1.2 text, and the position of its keys. needs: the required content, for messages.
+    """The mapping in YAML 1.2 text, and the position of its keys. needs: the required content, for
+    messages.
     Raises ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
     """
     with foreign(file, needs):
@@ -66,7 +82,9 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
         raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])
     plain, marks = found
     if plain is None:
-        raise ScenarioError([Mistake(f"{file}:1:1", "", f"must be a mapping (name: value); {needs}")])
+        raise ScenarioError(
+            [Mistake(f"{file}:1:1", "", f"must be a mapping (name: value); {needs}")]
+        )
     return copy.deepcopy(plain), dict(marks)  # the caller changes them
 
 
@@ -75,7 +93,11 @@ def _mapping(text: str, file: str) -> tuple[dict[str, Any] | None, Marks] | None
     # Kept: a comparison reads one file for each of its controllers.
     tree = _tree(text, file)
     if tree is None or tree.kind != "mapping":
-        return None if tree is None or (tree.kind == "scalar" and _scalar(tree, file) is None) else (None, {})
+        return (
+            None
+            if tree is None or (tree.kind == "scalar" and _scalar(tree, file) is None)
+            else (None, {})
+        )
     marks: Marks = {}
     _mark(tree, (), marks, file)
     return _value(tree, file), marks
@@ -83,7 +105,9 @@ def _mapping(text: str, file: str) -> tuple[dict[str, Any] | None, Marks] | None
 
 @dataclass(slots=True)
 class _Node:
-    """A node of YAML text. parts: of a list its items, of a mapping keys and values in turn. start, end: the parser's marks."""
+    """A node of YAML text. parts: of a list its items, of a mapping keys and values in turn. start,
+    end: the parser's marks.
+    """
 
     kind: Literal["scalar", "list", "mapping"]
     file: str
@@ -106,11 +130,13 @@ class _Node:
 
 
 def _tree(text: str, file: str) -> _Node | None:
-    """The node of a document; None for one that is empty. From the parser's events, since libyaml's own tree of a deep document overflows
-    the stack.
+    """The node of a document; None for one that is empty. From the parser's events, since libyaml's
+    own tree of a deep document overflows the stack.
     """
     try:
-        return _node_of(yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)), file)
+        return _node_of(
+            yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)), file
+        )
     except yaml.MarkedYAMLError as error:
         mark, words = error.problem_mark, error.problem or error.context or ""
         got = f", got {text[mark.index]!r}" if mark and mark.index < len(text) else ""
@@ -118,7 +144,9 @@ def _tree(text: str, file: str) -> _Node | None:
     except yaml.reader.ReaderError as error:
         before = text[: error.position]
         where = f"{file}:{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
-        raise _not_yaml(where, f"unacceptable character #x{error.character:04x}; delete it") from None
+        raise _not_yaml(
+            where, f"unacceptable character #x{error.character:04x}; delete it"
+        ) from None
     except UnicodeEncodeError as error:
         raise _not_yaml(f"{file}:1:1", error.reason) from None
 
@@ -132,13 +160,23 @@ def _node_of(events: Iterable[Any], file: str) -> _Node | None:
     open_nodes, anchors = [whole], dict[str, _Node]()
     for event in events:
         if isinstance(event, yaml.ScalarEvent):
-            node = _Node("scalar", file, event.start_mark, event.end_mark, event.tag or "", event.value, not event.implicit[0])
+            node = _Node(
+                "scalar",
+                file,
+                event.start_mark,
+                event.end_mark,
+                event.tag or "",
+                event.value,
+                not event.implicit[0],
+            )
         elif isinstance(event, yaml.CollectionStartEvent):
             kind = "mapping" if isinstance(event, yaml.MappingStartEvent) else "list"
             node = _Node(kind, file, event.start_mark, event.end_mark, event.tag or "")
         elif isinstance(event, yaml.AliasEvent):
             if event.anchor not in anchors:
-                raise _not_yaml(_place(event.start_mark, file), f"found undefined alias {event.anchor!r}")
+                raise _not_yaml(
+                    _place(event.start_mark, file), f"found undefined alias {event.anchor!r}"
+                )
             node = anchors[event.anchor]
         else:
             if isinstance(event, yaml.CollectionEndEvent):
@@ -150,7 +188,15 @@ def _node_of(events: Iterable[Any], file: str) -> _Node | None:
         if isinstance(event, yaml.CollectionStartEvent):
             open_nodes.append(node)
             if len(open_nodes) > DEEPEST + 1:
-                raise ScenarioError([Mistake(node.place, "", f"is nested more than {DEEPEST} deep; a scenario needs far less")])
+                raise ScenarioError(
+                    [
+                        Mistake(
+                            node.place,
+                            "",
+                            f"is nested more than {DEEPEST} deep; a scenario needs far less",
+                        )
+                    ]
+                )
         if event.anchor:
             anchors[event.anchor] = node
     return whole.parts[0] if whole.parts else None
@@ -164,7 +210,9 @@ Fields = dict[str, tuple[_Node | None, _Node]]  # of a mapping, by name: the nod
 
 
 def _scalar(node: _Node, file: str) -> Any:
-    """The value of a scalar by YAML 1.2; PyYAML's own are those of 1.1, where `on` is a truth value and `1e3` a text."""
+    """The value of a scalar by YAML 1.2; PyYAML's own are those of 1.1, where `on` is a truth value
+    and `1e3` a text.
+    """
     text = node.text
     if (node.quoted and not node.tag) or node.tag == f"{_CORE}str":
         return text
@@ -182,23 +230,47 @@ _INTEGER = re.compile(r"[-+]?[0-9][0-9_]*|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _CORE = "tag:yaml.org,2002:"
 _WORDS = {"": None, "~": None, "null": None, "Null": None, "NULL": None}
-_WORDS |= {word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")}
-_WORDS |= {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")}
+_WORDS |= {
+    word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")
+}
+_WORDS |= {
+    sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")
+}
 _WORDS |= dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan"))
 
 
 def _mark(node: _Node, key: Key, marks: Marks, file: str) -> None:
-    """Add the positions of a node and of all in it to `marks`. Raises ScenarioError: it is larger than any scenario, or has a tag."""
+    """Add the positions of a node and of all in it to `marks`. Raises ScenarioError: it is larger
+    than any scenario, or has a tag.
+    """
     if len(key) > DEEPEST or len(marks) > MOST_VALUES:
-        words = f"is nested more than {DEEPEST} deep" if len(key) > DEEPEST else f"brings the file to more than {MOST_VALUES} values"
-        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
-    if node.tag and node.tag not in (_CORE + kind for kind in ("str", "int", "float", "bool", "null", "seq", "map")):
+        words = (
+            f"is nested more than {DEEPEST} deep"
+            if len(key) > DEEPEST
+            else f"brings the file to more than {MOST_VALUES} values"
+        )
+        raise ScenarioError(
+            [
+                Mistake(
+                    place_of(key, marks, file),
+                    ".".join(map(str, key[:3])),
+                    f"{words}; a scenario needs far less",
+                )
+            ]
+        )
+    if node.tag and node.tag not in (
+        _CORE + kind for kind in ("str", "int", "float", "bool", "null", "seq", "map")
+    ):
         words = f"has the tag {node.tag}; a scenario holds plain values only"
         raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)])
     if node.kind == "scalar":
         return
     marks.setdefault(key, node.place)
-    inner = _fields(node, file) if node.kind == "mapping" else {i: (item, item) for i, item in enumerate(node.parts)}
+    inner = (
+        _fields(node, file)
+        if node.kind == "mapping"
+        else {i: (item, item) for i, item in enumerate(node.parts)}
+    )
     marks.update({(*key, name): at.place if at else marks[key] for name, (at, _) in inner.items()})
     for name, (_, item) in inner.items():
         _mark(item, (*key, name), marks, file)
@@ -214,15 +286,19 @@ def _value(node: _Node, file: str) -> Any:
 
 
 def bundled_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in one of the files of the installation, which needs no check and no position; {} of an empty file."""
+    """The mapping in one of the files of the installation, which needs no check and no position; {}
+    of an empty file.
+    """
     tree = _tree(path.read_text(encoding="utf-8"), str(path))
     return {} if tree is None else _value(tree, str(path))
 
 
 def _fields(node: _Node, file: str) -> Fields:
-    """The nodes of key and value of a mapping's fields, by their names; those from a merge key (`<<`) have no key here.
+    """The nodes of key and value of a mapping's fields, by their names; those from a merge key
+    (`<<`) have no key here.
 
-    They are found once: a mapping of merges of merges would be gone through as often as there are ways to it.
+    They are found once: a mapping of merges of merges would be gone through as often as there are
+    ways to it.
     """
     if node.fields is None:
         node.fields = _found_fields(node, file)
@@ -234,24 +310,40 @@ def _found_fields(node: _Node, file: str) -> Fields:
     for name, value in node.pairs():
         sources = (value.parts if value.kind == "list" else [value]) if name.text == "<<" else []
         if name.kind != "scalar" or any(source.kind != "mapping" for source in sources):
-            raise ScenarioError([Mistake(name.place, "", "holds YAML beyond plain mappings, lists and values")])
+            raise ScenarioError(
+                [Mistake(name.place, "", "holds YAML beyond plain mappings, lists and values")]
+            )
         if name.text == "<<":
             for source in sources:
-                merged = {inner: (None, held) for inner, (_, held) in _fields(source, file).items()} | merged
+                merged = {
+                    inner: (None, held) for inner, (_, held) in _fields(source, file).items()
+                } | merged
         elif name.text in own:
-            raise ScenarioError([Mistake(name.place, name.text, "stands here for the second time in its block; keep one of the two")])
+            raise ScenarioError(
+                [
+                    Mistake(
+                        name.place,
+                        name.text,
+                        "stands here for the second time in its block; keep one of the two",
+                    )
+                ]
+            )
         else:
             own[name.text] = name, value
     return own | {name: field for name, field in merged.items() if name not in own}
 
 
 def respelled(text: str, file: str, values: Any) -> str:
-    """YAML text with other values in place of its words, by the plain values that it should have; comments and layout stay."""
+    """YAML text with other values in place of its words, by the plain values that it should have;
+    comments and layout stay.
+    """
     tree = _tree(text, file)
     changed = {} if tree is None else dict(_changed(tree, values, file))
     for (start, end), value in sorted(changed.items(), reverse=True):
         plain = re.fullmatch(r"[A-Za-z_./\\][\w./\\+-]*", value)
-        text = text[:start] + (value if plain else json.dumps(value, ensure_ascii=False)) + text[end:]
+        text = (
+            text[:start] + (value if plain else json.dumps(value, ensure_ascii=False)) + text[end:]
+        )
     return text
 
 
@@ -279,9 +371,16 @@ def read_value(text: str) -> object:
         raise ParameterError("--set", f"value {error.mistakes[0].sentence}", text) from None
 
 
-def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, own: Mapping[Key, str] = FROM_PYTHON) -> None:
-    """Set the value at a dotted path of a mapping; missing blocks on the path are created, a bare kind becomes a block.
-    marks: positions of the keys, which are changed, too. own: of the value, and of the keys in it relative to it.
+def override(
+    plain: dict[str, Any],
+    dotted: str,
+    value: object,
+    marks: Marks,
+    own: Mapping[Key, str] = FROM_PYTHON,
+) -> None:
+    """Set the value at a dotted path of a mapping; missing blocks on the path are created, a bare
+    kind becomes a block. marks: positions of the keys, which are changed, too. own: of the value,
+    and of the keys in it relative to it.
     Raises ScenarioError: the path goes through a value, or to an item that a list does not have.
     """
     parts, where = dotted.split("."), own[()]
@@ -295,14 +394,25 @@ def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, ow
         child = here.get(step) if isinstance(here, dict) else here[step]
         if child is None:
             marks[key] = where
-        is_kind = isinstance(child, str) and any(child in registry.members for registry in REGISTRIES)
+        is_kind = isinstance(child, str) and any(
+            child in registry.members for registry in REGISTRIES
+        )
         block = {} if child is None else {"kind": child} if is_kind else child
         if not isinstance(block, dict | list):
-            raise ScenarioError([Mistake(where, dotted, f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}")])
+            raise ScenarioError(
+                [
+                    Mistake(
+                        where,
+                        dotted,
+                        f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}",
+                    )
+                ]
+            )
         here[step] = block
         here = block
     last = _step(here, parts[-1], dotted, where)
-    here[last] = copy.deepcopy(value)  # a later override may go inside it, and must not change the caller's
+    # a later override may go inside it, and must not change the caller's
+    here[last] = copy.deepcopy(value)
     # The positions under the old value are gone with it.
     for old in [k for k in marks if k[: len(key) + 1] == (*key, last)]:
         del marks[old]
@@ -326,17 +436,23 @@ def from_option(paths: Iterable[str]) -> dict[str, Marks]:
 
 def place_of(key: Key, marks: Mapping[Key, str], file: str, otherwise: str = "") -> str:
     """The position of a key, or of the nearest block above it, else the file's first line."""
-    return next((marks[key[:n]] for n in range(len(key), -1, -1) if key[:n] in marks), otherwise or f"{file}:1:1")
+    return next(
+        (marks[key[:n]] for n in range(len(key), -1, -1) if key[:n] in marks),
+        otherwise or f"{file}:1:1",
+    )
 
 
 def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:
-    """The positions of a value and of the keys in it, relative to it; `--set` where no file has it."""
+    """The positions of a value and of the keys in it, relative to it;
+    `--set` where no file has it.
+    """
     inner = {k[len(key) :]: place for k, place in marks.items() if k[: len(key)] == key}
     return {(): place_of(key, marks, "", FROM_OPTION[()])} | inner
 
 
 def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
-    """An object of the spec class `cls` from the YAML as plain values, with the positions of its keys and the file's name for messages.
+    """An object of the spec class `cls` from the YAML as plain values, with the positions of its
+    keys and the file's name for messages.
     Raises ScenarioError: all mistakes at once, each with its position in the file.
     """
     try:
@@ -346,7 +462,10 @@ def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
             return made
     except pydantic.ValidationError as error:
         found = all_messages(error, plain, cls)
-    mistakes = [Mistake(place_of(key, marks, file), ".".join(map(str, key)), words) for key, words in dict.fromkeys(found)]
+    mistakes = [
+        Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)
+        for key, words in dict.fromkeys(found)
+    ]
     raise ScenarioError(sorted(mistakes, key=_reading_order))
 
 
@@ -356,9 +475,12 @@ def _reading_order(mistake: Mistake) -> tuple[int, ...]:
     return tuple(int(n) for n in place) if len(place) == 2 else (1 << 31,)
 
 
-def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, places: Mapping[str, Marks]) -> None:
-    """Put values over a scenario's mapping, in place and in their order, by dotted path. marks: positions of its keys, also
-    changed. places: of the values, and of the keys in them. Raises ScenarioError: see `override`.
+def put_over(
+    plain: dict[str, Any], values: Mapping[str, object], marks: Marks, places: Mapping[str, Marks]
+) -> None:
+    """Put values over a scenario's mapping, in place and in their order, by dotted path. marks:
+    positions of its keys, also changed. places: of the values, and of the keys in them. Raises
+    ScenarioError: see `override`.
     """
     for path, value in values.items():
         override(plain, path, value, marks, places.get(path, FROM_PYTHON))

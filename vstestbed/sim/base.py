@@ -1,4 +1,6 @@
-"""The contract of a plant, between the loop and the simulation, the simulator's truth, and the plant that is an ideal camera."""
+"""The contract of a plant, between the loop and the simulation, the simulator's truth, and the
+plant that is an ideal camera.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,9 @@ if TYPE_CHECKING:
 class SceneDescription:
     """The parts of a scene.
 
-    `sights` are points that the outside view must show, besides the robot's start and the target [m]. `plate_m` is the edge of a plate
-    in reserve, out of sight until a person holds it somewhere; 0 for none [m]. `others` are cameras besides the servo camera.
+    `sights` are points that the outside view must show, besides the robot's start and the target
+    [m]. `plate_m` is the edge of a plate in reserve, out of sight until a person holds it
+    somewhere; 0 for none [m]. `others` are cameras besides the servo camera.
     """
 
     robot: Robot
@@ -44,7 +47,9 @@ class SceneDescription:
     others: tuple[Viewpoint, ...] = ()
 
     def stands(self, eye: str) -> bool:
-        """Whether a camera stands in the room, so that it sees what encloses the lens of one on the flange."""
+        """Whether a camera stands in the room, so that it sees what encloses the lens of one on the
+        flange.
+        """
         return any(other.stands for other in self.others if other.name == eye)
 
     @property
@@ -55,7 +60,9 @@ class SceneDescription:
     @property
     def glossy(self) -> bool:
         """Whether the target is a picture that shows highlights, or the floor does."""
-        return self.world.floor.gloss > 0 or (self.target.sheet is not None and self.target.sheet.gloss > 0)
+        return self.world.floor.gloss > 0 or (
+            self.target.sheet is not None and self.target.sheet.gloss > 0
+        )
 
     @property
     def T_world_target(self) -> Array:
@@ -72,8 +79,8 @@ class SceneDescription:
 class Viewpoint:
     """A further camera of a scene.
 
-    name: of its camera and its site in the scene. camera: the lens, with its pose in what carries it. stands: it stands in the room; else
-    the flange carries it.
+    name: of its camera and its site in the scene. camera: the lens, with its pose in what carries
+    it. stands: it stands in the room; else the flange carries it.
     """
 
     name: str
@@ -86,17 +93,22 @@ class Viewpoint:
 
 
 class Truth(NamedTuple):
-    """Ground truth at one instant, for the log, the judge and the oracle detector, and for nothing else.
+    """Ground truth at one instant, for the log, the judge and the oracle detector, and for nothing
+    else.
 
     Attributes:
         T_world_camera, T_world_target: poses (4, 4), camera in computer-vision axes.
-        twist: true camera twist (6,) in the camera frame [m/s, rad/s]. q, qd, ctrl: joints [rad, rad/s] and actuator controls.
-        p_camera: marker centres in the camera frame (N, 3) [m]. hidden: occluded markers, (N,) bool; all False where no detector needs it.
-        contact: what a part of the robot other than its feet touches, as `forearm and floor`; "" where nothing does. feet: the same of its
-            feet.
-        act: activations of those of its actuators that have one. wind: velocity of the air in the world (3,) [m/s].
+        twist: true camera twist (6,) in the camera frame [m/s, rad/s]. q, qd, ctrl: joints [rad,
+            rad/s] and actuator controls.
+        p_camera: marker centres in the camera frame (N, 3) [m]. hidden: occluded markers, (N,)
+            bool; all False where no detector needs it.
+        contact: what a part of the robot other than its feet touches, as `forearm and floor`; ""
+            where nothing does. feet: the same of its feet.
+        act: activations of those of its actuators that have one. wind: velocity of the air in the
+            world (3,) [m/s].
         effects: values of the columns of the robot's effects.
-        tau: torques (forces of joints that slide) of the motors, referred to the joint, in the last physics step [Nm, N].
+        tau: torques (forces of joints that slide) of the motors, referred to the joint, in the last
+            physics step [Nm, N].
     """
 
     T_world_camera: Array
@@ -119,9 +131,11 @@ class Renderer(Protocol):
     """Renders the servo camera's images.
 
     Attributes:
-        name: of the renderer, such as OpenGL's GL_RENDERER string. spent_s: wall time spent on images so far [s].
+        name: of the renderer, such as OpenGL's GL_RENDERER string. spent_s: wall time spent on
+            images so far [s].
         whole: the last images are complete; no part was left blank.
-        depth: true depth of each pixel (H, W) [m] of the last images that were asked for with it, inf where there is nothing.
+        depth: true depth of each pixel (H, W) [m] of the last images that were asked for with it,
+            inf where there is nothing.
     """
 
     name: str
@@ -130,14 +144,19 @@ class Renderer(Protocol):
     depth: DepthImage | None
 
     def full_image(self) -> Image:
-        """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
+        """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may
+        keep.
+        """
         ...
 
-    def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
+    def images(
+        self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None
+    ) -> tuple[Image | None, ...]:
         """The images now without noise, one for each panel, valid until the next call.
 
-        regions: regions of interest, None for everything; the rest may be blank. with_depth: of a perspective camera, `depth` as well, of
-        everything. rows: of a camera without panels, the only ones that are needed.
+        regions: regions of interest, None for everything; the rest may be blank. with_depth: of a
+        perspective camera, `depth` as well, of everything. rows: of a camera without panels, the
+        only ones that are needed.
         """
         ...
 
@@ -145,8 +164,8 @@ class Renderer(Protocol):
 class PlantCamera(ABC):
     """Takes the pictures of one camera of a plant, each with the truth then.
 
-    step_s: the physics step [s]. steps_per_frame: how many of them lie between two pictures. sensor: takes the pictures; None where no
-    detector needs them.
+    step_s: the physics step [s]. steps_per_frame: how many of them lie between two pictures.
+    sensor: takes the pictures; None where no detector needs them.
     """
 
     def __init__(self, step_s: float, steps_per_frame: int, sensor: ImageSensor | None):
@@ -175,27 +194,36 @@ class PlantCamera(ABC):
         return self._eye.spent_s if self._eye else 0.0
 
     def capture(self, regions: Regions | None = None) -> tuple[Picture | None, Truth]:
-        """The picture (None where no detector needs one; valid until the next capture) and the truth, now.
+        """The picture (None where no detector needs one; valid until the next capture) and the
+        truth, now.
 
-        regions: the detector's regions of interest; None for everything. A copy of a picture of which only they were drawn can be
-        completed until the next such picture is taken.
+        regions: the detector's regions of interest; None for everything. A copy of a picture of
+        which only they were drawn can be completed until the next such picture is taken.
         """
         truth = self.truth()
         return self._eye.capture(self._t, regions) if self._eye else None, truth
 
     def with_own(self, picture: Picture) -> Picture:
-        """A picture just taken with the camera's own image, where it has none: that of a lens with panels, `Picture.own`."""
+        """A picture just taken with the camera's own image, where it has none: that of a lens with
+        panels, `Picture.own`.
+        """
         return self._eye.with_own(picture) if self._eye else picture
 
     def exposure_s(self) -> float | None:
-        """Exposure time of the next picture as the camera's exposure control has set it [s]; None where nothing is pictured."""
+        """Exposure time of the next picture as the camera's exposure control has set it [s]; None
+        where nothing is pictured.
+        """
         self._show()
         return self._eye.exposure_s(self._t) if self._eye else None
 
-    def expose(self, weight: float | Contribution, regions: Regions | None = None, middle: bool = False) -> None:
-        """Add an image, as a share `weight` of one exposure, or of each of its rows; nothing where no detector needs pictures.
+    def expose(
+        self, weight: float | Contribution, regions: Regions | None = None, middle: bool = False
+    ) -> None:
+        """Add an image, as a share `weight` of one exposure, or of each of its rows; nothing where
+        no detector needs pictures.
 
-        regions: as `capture`'s, and the same for all images of an exposure. middle: it is that of the exposure's middle.
+        regions: as `capture`'s, and the same for all images of an exposure. middle: it is that of
+            the exposure's middle.
         """
         self._show()
         if self._eye is not None:
@@ -209,10 +237,11 @@ class PlantCamera(ABC):
 class Plant(PlantCamera):
     """The simulated robot, camera and target. The clock counts whole physics steps.
 
-    parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene; None for an ideal camera without
-    pictures and occlusion. eye: takes the pictures; None where no detector needs them. path: the pose of a target that moves by itself as
-    a function of time, else None. order_s: how long a setpoint lasts before the robot stops [s]. interpolator: leads from one setpoint to
-    the next; None: at once. others: its further cameras by name.
+    parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene;
+    None for an ideal camera without pictures and occlusion. eye: takes the pictures; None where no
+    detector needs them. path: the pose of a target that moves by itself as a function of time, else
+    None. order_s: how long a setpoint lasts before the robot stops [s]. interpolator: leads from
+    one setpoint to the next; None: at once. others: its further cameras by name.
     """
 
     _stage: Scene | None
@@ -233,7 +262,11 @@ class Plant(PlantCamera):
         self._own_path = path  # without what `move_target` has shifted
         self._steps, self.others = 0, dict[str, OtherEye]()
         self._setpoints = SetpointBuffer(
-            robot.stopping, robot.onboard and robot.onboard.first_setpoint, order_s / parts.step, parts.step, interpolator
+            robot.stopping,
+            robot.onboard and robot.onboard.first_setpoint,
+            order_s / parts.step,
+            parts.step,
+            interpolator,
         )
 
     @property
@@ -251,7 +284,8 @@ class Plant(PlantCamera):
 
     @abstractmethod
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
-        """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there.
+        """A whole picture without noise with the flange at another pose (4, 4), an arm in its
+        configuration q there.
 
         The plant keeps its state. Only of a plant that takes pictures.
         """
@@ -260,18 +294,28 @@ class Plant(PlantCamera):
     def pose_of(self, viewpoint: Viewpoint) -> Array:
         """Pose (4, 4) of a further camera, now."""
 
-    def hidden(self, viewpoint: Viewpoint, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
+    def hidden(
+        self, viewpoint: Viewpoint, T_world_camera: Array, p_camera: Array
+    ) -> NDArray[np.bool_]:
         """Which marker centres (N, 3) are occluded for a further camera at a pose (4, 4)."""
         if self._stage is None:
             return np.zeros(len(p_camera), dtype=bool)
         return self._stage.hidden(T_world_camera, p_camera, viewpoint.name)
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
-        """What stands now before each of points p_camera (N, 3) of a camera at a pose (4, 4), by the name of its body; "" for nothing."""
-        return self._stage.names_before(T_world_camera, p_camera) if self._stage else ("",) * len(p_camera)
+        """What stands now before each of points p_camera (N, 3) of a camera at a pose (4, 4), by
+        the name of its body; "" for nothing.
+        """
+        return (
+            self._stage.names_before(T_world_camera, p_camera)
+            if self._stage
+            else ("",) * len(p_camera)
+        )
 
     def apply(self, setpoint: Array, stop: Stop = "") -> None:
-        """Set the setpoint, which stays in force until the next one, or until it has lasted its time; or a stop in its place."""
+        """Set the setpoint, which stays in force until the next one, or until it has lasted its
+        time; or a stop in its place.
+        """
         self._setpoints.give(self._steps, setpoint, stop)
         self._actuate()
 
@@ -285,11 +329,17 @@ class Plant(PlantCamera):
         return 0.0
 
     def push(self, force: Array, duration_s: float) -> None:
-        """Push the robot with a force (3,) along world axes [N] for a while. ParameterError where it has no mass."""
-        raise ParameterError.needs("push", "a robot with a mass", why="this camera follows its twist exactly")
+        """Push the robot with a force (3,) along world axes [N] for a while. ParameterError where
+        it has no mass.
+        """
+        raise ParameterError.needs(
+            "push", "a robot with a mass", why="this camera follows its twist exactly"
+        )
 
     def move_target(self, T_world_target: Array) -> None:
-        """Put the target at a pose (4, 4); one that moves goes on from there. ParameterError where it is carried."""
+        """Put the target at a pose (4, 4); one that moves goes on from there. ParameterError where
+        it is carried.
+        """
         if self._target.on_gripper or self._parts.leader is not None:
             raise ParameterError.excluded("target", "moved", why="it goes where its carrier goes")
         start = self._parts.T_world_target
@@ -298,7 +348,9 @@ class Plant(PlantCamera):
         self._path = lambda t: shift @ own(t)
 
     def hold_plate(self, T_world_plate: Array | None) -> None:
-        """Put the plate in reserve at a pose (4, 4), or away. ParameterError where the scene has none."""
+        """Put the plate in reserve at a pose (4, 4), or away. ParameterError where the scene has
+        none.
+        """
         if self._stage is None or self._stage.hand_plate is None:
             raise ParameterError.missing("plate", "a session has one with plate_m=0.1")
         away = np.eye(4)
@@ -312,11 +364,25 @@ class Plant(PlantCamera):
 
 
 class OtherEye(PlantCamera):
-    """A further camera of a plant. see_hidden: whether its detector needs the occlusion of markers."""
+    """A further camera of a plant. see_hidden:
+    whether its detector needs the occlusion of markers.
+    """
 
-    def __init__(self, plant: Plant, viewpoint: Viewpoint, target: Target, sensor: ImageSensor | None, see_hidden: bool):
+    def __init__(
+        self,
+        plant: Plant,
+        viewpoint: Viewpoint,
+        target: Target,
+        sensor: ImageSensor | None,
+        see_hidden: bool,
+    ):
         super().__init__(plant.step_s, round(viewpoint.camera.period / plant.step_s), sensor)
-        self._plant, self._viewpoint, self._target, self._see_hidden = plant, viewpoint, target, see_hidden
+        self._plant, self._viewpoint, self._target, self._see_hidden = (
+            plant,
+            viewpoint,
+            target,
+            see_hidden,
+        )
 
     @property
     def _t(self) -> float:
@@ -329,15 +395,23 @@ class OtherEye(PlantCamera):
         return self._plant.reading()
 
     def truth(self) -> Truth:
-        """The truth, now: pose of this camera, and the markers in its frame; the twist is the servo camera's."""
+        """The truth, now: pose of this camera, and the markers in its frame; the twist is the servo
+        camera's.
+        """
         truth = self._plant.truth()
         T = self._plant.pose_of(self._viewpoint)
         p_camera = self._target.seen_from(inverse(truth.T_world_target) @ T)
-        hidden = self._plant.hidden(self._viewpoint, T, p_camera) if self._see_hidden else np.zeros(len(p_camera), dtype=bool)
+        hidden = (
+            self._plant.hidden(self._viewpoint, T, p_camera)
+            if self._see_hidden
+            else np.zeros(len(p_camera), dtype=bool)
+        )
         return truth._replace(T_world_camera=T, p_camera=p_camera, hidden=hidden)
 
 
-POSTURES = 12  # Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second one
+# Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second
+# one
+POSTURES = 12
 
 
 def camera_start(robot: Robot, camera: Camera, target: Target) -> Array:
@@ -355,14 +429,17 @@ def target_start(robot: Robot, target: Target) -> Array:
 
 
 def flange_for(camera: Camera, target: Target, T_camera_target: Array) -> Array:
-    """Pose of the flange (4, 4) with which the camera sees the target, where it is at the start, at T_camera_target (4, 4)."""
+    """Pose of the flange (4, 4) with which the camera sees the target, where it is at the start, at
+    T_camera_target (4, 4).
+    """
     if target.on_gripper:
         return camera.mount.T @ T_camera_target @ inverse(target.pose.T)
     return target.T_world_start @ inverse(camera.mount.T @ T_camera_target)
 
 
 def posture_at(robot: Robot, T_world_flange: Array) -> Array:
-    """The configuration of an arm at a flange pose (4, 4): from the nominal start, else from the first of POSTURES others that gets there.
+    """The configuration of an arm at a flange pose (4, 4): from the nominal start, else from the
+    first of POSTURES others that gets there.
 
     Raises UnreachableError: it does not get there.
     """
@@ -374,13 +451,16 @@ def posture_at(robot: Robot, T_world_flange: Array) -> Array:
     return robot.configuration_at(T_world_flange, nominal)
 
 
-# The ideal plant: a camera that follows its twist exactly. It needs MuJoCo only for pictures and occlusion.
+# The ideal plant: a camera that follows its twist exactly. It needs MuJoCo only for pictures and
+# occlusion.
 NONE, STILL_AIR = np.zeros(0), np.zeros(3)
 NO_JOINTS = Reading(NONE, NONE)
 
 
 class IdealPlant(Plant):
-    """T_world_camera <- T_world_camera exp([v] dt), v the camera's twist for the flange twist in force, the setpoint."""
+    """T_world_camera <- T_world_camera exp([v] dt), v the camera's twist for the flange twist in
+    force, the setpoint.
+    """
 
     def __init__(self, parts: SceneDescription, *of_plant: Any):
         super().__init__(parts, *of_plant)
@@ -400,14 +480,27 @@ class IdealPlant(Plant):
         p_camera = self._target.seen_from(self._T_target_world @ T)
         hidden = self._hidden if self._stage is None else self._stage.hidden(T, p_camera)
         return Truth(
-            T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact="", feet="", act=NONE, wind=STILL_AIR
+            T,
+            self._T_world_target,
+            self._twist,
+            NONE,
+            NONE,
+            NONE,
+            p_camera,
+            hidden,
+            contact="",
+            feet="",
+            act=NONE,
+            wind=STILL_AIR,
         )
 
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
         """A whole picture without noise with the flange at another pose (4, 4)."""
         assert self._stage is not None and self._eye is not None
         with self._stage.kept():
-            self._stage.place(self._t, self._T_world_target, NONE, T_world_flange @ self._parts.camera.mount.T)
+            self._stage.place(
+                self._t, self._T_world_target, NONE, T_world_flange @ self._parts.camera.mount.T
+            )
             return self._eye.clean(self._t)
 
     def pose_of(self, viewpoint: Viewpoint) -> Array:
@@ -430,7 +523,9 @@ class IdealPlant(Plant):
             self._followed, self._twist = setpoint, self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
-        """Advance by exact exponentials: no integration error, however many steps each stands for. False beyond all numbers."""
+        """Advance by exact exponentials: no integration error, however many steps each stands for.
+        False beyond all numbers.
+        """
         end = self._steps + steps
         while self._steps < end:
             ahead = self._setpoints.unchanged(self._steps, end - self._steps)

@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 class PictureSetup(NamedTuple):
     """What becomes of a camera's pictures.
 
-    needs_image, needs_truth: whether its detector works on pictures, on truth. image_sigma, rng: noise [grey levels] and its generator.
-    depth_rng, imaging_rng: generators of the noise of the depth camera and of the image sensor (`camera.sensor`). drift: of the camera's
-    gains. perturbed: further changes of the pictures; None for none.
+    needs_image, needs_truth: whether its detector works on pictures, on truth. image_sigma, rng:
+    noise [grey levels] and its generator.
+    depth_rng, imaging_rng: generators of the noise of the depth camera and of the image sensor
+    (`camera.sensor`). drift: of the camera's gains. perturbed: further changes of the pictures;
+    None for none.
     """
 
     needs_image: bool
@@ -53,13 +55,18 @@ def build_plant(
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
-    Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or for occlusion by plates and scenery.
-    Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
+    Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or
+    for occlusion by plates and scenery.
+    Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work
+    here.
 
     Args:
-        pictures, others: of the servo camera, and of the further ones by name (`Plant.others`); none where nothing is said.
-        sensor_rng, motion_rng: generators of the robot's sensor noise, and of a target's random walk.
-        order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one command to the next; None: at once.
+        pictures, others: of the servo camera, and of the further ones by name (`Plant.others`);
+            none where nothing is said.
+        sensor_rng, motion_rng: generators of the robot's sensor noise, and of a target's random
+            walk.
+        order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one
+            command to the next; None: at once.
     """
     robot, camera, target = scene.robot, scene.camera, scene.target
     steps_per_frame = round(camera.period / scene.step)
@@ -69,12 +76,19 @@ def build_plant(
     ideal = robot.body is None
     if ideal and not (pictured or scene.plate_m or may_hide):
         plant: Plant = IdealPlant(scene, steps_per_frame, None, None, path, order_s, interpolator)
-        plant.others = {view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), None) for view in scene.others}
+        plant.others = {
+            view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), None)
+            for view in scene.others
+        }
         return plant, "none"
-    # Here, and in the functions below: a run with the ideal camera and the oracle starts without loading any renderer.
+    # Here, and in the functions below: a run with the ideal camera and the oracle starts without
+    # loading any renderer.
     from vstestbed.sim.scene.scene import Scene
 
-    stage = Scene(scene, samples=max(camera.multisampling, *(view.camera.multisampling for view in scene.others), 0))
+    stage = Scene(
+        scene,
+        samples=max(camera.multisampling, *(view.camera.multisampling for view in scene.others), 0),
+    )
     eye, renderer = None, "none"
     if pictures.needs_image:
         eye, renderer = _sensor(stage, camera, "eye", pictures)
@@ -83,29 +97,57 @@ def build_plant(
     else:
         from vstestbed.sim.plant import MujocoPlant
 
-        plant = MujocoPlant(stage, steps_per_frame, eye, pictures.needs_truth, _given(sensor_rng), path, order_s, interpolator)
-    plant.others = {view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), stage) for view in scene.others}
+        plant = MujocoPlant(
+            stage,
+            steps_per_frame,
+            eye,
+            pictures.needs_truth,
+            _given(sensor_rng),
+            path,
+            order_s,
+            interpolator,
+        )
+    plant.others = {
+        view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), stage)
+        for view in scene.others
+    }
     return plant, renderer
 
 
-def _other_eye(plant: Plant, view: Viewpoint, pictures: PictureSetup, stage: Scene | None) -> OtherEye:
-    sensor = _sensor(stage, view.camera, view.name, pictures)[0] if stage is not None and pictures.needs_image else None
+def _other_eye(
+    plant: Plant, view: Viewpoint, pictures: PictureSetup, stage: Scene | None
+) -> OtherEye:
+    sensor = (
+        _sensor(stage, view.camera, view.name, pictures)[0]
+        if stage is not None and pictures.needs_image
+        else None
+    )
     return OtherEye(plant, view, plant.target, sensor, pictures.needs_truth)
 
 
-def _sensor(stage: Scene, camera: Camera, eye: str, pictures: PictureSetup) -> tuple[ImageSensor, str]:
+def _sensor(
+    stage: Scene, camera: Camera, eye: str, pictures: PictureSetup
+) -> tuple[ImageSensor, str]:
     """The sensor of a camera of a stage, and the name of what draws its images."""
     from vstestbed.imaging.chain import Chain
     from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
 
-    # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
-    drawn_by = servo_renderer(stage, camera, pictures.image_sigma > 0 and not camera.readout_s, eye=eye)
+    # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the
+    # noise is estimated.
+    drawn_by = servo_renderer(
+        stage, camera, pictures.image_sigma > 0 and not camera.readout_s, eye=eye
+    )
     depth = None
     if isinstance(camera, Perspective) and camera.depth_sensor is not None:
         depth = DepthCamera(camera, camera.depth_sensor, _given(pictures.depth_rng))
     changed = None if pictures.perturbed is None else pictures.perturbed.next_picture
-    chain = Chain(camera.imaging(pictures.imaging_rng), ImageNoise(pictures.image_sigma, pictures.rng), pictures.drift, changed)
+    chain = Chain(
+        camera.imaging(pictures.imaging_rng),
+        ImageNoise(pictures.image_sigma, pictures.rng),
+        pictures.drift,
+        changed,
+    )
     return ImageSensor(stage, drawn_by, chain, depth, camera), drawn_by.name
 
 
@@ -117,8 +159,9 @@ def _given(rng: np.random.Generator | None) -> np.random.Generator:
 def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
     """The compiled scene as MJCF, and the asset files that it names, by their paths relative to it.
 
-    Its keyframe `start` is the whole state in which a run begins, with what the servos have integrated to carry the load; its numbers have
-    all digits. With the controls of the log MuJoCo alone does what the run did. Raises UnreachableError: motors that cannot hold the start.
+    Its keyframe `start` is the whole state in which a run begins, with what the servos have
+    integrated to carry the load; its numbers have all digits. With the controls of the log MuJoCo
+    alone does what the run did. Raises UnreachableError: motors that cannot hold the start.
     """
     from vstestbed.core.geometry import quaternion_wxyz
     from vstestbed.sim.plant import MujocoPlant
@@ -137,10 +180,17 @@ def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
         spec, state = stage.spec, stage.data
         path = scene.target.path(_given(None)) if scene.target.motion.by_itself else None
         plant = MujocoPlant(stage, 1, None, False, _given(None), path)
-        own = {"qpos": state.qpos, "act": state.act, "ctrl": state.ctrl, "mpos": state.mocap_pos, "mquat": state.mocap_quat}
+        own = {
+            "qpos": state.qpos,
+            "act": state.act,
+            "ctrl": state.ctrl,
+            "mpos": state.mocap_pos,
+            "mquat": state.mocap_quat,
+        }
         spec.add_key(name="start", **{name: values.flatten() for name, values in own.items()})
         plant.close()
     for geom in spec.geoms:
-        geom.group = 0 if geom.group == TARGET_GROUP else geom.group  # MuJoCo's viewer shows groups 0 to 2 by itself
+        # MuJoCo's viewer shows groups 0 to 2 by itself
+        geom.group = 0 if geom.group == TARGET_GROUP else geom.group
     spec.compile()
     return exact_xml(spec), dict(spec.assets)

@@ -1,4 +1,6 @@
-"""Physics that draw in the process's one OpenGL context, with a cache of MuJoCo's rendering contexts for scenes that look the same."""
+"""Physics that draw in the process's one OpenGL context, with a cache of MuJoCo's rendering
+contexts for scenes that look the same.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,10 @@ from vstestbed.sim import gl_probe
 
 # The process's one OpenGL context, on a thread of its own, so that any thread may ask for pictures.
 #
-# An OpenGL context is current on one thread at a time. dm_control makes it current on the first thread that draws and leaves it
-# there: a second one cannot draw, and if the first has ended, the context cannot even be freed. Here one thread owns the context from
-# its creation to the end of the process, and executes all calls of OpenGL in turn.
+# An OpenGL context is current on one thread at a time. dm_control makes it current on the first
+# thread that draws and leaves it there: a second one cannot draw, and if the first has ended, the
+# context cannot even be freed. Here one thread owns the context from its creation to the end of the
+# process, and executes all calls of OpenGL in turn.
 
 
 _making = threading.Lock()
@@ -38,13 +41,16 @@ _contexts: list[Any] = []
 class RenderingThread(executor.BaseRenderExecutor):
     """dm_control's executor of OpenGL calls, on a daemon thread.
 
-    Not dm_control's own one: its thread ends before the functions registered with `atexit`, one of which frees the context.
+    Not dm_control's own one: its thread ends before the functions registered with `atexit`, one of
+    which frees the context.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._mutex = threading.RLock()
-        self._jobs: queue.SimpleQueue[tuple[Future[Any], Callable[[], object]] | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[tuple[Future[Any], Callable[[], object]] | None] = (
+            queue.SimpleQueue()
+        )
         self._thread = threading.Thread(target=self._work, name="vstestbed rendering", daemon=True)
         self._thread.start()
 
@@ -66,14 +72,16 @@ class RenderingThread(executor.BaseRenderExecutor):
 
     @property
     def _lock_if_necessary(self) -> Any:
-        # A job that asks for another one (a finaliser, for example) must not wait for whoever waits for the job.
+        # A job that asks for another one (a finaliser, for example) must not wait for whoever waits
+        # for the job.
         return threading.RLock() if threading.current_thread() is self._thread else self._mutex
 
     def call(self, func: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Execute a function on the rendering thread and return its result."""
         if threading.current_thread() is self._thread:
             return func(*args, **kwargs)
-        self._check_not_terminated()  # again, with the lock: the process may have begun to end while this thread waited for it
+        # again, with the lock: the process may have begun to end while this thread waited for it
+        self._check_not_terminated()
         future: Future[Any] = Future()
         self._jobs.put((future, lambda: func(*args, **kwargs)))
         try:
@@ -93,11 +101,14 @@ class RenderingThread(executor.BaseRenderExecutor):
                 self._terminated = True
                 self._jobs.put(None)
                 if not is_current():
-                    self._thread.join()  # the driver unloads at exit: no thread of its own may be left
+                    # the driver unloads at exit: no thread of its own may be left
+                    self._thread.join()
 
 
 class _OnRenderingThread(base.ContextBase):
-    """Comes between a backend's context and its base class, and puts the rendering thread in the place of the calling one."""
+    """Comes between a backend's context and its base class, and puts the rendering thread in the
+    place of the calling one.
+    """
 
     def __init__(self, max_width: int, max_height: int, render_executor_class: Any):
         # GLFW must be called from the main thread, says its manual (on macOS it crashes elsewhere).
@@ -106,7 +117,8 @@ class _OnRenderingThread(base.ContextBase):
 
 
 def context() -> Any:
-    """The process's context (a dm_control `ContextBase`), made when first asked for; it lives as long as the process.
+    """The process's context (a dm_control `ContextBase`), made when first asked for; it lives as
+    long as the process.
 
     Raises EnvironmentLackError: the process is short of memory or of open files.
     """
@@ -116,7 +128,8 @@ def context() -> Any:
                 raise lack  # a driver that loads its libraries without memory may end the process
             backend: Any = _render.Renderer
             kind: Any = type("Context", (backend, _OnRenderingThread), {})
-            made = kind(max_width=64, max_height=64)  # its own size does not matter: images are rendered offscreen
+            # its own size does not matter: images are rendered offscreen
+            made = kind(max_width=64, max_height=64)
             made.increment_refcount()
             _contexts.append(made)
         return _contexts[0]
@@ -125,19 +138,30 @@ def context() -> Any:
 def is_current() -> bool:
     """Whether the calling thread is the rendering thread."""
     executors = (made._render_executor for made in _contexts)
-    return any(isinstance(one, RenderingThread) and one.thread is threading.current_thread() for one in executors)
+    return any(
+        isinstance(one, RenderingThread) and one.thread is threading.current_thread()
+        for one in executors
+    )
 
 
 def _after_fork() -> None:
-    """In a fork, leave the parent's OpenGL alone: neither its rendering thread nor the driver's threads came along.
+    """In a fork, leave the parent's OpenGL alone: neither its rendering thread nor the driver's
+    threads came along.
 
-    A fork of a process that has not drawn yet may draw. In a fork of one that has, OpenGL would wait for these threads for ever.
+    A fork of a process that has not drawn yet may draw. In a fork of one that has, OpenGL would
+    wait for these threads for ever.
     """
-    if "OpenGL.EGL" in sys.modules:  # dm_control's exit function, which crashes where another thread than the main one has drawn
+    # dm_control's exit function, which crashes where another thread than the main one has drawn
+    if "OpenGL.EGL" in sys.modules:
         atexit.unregister(sys.modules["OpenGL.EGL"].eglTerminate)
     for made in _contexts:
-        made._render_executor._terminated = True  # given up without being freed: the rendering thread does not exist here
-        gl_probe.switch_off("this process is a fork of one that has drawn with it", "start processes with multiprocessing's method spawn")
+        made._render_executor._terminated = (
+            True  # given up without being freed: the rendering thread does not exist here
+        )
+        gl_probe.switch_off(
+            "this process is a fork of one that has drawn with it",
+            "start processes with multiprocessing's method spawn",
+        )
 
 
 if hasattr(os, "register_at_fork"):
@@ -145,21 +169,29 @@ if hasattr(os, "register_at_fork"):
 
 
 T = TypeVar("T")
-MOST_KEPT = 4  # Rendering contexts kept: those of the servo camera and of the outside view, for two scenarios in turn
+# Rendering contexts kept: those of the servo camera and of the outside view, for two scenarios in
+# turn
+MOST_KEPT = 4
 _target: list[object] = [None]
-"""The rendering context whose buffer is current. This and `_kept` are used on the rendering thread alone, and need no lock."""
-_glossy = [False]  # how OpenGL now draws highlights, see `Physics.glossy`; on the rendering thread alone
+"""The rendering context whose buffer is current. This and `_kept` are used on the rendering thread
+alone, and need no lock.
+"""
+# how OpenGL now draws highlights, see `Physics.glossy`; on the rendering thread alone
+_glossy = [False]
 _kept: OrderedDict[tuple[object, ...], wrapper.MjrContext] = OrderedDict()
 
 
 class Physics(dm.Physics):
     """dm_control's physics, whose pictures are drawn in the process's one OpenGL context.
 
-    A rendering context holds what is uploaded to the graphics memory: textures, shadow map, buffers, no state of the scene. It takes .1 to
-    .5 s to make, which a worker process pays once for all of its runs.
+    A rendering context holds what is uploaded to the graphics memory: textures, shadow map,
+    buffers, no state of the scene. It takes .1 to .5 s to make, which a worker process pays once
+    for all of its runs.
 
-    anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`; set before the first picture.
-    glossy: highlights lie over the textures; else they are multiplied by their colours, as OpenGL does by itself.
+    anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`; set before the
+    first picture.
+    glossy: highlights lie over the textures; else they are multiplied by their colours, as OpenGL
+    does by itself.
     """
 
     anisotropy: int = 1
@@ -167,14 +199,18 @@ class Physics(dm.Physics):
 
     @property
     def contexts(self) -> Contexts | None:
-        """The contexts; on the rendering thread with this scene's made current. None where dm_control has switched rendering off."""
+        """The contexts; on the rendering thread with this scene's made current. None where
+        dm_control has switched rendering off.
+        """
         contexts: Any = self._contexts
         if contexts is None and not is_current():
-            contexts = super().contexts  # makes them; it takes a lock, for which the rendering thread must not wait
+            # makes them; it takes a lock, for which the rendering thread must not wait
+            contexts = super().contexts
         if contexts is None or contexts.gl.thread is not threading.current_thread():
             return contexts
-        # Several rendering contexts share one OpenGL context, whose current buffer is global state: switched only where it is another's,
-        # and within the job that draws, since another thread's job may come before.
+        # Several rendering contexts share one OpenGL context, whose current buffer is global state:
+        # switched only where it is another's, and within the job that draws, since another thread's
+        # job may come before.
         if _target[0] is not contexts.mujoco:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, contexts.mujoco.ptr)
             _target[0] = contexts.mujoco
@@ -187,9 +223,11 @@ class Physics(dm.Physics):
         return contexts
 
     def with_context(self, job: Callable[[], T]) -> T:
-        """The result of a function that is executed on the rendering thread, where the OpenGL context is current.
+        """The result of a function that is executed on the rendering thread, where the OpenGL
+        context is current.
 
-        The buffer has the model's offscreen size, which may have grown since the last call; other scenes keep the old ones.
+        The buffer has the model's offscreen size, which may have grown since the last call; other
+        scenes keep the old ones.
         """
         contexts: Any = self.contexts
         if contexts is None:
@@ -204,7 +242,9 @@ class Physics(dm.Physics):
     def _make_rendering_contexts(self) -> None:
         gl = context()
         with gl.make_current() as thread:
-            self._contexts = Contexts(gl=gl, mujoco=thread.call(_rendering_context, self.model, gl, self.anisotropy))
+            self._contexts = Contexts(
+                gl=gl, mujoco=thread.call(_rendering_context, self.model, gl, self.anisotropy)
+            )
 
     def _free_rendering_contexts(self) -> None:
         """Return the context to the cache; the least recently used one is dropped."""
@@ -216,7 +256,9 @@ class Physics(dm.Physics):
 
 
 def _rendering_context(model: wrapper.MjModel, gl: object, anisotropy: int) -> wrapper.MjrContext:
-    """The cached rendering context of a model that looks the same, or a new one. On the rendering thread."""
+    """The cached rendering context of a model that looks the same, or a new one. On the rendering
+    thread.
+    """
     key = (anisotropy, *_looks(model.ptr))
     if key not in _kept:
         _kept[key] = wrapper.MjrContext(model, gl)
@@ -236,26 +278,34 @@ def _drop_surplus() -> None:
 def _plain_sky(context: mujoco.MjrContext) -> None:
     """Switch off the sky texture's mipmap, which is never used: the sky is always magnified.
 
-    The image has the same bytes, and software OpenGL, which computes the level of each pixel, saves a third of its time.
+    The image has the same bytes, and software OpenGL, which computes the level of each pixel, saves
+    a third of its time.
     """
-    from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1, GL_1_3  # not OpenGL.GL, which imports all extensions in .06 s
+    # not OpenGL.GL, which imports all extensions in .06 s
+    from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1, GL_1_3
 
     for kind, texture in zip(context.textureType, context.texture, strict=True):
         if kind == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             GL_1_1.glBindTexture(GL_1_3.GL_TEXTURE_CUBE_MAP, texture)
-            GL_1_0.glTexParameteri(GL_1_3.GL_TEXTURE_CUBE_MAP, GL_1_0.GL_TEXTURE_MIN_FILTER, GL_1_0.GL_LINEAR)
+            GL_1_0.glTexParameteri(
+                GL_1_3.GL_TEXTURE_CUBE_MAP, GL_1_0.GL_TEXTURE_MIN_FILTER, GL_1_0.GL_LINEAR
+            )
 
 
 def _sample_aslant(context: mujoco.MjrContext, model: mujoco.MjModel, samples: int) -> None:
-    """Let flat textures that are not repeated be sampled several times along the longer side of what a pixel covers.
+    """Let flat textures that are not repeated be sampled several times along the longer side of
+    what a pixel covers.
 
-    Mesa's software OpenGL visits each repeat within a pixel, and for what lies beyond a face's border, where a plane is seen from nearly
-    within, extrapolates to any number of them: with a floor up to the horizon a picture would never end.
+    Mesa's software OpenGL visits each repeat within a pixel, and for what lies beyond a face's
+    border, where a plane is seen from nearly within, extrapolates to any number of them: with a
+    floor up to the horizon a picture would never end.
     """
     from OpenGL.raw.GL.EXT import texture_filter_anisotropic as aslant
     from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1
 
-    for texture in np.flatnonzero((model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D) & ~repeated(model)):
+    for texture in np.flatnonzero(
+        (model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D) & ~repeated(model)
+    ):
         GL_1_1.glBindTexture(GL_1_0.GL_TEXTURE_2D, context.texture[texture])
         GL_1_0.glTexParameterf(GL_1_0.GL_TEXTURE_2D, aslant.GL_TEXTURE_MAX_ANISOTROPY_EXT, samples)
 
@@ -267,10 +317,27 @@ def repeated(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def _looks(model: mujoco.MjModel) -> tuple[object, ...]:
-    """A key of everything in a model that enters a rendering context: sizes, shapes, materials, textures."""
+    """A key of everything in a model that enters a rendering context: sizes, shapes, materials,
+    textures.
+    """
     quality, size = model.vis.quality, model.vis.global_
     # Planes are compiled to display lists by their size, hence the geoms beside the assets.
     names = [n for n in dir(model) if n.startswith(("tex_", "mat_", "mesh_", "hfield_", "skin_"))]
-    arrays = [getattr(model, name) for name in (*names, "geom_type", "geom_size", "geom_dataid", "geom_matid")]
-    buffers = model.vis.map.shadowclip * model.stat.extent, size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
-    return *buffers, quality.numslices, quality.numstacks, quality.numquads, hash(tuple(np.asarray(a).tobytes() for a in arrays))
+    arrays = [
+        getattr(model, name)
+        for name in (*names, "geom_type", "geom_size", "geom_dataid", "geom_matid")
+    ]
+    buffers = (
+        model.vis.map.shadowclip * model.stat.extent,
+        size.offwidth,
+        size.offheight,
+        quality.offsamples,
+        quality.shadowsize,
+    )
+    return (
+        *buffers,
+        quality.numslices,
+        quality.numstacks,
+        quality.numquads,
+        hash(tuple(np.asarray(a).tobytes() for a in arrays)),
+    )

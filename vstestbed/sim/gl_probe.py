@@ -1,4 +1,6 @@
-"""Which OpenGL backend works, found out before MuJoCo and dm_control are imported: they choose theirs at import."""
+"""Which OpenGL backend works, found out before MuJoCo and dm_control are imported: they choose
+theirs at import.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +19,37 @@ INSTALL = {
     "arch": "pacman -S libglvnd mesa",
     "suse": "zypper install libglvnd Mesa-libEGL1 Mesa-libGL1 Mesa-dri",
 }
-"""The command that installs EGL, OpenGL and Mesa's drivers, by the word in /etc/os-release (ID or ID_LIKE)."""
+"""The command that installs EGL, OpenGL and Mesa's drivers, by the word in /etc/os-release (ID or
+ID_LIKE).
+"""
 RAYS_INSTEAD = "rays draw the pictures instead, without shadows"
 UNSET_REMEDY = "unset MUJOCO_GL or set MUJOCO_GL=egl"
-LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
+LIBRARIES = {
+    "egl": ("libEGL.so.1", "libGL.so.1"),
+    "osmesa": ("libOSMesa.so.8",),
+    "glfw": ("libGL.so.1",),
+}
 """Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
 DEVICE_PLATFORM = 0x313F  # EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device
 DEVICE = "MUJOCO_EGL_DEVICE_ID"  # the variable that names one of EGL's devices, a GPU of several
 ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
-_lack: list[tuple[str, str]] = []  # why OpenGL is switched off, as (lack, remedy); empty where it is not
+# why OpenGL is switched off, as (lack, remedy); empty where it is not
+_lack: list[tuple[str, str]] = []
 
 
 def remedy() -> str:
-    """The command that installs OpenGL on this distribution, as root; Debian's on an unknown one."""
+    """The command that installs OpenGL on this distribution, as root;
+    Debian's on an unknown one.
+    """
     try:
         release = platform.freedesktop_os_release()
     except OSError:  # not Linux, or a bare container
         release = {}
-    words = f"{release.get('ID', '')} {release.get('ID_LIKE', '')}".replace("opensuse", "suse").replace("ubuntu", "debian").split()
+    words = (
+        f"{release.get('ID', '')} {release.get('ID_LIKE', '')}".replace("opensuse", "suse")
+        .replace("ubuntu", "debian")
+        .split()
+    )
     known = [word for word in words if word in INSTALL]
     command = INSTALL[known[0]] if known else f"(on Debian or Ubuntu) {INSTALL['debian']}"
     return f"as root: {command}; then `vstestbed doctor` tells whether it works"
@@ -57,7 +72,9 @@ def missing_libraries(backend: str = "egl") -> list[str]:
 
 
 def _taken(devices: list[int]) -> list[int]:
-    """The devices of EGL that may be taken: one that DEVICE names, else all. ValueError: it names none."""
+    """The devices of EGL that may be taken: one that DEVICE names, else all. ValueError: it names
+    none.
+    """
     given = os.environ.get(DEVICE)
     if given is None:
         return devices
@@ -67,16 +84,19 @@ def _taken(devices: list[int]) -> list[int]:
 
 
 def _egl_lack() -> tuple[str, str] | None:
-    """Why none of the EGL devices that may be taken initialises a display, and the remedy; None where one does. A first start takes 25 ms.
+    """Why none of the EGL devices that may be taken initialises a display, and the remedy; None
+    where one does. A first start takes 25 ms.
 
-    MuJoCo and dm_control make the same calls when they are imported. They are made here with ctypes alone, because importing
-    PyOpenGL would fix its platform.
+    MuJoCo and dm_control make the same calls when they are imported. They are made here with ctypes
+    alone, because importing PyOpenGL would fix its platform.
     """
     egl = ctypes.CDLL("libEGL.so.1")
     pointer, number = ctypes.c_void_p, ctypes.c_int
     egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
     egl.eglInitialize.argtypes = [pointer, pointer, pointer]
-    address = [egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")]
+    address = [
+        egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")
+    ]
     none = "libEGL starts no display", remedy()
     if not all(address):
         return none
@@ -90,13 +110,19 @@ def _egl_lack() -> tuple[str, str] | None:
     except ValueError as error:
         return str(error), f"unset {DEVICE}"
     displays = [display_of(DEVICE_PLATFORM, device, None) for device in taken]
-    return None if any(display and egl.eglInitialize(display, None, None) for display in displays) else none
+    return (
+        None
+        if any(display and egl.eglInitialize(display, None, None) for display in displays)
+        else none
+    )
 
 
 def choose_backend() -> None:
-    """Set MUJOCO_GL on Linux: `egl` where it is unset, `disable` where the backend that it names cannot work.
+    """Set MUJOCO_GL on Linux: `egl` where it is unset, `disable` where the backend that it names
+    cannot work.
 
-    MuJoCo and dm_control load their backend at import and fail with an obscure error where it is missing.
+    MuJoCo and dm_control load their backend at import and fail with an obscure error where it is
+    missing.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -111,17 +137,27 @@ def choose_backend() -> None:
 
 
 def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
-    """Why a backend cannot work, and the remedy; None where it can. `requested`: the user named it in MUJOCO_GL."""
+    """Why a backend cannot work, and the remedy; None where it can. `requested`: the user named it
+    in MUJOCO_GL.
+    """
     if backend not in LIBRARIES:
-        return f"MUJOCO_GL={backend} is set, and there is no such backend", f"unset MUJOCO_GL, or set it to {', '.join(sorted(LIBRARIES))}"
+        return (
+            f"MUJOCO_GL={backend} is set, and there is no such backend",
+            f"unset MUJOCO_GL, or set it to {', '.join(sorted(LIBRARIES))}",
+        )
     if missing := missing_libraries(backend):
         lack = f"{' and '.join(missing)} not found"
         if not requested:
             return lack, remedy()
-        return f"{lack}, which MUJOCO_GL={backend} needs", remedy() if backend == "egl" else UNSET_REMEDY
+        return (
+            f"{lack}, which MUJOCO_GL={backend} needs",
+            remedy() if backend == "egl" else UNSET_REMEDY,
+        )
     if backend == "egl" and (lack := _egl_lack()) is not None:
         return lack
-    if backend == "glfw" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+    if backend == "glfw" and not any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    ):
         return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
     return None
 
@@ -133,7 +169,8 @@ def require() -> None:
         lack, way = _lack[0]
     elif word.lower() not in OFF:
         return
-    elif missing := missing_libraries():  # the user switched it off, or a parent process did and MUJOCO_GL was inherited
+    elif missing := missing_libraries():
+        # the user switched it off, or a parent process did and MUJOCO_GL was inherited
         lack, way = f"{' and '.join(missing)} not found", remedy()
     else:
         lack, way = f"MUJOCO_GL={word} is set", UNSET_REMEDY
@@ -141,14 +178,17 @@ def require() -> None:
 
 
 def explain(error: ImportError) -> EnvironmentLackError | None:
-    """The error to show for a failed import of MuJoCo's or dm_control's renderer; None where EGL is not the cause."""
+    """The error to show for a failed import of MuJoCo's or dm_control's renderer; None where EGL is
+    not the cause.
+    """
     words = str(error).rstrip(".")
     return EnvironmentLackError(f"no OpenGL: {words}", remedy()) if "EGL" in words else None
 
 
 def renderer_string() -> str:
     """GL_RENDERER of the current context, such as `llvmpipe (LLVM 15.0.6, 256 bits)`."""
-    from OpenGL.raw.GL.VERSION import GL_1_0  # comes with dm_control; not OpenGL.GL, which imports all extensions in .06 s
+    # comes with dm_control; not OpenGL.GL, which imports all extensions in .06 s
+    from OpenGL.raw.GL.VERSION import GL_1_0
 
     text: Any = GL_1_0.glGetString(GL_1_0.GL_RENDERER)
     value = ctypes.cast(text, ctypes.c_char_p).value

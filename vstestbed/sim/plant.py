@@ -1,4 +1,6 @@
-"""The physical plant: a robot with inertia, gears and friction in MuJoCo, and its rendered camera; an arm's linear model."""
+"""The physical plant: a robot with inertia, gears and friction in MuJoCo, and its rendered camera;
+an arm's linear model.
+"""
 
 from __future__ import annotations
 
@@ -37,35 +39,53 @@ class RobotContacts:
         self._model = model
         bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
         self._feet = np.zeros(model.ngeom, dtype=bool)
-        self._feet[[model.geom(f"robot/{name}").id for name in (robot.body.feet if robot.body else ())]] = True
+        self._feet[
+            [model.geom(f"robot/{name}").id for name in (robot.body.feet if robot.body else ())]
+        ] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
         self._floors = [i for i in range(model.ngeom) if model.geom(i).name.startswith("floor")]
         self._on_wheels = robot.base == "planar"
 
     def touching(self, data: mujoco.MjData) -> tuple[str, str]:
-        """What the robot touches: with anything but its feet, and with its feet; `forearm and floor`, "" where nothing."""
+        """What the robot touches: with anything but its feet, and with its feet;
+        `forearm and floor`, "" where nothing.
+        """
         if not data.ncon:
             return "", ""
         pairs = data.contact.geom
         feet = self._first(pairs, self._feet)
-        if self._on_wheels:  # wheels and casters always touch the floor; whatever else of a vehicle does goes unnoticed
+        # wheels and casters always touch the floor; whatever else of a vehicle does goes unnoticed
+        if self._on_wheels:
             pairs = pairs[~np.isin(pairs, self._floors).any(axis=1)]
-        # A pair within the robot counts, too: the arm's own links are paired in its file to end a run at the first touch.
+        # A pair within the robot counts, too: the arm's own links are paired in its file to end a
+        # run at the first touch.
         return self._first(pairs, self._body), feet
 
     def _first(self, pairs: NDArray[np.int32], own: NDArray[np.bool_]) -> str:
-        """The first pair of geoms (contacts, 2) one of which is among the robot's `own`, that one first; "" if there is none."""
+        """The first pair of geoms (contacts, 2) one of which is among the robot's `own`, that one
+        first; "" if there is none.
+        """
         touching = own[pairs]
         found = np.flatnonzero(touching.any(axis=1))
         if not len(found):
             return ""
         pair = pairs[found[0]].tolist()
-        return " and ".join(self._name(geom) for geom in (pair if touching[found[0], 0] else pair[::-1]))
+        return " and ".join(
+            self._name(geom) for geom in (pair if touching[found[0], 0] else pair[::-1])
+        )
 
     def _name(self, geom: int) -> str:
-        """Name of a geom, or of the body it belongs to, without the prefix of its part of the scene."""
+        """Name of a geom, or of the body it belongs to, without the prefix of its part of the
+        scene.
+        """
         name = self._model.geom(geom).name or self._model.body(self._model.geom_bodyid[geom]).name
-        words = name.removeprefix("robot/").removeprefix("scenery/").strip("/").replace("/", " ").replace("_", " ")
+        words = (
+            name.removeprefix("robot/")
+            .removeprefix("scenery/")
+            .strip("/")
+            .replace("/", " ")
+            .replace("_", " ")
+        )
         return words or "something without a name"
 
 
@@ -81,7 +101,10 @@ class SensorReader:
     def __init__(self, stage: Scene, rng: np.random.Generator, actors: Sequence[Actor] = ()):
         robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
         self._at, self._has_encoders = stage.at, len(stage.at.motor_qpos) > 0
-        self._model, self._felt = robot.instruments(rng), [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
+        self._model, self._felt = (
+            robot.instruments(rng),
+            [actor.felt for actor in actors if type(actor).felt is not Actor.felt],
+        )
         self._sensors = []
         for name in robot.body.sensors if robot.body else ():
             sensor = stage.model.sensor(f"robot/{name}")
@@ -91,7 +114,8 @@ class SensorReader:
 
     def read(self, step: int) -> Any:
         """What the sensors read at a physics step (`Robot.instruments`)."""
-        # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
+        # Cached: a second reading of the same instant must not draw other noise, which could be
+        # averaged out.
         if step != self.read_at:
             values = self._values.tolist()
             sensors = {name: values[where] for name, where in self._sensors}
@@ -99,20 +123,27 @@ class SensorReader:
                 sensors = felt(sensors)
             q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
             if self._has_encoders:
-                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]  # the encoders are on the motors
+                # the encoders are on the motors
+                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]
             self._reading, self.read_at = self._model(q, qd, sensors), step
         return self._reading
 
 
-EXACT_M = 1e-6  # entries of two poses that differ by less are the same: the arm's own model is exact
+EXACT_M = (
+    1e-6  # entries of two poses that differ by less are the same: the arm's own model is exact
+)
 ROUNDS = 3
-"""Corrections of the joints: each leaves the product of the geometry's error and the correction before, under a micrometre at the third."""
+"""Corrections of the joints: each leaves the product of the geometry's error and the correction
+before, under a micrometre at the third.
+"""
 
 
 def shown_at(stage: Scene, T_world_flange: Array, q: Array) -> Array:
-    """Joints (n,) at which the true flange, which carries the camera, is at a pose (4, 4); those of the arm's own model are q (n,).
+    """Joints (n,) at which the true flange, which carries the camera, is at a pose (4, 4); those of
+    the arm's own model are q (n,).
 
-    q <- f^-1(T E^-1) with the error E = f(q)^-1 T_true(q) of the arm's own kinematics f. The stage is left at the joints before the last.
+    q <- f^-1(T E^-1) with the error E = f(q)^-1 T_true(q) of the arm's own kinematics f. The stage
+    is left at the joints before the last.
     Raises UnreachableError: the arm does not get there.
     """
     robot = stage.parts.robot
@@ -129,18 +160,25 @@ def shown_at(stage: Scene, T_world_flange: Array, q: Array) -> Array:
 
 
 def check_static_load(stage: Scene) -> None:
-    """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
+    """Refuse a start at which the weight of the links and the payload is more than motors and
+    friction of a joint hold.
 
-    tau = g(q) of the whole arm, less what springs or counterweights in its file carry. Gravity compensation by the drives does not count:
-    its torque is the motors' own. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes 0.1 ms
-    at the start of a run. Raises UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
+    tau = g(q) of the whole arm, less what springs or counterweights in its file carry. Gravity
+    compensation by the drives does not count: its torque is the motors' own. A joint holds |tau| <=
+    tau_max + its Coulomb friction; motors without a limit hold all. It takes 0.1 ms at the start of
+    a run. Raises UnreachableError: a joint that holds less, with the torques, and the payload that
+    it would hold.
     """
     robot, model, data = stage.parts.robot, stage.model, stage.data
     if stage.root is not None or not robot.joints:
         return
     # at rest the bias is gravity alone
     drives = robot.body and robot.body.actuation
-    weight = (data.qfrc_bias if drives is not None and drives.carried else data.qfrc_bias - data.qfrc_gravcomp)[stage.at.qvel]
+    weight = (
+        data.qfrc_bias
+        if drives is not None and drives.carried
+        else data.qfrc_bias - data.qfrc_gravcomp
+    )[stage.at.qvel]
     holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
         return
@@ -148,8 +186,8 @@ def check_static_load(stage: Scene) -> None:
     slides = model.joint(f"robot/{robot.joints[joint]}").type[0] == mujoco.mjtJoint.mjJNT_SLIDE
     unit = "N" if slides else "Nm"
     words = (
-        f"asks {robot.joints[joint]} for {abs(weight[joint]):.4g} {unit} to hold the arm at its start, and its motor and friction have "
-        f"{holds[joint]:.4g} {unit}: it would fall"
+        f"asks {robot.joints[joint]} for {abs(weight[joint]):.4g} {unit} to hold the arm at its"
+        f" start, and its motor and friction have {holds[joint]:.4g} {unit}: it would fall"
     )
     for effect in robot.acting:
         if remedy := effect.remedy(stage.body, weight, holds):
@@ -159,23 +197,37 @@ def check_static_load(stage: Scene) -> None:
 
 
 def _largest_torques(stage: Scene) -> Array:
-    """Largest torque of each joint's motors (n,) [Nm, N]: the lower of the actuators' limit and the joint's; infinite without both."""
+    """Largest torque of each joint's motors (n,) [Nm, N]: the lower of the actuators' limit and the
+    joint's; infinite without both.
+    """
     model, found = stage.model, []
-    motors = np.array([model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int)
+    motors = np.array(
+        [model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int
+    )
     motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
     for joint in model.dof_jntid[stage.at.motor_qvel]:
         own = motors[model.actuator_trnid[motors, 0] == joint]
         limited = len(own) and model.actuator_forcelimited[own].all()
-        most = float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum()) if limited else np.inf
-        found.append(min(most, float(model.jnt_actfrcrange[joint, 1])) if model.jnt_actfrclimited[joint] else most)
+        most = (
+            float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum())
+            if limited
+            else np.inf
+        )
+        found.append(
+            min(most, float(model.jnt_actfrcrange[joint, 1]))
+            if model.jnt_actfrclimited[joint]
+            else most
+        )
     return np.array(found)
 
 
 def settle(stage: Scene) -> None:
-    """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + torsion, craft at hover.
+    """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints'
+    rotors at q + torsion, craft at hover.
 
-    The load of a joint is what gravity asks of its motor. A servo whose gravity compensation is wrong does not know of it: it starts at
-    theta, and sags. Raises UnreachableError: an arm's motors cannot hold it there.
+    The load of a joint is what gravity asks of its motor. A servo whose gravity compensation is
+    wrong does not know of it: it starts at theta, and sags. Raises UnreachableError: an arm's
+    motors cannot hold it there.
     """
     # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
     model, data, robot = stage.model, stage.data, stage.parts.robot
@@ -188,22 +240,31 @@ def settle(stage: Scene) -> None:
     if robot.body and robot.body.actuation and robot.body.actuation.gravity_error is not None:
         load[:] = 0.0
     for i in range(model.nu):
-        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
+        if (
+            model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+            and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+        ):
             joint = model.actuator_trnid[i, 0]
             kp = -model.actuator_biasprm[i, 1]
-            data.act[model.actuator_actadr[i]] = data.qpos[model.jnt_qposadr[joint]] + load[model.jnt_dofadr[joint]] / kp
+            data.act[model.actuator_actadr[i]] = (
+                data.qpos[model.jnt_qposadr[joint]] + load[model.jnt_dofadr[joint]] / kp
+            )
     mujoco.mj_forward(model, data)
 
 
 PERIOD_S = 0.01  # period of the path following [s], that of a car's onboard servos
 CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
-"""Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The offset decays within some 1.6 m."""
+"""Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The
+offset decays within some 1.6 m.
+"""
 
 
 class LeadVehicle:
-    """Drives the target's vehicle: w = v (curvature - CROSS_GAIN offset - HEADING_GAIN (heading - route's)).
+    """Drives the target's vehicle: w = v (curvature - CROSS_GAIN offset - HEADING_GAIN (heading -
+    route's)).
 
-    That is linear feedback along the path: offset'' + HEADING_GAIN offset' + CROSS_GAIN offset = 0 by arc length.
+    That is linear feedback along the path: offset'' + HEADING_GAIN offset' + CROSS_GAIN offset = 0
+    by arc length.
 
     stage: the scene with the vehicle under `leader/`.
 
@@ -217,7 +278,12 @@ class LeadVehicle:
         self._stage, self._motion, self._root = stage, motion, stage.leader
         self._robot = stage.parts.leader
         self._mount = Mount.of(np.eye(4))
-        self._at = StateIndices.of(stage.model, self._robot.joints, self._robot.body.actuators if self._robot.body else (), "leader/")
+        self._at = StateIndices.of(
+            stage.model,
+            self._robot.joints,
+            self._robot.body.actuators if self._robot.body else (),
+            "leader/",
+        )
         self._memory: Any = self._robot.onboard.begin() if self._robot.onboard else None
         self._s = motion.from_m
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
@@ -226,13 +292,19 @@ class LeadVehicle:
         """One period dt [s] of the path following."""
         place = place_of(self._root.pose(self._stage.data))
         route = self._motion.route
-        # Near its last arc length, since the route may cross itself: .5 m is far more than it drives in a period.
+        # Near its last arc length, since the route may cross itself: .5 m is far more than it
+        # drives in a period.
         self._s, _ = route.nearest(place[:2], around=self._s, reach=0.5)
         x, y, heading, curvature = route.at(self._s)
         _, offset, turn = relative(np.array([x, y, heading]), place)
         v = self._motion.speed_mps
-        # curvature / (1 - curvature offset) is that of the parallel on which it drives; bounded near the centre of the bend.
-        w = v * (curvature / max(1 - curvature * offset, 0.1) - CROSS_GAIN * offset - HEADING_GAIN * math.sin(turn))
+        # curvature / (1 - curvature offset) is that of the parallel on which it drives; bounded
+        # near the centre of the bend.
+        w = v * (
+            curvature / max(1 - curvature * offset, 0.1)
+            - CROSS_GAIN * offset
+            - HEADING_GAIN * math.sin(turn)
+        )
         twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
         data = self._stage.data
         reading = Reading(data.qpos[self._at.qpos], data.qvel[self._at.qvel])
@@ -244,17 +316,21 @@ class LeadVehicle:
 
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0  # displacement of a craft while a vehicle settles: 1 km up [m]
-SETTLE_S = 1.0  # How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it
+# How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half
+# of it
+SETTLE_S = 1.0
 
 
 LONGEST_PUSH_S = 10.0
 
 
 class MujocoPlant(Plant):
-    """Steps a scene; setpoints go to the actuators, through the robot's onboard controller where it has one.
+    """Steps a scene; setpoints go to the actuators, through the robot's onboard controller where it
+    has one.
 
-    The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start, as they do when brakes are
-    released; vehicles have settled on their springs. see_hidden: compute the truth's `hidden` by casting rays. rng: of the sensors' noise.
+    The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the
+    start, as they do when brakes are released; vehicles have settled on their springs. see_hidden:
+    compute the truth's `hidden` by casting rays. rng: of the sensors' noise.
     """
 
     _stage: Scene  # pyright: ignore[reportIncompatibleVariableOverride] - always there
@@ -275,9 +351,13 @@ class MujocoPlant(Plant):
         self._robot, self._scenery = robot, bool(world.movers) or stage.hand_plate is not None
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
-        # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
+        # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the
+        # noise that the sensors draw.
         self._of_robot = stage.body
-        made = [(effect, effect.actor(self._of_robot, rng.spawn(1)[0])) for effect in (world.wind, *robot.acting)]
+        made = [
+            (effect, effect.actor(self._of_robot, rng.spawn(1)[0]))
+            for effect in (world.wind, *robot.acting)
+        ]
         self._actors = [actor for _, actor in made if actor is not None]
         self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
         self._forces = [actor.force for actor in self._actors if actor.force is not None]
@@ -285,19 +365,27 @@ class MujocoPlant(Plant):
         self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
-        self._pushes, self._push_ends = False, 0  # whether a push acts, and the physics step at which it ends
+        # whether a push acts, and the physics step at which it ends
+        self._pushes, self._push_ends = False, 0
         self._onboard = robot.onboard
         self._memory: Any = self._onboard.begin() if self._onboard else None
-        self._control_steps = max(1, round(self._onboard.control_period_s / self.step_s)) if self._onboard else 0  # 0: none
+        # 0: none
+        self._control_steps = (
+            max(1, round(self._onboard.control_period_s / self.step_s)) if self._onboard else 0
+        )
         acting = [actor for actor in self._actors if type(actor).act is not Actor.act]
         self._each_step = [actor.act for actor in acting if not actor.with_controller]
         self._each_period = [actor.act for actor in acting if actor.with_controller]
-        self._driven = [actor.driven for actor in self._actors if type(actor).driven is not Actor.driven]
+        self._driven = [
+            actor.driven for actor in self._actors if type(actor).driven is not Actor.driven
+        ]
         self._start()
         self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
 
     def _acting(self) -> Iterator[tuple[int, Callable[[float], None]]]:
-        """What acts at fixed multiples of the physics step, in its order: every how many steps, and what."""
+        """What acts at fixed multiples of the physics step, in its order: every how many steps, and
+        what.
+        """
         if self._leader:
             yield self._leader.steps, self._leader.drive
         if self._control_steps:
@@ -307,7 +395,9 @@ class MujocoPlant(Plant):
 
     def _start(self) -> None:
         q, T = self._stage.parts.start
-        self._stage.place(0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T)
+        self._stage.place(
+            0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T
+        )
         settle(self._stage)
         for actor in self._actors:
             actor.start()
@@ -315,21 +405,36 @@ class MujocoPlant(Plant):
             self._stand()
 
     def _stand(self) -> None:
-        """Let vehicles settle on their springs, then move them back to their start, at rest, at time 0."""
+        """Let vehicles settle on their springs, then move them back to their start, at rest, at
+        time 0.
+        """
         stage, data = self._stage, self._stage.data
-        T_robot, T_leader = stage.parts.start[1] @ stage.mount_inverse, self._target.T_world_start @ stage.target_inverse
+        T_robot, T_leader = (
+            stage.parts.start[1] @ stage.mount_inverse,
+            self._target.T_world_start @ stage.target_inverse,
+        )
         # Out of the way: it is not controlled yet, and would fall on the vehicle.
         if self._robot.base == "floating" and stage.root is not None:
             stage.root.put(data.qpos, AWAY @ T_robot)
         if not self._stepped(round(SETTLE_S / self.step_s)):
-            raise ParameterError("physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s)
-        for root, T_start, stands in ((stage.root, T_robot, self._robot.base == "planar"), (stage.leader, T_leader, True)):
+            raise ParameterError(
+                "physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s
+            )
+        for root, T_start, stands in (
+            (stage.root, T_robot, self._robot.base == "planar"),
+            (stage.leader, T_leader, True),
+        ):
             if root is not None:
-                # What settled is the height; x, y and heading are the scenario's, whatever the settling did to them.
+                # What settled is the height; x, y and heading are the scenario's, whatever the
+                # settling did to them.
                 T, settled = T_start.copy(), root.pose(data)
                 T[2, 3] = settled[2, 3] if stands else T[2, 3]
                 if root is stage.root and any(effect.uneven for effect in self._robot.acting):
-                    T[:3, :3] = T_start[:3, :3] @ (inverse(pose_on_ground(place_of(settled))) @ settled)[:3, :3]  # with its tilt there
+                    # with its tilt there
+                    T[:3, :3] = (
+                        T_start[:3, :3]
+                        @ (inverse(pose_on_ground(place_of(settled))) @ settled)[:3, :3]
+                    )
                 root.put(data.qpos, T)
         data.qvel[:] = 0.0
         data.time = 0.0
@@ -338,7 +443,9 @@ class MujocoPlant(Plant):
         self._sensors.read_at = -1
 
     def _stepped(self, steps: int) -> bool:
-        """Advance without controllers, with what acts at each step; False when MuJoCo reports an instability."""
+        """Advance without controllers, with what acts at each step; False when MuJoCo reports an
+        instability.
+        """
         if not self._each_step:
             return self._stage.step(steps)
         for _ in range(steps):
@@ -354,7 +461,9 @@ class MujocoPlant(Plant):
             np.sum(self._forces, axis=0, out=self._stage.data.qfrc_applied)
 
     def _show(self) -> None:
-        """Move plates, decoys, a lamp and a target with a path of its own to their present poses."""
+        """Move plates, decoys, a lamp and a target with a path
+        of its own to their present poses.
+        """
         stage, t = self._stage, self._t
         if self._scenery or self._path is not None:
             stage.place_plates(t)
@@ -363,30 +472,59 @@ class MujocoPlant(Plant):
             mujoco.mj_kinematics(stage.model, stage.data)
 
     def truth(self) -> Truth:
-        # dm_control's step ends with `mj_step1`: poses and velocities are those of the present time. After MuJoCo's own `mj_step` they
-        # would be one step old, .5 mm for a fast arm.
+        # dm_control's step ends with `mj_step1`: poses and velocities are those of the present
+        # time. After MuJoCo's own `mj_step` they would be one step old, .5 mm for a fast arm.
         stage = self._stage
         self._show()
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
-        if stage.parts.target.on_gripper:  # relative to the target in the gripper; the camera itself is at rest
+        # relative to the target in the gripper; the camera itself is at rest
+        if stage.parts.target.on_gripper:
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = stage.data.qpos[stage.at.qpos], stage.data.qvel[stage.at.qvel], self._ctrl[stage.at.ctrl].copy()
+        q, qd, ctrl = (
+            stage.data.qpos[stage.at.qpos],
+            stage.data.qvel[stage.at.qvel],
+            self._ctrl[stage.at.ctrl].copy(),
+        )
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
         wind, tau = stage.model.opt.wind.copy(), self._of_robot.motor_torque()
-        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, wind, effects, tau)
+        return Truth(
+            T,
+            T_target,
+            twist,
+            q,
+            qd,
+            ctrl,
+            p_camera,
+            hidden,
+            contact,
+            feet,
+            act,
+            wind,
+            effects,
+            tau,
+        )
 
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
-        """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there."""
+        """A whole picture without noise with the flange at another pose (4, 4), an arm in its
+        configuration q there.
+        """
         stage = self._stage
         assert self._eye is not None
         with stage.kept():
-            joints = stage.data.qpos[stage.at.qpos] if q is None else shown_at(stage, T_world_flange, q)
-            stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
+            joints = (
+                stage.data.qpos[stage.at.qpos] if q is None else shown_at(stage, T_world_flange, q)
+            )
+            stage.place(
+                stage.data.time,
+                stage.target_pose(),
+                joints,
+                T_world_flange @ stage.parts.camera.mount.T,
+            )
             return self._eye.clean(self._t)
 
     def pose_of(self, viewpoint: Viewpoint) -> Array:
@@ -395,11 +533,15 @@ class MujocoPlant(Plant):
 
     def _twist(self, site: int) -> Array:
         """True twist (v, w) (6,) of a site in its own frame; MuJoCo has the angular part first."""
-        mujoco.mj_objectVelocity(self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1)
+        mujoco.mj_objectVelocity(
+            self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1
+        )
         return np.concatenate([self._velocity[3:], self._velocity[:3]])
 
     def reading(self) -> Reading:
-        """The reading of the robot's sensors with the onboard estimates; the same until time passes."""
+        """The reading of the robot's sensors with the onboard estimates; the same until time
+        passes.
+        """
         reading = self._sensors.read(self._steps)
         return self._onboard.reported(self._memory, reading) if self._onboard else reading
 
@@ -411,7 +553,8 @@ class MujocoPlant(Plant):
     def advance(self, steps: int) -> bool:
         """Advance by physics steps; False when MuJoCo reports an instability.
 
-        Onboard controllers act at fixed multiples of the physics step, however the calls divide the time.
+        Onboard controllers act at fixed multiples of the physics step, however the calls divide the
+        time.
         """
         end = self._steps + steps
         while self._steps < end:
@@ -458,20 +601,26 @@ class MujocoPlant(Plant):
         return float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
 
     def push(self, force: Array, duration_s: float) -> None:
-        """Push the body that carries the camera (eye to hand, the gripper) with a force (3,) along world axes [N], from now on.
+        """Push the body that carries the camera (eye to hand, the gripper) with a force (3,) along
+        world axes [N], from now on.
 
-        It replaces one that still acts. Raises ParameterError: a force that is not three finite numbers, a duration not in (0, 10] s.
+        It replaces one that still acts. Raises ParameterError: a force that is not three finite
+        numbers, a duration not in (0, 10] s.
         """
         given = np.asarray(force, dtype=float)
         if given.shape != (3,) or not np.isfinite(given).all():
             raise ParameterError.count("force", "three", "finite numbers [N]", force)
         if not 0 < duration_s <= LONGEST_PUSH_S:
-            raise ParameterError.bound("duration_s", "more than", f"0 and at most {LONGEST_PUSH_S:g} s", duration_s)
+            raise ParameterError.bound(
+                "duration_s", "more than", f"0 and at most {LONGEST_PUSH_S:g} s", duration_s
+            )
         self._stage.data.xfrc_applied[self._stage.flange_body, :3] = given
         self._pushes, self._push_ends = True, self._steps + max(1, round(duration_s / self.step_s))
 
     def close(self) -> None:
-        self._loops = []  # methods of this object: a cycle, which would keep the model until the garbage collector runs
+        # methods of this object: a cycle, which would keep the model until the garbage collector
+        # runs
+        self._loops = []
         super().close()
 
 
@@ -481,7 +630,12 @@ def _row(effect: Effect, actor: Actor) -> Sequence[float]:
     if len(row) != len(effect.columns):
         names = ", ".join(effect.columns)
         raise ParameterError(
-            "robot.effects", f"{type(effect).__name__} has the columns {names}; `row` of its actor must return as many", list(row)
+            "robot.effects",
+            (
+                f"{type(effect).__name__} has the columns {names};"
+                " `row` of its actor must return as many"
+            ),
+            list(row),
         )
     return row
 
@@ -489,10 +643,12 @@ def _row(effect: Effect, actor: Actor) -> Sequence[float]:
 # An arm as a linear system about its start: inertia, springs, dampers and servo gains of its model.
 @dataclass(frozen=True, eq=False)
 class LinearArm:
-    """M z'' = -K z - C z' + b u about rest, u = kp (r - theta) + kv (v - theta'), theta = b^T z; n joints and m elastic ones, N = n + m.
+    """M z'' = -K z - C z' + b u about rest, u = kp (r - theta) + kv (v - theta'), theta = b^T z; n
+    joints and m elastic ones, N = n + m.
 
     Attributes:
-        mass, spring, damper: M, K, C (N, N) of z = (q, theta of the elastic joints); friction of the bearings is viscous alone.
+        mass, spring, damper: M, K, C (N, N) of z = (q, theta of the elastic joints); friction of
+            the bearings is viscous alone.
         motors: b (N, n), which entry of z each servo turns. kp, kv: gains of the servos (n,).
         integrates: whose command v goes through the integral r' = v alone, not through kv (n,).
     """
@@ -507,7 +663,9 @@ class LinearArm:
 
 
 def linear_arm(robot: Robot) -> LinearArm:
-    """The arm about its nominal start, with its imperfections but ripple, drives and play; without gravity's own spring."""
+    """The arm about its nominal start, with its imperfections but ripple, drives and play; without
+    gravity's own spring.
+    """
     scene = mujoco.MjSpec.from_file(str(model_path("world.xml")))
     scene.compiler.degree = False
     add_robot(scene, robot, "robot/", None)

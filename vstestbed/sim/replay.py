@@ -1,4 +1,6 @@
-"""A recorded run again: images from any camera, since the log has all poses, and the least time that its physics and images take."""
+"""A recorded run again: images from any camera, since the log has all poses, and the least time
+that its physics and images take.
+"""
 
 from __future__ import annotations
 
@@ -28,29 +30,35 @@ from vstestbed.targets.base import Target
 FILM_SHADOW_PX = 2048  # shadow map of the outside view: half of MuJoCo's default
 
 FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
-"""Facets of round geoms in it: a cylinder of 40 px deviates from its circle by .25 px. MuJoCo's 28, 16 and 4 make twice the work,
-which for a base with 36 rollers was a third of an image's time."""
+"""Facets of round geoms in it: a cylinder of 40 px deviates from its circle by .25 px. MuJoCo's 28,
+16 and 4 make twice the work, which for a base with 36 rollers was a third of an image's time.
+"""
 
 
 FREE = 0.74  # Share of the outside view's width, from the left, without an inset
 OUTSIDE_ASPECT = 0.95  # width over height of the view that `outside_view` fits
 FLOOR = (64, 84, 108), (56, 75, 98)
-"""The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from a slate blue."""
+"""The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from
+a slate blue.
+"""
 SKY = 0.62, 0.69, 0.78  # factors of the sky's colours in films, before which light lines stand out
 FLOOR_M = 80.0  # half of the floor's edge in films [m]: its end is not in the picture
 AMBIENT, KEY, FILL = 0.40, 0.72, 0.22
-"""Brightness of the lights in films: more from one side than the servo camera's, so that edges between faces show."""
+"""Brightness of the lights in films: more from one side than the servo camera's, so that edges
+between faces show.
+"""
 
 
 class Replay:
     """Renders a recorded run on a stage of its own, so that filming does not affect the run.
 
-    The servo camera is shown without noise, and through its lens, exposure, sensor and stream as they are at rest (`Imaging.clean`). Raises
-    EnvironmentLackError: OpenGL is asked for, and does not work here.
+    The servo camera is shown without noise, and through its lens, exposure, sensor and stream as
+    they are at rest (`Imaging.clean`). Raises EnvironmentLackError: OpenGL is asked for, and does
+    not work here.
 
     Args:
-        scene: of the run. shadows: render shadows in the outside views (three times the work). samples: multisampling of them, for
-            smooth edges.
+        scene: of the run. shadows: render shadows in the outside views (three times the work).
+            samples: multisampling of them, for smooth edges.
         share: size of the servo camera's images as a share of its own (see `servo_renderer`).
         view: where the camera `overview` stands; None: it follows the robot.
     """
@@ -67,7 +75,11 @@ class Replay:
         self._stage = Scene(scene, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
-        quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
+        quality.numslices, quality.numstacks, quality.numquads = (
+            FILM_SLICES,
+            FILM_STACKS,
+            FILM_QUADS,
+        )
         _repaint(self._stage.model)
         self._shadows, self._share = shadows, share
         self._things = Things(self._stage.model)
@@ -79,8 +91,12 @@ class Replay:
         self._views: dict[str, tuple[StillView, Perspective]] = {}
 
     def of_target(self, target: Target) -> Replay:
-        """Another replay, of the same scene with this target, whose servo camera gives images of the same size; it is to be closed."""
-        return Replay(replace(self._parts, target=target, others=()), self._shadows, share=self._share)
+        """Another replay, of the same scene with this target, whose servo camera gives images of
+        the same size; it is to be closed.
+        """
+        return Replay(
+            replace(self._parts, target=target, others=()), self._shadows, share=self._share
+        )
 
     @property
     def cameras(self) -> list[str]:
@@ -98,11 +114,12 @@ class Replay:
         T_world_camera: Array,
         T_world_goal: Array | None = None,
     ) -> Image:
-        """One picture (H, W, 3) uint8; the servo camera `eye` and further cameras have lenses of their own, and `share` of their size
-        whatever width and height say.
+        """One picture (H, W, 3) uint8; the servo camera `eye` and further cameras have lenses of
+        their own, and `share` of their size whatever width and height say.
 
-        `overview` follows the robot from picture to picture, so that it, the target and T_world_goal, the servo camera's goal pose (4, 4),
-        are in sight. Raises ParameterError: there is no such camera.
+        `overview` follows the robot from picture to picture, so that it, the target and
+        T_world_goal, the servo camera's goal pose (4, 4), are in sight. Raises ParameterError:
+        there is no such camera.
         """
         if camera not in self.cameras:
             raise ParameterError.choice("--camera", self.cameras, camera)
@@ -113,15 +130,24 @@ class Replay:
             self._seen = (t, image) if camera == "eye" else self._seen
             return image
         if camera not in self._views:
-            view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
+            view = outside_view(
+                self._stage, camera, width, height, self._parts.camera, self._shadows
+            )
             model, data = self._stage.model, self._stage.data
-            lens = Perspective(width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0]))
-            self._views[camera] = StillView(view.full_image, model, data, camera, lens.f, view.part), lens
+            lens = Perspective(
+                width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0])
+            )
+            self._views[camera] = (
+                StillView(view.full_image, model, data, camera, lens.f, view.part),
+                lens,
+            )
         self._stage.place(t, T_world_target, q, T_world_camera)
         if camera == "overview" and self._view is not None:
             self._view.place(self._stage, self._things)
         elif camera == "overview":
-            self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE)
+            self._follow = self._follow or FollowCamera(
+                self._stage, self._things, width / height, FREE
+            )
             self._follow.place(t, T_world_goal)
         return self._views[camera][0].full_image()
 
@@ -140,17 +166,23 @@ class Replay:
         """Names of all bodies, by number."""
         return self._stage.body_names
 
-    def body_poses(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> tuple[Array, Array]:
-        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in a state; valid until the next call."""
+    def body_poses(
+        self, t: float, T_world_target: Array, q: Array, T_world_camera: Array
+    ) -> tuple[Array, Array]:
+        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in a state; valid until
+        the next call.
+        """
         self._stage.place(t, T_world_target, q, T_world_camera)
         return self._stage.body_poses
 
     def outside_view(self, t: float, T_world_goal: Array | None) -> tuple[Array, Array, float]:
         """A view from outside of the last placed state that shows robot, target and goal.
 
-        Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of view [rad].
+        Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of
+        view [rad].
         """
-        if T_world_goal is not None or self._parts.robot.base == "fixed":  # else the composed view, which shows the way there is
+        # else the composed view, which shows the way there is
+        if T_world_goal is not None or self._parts.robot.base == "fixed":
             FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0).place(t, T_world_goal)
         T = self._stage.pose_of("overview")
         middle = self._things.points(self._stage.data).reshape(-1, 3).mean(axis=0)
@@ -158,19 +190,27 @@ class Replay:
         return T, T[:3, 3] + T[:3, 2] * float((middle - T[:3, 3]) @ T[:3, 2]), fovy
 
     def seen(self, t: float) -> Image | None:
-        """The last picture of the servo camera, if it is that of a time [s]; not to be drawn into."""
+        """The last picture of the servo camera, if it is that of a time [s];
+        not to be drawn into.
+        """
         return self._seen[1] if self._seen is not None and self._seen[0] == t else None
 
     def sight(self, camera: str) -> tuple[Perspective, Array]:
-        """Lens and pose T_world_camera (4, 4) of the last picture from a camera outside, for what is drawn over it."""
+        """Lens and pose T_world_camera (4, 4) of the last picture from a camera outside, for what
+        is drawn over it.
+        """
         return self._views[camera][1], self._stage.pose_of(camera)
 
     def body(self) -> Array:
-        """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last picture from outside."""
+        """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last
+        picture from outside.
+        """
         return self._things.points(self._stage.data)[self._things.own]
 
     def _own_lens(self, eye: str) -> tuple[Scene, Callable[[], Image]]:
-        """A stage with the quality of the servo camera, or of a further one, built when first asked for."""
+        """A stage with the quality of the servo camera, or of a further one, built when first asked
+        for.
+        """
         if eye in self._own:
             return self._own[eye]
         lens = self._lenses[eye]
@@ -186,9 +226,15 @@ class Replay:
 
             view = imaged
         else:
-            drawn_by, f = servo_renderer(stage, lens, share=self._share, eye=eye), self._share * pixels_per_radian(lens)
-            sides = None if lens.shadows else half_tangents(lens)  # what is out of sight may cast shadows
-            view = StillView(drawn_by.full_image, stage.model, stage.data, eye, f, sides=sides).full_image
+            drawn_by, f = (
+                servo_renderer(stage, lens, share=self._share, eye=eye),
+                self._share * pixels_per_radian(lens),
+            )
+            # what is out of sight may cast shadows
+            sides = None if lens.shadows else half_tangents(lens)
+            view = StillView(
+                drawn_by.full_image, stage.model, stage.data, eye, f, sides=sides
+            ).full_image
         self._own[eye] = stage, view
         return stage, view
 
@@ -200,10 +246,15 @@ class Replay:
 
 
 def _repaint(model: mujoco.MjModel) -> None:
-    """Colours and lights of films, which must not be those of the servo camera: they show robots, and to that camera markers."""
+    """Colours and lights of films, which must not be those of the servo camera: they show robots,
+    and to that camera markers.
+    """
     floor = texels_of(model, model.texture("floor").id)
-    floor[:] = np.where((floor == floor[0, 0]).all(axis=-1, keepdims=True), *np.array(FLOOR, np.uint8))
-    if any(model.texture(i).name == "sky" for i in range(model.ntex)):  # scenery may have brought its own
+    floor[:] = np.where(
+        (floor == floor[0, 0]).all(axis=-1, keepdims=True), *np.array(FLOOR, np.uint8)
+    )
+    # scenery may have brought its own
+    if any(model.texture(i).name == "sky" for i in range(model.ntex)):
         sky = texels_of(model, model.texture("sky").id)
         sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M
@@ -213,16 +264,19 @@ def _repaint(model: mujoco.MjModel) -> None:
 
 
 class Rerendering:
-    """Takes the servo camera's pictures of a recorded run again, each drawn anew, in the order in which the run took them.
+    """Takes the servo camera's pictures of a recorded run again, each drawn anew, in the order in
+    which the run took them.
 
-    A picture is of the instant of its time stamp: it lacks the motion blur of an exposure (`timing.exposure_s`), the skew of a rolling
-    shutter (`camera.readout_s`) and the flicker of the light. Noise and drift are those of the run, whose generator draws once for each
-    picture; lens, exposure, sensor and stream likewise. Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it
-    does not work here.
+    A picture is of the instant of its time stamp: it lacks the motion blur of an exposure
+    (`timing.exposure_s`), the skew of a rolling shutter (`camera.readout_s`) and the flicker of the
+    light. Noise and drift are those of the run, whose generator draws once for each picture; lens,
+    exposure, sensor and stream likewise. Raises EnvironmentLackError: a picture is needed that only
+    OpenGL can draw, and it does not work here.
 
     Args:
         scene: of the run.
-        image_sigma, rng: noise of the pictures [grey levels] and its generator as at the beginning of the run. drift: of its gains.
+        image_sigma, rng: noise of the pictures [grey levels] and its generator as at the beginning
+            of the run. drift: of its gains.
         imaging_rng: generator of the image sensor's noise, likewise.
     """
 
@@ -236,8 +290,13 @@ class Rerendering:
     ):
         camera = scene.camera
         self._stage = Scene(replace(scene, others=()), samples=camera.multisampling)
-        drawn_by, noise = servo_renderer(self._stage, camera, image_sigma > 0), ImageNoise(image_sigma, rng)
-        self._sensor = ImageSensor(self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift))
+        drawn_by, noise = (
+            servo_renderer(self._stage, camera, image_sigma > 0),
+            ImageNoise(image_sigma, rng),
+        )
+        self._sensor = ImageSensor(
+            self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift)
+        )
 
     def picture(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
         """The picture of a state at a time [s], (H, W, 3) uint8 RGB; a copy."""
@@ -253,7 +312,9 @@ class Rerendering:
 
     @property
     def body_poses(self) -> tuple[Array, Array]:
-        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in the last picture; valid until the next one."""
+        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in the last picture;
+        valid until the next one.
+        """
         return self._stage.body_poses
 
     def close(self) -> None:
@@ -263,17 +324,25 @@ class Rerendering:
 
 # Lower bound of a run's cost: the same physics steps and the same raw images, nothing else.
 def measure_baseline(
-    parts: SceneDescription, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool
+    parts: SceneDescription,
+    steps_per_frame: int,
+    ctrl: Array,
+    q: Array,
+    T_world_camera: Array,
+    pictures: bool,
 ) -> tuple[float, float]:
-    """Wall times of a recorded run's controls with plain `mj_step`, and of its views with plain renders [s].
+    """Wall times of a recorded run's controls with plain `mj_step`, and of its views with plain
+    renders [s].
 
     Ray casting renders whole images here, so that a run, which renders windows, may cost less.
 
     Args:
         parts: the scene. steps_per_frame: physics steps between frames.
-        ctrl: actuator controls of each frame (frames, nu); q: joint angles of each frame (frames, n).
+        ctrl: actuator controls of each frame (frames, nu); q: joint angles of each frame (frames,
+            n).
         T_world_camera: camera poses (frames, 4, 4), which place the free camera.
-        pictures: whether the run rendered at all; of several faces of a cube, only those with a marker in them are.
+        pictures: whether the run rendered at all; of several faces of a cube, only those with a
+            marker in them are.
     """
     stage = Scene(parts, samples=parts.camera.multisampling)
     picture = bare_renderer(stage, parts.camera) if pictures else None

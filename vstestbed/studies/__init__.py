@@ -1,3 +1,5 @@
-"""Studies: a run with its folder, comparisons, basins, gain limits under delay, sweeps, benchmarks."""
+"""Studies: a run with its folder, comparisons, basins, gain limits under delay, sweeps,
+benchmarks.
+"""
 
 from __future__ import annotations

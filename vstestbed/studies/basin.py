@@ -21,7 +21,15 @@ from vstestbed.laws.base import has_batch
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.batch import Batch, BatchSetup, ideal, simulate_batch, simulate_in_parts, start_of, started_at
+from vstestbed.studies.batch import (
+    Batch,
+    BatchSetup,
+    ideal,
+    simulate_batch,
+    simulate_in_parts,
+    start_of,
+    started_at,
+)
 from vstestbed.studies.comparison.plan import Comparison, changed, controllers
 from vstestbed.vision import Oracle
 
@@ -30,35 +38,57 @@ if TYPE_CHECKING:
 
 
 def left_out(scenario: Scenario) -> list[str]:
-    """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on pictures and timing by their paths."""
+    """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on
+    pictures and timing by their paths.
+    """
     found = [] if scenario.robot.body is None else [*_of_robot(scenario.robot)]
     if scenario.detector.rows is not None:
-        found.append(f"the points that detector {scenario.detector.kind} finds (the law has the target's corners in their place)")
+        found.append(
+            f"the points that detector {scenario.detector.kind} finds"
+            " (the law has the target's corners in their place)"
+        )
     of_cameras = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
-    found += [f"camera.{name}" for name in of_cameras if getattr(scenario.camera, name) not in (0.0, None)]
+    found += [
+        f"camera.{name}" for name in of_cameras if getattr(scenario.camera, name) not in (0.0, None)
+    ]
     for name in ("noise", "timing"):
         block = getattr(scenario, name)
         plain = type(block)()
-        found += [f"{name}.{f.name}" for f in dataclasses.fields(block) if getattr(block, f.name) != getattr(plain, f.name)]
+        found += [
+            f"{name}.{f.name}"
+            for f in dataclasses.fields(block)
+            if getattr(block, f.name) != getattr(plain, f.name)
+        ]
     # what may stand before a target; the rest of the world changes how pictures look
-    return found + [f"world.{name}" for name in ("plates", "scenery") if getattr(scenario.world, name)]
+    return found + [
+        f"world.{name}" for name in ("plates", "scenery") if getattr(scenario.world, name)
+    ]
 
 
 def _of_robot(robot: Robot) -> Iterator[str]:
-    """Its dynamics and limits, its preset, and the effects that it has: the blocks that are none by default."""
+    """Its dynamics and limits, its preset, and the effects that it has: the blocks that are none by
+    default.
+    """
     yield f"the dynamics and limits of robot {robot.kind}"
     if getattr(robot, "realism", "none") != "none":
         yield "robot.realism"  # which fills the others
         return
     names = {field.name: field.default for field in dataclasses.fields(robot) if field.init}  # pyright: ignore[reportArgumentType] - a spec
-    yield from (f"robot.{name}" for name, default in names.items() if default is None and getattr(robot, name) is not None)
+    yield from (
+        f"robot.{name}"
+        for name, default in names.items()
+        if default is None and getattr(robot, name) is not None
+    )
 
 
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
-"""Start pose of the camera in the frame of the goal camera: x right, y down, z ahead [m] (z = -1 is a metre back), and rotations
-about these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+"""Start pose of the camera in the frame of the goal camera: x right, y down, z ahead [m] (z = -1 is
+a metre back), and rotations about these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll).
+"""
 ON_AXIS_DEG = (12.0, 30.0, 72.0, 113.0)
-"""Turns about the optical axis of the frontal, centred starts that every check includes: no random start is in that degenerate view."""
+"""Turns about the optical axis of the frontal, centred starts that every check includes: no random
+start is in that degenerate view.
+"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +105,9 @@ class Axis:
         if self.name not in COORDINATES:
             raise ParameterError.choice("axis", COORDINATES, self.name)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise ParameterError.form(self.name, "low:high with low < high", f"{self.low:g}:{self.high:g}")
+            raise ParameterError.form(
+                self.name, "low:high with low < high", f"{self.low:g}:{self.high:g}"
+            )
         if self.n < 2:
             raise ParameterError.count("n", "2", "or more places along an axis", self.n)
 
@@ -97,7 +129,9 @@ def unit_of(coordinate: str) -> str:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A start that `run` (`full`) ended otherwise than the batch: at x, y on the map, or frontal and turned by on_axis_deg."""
+    """A start that `run` (`full`) ended otherwise than the batch: at x, y on the map, or frontal
+    and turned by on_axis_deg.
+    """
 
     x: float | None
     y: float | None
@@ -107,7 +141,11 @@ class Disagreement:
 
     def words(self, x: str, y: str) -> str:
         """In words, on a map with axes of these names."""
-        place = f"{x} {self.x:g}, {y} {self.y:g}" if self.on_axis_deg is None else f"frontal, centred, turned by {self.on_axis_deg:g} deg"
+        place = (
+            f"{x} {self.x:g}, {y} {self.y:g}"
+            if self.on_axis_deg is None
+            else f"frontal, centred, turned by {self.on_axis_deg:g} deg"
+        )
         return f"{place}: {self.batch} here, {self.full} there"
 
 
@@ -119,7 +157,8 @@ class Basin:
         label: name of the law. scenario: the ideal scenario that was run.
         x, y: the axes. fixed: the other coordinates of every start [m or deg].
         batch: result of each start, x fastest. processor_s: processor time [s].
-        checked: number of starts that were also run singly, in `run`; disagreements: those that ended otherwise.
+        checked: number of starts that were also run singly, in `run`; disagreements: those that
+            ended otherwise.
     """
 
     label: str
@@ -139,14 +178,20 @@ class Basin:
 
     @property
     def endings(self) -> Array:
-        """Outcomes by name (M,); `target_lost` is split: out of the field of view, or `plane_crossed`."""
+        """Outcomes by name (M,); `target_lost` is split: out of the field of view, or
+        `plane_crossed`.
+        """
         names = np.array([outcome.name for outcome in self.batch.outcome], dtype=object)
         return np.where(self.batch.crossed, "plane_crossed", names)
 
     @property
     def time_to_converge_s(self) -> Array:
-        """Time from which the error stayed below the threshold (M,) [s]; NaN for starts that did not converge."""
-        return np.where(self.batch.near >= 0, self.batch.near / self.scenario.camera.rate_hz, np.nan)
+        """Time from which the error stayed below the threshold (M,) [s]; NaN for starts that did
+        not converge.
+        """
+        return np.where(
+            self.batch.near >= 0, self.batch.near / self.scenario.camera.rate_hz, np.nan
+        )
 
     def summary(self) -> dict[str, Any]:
         """The map in numbers, as `basin.json` has it."""
@@ -159,21 +204,29 @@ class Basin:
             "label": self.label,
             "x": vars(self.x) | {"unit": self.x.unit},
             "y": vars(self.y) | {"unit": self.y.unit},
-            "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
+            "fixed": {
+                name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()
+            },
             "field_of_view": detector.field_of_view if isinstance(detector, Oracle) else None,
             "starts": int(counts.sum()),
             "shares": dict(sorted(shares.items(), key=lambda item: -item[1])),
             "run_steps": self.batch.run_steps,
             "processor_s": self.processor_s,
-            "gain_step": None if gain is None else gain * self.scenario.camera.period,  # the step of the discrete loop
+            "gain_step": None
+            if gain is None
+            else gain * self.scenario.camera.period,  # the step of the discrete loop
             "checked": self.checked,
             "agreeing": self.checked - len(self.disagreements),
-            "disagreements": [vars(d) | {"words": d.words(self.x.name, self.y.name)} for d in self.disagreements],
+            "disagreements": [
+                vars(d) | {"words": d.words(self.x.name, self.y.name)} for d in self.disagreements
+            ],
         }
 
 
 def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict[str, float]:
-    """The coordinates that are not on the map, by name [m or deg]: from `at`, else those of the scenario's start."""
+    """The coordinates that are not on the map, by name [m or deg]: from `at`, else those of the
+    scenario's start.
+    """
     if x.name == y.name:
         raise ParameterError.twice("--x and --y", y.name)
     others = [name for name in COORDINATES if name not in (x.name, y.name)]
@@ -197,26 +250,45 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
     place[..., COORDINATES.index(y.name)] = y.values[:, None]
     place = place.reshape(-1, 6)
     T_goal_camera = np.zeros((len(place), 4, 4))
-    T_goal_camera[:, :3, :3], T_goal_camera[:, :3, 3], T_goal_camera[:, 3, 3] = rotation_from_rpy(np.radians(place[:, 3:])), place[:, :3], 1
+    T_goal_camera[:, :3, :3], T_goal_camera[:, :3, 3], T_goal_camera[:, 3, 3] = (
+        rotation_from_rpy(np.radians(place[:, 3:])),
+        place[:, :3],
+        1,
+    )
     return inverse(T_goal_camera) @ scenario.goal_view.T_camera_target
 
 
-def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:
-    """The laws to be mapped: label and ideal scenario of every scenario with every case and varied value.
-    Raises ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
+def laws(
+    comparison: Comparison, field_of_view: str | None = None, force: bool = False
+) -> list[tuple[str, Scenario]]:
+    """The laws to be mapped: label and ideal scenario of every scenario with every case and varied
+    value.
+    Raises ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in
+    what an ideal camera does not have.
     """
     found: list[tuple[str, Scenario]] = []
     for c in (chosen := controllers(changed(comparison, tasks={}, seeds=None), force)):
-        parts = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
-        label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts)
+        parts = [
+            str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}"
+            for name, v in c.values.items()
+        ]
+        label = ", ".join(
+            ([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts
+        )
         scenario = ideal(c.scenario, field_of_view)
         BatchSetup(scenario)  # raises if the law cannot run in a batch
         if same := [other for other, s in found if s == scenario]:
-            problem = f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency"
+            problem = (
+                f"`{label}` would make the same map as `{same[0]}`:"
+                " its cameras are ideal, without the arm's dynamics, latency"
+            )
             raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
         found.append((label, scenario))
     if omitted := dict.fromkeys(name for c in chosen for name in left_out(c.scenario)):
-        words = "the maps are of the law behind an ideal camera, and leave out %s; vstestbed compare runs it all, start by start"
+        words = (
+            "the maps are of the law behind an ideal camera, and leave out %s;"
+            " vstestbed compare runs it all, start by start"
+        )
         logging.getLogger("vstestbed").warning(words, ", ".join(omitted))
     return found
 
@@ -232,8 +304,9 @@ def basin(
     jobs: int | None = 1,
     folder: Path | None = None,
 ) -> Basin:
-    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `run`.
-    jobs, folder: as of `simulate_in_parts`, for a law without equations of a batch.
+    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred
+    ones, also run in `run`. jobs, folder: as of `simulate_in_parts`, for a law without equations of
+    a batch.
     """
     poses = starts(scenario, x, y, at or {})
     began = sum(os.times()[:4])  # of the worker processes, too
@@ -241,7 +314,9 @@ def basin(
         batch = simulate_in_parts(scenario, poses, jobs, folder)
     else:
         batch = simulate_batch(scenario, poses)
-    mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, sum(os.times()[:4]) - began)
+    mapped = Basin(
+        label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, sum(os.times()[:4]) - began
+    )
     if not check or mapped.interrupted:
         return mapped
     # a seed of its own: the same starts are checked every time
@@ -250,7 +325,11 @@ def basin(
     for i, here, full in _different(scenario, poses[spots], batch.outcome[spots].tolist()):
         j, k = divmod(int(spots[i]), x.n)  # x fastest
         different.append(Disagreement(float(x.values[k]), float(y.values[j]), here, full))
-    return replace(mapped, checked=len(spots) + len(ON_AXIS_DEG), disagreements=(*different, *_on_axis(scenario)))
+    return replace(
+        mapped,
+        checked=len(spots) + len(ON_AXIS_DEG),
+        disagreements=(*different, *_on_axis(scenario)),
+    )
 
 
 def _on_axis(scenario: Scenario) -> Iterator[Disagreement]:
@@ -260,12 +339,18 @@ def _on_axis(scenario: Scenario) -> Iterator[Disagreement]:
     turns = rotation_from_rpy(np.radians([[0.0, 0.0, turn] for turn in ON_AXIS_DEG]))
     poses = np.tile(np.eye(4), (len(turns), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = turns, [0.0, 0.0, distance] - turns @ middle
-    for i, batch, full in _different(scenario, poses, simulate_batch(scenario, poses).outcome.tolist()):
+    for i, batch, full in _different(
+        scenario, poses, simulate_batch(scenario, poses).outcome.tolist()
+    ):
         yield Disagreement(None, None, batch, full, ON_AXIS_DEG[i])
 
 
-def _different(scenario: Scenario, poses: Array, expected: list[Outcome]) -> Iterator[tuple[int, str, str]]:
-    """Indices of the starts (M, 4, 4) whose single runs end otherwise than expected, and both outcomes."""
+def _different(
+    scenario: Scenario, poses: Array, expected: list[Outcome]
+) -> Iterator[tuple[int, str, str]]:
+    """Indices of the starts (M, 4, 4) whose single runs end otherwise than expected, and both
+    outcomes.
+    """
     for i, outcome in enumerate(expected):
         found = uninterrupted(run(started_at(scenario, poses[i]))).outcome
         if found is not outcome:
@@ -273,7 +358,9 @@ def _different(scenario: Scenario, poses: Array, expected: list[Outcome]) -> Ite
 
 
 def table(basins: Sequence[Basin]) -> polars.DataFrame:
-    """One row per start: law, its two coordinates, outcome, steps, times, largest distance, final error."""
+    """One row per start: law, its two coordinates, outcome, steps, times, largest distance, final
+    error.
+    """
     import polars as pl
 
     frames = []
@@ -290,18 +377,32 @@ def table(basins: Sequence[Basin]) -> polars.DataFrame:
             "final_error_px": b.batch.error_px,
         }
         frames.append(
-            pl.DataFrame({name: np.asarray(v).tolist() for name, v in columns.items()}).with_columns(pl.col("law").cast(pl.String))
+            pl.DataFrame(
+                {name: np.asarray(v).tolist() for name, v in columns.items()}
+            ).with_columns(pl.col("law").cast(pl.String))
         )
     return pl.concat(frames).fill_nan(None)
 
 
 def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
-    """Write `basin.parquet`, `.csv`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path."""
+    """Write `basin.parquet`, `.csv`, `.json`, `.png`, `.pdf` and `report.html`, each complete or
+    not at all; returns the page's path.
+    """
     from vstestbed.report.studies import write_basin
 
     write_table(folder / "basin", table(basins))
     summaries = [b.summary() for b in basins]
     write_json(folder / "basin.json", summaries)
-    maps = [(b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n)) for b in basins]
+    maps = [
+        (b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n))
+        for b in basins
+    ]
     x, y = basins[0].x, basins[0].y
-    return write_basin(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
+    return write_basin(
+        folder,
+        maps,
+        (x.name, x.unit, x.low, x.high),
+        (y.name, y.unit, y.low, y.high),
+        summaries,
+        command,
+    )

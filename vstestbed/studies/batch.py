@@ -1,4 +1,6 @@
-"""Batch simulation of ideal closed loops: a law from thousands of starts, vectorised over the runs."""
+"""Batch simulation of ideal closed loops:
+a law from thousands of starts, vectorised over the runs.
+"""
 
 from __future__ import annotations
 
@@ -65,11 +67,14 @@ class OneByOne:
         self._moved: list[Array] = []
         self._guarded: list[GuardedLaw] = []
 
-    def step(self, state: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
-        """One frame of m runs: the next state (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
+    def step(
+        self, state: Array, views: Views, seen: NDArray[np.bool_], goal: Goal
+    ) -> tuple[Array, Array]:
+        """One frame of m runs: the next state (m, 1), and the camera twists (m, 6), NaN where the
+        law orders rest.
 
-        state: numbers of the runs' states (m, 1); NaN before the first frame. views: of all markers (m, N, 3). seen: which of them the
-        law is shown (m, N). goal: the goal view.
+        state: numbers of the runs' states (m, 1); NaN before the first frame. views: of all markers
+        (m, N, 3). seen: which of them the law is shown (m, N). goal: the goal view.
         """
         state, twist = state.copy(), np.full((len(state), 6), np.nan)
         for i in range(len(state)):
@@ -80,7 +85,9 @@ class OneByOne:
                 self._guarded.append(GuardedLaw(self._law))
             k = int(state[i, 0])
             observation = self._observation(views, i, seen[i], goal, self._moved[k])
-            self._states[k], command = self._guarded[k].step(self._states[k], observation, goal, SIX)
+            self._states[k], command = self._guarded[k].step(
+                self._states[k], observation, goal, SIX
+            )
             if not command.rest_reason:
                 twist[i] = command.twist
                 self._moved[k] = command.twist * self._camera.period
@@ -88,11 +95,18 @@ class OneByOne:
 
     def failed(self, state: Array) -> NDArray[np.bool_]:
         """In which runs, by the numbers of their states (m, 1), the law has failed (m,)."""
-        return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in state[:, 0]], dtype=bool)
+        return np.array(
+            [not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in state[:, 0]],
+            dtype=bool,
+        )
 
-    def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], goal: Goal, moved: Array) -> Observation:
+    def _observation(
+        self, views: Views, i: int, seen: NDArray[np.bool_], goal: Goal, moved: Array
+    ) -> Observation:
         shown = views.of_run(i, self._inputs, moved).only(None if seen.all() else seen)
-        relative = relative_view(goal.xy, shown.xy, goal.normal) if "relative" in self._inputs else None
+        relative = (
+            relative_view(goal.xy, shown.xy, goal.normal) if "relative" in self._inputs else None
+        )
         if np.count_nonzero(seen) >= LEAST_POSE:
             return replace(shown, relative=relative)
         depth = np.full_like(shown.depth, np.nan) if self._law.depth.needs_pose else shown.depth
@@ -100,32 +114,59 @@ class OneByOne:
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
-MOST_STARTS = 4_000_000  # starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory
+
+# starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of
+# memory
+MOST_STARTS = 4_000_000
 
 
 def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
-    """The same task with the ideal camera of a batch: oracle detector, no noise, no latency, no obstacles.
+    """The same task with the ideal camera of a batch: oracle detector, no noise, no latency, no
+    obstacles.
 
-    The camera starts where the scenario's robot holds it. Gains, depth, goal, stop block and the camera's rate stay.
+    The camera starts where the scenario's robot holds it. Gains, depth, goal, stop block and the
+    camera's rate stay.
 
-    scenario: of a robot that moves its camera with six degrees of freedom. field_of_view: `limited` or `unlimited`; None: that of the
-    scenario's oracle, else limited. Raises ParameterError: the law works on whole pictures, the robot has fewer degrees of freedom, or the
-    target moves.
+    scenario: of a robot that moves its camera with six degrees of freedom. field_of_view: `limited`
+    or `unlimited`; None: that of the scenario's oracle, else limited. Raises ParameterError: the
+    law works on whole pictures, the robot has fewer degrees of freedom, or the target moves.
     """
     if "image" in scenario.law.inputs:
-        words = "works on whole pictures, and a batch draws none; sweep and compare --vary run it start by start"
+        words = (
+            "works on whole pictures, and a batch draws none;"
+            " sweep and compare --vary run it start by start"
+        )
         raise ParameterError("law.kind", f"{scenario.law.kind} {words}")
     robot, camera, detector = scenario.resolved.robot, scenario.camera, scenario.detector
-    field_of_view = field_of_view or (detector.field_of_view if isinstance(detector, Oracle) else "limited")
+    field_of_view = field_of_view or (
+        detector.field_of_view if isinstance(detector, Oracle) else "limited"
+    )
     if scenario.target.moves:
-        raise ParameterError.fixed("target.motion", "still", scenario.target.motion.kind, where="in a batch")
-    if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
-        words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
+        raise ParameterError.fixed(
+            "target.motion", "still", scenario.target.motion.kind, where="in a batch"
+        )
+    if (
+        motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]
+    ) != 6:
+        words = (
+            f"moves its camera in {motions} directions, and the ideal camera of a batch in all six;"
+            " use free or puma560"
+        )
         raise ParameterError("robot.kind", words, robot.kind)
     picked = detector.rows is not None and field_of_view == "limited"
-    if picked and not camera.inside(camera.project(scenario.target.points_at(scenario.goal_view.T_camera_target))).all():
-        words = f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their"
-        more = "the goal's view does not show them all; sweep and compare --vary run it start by start"
+    if (
+        picked
+        and not camera.inside(
+            camera.project(scenario.target.points_at(scenario.goal_view.T_camera_target))
+        ).all()
+    ):
+        words = (
+            f"{detector.kind} finds points of its own in pictures, and a batch, which draws none,"
+            " has the target's corners in their"
+        )
+        more = (
+            "the goal's view does not show them all; sweep and compare --vary run it start by start"
+        )
         raise ParameterError("detector.kind", f"{words} place: {more}")
     start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
     return replace(
@@ -156,29 +197,64 @@ class BatchSetup:
         """Field, whether it fits, and what else the message says."""
         s, law = self.scenario, self.scenario.law
         foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(law.inputs))
-        yield "law.kind", not foreign, f"{law.kind} reads {''.join(foreign[:1])}, which the ideal cameras of a batch do not measure"
+        yield (
+            "law.kind",
+            not foreign,
+            (
+                f"{law.kind} reads {''.join(foreign[:1])},"
+                " which the ideal cameras of a batch do not measure"
+            ),
+        )
         margin_px = law.visibility.margin_px
         yield "law.visibility.margin_px", margin_px == 0, f"must be 0 in a batch, got {margin_px}"
         yield "law.feedforward", law.feedforward.kind == "none", "must be none in a batch"
         known = not (isinstance(law.depth, Estimate) or law.depth.measured)
-        yield "law.depth", known, f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle"
-        words = "must be [] in a batch, whose runs share one scenario; compare --seeds draws it for each run"
+        yield (
+            "law.depth",
+            known,
+            f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle",
+        )
+        words = (
+            "must be [] in a batch, whose runs share one scenario;"
+            " compare --seeds draws it for each run"
+        )
         yield "randomise", not s.randomise, words
-        one_view = not (len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands)
+        one_view = not (
+            len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands
+        )
         yield "goal", one_view, "must be one view of a target that stands still, in a batch"
         in_pixels = s.stop.converged.error_px is not None and not s.stop.converged.by_estimate
         yield "stop.converged", in_pixels, "must be judged by error_px alone in a batch"
         solid = s.target.body is not None and not s.target.outlined
         bordered = isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited"
-        words = "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
+        words = (
+            "has a solid, and a batch does not know which markers it hides;"
+            " give an unlimited field of view, or a target without one"
+        )
         yield "target", not (solid and bordered), words
         exact = s.calibration.camera_exact and s.calibration.depth_exact
         yield "calibration", exact, "must be exact in a batch, whose poses and depths are true"
         yield "cameras", not s.cameras, "must be none in a batch, whose runs have one camera each"
-        yield "monitors", not s.monitors, "must be none in a batch, which ends runs by the loop's own alone"
-        disturbed = s.noise != Noise() or s.timing != Timing() or any((s.camera.latency_s, s.camera.readout_s))
-        words = "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"
-        ideal = s.robot.body is None and isinstance(s.detector, Oracle) and not disturbed and not s.world.hides
+        yield (
+            "monitors",
+            not s.monitors,
+            "must be none in a batch, which ends runs by the loop's own alone",
+        )
+        disturbed = (
+            s.noise != Noise()
+            or s.timing != Timing()
+            or any((s.camera.latency_s, s.camera.readout_s))
+        )
+        words = (
+            "must have a free camera, detector oracle, no latency, no noise, no rolling shutter,"
+            " and no plates or scenery for a batch"
+        )
+        ideal = (
+            s.robot.body is None
+            and isinstance(s.detector, Oracle)
+            and not disturbed
+            and not s.world.hides
+        )
         yield "scenario", ideal, f"{words}; `basin.setup.ideal` makes it so"
 
     @cached_property
@@ -198,7 +274,9 @@ class BatchSetup:
         return self.scenario.law.markers_needed(np.eye(6))
 
     def frames(self, duration_s: float) -> int:
-        """Number of frames after which a time [s] has passed, by the rule of the `Termination`; of inf more than any run has."""
+        """Number of frames after which a time [s] has passed, by the rule of the `Termination`; of
+        inf more than any run has.
+        """
         if math.isinf(duration_s):
             return sys.maxsize // 2
         # 1 ns: the termination of one run allows as much when it compares times
@@ -207,14 +285,20 @@ class BatchSetup:
 
 def start_of(scenario: Scenario, seed: int | None = None) -> Array:
     """The scenario's own start T_camera_target (4, 4), or the one that a seed draws."""
-    robot = scenario.robot if seed is None or scenario.robot.start.random is None else scenario.start(seed)
+    robot = (
+        scenario.robot
+        if seed is None or scenario.robot.start.random is None
+        else scenario.start(seed)
+    )
     T_world_camera = robot.flange_pose(robot.configuration()) @ scenario.camera.mount.T
     return inverse(T_world_camera) @ scenario.target.pose.T
 
 
 def started_at(scenario: Scenario, T_camera_target: Array) -> Scenario:
     """The scenario of an ideal camera, started at a pose T_camera_target (4, 4)."""
-    T_world_flange = scenario.target.pose.T @ inverse(T_camera_target) @ inverse(scenario.camera.mount.T)
+    T_world_flange = (
+        scenario.target.pose.T @ inverse(T_camera_target) @ inverse(scenario.camera.mount.T)
+    )
     return replace(scenario, robot=Free(start=FreeStart(nominal=Pose.of(T_world_flange))))
 
 
@@ -222,19 +306,28 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
     """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force."""
     maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
     if maps * n * n > MOST_STARTS and not force:
-        words = f"would make {maps:,} maps of {n} x {n} starts; more than {MOST_STARTS:,} starts in all need --force"
+        words = (
+            f"would make {maps:,} maps of {n} x {n} starts;"
+            f" more than {MOST_STARTS:,} starts in all need --force"
+        )
         raise ParameterError("basin", words)
 
 
 # Batch simulation of ideal closed loops: a law from thousands of starts, vectorised over the runs.
 #
-# A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its `Termination`, vectorised; the tests
-# and `basin --check` compare the outcomes of the two.
-AT_ONCE = 2000  # runs that are simulated together: their arrays fit the processor's cache, which saves a third of the time
+# A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its
+# `Termination`, vectorised; the tests and `basin --check` compare the outcomes of the two.
+
+# runs that are simulated together: their arrays fit the processor's cache, which saves a third of
+# the time
+AT_ONCE = 2000
 FLAT2 = 0.15**2
-"""Squared ratio of width to length of the marker pattern below which it is tested whether the homography is undetermined; those that
-are have a ratio below 0.03."""
-FIRST_POSE = 4  # markers for a first pose: with three the pose is ambiguous, and can only be continued from a known one
+"""Squared ratio of width to length of the marker pattern below which it is tested whether the
+homography is undetermined; those that are have a ratio below 0.03.
+"""
+# markers for a first pose: with three the pose is ambiguous, and can only be continued from a known
+# one
+FIRST_POSE = 4
 GOING = 0  # code of a run that has not ended; other codes are positions in CODES
 CODES: tuple[Outcome | None, ...] = (None, *Outcome)
 _CODE = {outcome: code for code, outcome in enumerate(CODES)}
@@ -246,12 +339,15 @@ class Batch:
 
     Attributes:
         outcome: an `Outcome` of each run, shape (M,).
-        steps: number of steps of each run, shape (M,). near: number of steps after which the error stayed below the threshold (M,); -1 for
-            runs that did not converge.
-        T_camera_target: final pose, shape (M, 4, 4). farthest_m: largest distance to the target's origin (M,) [m].
+        steps: number of steps of each run, shape (M,). near: number of steps after which the error
+            stayed below the threshold (M,); -1 for runs that did not converge.
+        T_camera_target: final pose, shape (M, 4, 4). farthest_m: largest distance to the target's
+            origin (M,) [m].
         error_px: RMS error at the end over the visible markers (M,) [px].
-        crossed: whether a run with lost target crossed the target's plane (M,); the others lost it out of the field of view.
-        unstable: how a run's loop is unstable, in words (M,); "" of the others. run_steps: steps of all runs together.
+        crossed: whether a run with lost target crossed the target's plane (M,); the others lost it
+            out of the field of view.
+        unstable: how a run's loop is unstable, in words (M,); "" of the others. run_steps: steps of
+            all runs together.
     """
 
     outcome: NDArray[np.object_]
@@ -267,14 +363,25 @@ class Batch:
     @classmethod
     def joined(cls, parts: Sequence[Batch]) -> Batch:
         """Several batches as one."""
-        joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
+        joined = {
+            f.name: np.concatenate([getattr(part, f.name) for part in parts])
+            for f in fields(Batch)
+            if f.name != "run_steps"
+        }
         return cls(**joined, run_steps=sum(part.run_steps for part in parts))
 
     @classmethod
     def without(cls, start: Array) -> Batch:
         """A batch of runs from these poses (M, 4, 4) that were not flown."""
         m = len(start)
-        ended = np.full(m, Outcome.interrupted, dtype=object), np.zeros(m, int), np.full(m, -1), start, np.zeros(m), np.full(m, np.nan)
+        ended = (
+            np.full(m, Outcome.interrupted, dtype=object),
+            np.zeros(m, int),
+            np.full(m, -1),
+            start,
+            np.zeros(m),
+            np.full(m, np.nan),
+        )
         return cls(*ended, np.zeros(m, dtype=bool), np.full(m, "", dtype=object), 0)
 
 
@@ -283,9 +390,10 @@ class BatchFrame:
     """One frame of the m runs that go on.
 
     Attributes:
-        step: number of the frame. index: of the runs in the batch (m,). T: poses T_camera_target (m, 4, 4).
-        twist: commanded twists (m, 6). error: RMS errors (m,) [px]. code: outcomes, positions in CODES (m,). ended: frames at which the
-            runs end, where they do (m,).
+        step: number of the frame. index: of the runs in the batch (m,). T: poses T_camera_target
+            (m, 4, 4).
+        twist: commanded twists (m, 6). error: RMS errors (m,) [px]. code: outcomes, positions in
+            CODES (m,). ended: frames at which the runs end, where they do (m,).
     """
 
     step: int
@@ -298,25 +406,31 @@ class BatchFrame:
 
 
 def simulate_batch(scenario: Scenario, start: Array) -> Batch:
-    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`run`, `loop.termination.Termination`).
+    """Simulate ideal cameras from their own starts, each until it ends as a single run would
+    (`run`, `loop.termination.Termination`).
 
-    T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers that a
-    run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the pixels are exact;
-    `constant` and `goal` depths are as in a single run.
+    T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has
+    ended leaves the batch. Markers that a run does not see are left out of its equations. Depths
+    and poses that a law solves from the pixels are true, since the pixels are exact; `constant` and
+    `goal` depths are as in a single run.
 
-    scenario: an ideal scenario, as from `ideal`; its own start is ignored. start: start poses T_camera_target, shape (M, 4, 4). Raises
+    scenario: an ideal scenario, as from `ideal`; its own start is ignored. start: start poses
+    T_camera_target, shape (M, 4, 4). Raises
     ParameterError: the law cannot run in a batch, or the scenario is not ideal.
     """
     setup = BatchSetup(scenario)
     # a batch without starts still gives arrays of the right shapes
     start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
-    parts = [_simulate(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
+    parts = [
+        _simulate(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)
+    ]
     return Batch.joined(parts)
 
 
 def simulate_in_parts(scenario: Scenario, start: Array, jobs: int | None, folder: Path) -> Batch:
-    """As `simulate_batch`, of a law that is asked run by run: the starts are shared among worker processes, after a word on how long it
-    takes. After Ctrl-C it returns what is done, and the other runs have the outcome `interrupted`.
+    """As `simulate_batch`, of a law that is asked run by run: the starts are shared among worker
+    processes, after a word on how long it takes. After Ctrl-C it returns what is done, and the
+    other runs have the outcome `interrupted`.
 
     jobs: worker processes; None: one per core. folder: of the study, for temporary files.
     """
@@ -325,9 +439,14 @@ def simulate_in_parts(scenario: Scenario, start: Array, jobs: int | None, folder
     simulate_batch(scenario, few)
     count = workers(jobs, len(start))
     minutes = (time.perf_counter() - began) / len(few) * len(start) / count / 60
-    words = "law %s has no equations for many runs at once, and is asked run by run: %d starts take some %.2g min with %d workers"
+    words = (
+        "law %s has no equations for many runs at once, and is asked run by run:"
+        " %d starts take some %.2g min with %d workers"
+    )
     logging.getLogger("vstestbed").warning(words, scenario.law.kind, len(start), minutes, count)
-    shares = [start[rows] for rows in np.array_split(np.arange(len(start)), min(len(start), 8 * count))]
+    shares = [
+        start[rows] for rows in np.array_split(np.arange(len(start)), min(len(start), 8 * count))
+    ]
     work = [(i, Request(str(i), _part, (dump(scenario), share))) for i, share in enumerate(shares)]
     parts = [Batch.without(share) for share in shares]
     with closing(pool_of("local", count, folder)) as pool, contextlib.suppress(KeyboardInterrupt):
@@ -343,7 +462,9 @@ def _part(text: str, start: Array, place: str | None = None) -> Batch:
 
 @dataclass
 class _Runs:
-    """The m runs that have not ended: index in the batch, pose, state of the law, frames near the goal and at rest, largest distance."""
+    """The m runs that have not ended: index in the batch, pose, state of the law, frames near the
+    goal and at rest, largest distance.
+    """
 
     index: NDArray[np.int_]
     T: Array
@@ -359,9 +480,22 @@ class _Runs:
 def _simulate(setup: BatchSetup, start: Array) -> Batch:
     m, stop = len(start), setup.scenario.stop
     last = setup.frames(stop.duration_s)
-    runs = _Runs(np.arange(m), start, np.full((m, setup.law.state_size), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
+    runs = _Runs(
+        np.arange(m),
+        start,
+        np.full((m, setup.law.state_size), np.nan),
+        np.zeros(m, int),
+        np.zeros(m, int),
+        np.zeros(m),
+    )
     outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
-    final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
+    final, farthest, errors, crossed, done = (
+        start.copy(),
+        np.zeros(m),
+        np.full(m, np.nan),
+        np.zeros(m, dtype=bool),
+        0,
+    )
     words, watched = np.full(m, "", dtype=object), _LastHalf(setup.scenario, last)
     for step in range(last + 1):
         p = setup.scenario.target.points_at(runs.T)
@@ -375,10 +509,17 @@ def _simulate(setup: BatchSetup, start: Array) -> Batch:
         if over.any():
             at = runs.index[over]
             outcome[at] = [CODES[c] for c in code[over]]
-            steps[at], final[at], farthest[at], errors[at] = now.ended[over], runs.T[over], runs.farthest[over], now.error[over]
+            steps[at], final[at], farthest[at], errors[at] = (
+                now.ended[over],
+                runs.T[over],
+                runs.farthest[over],
+                now.error[over],
+            )
             reached = code[over] == _CODE[Outcome.converged]
             # the two ways to lose the target are one outcome, but different failures of a law
-            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & behind(setup.scenario, runs.T[over])
+            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & behind(
+                setup.scenario, runs.T[over]
+            )
             near[at] = np.where(reached, step - runs.near[over] + 1, -1)
             runs, twist = runs.keep(~over), twist[~over]
         if not len(runs.index):  # all have ended before the time is over
@@ -413,15 +554,20 @@ class _LastHalf:
         over = np.flatnonzero(now.code == _CODE[Outcome.timed_out])
         if not len(over) or not self._kept:
             return out
-        rows = [np.searchsorted(index, now.index[over]) for index, _, _ in self._kept]  # a run of the last frame is in all of them
+        # a run of the last frame is in all of them
+        rows = [np.searchsorted(index, now.index[over]) for index, _, _ in self._kept]
         twist = np.array([each[at] for (_, each, _), at in zip(self._kept, rows, strict=True)])
         error = np.array([each[at] for (_, _, each), at in zip(self._kept, rows, strict=True)])
         frames = np.arange(self._from, self._from + len(rows), dtype=float)
         for k, i in enumerate(over):
             ends = self._T[rows[0][k]], now.T[i]
-            away = np.array([rigid_error(inverse(T), inverse(s.goal_view.T_camera_target)) for T in ends])
+            away = np.array(
+                [rigid_error(inverse(T), inverse(s.goal_view.T_camera_target)) for T in ends]
+            )
             limited, still = s.law.limits.reached(twist[:, k]), np.zeros((len(rows), 1))
-            part = LastPart(frames * s.camera.period, error[:, k], twist[:, k], limited, still, away)
+            part = LastPart(
+                frames * s.camera.period, error[:, k], twist[:, k], limited, still, away
+            )
             out[i] = sentence(s, part, float(self._first[now.index[i]]))
         return out
 
@@ -429,8 +575,9 @@ class _LastHalf:
 def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> BatchFrame:
     """One frame of all runs with their commands and outcomes.
 
-    The precedence of outcomes is that of `Termination.verdict`. Without a target the law commands rest, and in a static world the target
-    stays lost: such a run ends at once, with the frame at which the `Termination` would end it.
+    The precedence of outcomes is that of `Termination.verdict`. Without a target the law commands
+    rest, and in a static world the target stays lost: such a run ends at once, with the frame at
+    which the `Termination` would end it.
     """
     s = setup.scenario
     _, seen, error, all_seen = seen_by(s, p)
@@ -445,7 +592,9 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
     distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
     runs.farthest = np.maximum(runs.farthest, distance)
     gone = step + setup.frames(s.stop.lost_after[0])
-    failed = setup.law.failed(state) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
+    failed = (
+        setup.law.failed(state) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
+    )
     code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
     for which, how in (
         (np.full(len(p), step >= last), Outcome.timed_out),
@@ -459,7 +608,9 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
         if which.any():  # later entries overwrite earlier ones: they take precedence
             code[which] = _CODE[how]
             ended[which] = min(gone, last) if which is lost else step
-    return BatchFrame(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended)
+    return BatchFrame(
+        step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended
+    )
 
 
 def behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
@@ -470,8 +621,8 @@ def behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
 
 
 def seen_by(s: Scenario, p: Array) -> tuple[Array, NDArray[np.bool_], Array, NDArray[np.bool_]]:
-    """Pixels (m, N, 2) of markers p (m, N, 3), their visibility (m, N), RMS error over the visible ones (m,) [px], and whether all are
-    visible (m,).
+    """Pixels (m, N, 2) of markers p (m, N, 3), their visibility (m, N), RMS error over the visible
+    ones (m,) [px], and whether all are visible (m,).
     """
     uv = s.camera.project(p)
     seen = np.isfinite(uv[..., 0])
@@ -482,11 +633,19 @@ def seen_by(s: Scenario, p: Array) -> tuple[Array, NDArray[np.bool_], Array, NDA
         return uv, seen, np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * p.shape[1])), all_seen
     d[~seen] = 0.0  # NaN otherwise
     count = np.maximum(seen.sum(axis=1), 1)  # 1: no division by zero where nothing is seen
-    return uv, seen, np.where(seen.any(axis=1), np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * count)), np.nan), all_seen
+    return (
+        uv,
+        seen,
+        np.where(seen.any(axis=1), np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * count)), np.nan),
+        all_seen,
+    )
 
 
-def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """State of the law after this frame (m, k), commanded twists (m, 6), and whether the law gave a command (m,).
+def _commands(
+    setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """State of the law after this frame (m, k), commanded twists (m, 6), and whether the law gave a
+    command (m,).
 
     The law is evaluated once for each group of runs that see the same markers.
     """
@@ -494,30 +653,56 @@ def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_],
     # a wide camera sees points behind its image plane, which have no normalised coordinates
     usable = seen & (p[..., 2] > 0) if plane else seen
     state, twist = runs.state.copy(), np.full((len(p), 6), np.nan)
-    posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)  # by a pose solved from the pixels, or depths from it
+    # by a pose solved from the pixels, or depths from it
+    posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
     needed = max(setup.needed, FIRST_POSE) if posed and t == 0 else setup.needed
     if isinstance(setup.law, OneByOne):
         enough = np.count_nonzero(usable, axis=1) >= needed
-        views = Views(t, p[enough], runs.T[enough], setup.scenario.goal_view, law.depth, setup.scenario.target.marker.radius)
-        state[enough], twist[enough] = setup.law.step(state[enough], views, usable[enough], setup.scenario.goal_view)
+        views = Views(
+            t,
+            p[enough],
+            runs.T[enough],
+            setup.scenario.goal_view,
+            law.depth,
+            setup.scenario.target.marker.radius,
+        )
+        state[enough], twist[enough] = setup.law.step(
+            state[enough], views, usable[enough], setup.scenario.goal_view
+        )
         return state, twist, np.isfinite(twist[:, 0])
     for which, rows in _groups(usable):
         if np.count_nonzero(rows) < needed:
             continue
         goal = setup.scenario.goal_view if rows.all() else setup.scenario.goal_view.of_rows(rows)
-        views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth, setup.scenario.target.marker.radius)
+        views = Views(
+            t,
+            p[which] if rows.all() else p[which][:, rows],
+            runs.T[which],
+            goal,
+            law.depth,
+            setup.scenario.target.marker.radius,
+        )
         state[which], twist[which] = setup.law.step_batch(runs.state[which], views, goal)
         if law.inputs == ("relative",):
             twist[which] = np.where(_undetermined(views, goal)[:, None], np.nan, twist[which])
     return state, twist, np.isfinite(twist[:, 0])
 
 
-def _groups(usable: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.bool_] | slice, NDArray[np.bool_]]]:
-    """Groups of runs with the same row of usable markers (m, N): the runs as a mask (m,), and their markers (N,).
+def _groups(
+    usable: NDArray[np.bool_],
+) -> Iterator[tuple[NDArray[np.bool_] | slice, NDArray[np.bool_]]]:
+    """Groups of runs with the same row of usable markers (m, N): the runs as a mask (m,), and their
+    markers (N,).
 
-    In most frames all markers are usable: one group, with a slice in place of the mask, which copies no arrays.
+    In most frames all markers are usable: one group, with a slice in place of the mask, which
+    copies no arrays.
     """
-    groups = np.zeros(len(usable), dtype=int) if usable.all() else usable @ (1 << np.arange(usable.shape[1]))  # a bit per marker
+    # a bit per marker
+    groups = (
+        np.zeros(len(usable), dtype=int)
+        if usable.all()
+        else usable @ (1 << np.arange(usable.shape[1]))
+    )
     for group in np.unique(groups):
         members = groups == group
         yield slice(None) if members.all() else members, usable[np.argmax(members)]

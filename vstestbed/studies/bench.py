@@ -1,4 +1,6 @@
-"""Benchmarks of all that a user waits for: robots, a film, a folder, a report, a comparison, the ideal loop, the start."""
+"""Benchmarks of all that a user waits for: robots, a film, a folder, a report, a comparison, the
+ideal loop, the start.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ from vstestbed.studies.run_folder import run_into
 from vstestbed.tasks.stop import Stop
 
 NEVER_S = 1e9  # hold time at the goal that no run completes, so that the duration ends it
-BATCH_STEPS = 60  # steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all steps
+# steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all
+# steps
+BATCH_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -46,9 +50,11 @@ class IdealBench:
 
     Attributes:
         repeats: counted measurements, after one that warms up.
-        steps, steps_per_s: of the single run, everything included but building the scene; run_low, run_high: extremes of the rate.
+        steps, steps_per_s: of the single run, everything included but building the scene; run_low,
+            run_high: extremes of the rate.
         runs, run_steps: of the batch; run_steps_per_s: its rate; batch_low, batch_high: extremes.
-        cores: processor time over wall time of all measurements: about 1 on a core that is free, less on a shared one.
+        cores: processor time over wall time of all measurements: about 1 on a core that is free,
+            less on a shared one.
     """
 
     repeats: int
@@ -65,20 +71,33 @@ class IdealBench:
 
     def as_text(self) -> str:
         """The measurement as a table for the terminal."""
+        rows = (
+            (f"one run, {self.steps} steps", self.steps_per_s, self.run_low, self.run_high),
+            (f"{self.runs} runs at once", self.run_steps_per_s, self.batch_low, self.batch_high),
+        )
         return "\n".join(
             [
-                f"ideal camera, four points, current L, true depth: median of {self.repeats}, on {self.cores:.2f} cores",
+                (
+                    f"ideal camera, four points, current L, true depth: median of {self.repeats},"
+                    f" on {self.cores:.2f} cores"
+                ),
                 f"  {'':26}{'steps a second':>16}{'lowest':>10}{'highest':>10}",
-                f"  {f'one run, {self.steps} steps':26}{self.steps_per_s:16.0f}{self.run_low:10.0f}{self.run_high:10.0f}",
-                f"  {f'{self.runs} runs at once':26}{self.run_steps_per_s:16.0f}{self.batch_low:10.0f}{self.batch_high:10.0f}",
+                *(
+                    f"  {row:26}{mean:16.0f}{low:10.0f}{high:10.0f}"
+                    for row, mean, low, high in rows
+                ),
             ]
         )
 
 
 def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> IdealBench:
-    """Measure both loops in turn, `repeats` times; steps: of the single run, which stays at its goal to the end; runs: in the batch."""
+    """Measure both loops in turn, `repeats` times; steps: of the single run, which stays at its
+    goal to the end; runs: in the batch.
+    """
     if min(repeats, steps, runs) < 1:
-        raise ParameterError.count("repeats, steps and runs", "1", "or more", (repeats, steps, runs))
+        raise ParameterError.count(
+            "repeats, steps and runs", "1", "or more", (repeats, steps, runs)
+        )
     scenario, start = endless(steps), _starts(runs)
     with _one_core():
         alone, together = _one_run(scenario), _batch(scenario, start)  # warms up
@@ -104,7 +123,9 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
 
 
 def endless(steps: int) -> Scenario:
-    """The scenario `ibvs_book` with true pixels and depths, running for `steps` steps also after it has reached its goal."""
+    """The scenario `ibvs_book` with true pixels and depths, running for `steps` steps also after it
+    has reached its goal.
+    """
     overrides: dict[str, object] = {
         "detector": {"kind": "oracle", "field_of_view": "unlimited"},
         "law.depth": "oracle",
@@ -115,11 +136,16 @@ def endless(steps: int) -> Scenario:
 
 
 def _starts(runs: int) -> Array:
-    """Start poses T_camera_target (runs, 4, 4) about 2 m in front of the target, turned by up to 60 deg about the optical axis."""
+    """Start poses T_camera_target (runs, 4, 4) about 2 m in front of the target, turned by up to 60
+    deg about the optical axis.
+    """
     rng = np.random.default_rng(0)
     xyz, yaw = rng.uniform(-0.3, 0.3, (runs, 3)), rng.uniform(-60, 60, runs)
     return np.array(
-        [inverse(Pose(xyz=(x, y, z - 2), rpy_deg=(0, 0, a)).T) for (x, y, z), a in zip(xyz.tolist(), yaw.tolist(), strict=True)]
+        [
+            inverse(Pose(xyz=(x, y, z - 2), rpy_deg=(0, 0, a)).T)
+            for (x, y, z), a in zip(xyz.tolist(), yaw.tolist(), strict=True)
+        ]
     )
 
 
@@ -152,16 +178,19 @@ def _one_core() -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-# Speed of a run: computing time by part, and the ratio to its floor, the same physics steps and images and nothing else.
+# Speed of a run: computing time by part, and the ratio to its floor, the same physics steps and
+# images and nothing else.
 @dataclass(frozen=True)
 class Bench:
     """Medians over several runs, each measured beside its own floor.
 
     Attributes:
         scenario, frames, repeats: name of the scenario, frames of a run, counted runs.
-        real_time_factor: simulated over wall time of the loop. ratio: wall time of the loop over that of its floor.
+        real_time_factor: simulated over wall time of the loop. ratio: wall time of the loop over
+            that of its floor.
         ratio_low, ratio_high: smallest and largest ratio of a pair of run and floor.
-        ms_per_frame: wall time by part [ms]; floor_ms: bare physics and bare rendering [ms]. setup_s: building the scene [s].
+        ms_per_frame: wall time by part [ms]; floor_ms: bare physics and bare rendering [ms].
+            setup_s: building the scene [s].
         renderer: the renderer.
     """
 
@@ -180,15 +209,23 @@ class Bench:
     def as_text(self) -> str:
         """The measurement as a table for the terminal."""
         lines = [
-            f"{self.scenario}: {self.frames} frames, {self.repeats} pairs of run and floor, pictures by {self.renderer}",
+            (
+                f"{self.scenario}: {self.frames} frames, {self.repeats} pairs of run and floor,"
+                f" pictures by {self.renderer}"
+            ),
             f"  {self.ratio:.2f} times the floor ({self.ratio_low:.2f} to {self.ratio_high:.2f})",
-            f"  {self.real_time_factor:.1f} times real time, after {self.setup_s:.2f} s to build the scene",
+            (
+                f"  {self.real_time_factor:.1f} times real time,"
+                f" after {self.setup_s:.2f} s to build the scene"
+            ),
             "",
             f"  {'ms a frame':12}{'run':>8}{'floor':>8}",
         ]
         for part, value in self.ms_per_frame.items():
             floor = self.floor_ms.get(part)
-            lines.append(f"  {part:12}{value:8.3f}" + (f"{floor:8.3f}" if floor is not None else ""))
+            lines.append(
+                f"  {part:12}{value:8.3f}" + (f"{floor:8.3f}" if floor is not None else "")
+            )
         return "\n".join(lines)
 
 
@@ -199,7 +236,11 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     # the ratio of each pair, not of the medians: both share the load of the machine at that time
     ratios, frames = [r.loop_s / sum(f) for r, f in pairs], len(recordings[0].table)
     # without films; `other` is what no part accounts for
-    parts = {k: statistics.median(r.time_ms[k] / frames for r in recordings) for k in recordings[0].time_ms if k != "video"}
+    parts = {
+        k: statistics.median(r.time_ms[k] / frames for r in recordings)
+        for k in recordings[0].time_ms
+        if k != "video"
+    }
     whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
     physics, render = (statistics.median(1e3 * f[part] / frames for f in floors) for part in (0, 1))
     return Bench(
@@ -218,13 +259,17 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
 
 
 def _pair(scenario: Scenario) -> tuple[Recording, tuple[float, float]]:
-    """A run, and at once its floor (physics, pictures) [s], so that both meet the same load of the machine."""
+    """A run, and at once its floor (physics, pictures) [s], so that both meet the same load of the
+    machine.
+    """
     recording = uninterrupted(run(scenario))
     return recording, _floor(recording)
 
 
 def _floor(recording: Recording) -> tuple[float, float]:
-    """The floor of a recorded run: its actuator inputs stepped and its camera poses rendered again, without the loop."""
+    """The floor of a recorded run: its actuator inputs stepped and its camera poses rendered again,
+    without the loop.
+    """
     scenario = recording.scenario
     robot = scenario.robot
 
@@ -234,7 +279,14 @@ def _floor(recording: Recording) -> tuple[float, float]:
 
     T = np.array(recording.camera_poses().A)  # the floor renders the same views
     ctrl = joined("ctrl", robot.body.actuators if robot.body else ())
-    return measure_baseline(scenario.scene, scenario.clock[1], ctrl, joined("q", robot.joints), T, scenario.detector.needs_image)
+    return measure_baseline(
+        scenario.scene,
+        scenario.clock[1],
+        ctrl,
+        joined("q", robot.joints),
+        T,
+        scenario.detector.needs_image,
+    )
 
 
 # What became slower or faster between two measurements of the benchmarks, beyond their noise.
@@ -243,7 +295,8 @@ LEAST_CHANGE = 0.05  # a smaller change of the median is not called one
 
 @spec
 class BesideFloor:
-    """Wall times of a benchmark, each measured just before its floor, so that both meet the same load of the machine.
+    """Wall times of a benchmark, each measured just before its floor, so that both meet the same
+    load of the machine.
 
     Args:
         floor: what the floor is.
@@ -257,7 +310,12 @@ class BesideFloor:
     def __post_init__(self) -> None:
         """Refuse times without their floor."""
         if len(self.seconds) != len(self.floor_seconds):
-            raise ParameterError.count("floor_seconds", len(self.seconds), "numbers, one for each of seconds", len(self.floor_seconds))
+            raise ParameterError.count(
+                "floor_seconds",
+                len(self.seconds),
+                "numbers, one for each of seconds",
+                len(self.floor_seconds),
+            )
 
     @property
     def ratios(self) -> tuple[float, ...]:
@@ -266,7 +324,9 @@ class BesideFloor:
 
     @property
     def ratio(self) -> float:
-        """Median ratio of a pair; not the ratio of the medians, which different loads would distort."""
+        """Median ratio of a pair; not the ratio of the medians, which different loads would
+        distort.
+        """
         return statistics.median(self.ratios)
 
     @property
@@ -276,8 +336,12 @@ class BesideFloor:
 
 
 def read_saved(path: Path) -> Suite:
-    """What an earlier `bench --all --json` printed into a file. Raises ScenarioError: the file is not there, or holds something else."""
-    plain, marks = plain_mapping(text_of(path), str(path), "`vstestbed bench --all --json` prints one")
+    """What an earlier `bench --all --json` printed into a file. Raises ScenarioError: the file is
+    not there, or holds something else.
+    """
+    plain, marks = plain_mapping(
+        text_of(path), str(path), "`vstestbed bench --all --json` prints one"
+    )
     return build(Suite, plain, marks, str(path))
 
 
@@ -287,8 +351,9 @@ class SpeedChange:
 
     Attributes:
         before, after: median ratios. share: relative change, .1 for a tenth slower.
-        verdict: `slower` or `faster` where every pair of one measurement lies beyond every pair of the other, which two
-            measurements of 5 pairs of the same thing do once in 126 times, and the medians differ by 5 % or more; else empty.
+        verdict: `slower` or `faster` where every pair of one measurement lies beyond every pair of
+            the other, which two measurements of 5 pairs of the same thing do once in 126 times, and
+            the medians differ by 5 % or more; else empty.
     """
 
     before: float
@@ -301,19 +366,28 @@ class SpeedChange:
         """The change of one benchmark."""
         share = after.ratio / before.ratio - 1
         apart = after.ratios[0] > before.ratios[-1] or after.ratios[-1] < before.ratios[0]
-        verdict = ("slower" if share > 0 else "faster") if apart and abs(share) >= LEAST_CHANGE else ""
+        verdict = (
+            ("slower" if share > 0 else "faster") if apart and abs(share) >= LEAST_CHANGE else ""
+        )
         return cls(before.ratio, after.ratio, share, verdict)
 
 
-def speed_changes(before: Mapping[str, BesideFloor], after: Mapping[str, BesideFloor]) -> dict[str, SpeedChange]:
+def speed_changes(
+    before: Mapping[str, BesideFloor], after: Mapping[str, BesideFloor]
+) -> dict[str, SpeedChange]:
     """The change of every benchmark that both measurements have, by name."""
-    return {name: SpeedChange.of(before[name], one) for name, one in after.items() if name in before}
+    return {
+        name: SpeedChange.of(before[name], one) for name, one in after.items() if name in before
+    }
 
 
 def changes_text(changes: Mapping[str, SpeedChange]) -> str:
     """A table for the terminal, and a sentence on what became slower."""
     lines = [f"{'ratio to the floor':18}{'before':>8}{'now':>8}{'change':>9}"]
-    lines += [f"{name:18}{c.before:8.2f}{c.after:8.2f}{100 * c.share:+7.0f} %  {c.verdict}".rstrip() for name, c in changes.items()]
+    lines += [
+        f"{name:18}{c.before:8.2f}{c.after:8.2f}{100 * c.share:+7.0f} %  {c.verdict}".rstrip()
+        for name, c in changes.items()
+    ]
     slower = ", ".join(name for name, c in changes.items() if c.verdict == "slower")
     return "\n".join([*lines, "", f"slower beyond the noise: {slower or 'nothing'}"])
 
@@ -333,12 +407,14 @@ vs.run(vs.load("arm_ibvs"), watch=[First()])
 """
 """A process that ends with the first frame of a run."""
 
-Pair = Callable[[], tuple[float, float]]  # does something and then its floor; returns the wall time of both [s]
+# does something and then its floor; returns the wall time of both [s]
+Pair = Callable[[], tuple[float, float]]
 
 
 @spec
 class Suite:
-    """Benchmarks that were measured on one machine, by their names; what `bench --all --json` prints.
+    """Benchmarks that were measured on one machine, by their names; what `bench --all --json`
+    prints.
 
     Args:
         machine: processor, cores, versions. timings: wall times of each benchmark and its floor.
@@ -350,7 +426,10 @@ class Suite:
     @classmethod
     def of(cls, timings: dict[str, BesideFloor]) -> Suite:
         """What was measured on this machine."""
-        machine = {"processor": platform.processor() or platform.machine(), "system": platform.platform()} | versions()
+        machine = {
+            "processor": platform.processor() or platform.machine(),
+            "system": platform.platform(),
+        } | versions()
         return cls(machine=machine, timings=timings)
 
     def as_text(self) -> str:
@@ -358,20 +437,27 @@ class Suite:
         lines = [f"{'':18}{'ms':>10}{'floor':>10}{'ratio':>8}{'lowest':>8}{'highest':>8}  floor is"]
         for name, one in self.timings.items():
             ms, floor = one.medians_ms
-            lines.append(f"{name:18}{ms:10.1f}{floor:10.1f}{one.ratio:8.2f}{one.ratios[0]:8.2f}{one.ratios[-1]:8.2f}  {one.floor}")
+            lines.append(
+                f"{name:18}{ms:10.1f}{floor:10.1f}{one.ratio:8.2f}{one.ratios[0]:8.2f}{one.ratios[-1]:8.2f}"
+                f"  {one.floor}"
+            )
         return "\n".join(lines)
 
 
 def measure_one(floor: str, pair: Pair, repeats: int = 5) -> BesideFloor:
     """Measure a benchmark and its floor in turn, `repeats` times after one turn that warms up."""
     pairs = [pair() for _ in range(repeats + 1)][1:]
-    return BesideFloor(floor=floor, seconds=tuple(a for a, _ in pairs), floor_seconds=tuple(b for _, b in pairs))
+    return BesideFloor(
+        floor=floor, seconds=tuple(a for a, _ in pairs), floor_seconds=tuple(b for _, b in pairs)
+    )
 
 
 def benchmarks() -> dict[str, tuple[str, Pair]]:
     """Every benchmark: what its floor is, and how both are measured."""
     arm = _short("arm_ibvs")
-    robots = {name: ("same physics steps, same raw pictures", partial(_of_robot, name)) for name in ROBOTS}
+    robots = {
+        name: ("same physics steps, same raw pictures", partial(_of_robot, name)) for name in ROBOTS
+    }
     return robots | {
         "ideal loop": ("equations of the law alone", _ideal),
         "run folder": ("the run in memory", partial(_folder, load("ibvs_book", IDEAL))),
@@ -393,7 +479,9 @@ def _short(name: str) -> Scenario:
 
 
 def _ideal() -> tuple[float, float]:
-    """A single ideal run, and the same number of bare steps: v = -gain pinv(L) e, then the camera moves by exp(v dt)."""
+    """A single ideal run, and the same number of bare steps: v = -gain pinv(L) e, then the camera
+    moves by exp(v dt).
+    """
     scenario = endless(IDEAL_STEPS)
     loop_s = uninterrupted(run(scenario)).loop_s
     points, T, feature, gain = scenario.target.points, np.eye(4), Point(), 0.5
@@ -403,7 +491,9 @@ def _ideal() -> tuple[float, float]:
         for _ in range(IDEAL_STEPS):
             p = points @ T[:3, :3].T + T[:3, 3]
             xy = p[:, :2] / p[:, 2:]
-            velocity = -gain * np.linalg.pinv(feature.interaction(xy, p[:, 2])) @ (xy - goal).ravel()
+            velocity = (
+                -gain * np.linalg.pinv(feature.interaction(xy, p[:, 2])) @ (xy - goal).ravel()
+            )
             T = exp(-velocity * scenario.camera.period) @ T
     return loop_s, bare[0]
 
@@ -438,17 +528,28 @@ def _report(scenario: Scenario) -> tuple[float, float]:
 
 
 def _comparison() -> tuple[float, float]:
-    """A comparison with all its files but films, and its runs alone, one after another, over the number of processes."""
+    """A comparison with all its files but films, and its runs alone, one after another, over the
+    number of processes.
+    """
     with _timed() as alone:
         for seed in range(RUNS):
             uninterrupted(run(replace(load("ibvs_book", IDEAL), seed=seed)))
     with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as whole:
-        compare(["ibvs_book"], set=IDEAL, seeds=RUNS, jobs=JOBS, out=Path(folder) / "comparison", film=False)
+        compare(
+            ["ibvs_book"],
+            set=IDEAL,
+            seeds=RUNS,
+            jobs=JOBS,
+            out=Path(folder) / "comparison",
+            film=False,
+        )
     return whole[0], alone[0] / JOBS
 
 
 def _first_frame() -> tuple[float, float]:
-    """From the start of Python to the first frame of a run, and to the imports that any such program has."""
+    """From the start of Python to the first frame of a run, and to the imports that any such
+    program has.
+    """
     taken = []
     for code in (FIRST, PROMPT):
         with _timed() as one:

@@ -1,4 +1,6 @@
-"""Convergence maps: share of the seeds that reach the goal over two varied fields of a scenario, and outcomes of the others."""
+"""Convergence maps: share of the seeds that reach the goal over two varied fields of a scenario,
+and outcomes of the others.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,12 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from vstestbed.core.errors import EnvironmentLackError, ParameterError, UnreachableError, VstestbedError
+from vstestbed.core.errors import (
+    EnvironmentLackError,
+    ParameterError,
+    UnreachableError,
+    VstestbedError,
+)
 from vstestbed.core.files import write_table
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.session import run, uninterrupted
@@ -24,14 +31,23 @@ from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
 from vstestbed.studies.comparison.runs import is_light
-from vstestbed.studies.pools import MOST_TRIES, Request, WorkerLostError, completed, pool_of, workers
+from vstestbed.studies.pools import (
+    MOST_TRIES,
+    Request,
+    WorkerLostError,
+    completed,
+    pool_of,
+    workers,
+)
 
 CHUNK = 4  # runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms
 
 
 @dataclass(frozen=True)
 class RunEnding:
-    """Result of one run: outcome by name, success, time to converge [s], distance from the true goal at the end [m]; NaN if unknown."""
+    """Result of one run: outcome by name, success, time to converge [s], distance from the true
+    goal at the end [m]; NaN if unknown.
+    """
 
     outcome: str
     success: bool
@@ -48,8 +64,10 @@ Ended = Sequence[tuple[Job, RunEnding]]  # the runs that are done, in the order 
 
 
 def run_one(scenario: Scenario) -> RunEnding:
-    """Run a scenario in memory; an exception in a plugin gives the outcome `crashed`, as in a comparison.
-    Raises EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as well.
+    """Run a scenario in memory; an exception in a plugin gives the outcome `crashed`, as in a
+    comparison.
+    Raises EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as
+    well.
     """
     try:
         recording = uninterrupted(run(scenario))
@@ -60,14 +78,19 @@ def run_one(scenario: Scenario) -> RunEnding:
     except (Exception, SystemExit):  # of a plugin, also one that calls sys.exit
         return RunEnding.without_run(Outcome.crashed)
     figures = recording.summary()
-    time_s, away_m = (math.nan if figures[k] is None else float(str(figures[k])) for k in ("time_to_converge_s", "final_position_error_m"))
+    time_s, away_m = (
+        math.nan if figures[k] is None else float(str(figures[k]))
+        for k in ("time_to_converge_s", "final_position_error_m")
+    )
     return RunEnding(recording.outcome.name, recording.outcome.success, time_s, away_m)
 
 
 def request_of(folder: str, scenarios: Sequence[Scenario]) -> Request[list[RunEnding]]:
     """The request for some runs; pickled, since the scenarios may be of classes of plugins."""
     plugins = tuple(dict.fromkeys(name for one in scenarios for name in one.plugins))
-    return Request(folder, _run_all, (plugins, pickle.dumps(scenarios)), all(map(is_light, scenarios)))
+    return Request(
+        folder, _run_all, (plugins, pickle.dumps(scenarios)), all(map(is_light, scenarios))
+    )
 
 
 def _run_all(plugins: tuple[str, ...], packed: bytes, place: str | None = None) -> list[RunEnding]:
@@ -76,7 +99,8 @@ def _run_all(plugins: tuple[str, ...], packed: bytes, place: str | None = None) 
     return [run_one(scenario) for scenario in pickle.loads(packed)]
 
 
-Work = tuple[list[tuple[int, Job]], Request[list[RunEnding]]]  # a request with its jobs and their places in the plan
+# a request with its jobs and their places in the plan
+Work = tuple[list[tuple[int, Job]], Request[list[RunEnding]]]
 
 
 @dataclass(frozen=True)
@@ -86,7 +110,8 @@ class Study:
     Args:
         comparison: the plan. force: allow more than 100,000 runs.
 
-    Raises (from the constructor): ParameterError if it has not exactly two axes, has no seeds, or has tasks; or too many runs.
+    Raises (from the constructor): ParameterError if it has not exactly two axes, has no seeds, or
+    has tasks; or too many runs.
     """
 
     comparison: Comparison
@@ -96,7 +121,13 @@ class Study:
         """Refuse a comparison that makes no map."""
         c = self.comparison
         if len(c.axes) != 2:
-            raise ParameterError.count("axes", "two,", "x and y of each map", list(c.axes), why="give --vary a.b=v1,v2 twice")
+            raise ParameterError.count(
+                "axes",
+                "two,",
+                "x and y of each map",
+                list(c.axes),
+                why="give --vary a.b=v1,v2 twice",
+            )
         if c.tasks or c.seeds is None:
             raise ParameterError("seeds", "must be given in a convergence map, which has no tasks")
         must_be_few(c, self.force)
@@ -104,10 +135,18 @@ class Study:
     @cached_property
     def runs(self) -> Jobs:
         """Every run."""
-        return Jobs(controllers(self.comparison, self.force), self.comparison.seeds, self.comparison.first_seed)
+        return Jobs(
+            controllers(self.comparison, self.force),
+            self.comparison.seeds,
+            self.comparison.first_seed,
+        )
 
-    def run_all(self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]) -> None:
-        """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each."""
+    def run_all(
+        self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]
+    ) -> None:
+        """Do all runs in worker processes, whose temporary files stand in `folder`;
+        `on_done(place, job, ending)` is called after each.
+        """
         runs, again = self.runs, list[Work]()
         waiting = enumerate(runs)
         chunks = iter(lambda: list(itertools.islice(waiting, CHUNK)), [])
@@ -117,7 +156,8 @@ class Study:
                 try:
                     endings = future.result()
                 except WorkerLostError:
-                    if len(chunk) > 1 or pool.tries(request) < MOST_TRIES:  # each by itself: one of them may have killed the worker
+                    # each by itself: one of them may have killed the worker
+                    if len(chunk) > 1 or pool.tries(request) < MOST_TRIES:
                         again += [work for one in chunk if (work := _work([one], on_done))]
                         continue
                     endings = [RunEnding.without_run(Outcome.crashed)]
@@ -125,7 +165,9 @@ class Study:
                     on_done(place, job, ending)
 
     def maps(self, ended: Ended) -> list[ConvergenceMap]:
-        """One map for each scenario and combination of cases, in their order; NaN in the cells of which no run is done."""
+        """One map for each scenario and combination of cases, in their order; NaN in the cells of
+        which no run is done.
+        """
         # the order of the plan: the first axis is x
         axes = list(self.comparison.axes.items())
         (x_path, xs), (y_path, ys) = axes
@@ -133,9 +175,21 @@ class Study:
         for job, one in ended:
             values = job.controller.values
             names = [str(values[name]) for name in self.comparison.cases]
-            label = ", ".join(([job.controller.scenario.name] if len(self.comparison.base) > 1 or not names else []) + names)
-            cells.setdefault(label, {}).setdefault((str(values[x_path]), str(values[y_path])), []).append(one)
-        return [_map(label, found, [str(x) for x in xs], [str(y) for y in ys]) for label, found in cells.items()]
+            label = ", ".join(
+                (
+                    [job.controller.scenario.name]
+                    if len(self.comparison.base) > 1 or not names
+                    else []
+                )
+                + names
+            )
+            cells.setdefault(label, {}).setdefault(
+                (str(values[x_path]), str(values[y_path])), []
+            ).append(one)
+        return [
+            _map(label, found, [str(x) for x in xs], [str(y) for y in ys])
+            for label, found in cells.items()
+        ]
 
     def table(self, ended: Ended) -> pl.DataFrame:
         """One row per run, in the order of the plan: scenario, cases, values, seed, outcome."""
@@ -146,17 +200,28 @@ class Study:
             | {"time_to_converge_s": one.time_s, "final_position_error_m": one.away_m}
             for job, one in ended
         ]
-        return pl.DataFrame(rows).fill_nan(None)  # null in parquet and an empty field in CSV, as in the other tables
+        # null in parquet and an empty field in CSV, as in the other tables
+        return pl.DataFrame(rows).fill_nan(None)
 
 
-def _work(chunk: list[tuple[int, Job]], on_done: Callable[[int, Job, RunEnding], None]) -> Work | None:
-    """The request for runs; those whose start cannot be drawn have ended. None if there are no others."""
+def _work(
+    chunk: list[tuple[int, Job]], on_done: Callable[[int, Job, RunEnding], None]
+) -> Work | None:
+    """The request for runs; those whose start cannot be drawn have ended. None if there are no
+    others.
+    """
     drawn: list[tuple[tuple[int, Job], Scenario]] = []
     for place, job in chunk:
         try:
             drawn.append(((place, job), job.scenario()))
         except VstestbedError as error:  # as in a comparison
-            on_done(place, job, RunEnding.without_run(Outcome.unreachable if isinstance(error, UnreachableError) else Outcome.crashed))
+            on_done(
+                place,
+                job,
+                RunEnding.without_run(
+                    Outcome.unreachable if isinstance(error, UnreachableError) else Outcome.crashed
+                ),
+            )
     if not drawn:
         return None
     first = drawn[0][0][1].folder
@@ -164,7 +229,9 @@ def _work(chunk: list[tuple[int, Job]], on_done: Callable[[int, Job, RunEnding],
     return [one for one, _ in drawn], request_of(name, [scenario for _, scenario in drawn])
 
 
-def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:
+def _map(
+    label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]
+) -> ConvergenceMap:
     share, away = np.empty((len(ys), len(xs))), np.full((len(ys), len(xs)), np.nan)
     others = np.full((len(ys), len(xs)), "", dtype=object)  # object: the words differ in length
     for (i, y), (j, x) in itertools.product(enumerate(ys), enumerate(xs)):
@@ -178,13 +245,32 @@ def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str
 
 
 def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
-    """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path."""
+    """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not
+    at all; returns the page's path.
+    """
     write_table(folder / "convergence", study.table(ended))
-    axes = [(path, [_short(value) for value in values]) for path, values in study.comparison.axes.items()]
+    axes = [
+        (path, [_short(value) for value in values])
+        for path, values in study.comparison.axes.items()
+    ]
     seeds = study.comparison.seeds or 0
     left = len(study.runs) - len(ended)
-    caution = f"Interrupted: {left:,} of {len(study.runs):,} runs are missing, and the shares are of fewer seeds." if left else ""
-    return write_sweep(folder, study.maps(ended), axes[0], axes[1], seeds, study.comparison.description, command, caution)
+    caution = (
+        f"Interrupted: {left:,} of {len(study.runs):,} runs are missing,"
+        " and the shares are of fewer seeds."
+        if left
+        else ""
+    )
+    return write_sweep(
+        folder,
+        study.maps(ended),
+        axes[0],
+        axes[1],
+        seeds,
+        study.comparison.description,
+        command,
+        caution,
+    )
 
 
 def _short(value: object) -> str:

@@ -1,4 +1,6 @@
-"""The folder of a study: a new one, or one that goes on; held by one process; its plan, tables and numbers, each whole or not at all."""
+"""The folder of a study: a new one, or one that goes on; held by one process; its plan, tables and
+numbers, each whole or not at all.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import make_folder, must_be_new, new_folder, only_writer, remove_empty, write_whole
+from vstestbed.core.files import (
+    make_folder,
+    must_be_new,
+    new_folder,
+    only_writer,
+    remove_empty,
+    write_whole,
+)
 from vstestbed.core.registry import to_mapping
 from vstestbed.scenario.dump import as_yaml
 from vstestbed.scenario.load import for_another_folder
@@ -22,12 +31,14 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
 
     It is removed again if an error leaves it empty.
 
-    kind: the command, such as `basin`. out: the folder. remedy: what would work where it holds something already. Raises OutputError: it
-    holds something already, another process writes into it, or it cannot be made.
+    kind: the command, such as `basin`. out: the folder. remedy: what would work where it holds
+    something already. Raises OutputError: it holds something already, another process writes into
+    it, or it cannot be made.
     """
     folder = new_folder(Path("runs") / kind, out, remedy)
     with only_writer(folder):
-        must_be_new(folder, remedy)  # again: another process may have finished there before this one held it
+        # again: another process may have finished there before this one held it
+        must_be_new(folder, remedy)
         try:
             yield folder
         except BaseException:
@@ -37,25 +48,37 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
 
 @contextmanager
 def resumed_folder(kind: str, out: Path | None, plan: str) -> Iterator[Path]:
-    """Hold the folder of a study that goes on; kind: the command, such as `compare`; plan: name of the plan in it.
+    """Hold the folder of a study that goes on; kind: the command, such as `compare`; plan: name of
+    the plan in it.
     Raises RunFolderError: there is no plan.
     """
     if out is None:
-        raise ParameterError.needs("--resume", f"the folder that `vstestbed {kind}` has made", why="--out DIR")
+        raise ParameterError.needs(
+            "--resume", f"the folder that `vstestbed {kind}` has made", why="--out DIR"
+        )
     if not (out / plan).is_file():
-        found = f"has no {plan}, so that no `vstestbed {kind}` was here" if out.is_dir() else "no such folder"
+        found = (
+            f"has no {plan}, so that no `vstestbed {kind}` was here"
+            if out.is_dir()
+            else "no such folder"
+        )
         raise RunFolderError(out, found, f"`vstestbed {kind} --out DIR` makes one")
     with only_writer(out):
         yield out
 
 
 def write_plan(path: Path, plan: Any, names: str) -> None:
-    """Write the plan of a study, with which the study is repeated, as YAML; scenarios that are files are copied into its folder.
-    path: of the plan. plan: a spec. names: its field with the name of a scenario, or with several.
+    """Write the plan of a study, with which the study is repeated, as YAML; scenarios that are
+    files are copied into its folder. path: of the plan. plan: a spec. names: its field with the
+    name of a scenario, or with several.
     """
     plain = to_mapping(plan)
     given = plain[names]
-    plain[names] = _kept(path.parent, given) if isinstance(given, str) else [_kept(path.parent, name) for name in given]
+    plain[names] = (
+        _kept(path.parent, given)
+        if isinstance(given, str)
+        else [_kept(path.parent, name) for name in given]
+    )
     write_whole(path, as_yaml(plain))
 
 

@@ -1,9 +1,12 @@
-"""Identification: what of a robot's record this project can simulate, by prediction errors: latencies, time constants, wheel radii, noise.
+"""Identification: what of a robot's record this project can simulate, by prediction errors:
+latencies, time constants, wheel radii, noise.
 
-A record has the commands that were sent, and what was read at each picture: joints, and markers. The simulator flies the same commands, and
-least squares find the parameters with which it reads the same.
+A record has the commands that were sent, and what was read at each picture: joints, and markers.
+The simulator flies the same commands, and least squares find the parameters with which it reads the
+same.
 
-Reference: Ljung 1999, System Identification, 2nd ed., chapters 7 and 9 (prediction error methods, their weights and covariance).
+Reference: Ljung 1999, System Identification, 2nd ed., chapters 7 and 9 (prediction error methods,
+their weights and covariance).
 """
 
 from __future__ import annotations
@@ -40,23 +43,33 @@ if TYPE_CHECKING:
 
 RECORD = "record.parquet"
 COMMAND_LATENCY, STAMPS = "timing.command_latency_s", "stamps_late_s"
-"""The two parameters that only shift what is predicted: from when on a command acts, and how much later than its exposure a picture is
-stamped, by the clock of the joints' readings."""
-LEAST_NOISE = {"joint": 1e-5, "pixel": 0.02}  # under which a sensor's noise is not believed [rad, px]
+"""The two parameters that only shift what is predicted: from when on a command acts, and how much
+later than its exposure a picture is stamped, by the clock of the joints' readings.
+"""
+# under which a sensor's noise is not believed [rad, px]
+LEAST_NOISE = {"joint": 1e-5, "pixel": 0.02}
 LEAST_MOMENTS, LONGEST_S = 20, 600.0  # of a record, and for how long one is flown again
 LARGEST = 1e12  # a number beyond is none of a robot's, and its square not far from that of infinity
-MOST_OUTSIDE = 0.02  # share of a joint's readings outside of its range that failed encoders may have; of another unit it is more
-MISFIT = 2.0  # RMS of the prediction errors over the noise, from which on the simulator does not read what the robot read
+# share of a joint's readings outside of its range that failed encoders may have; of another unit it
+# is more
+MOST_OUTSIDE = 0.02
+# RMS of the prediction errors over the noise, from which on the simulator does not read what the
+# robot read
+MISFIT = 2.0
 MOST_RECORD = 1 << 28  # bytes of a record's file
-APART = 0.998  # cosine of what two parameters change in the predictions, from which on they are not told apart
+# cosine of what two parameters change in the predictions, from which on they are not told apart
+APART = 0.998
 
 # The motion: of each of a robot's own motions a step to and fro, then sines of all at once.
 REST_S, STEP_S, SINES_S = 0.6, 0.4, 4.0
-SHARES = {"fixed": (0.06, 0.25), "planar": (0.25, 0.6), "floating": (0.4, 0.4)}  # amplitudes by `Robot.base` [m/s, rad/s]
+# amplitudes by `Robot.base` [m/s, rad/s]
+SHARES = {"fixed": (0.06, 0.25), "planar": (0.25, 0.6), "floating": (0.4, 0.4)}
 
 
 def motion_of(scenario: Scenario) -> pl.DataFrame:
-    """Commands at the camera's rate, along the robot's own motions: `t` and `u_0`, ... [m/s, rad/s]; they end where they began."""
+    """Commands at the camera's rate, along the robot's own motions: `t` and `u_0`, ... [m/s,
+    rad/s]; they end where they began.
+    """
     robot, basis = scenario.robot, _motions(scenario)
     n, rate = basis.shape[1], scenario.camera.rate_hz
     linear, angular = SHARES[robot.base]
@@ -70,21 +83,34 @@ def motion_of(scenario: Scenario) -> pl.DataFrame:
         one[:step, i], one[2 * step : 3 * step, i] = sizes[i], -sizes[i]
         parts.append(one)
     at = np.arange(round(rate * SINES_S)) / rate
-    whole = np.array([(k + 2) / SINES_S * 2 for k in range(n)])  # whole periods, each motion its own
-    parts += [0.7 * sizes * np.sin(2 * np.pi * at[:, None] * whole) * np.array([(-1) ** k for k in range(n)]), rest, rest]
+    # whole periods, each motion its own
+    whole = np.array([(k + 2) / SINES_S * 2 for k in range(n)])
+    parts += [
+        0.7
+        * sizes
+        * np.sin(2 * np.pi * at[:, None] * whole)
+        * np.array([(-1) ** k for k in range(n)]),
+        rest,
+        rest,
+    ]
     u = np.concatenate(parts)
     return pl.DataFrame({"t": np.arange(len(u)) / rate, **{f"u_{i}": u[:, i] for i in range(n)}})
 
 
 def _motions(scenario: Scenario) -> Array:
     """The camera twists of the robot's own motions at its start (6, n)."""
-    return scenario.robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), scenario.robot.start_joints())
+    return scenario.robot.motion_basis(
+        Mount.of(scenario.believed_camera.mount.T), scenario.robot.start_joints()
+    )
 
 
-def fly(scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lambda: None) -> pl.DataFrame:
-    """The record of a simulated robot that is commanded so: with each picture its stamp `t`, when it came, the command that was sent
-    then, and what was read: joints by the robot's sensors, at `t_q` by its clock, and markers by the detector. It ends with the motion,
-    or where the robot stops by itself.
+def fly(
+    scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lambda: None
+) -> pl.DataFrame:
+    """The record of a simulated robot that is commanded so: with each picture its stamp `t`, when
+    it came, the command that was sent then, and what was read: joints by the robot's sensors, at
+    `t_q` by its clock, and markers by the detector. It ends with the motion, or where the robot
+    stops by itself.
     """
     u = motion.select(pl.selectors.starts_with("u_")).to_numpy()
     rows: list[dict[str, float]] = []
@@ -93,8 +119,18 @@ def fly(scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lam
         while frame is not None and len(rows) < len(u) and episode.outcome is None:
             shot = episode.controller.before
             assert shot is not None
-            row = {"t": shot.t, "t_q": frame.t, "arrived": episode.now, **{f"u_{i}": v for i, v in enumerate(u[len(rows)].tolist())}}
-            for name, q, qd in zip(scenario.robot.joints, shot.reading.q.tolist(), shot.reading.qd.tolist(), strict=True):
+            row = {
+                "t": shot.t,
+                "t_q": frame.t,
+                "arrived": episode.now,
+                **{f"u_{i}": v for i, v in enumerate(u[len(rows)].tolist())},
+            }
+            for name, q, qd in zip(
+                scenario.robot.joints,
+                shot.reading.q.tolist(),
+                shot.reading.qd.tolist(),
+                strict=True,
+            ):
                 row |= {f"q_{name}": q, f"qd_{name}": qd}
             for i, (a, b) in enumerate(frame.observation.uv.tolist()):
                 row |= {f"u_px_{i}": a, f"v_px_{i}": b}
@@ -107,32 +143,52 @@ def fly(scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lam
 def _undisturbed(scenario: Scenario) -> Scenario:
     """The same without an end but that of its motion."""
     stop = replace(
-        scenario.stop, duration_s=600.0, lost_after_s=600.0, rest_after_s=None, converged=replace(scenario.stop.converged, hold_s=600.0)
+        scenario.stop,
+        duration_s=600.0,
+        lost_after_s=600.0,
+        rest_after_s=None,
+        converged=replace(scenario.stop.converged, hold_s=600.0),
     )
     return replace(scenario, stop=stop)
 
 
 def read_record(path: Path) -> pl.DataFrame:
-    """A record, from its file or the folder that has it. RunFolderError: none there, or one without the columns of one."""
+    """A record, from its file or the folder that has it. RunFolderError: none there, or one without
+    the columns of one.
+    """
     file = path / RECORD if path.is_dir() else path
-    works = "a file or folder of `vstestbed excite`, with columns t, arrived, u_0, ..., q_..., u_px_0, ..."
+    works = (
+        "a file or folder of `vstestbed excite`, with columns t, arrived, u_0,"
+        " ..., q_..., u_px_0, ..."
+    )
     if not file.exists():
         raise RunFolderError(path, f"has no {RECORD}", works)
     plain_file(file, works, MOST_RECORD, RunFolderError)
     with foreign(file, works, RunFolderError):
-        found = pl.read_csv(file, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(file)
+        found = (
+            pl.read_csv(file, infer_schema_length=None)
+            if file.suffix == ".csv"
+            else pl.read_parquet(file)
+        )
     if not {"t", "u_0"} <= set(found.columns):
         raise RunFolderError(file, f"has the columns {', '.join(found.columns[:8])}", works)
     return found
 
 
 def cleaned(record: pl.DataFrame) -> pl.DataFrame:
-    """A record's moments whose times and commands are numbers and rise, NaN for readings that are none; the others are passed over, and
-    told with their times. ParameterError: columns of something else, too few moments, or too long a record.
+    """A record's moments whose times and commands are numbers and rise, NaN for readings that are
+    none; the others are passed over, and told with their times. ParameterError: columns of
+    something else, too few moments, or too long a record.
     """
-    known = [name for name in record.columns if re.fullmatch(r"t|t_q|arrived|u_\d+|qd?_.+|[uv]_px_\d+", name)]
+    known = [
+        name
+        for name in record.columns
+        if re.fullmatch(r"t|t_q|arrived|u_\d+|qd?_.+|[uv]_px_\d+", name)
+    ]
     with foreign("record", "columns of numbers"):
-        numbers = np.array(record.select(pl.col(known).cast(pl.Float64, strict=False)).to_numpy(), dtype=float)
+        numbers = np.array(
+            record.select(pl.col(known).cast(pl.Float64, strict=False)).to_numpy(), dtype=float
+        )
     numbers[~(np.abs(numbers) < LARGEST)] = np.nan
     table = pl.DataFrame(numbers, known)
     needed = table.select(pl.selectors.matches(r"^(t|t_q|arrived|u_\d+)$")).to_numpy()
@@ -142,21 +198,35 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     for name in [name for name in ("t", "t_q") if name in known]:
         used = used[_rising(table[name].to_numpy()[used])]
     if len(used) < LEAST_MOMENTS:
-        raise ParameterError("record", f"has {len(used)} moments that can be used of {len(table)}; at least {LEAST_MOMENTS} are needed")
+        raise ParameterError(
+            "record",
+            (
+                f"has {len(used)} moments that can be used of {len(table)};"
+                f" at least {LEAST_MOMENTS} are needed"
+            ),
+        )
     if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
         raise ParameterError.bound(
-            "record", "at most", f"{LONGEST_S:g} s long", round(whole_s, 3), why="times are in seconds; these may be in milliseconds"
+            "record",
+            "at most",
+            f"{LONGEST_S:g} s long",
+            round(whole_s, 3),
+            why="times are in seconds; these may be in milliseconds",
         )
     left = np.delete(np.arange(len(table)), used).tolist()
     if left:
         _tell_left(left, t, no_numbers)
     if unread := int(np.isnan(numbers[used]).sum()):
-        logging.getLogger("vstestbed").warning("%d readings of the record are no numbers, and are passed over", unread)
+        logging.getLogger("vstestbed").warning(
+            "%d readings of the record are no numbers, and are passed over", unread
+        )
     return table[used.tolist()]
 
 
 def _within_range(record: pl.DataFrame, scenario: Scenario) -> pl.DataFrame:
-    """The record with NaN for single readings of joints outside of their ranges. ParameterError: a joint that reads so again and again."""
+    """The record with NaN for single readings of joints outside of their ranges. ParameterError: a
+    joint that reads so again and again.
+    """
     body = scenario.robot.body
     if body is None or body.limits is None:
         return record
@@ -168,27 +238,42 @@ def _within_range(record: pl.DataFrame, scenario: Scenario) -> pl.DataFrame:
         q = record[column].to_numpy()
         outside = (q < low - OUTSIDE) | (q > high + OUTSIDE)
         if outside.mean() > MOST_OUTSIDE:
-            words = f"has {column} outside of its range of {low:.4g} to {high:.4g} in {outside.sum()} of {len(q)} moments"
-            works = f"must be in radians, a slide's in metres, in the order {', '.join(scenario.robot.joints)}"
+            words = (
+                f"has {column} outside of its range of {low:.4g} to {high:.4g} in {outside.sum()}"
+                f" of {len(q)} moments"
+            )
+            works = (
+                "must be in radians, a slide's in metres,"
+                f" in the order {', '.join(scenario.robot.joints)}"
+            )
             raise ParameterError("record", f"{words}: {works}", round(float(q[outside][0]), 4))
         wrong += int(outside.sum())
         record = record.with_columns(pl.Series(column, np.where(outside, np.nan, q)))
     if wrong:
-        logging.getLogger("vstestbed").warning("%d readings of joints outside of their ranges are passed over", wrong)
+        logging.getLogger("vstestbed").warning(
+            "%d readings of joints outside of their ranges are passed over", wrong
+        )
     return record
 
 
 def _tell_left(left: list[int], t: Array, no_numbers: int) -> None:
-    """Tell which moments of all, of times t (n,) [s], are passed over, so many of them for want of numbers."""
+    """Tell which moments of all, of times t (n,) [s], are passed over, so many of them for want of
+    numbers.
+    """
     first, last = (f"line {i + 1} (t = {t[i]:g})" for i in (left[0], left[-1]))
-    words = f"{len(left)} of {len(t)} moments of the record are passed over, the first in {first}, the last in {last}"
+    words = (
+        f"{len(left)} of {len(t)} moments of the record are passed over,"
+        f" the first in {first}, the last in {last}"
+    )
     words += f": {no_numbers} with times or commands that are no numbers"
     words += f", {len(left) - no_numbers} whose times go back or stand still"
     logging.getLogger("vstestbed").warning("%s", words)
 
 
 def _rising(t: Array) -> list[int]:
-    """Indices of the longest part of some times (n,) that rises: one wrong time costs itself, wherever it lies."""
+    """Indices of the longest part of some times (n,) that rises: one wrong time costs itself,
+    wherever it lies.
+    """
     ends: list[int] = []  # of a part of each length, the index of its end that is the earliest
     before: list[int] = []
     for i, at in enumerate(t.tolist()):
@@ -204,8 +289,8 @@ def _rising(t: Array) -> list[int]:
 # What is fitted.
 @dataclass(frozen=True)
 class Parameter:
-    """A number to be found. field: its dotted path in a scenario; low, high: its bounds. factor: of the scenario's values, in place of
-    them.
+    """A number to be found. field: its dotted path in a scenario; low, high: its bounds. factor: of
+    the scenario's values, in place of them.
     """
 
     field: str
@@ -215,15 +300,26 @@ class Parameter:
 
     @classmethod
     def of(cls, words: str) -> Parameter:
-        """The parameter of `FIELD=LOW..HIGH`, or `FIELD=xLOW..xHIGH` of a factor. ParameterError: of another form."""
+        """The parameter of `FIELD=LOW..HIGH`, or `FIELD=xLOW..xHIGH` of a factor. ParameterError:
+        of another form.
+        """
         field, _, bounds = words.partition("=")
         low, dots, high = bounds.partition("..")
         try:
-            made = cls(field.strip(), float(low.lstrip("x")), float(high.lstrip("x")), low.startswith("x"))
+            made = cls(
+                field.strip(), float(low.lstrip("x")), float(high.lstrip("x")), low.startswith("x")
+            )
         except ValueError:
             made = None
-        if made is None or not (made.field and dots and -math.inf < made.low < made.high < math.inf) or (made.factor and made.shifts):
-            form = "FIELD=LOW..HIGH, such as robot.drive_lag_s=0.001..0.5; with xLOW..xHIGH as a factor, of no latency"
+        if (
+            made is None
+            or not (made.field and dots and -math.inf < made.low < made.high < math.inf)
+            or (made.factor and made.shifts)
+        ):
+            form = (
+                "FIELD=LOW..HIGH, such as robot.drive_lag_s=0.001..0.5;"
+                " with xLOW..xHIGH as a factor, of no latency"
+            )
             raise ParameterError.form("--fit", form, words)
         return made
 
@@ -244,9 +340,18 @@ class Parameter:
 
 USUAL: Mapping[str, tuple[Parameter, ...]] = {
     "mjcf": (Parameter("robot.servo_kv", 0.2, 5.0, factor=True),),
-    "omni": (Parameter("robot.drive_lag_s", 0.001, 0.5), Parameter("robot.wheel_radius_error", -0.1, 0.1)),
-    "car": (Parameter("robot.drive_lag_s", 0.001, 0.5), Parameter("robot.wheel_radius_error", -0.1, 0.1)),
-    "quadrotor": (Parameter("robot.gains.velocity", 0.5, 5.0), Parameter("robot.gains.climb", 0.5, 6.0)),
+    "omni": (
+        Parameter("robot.drive_lag_s", 0.001, 0.5),
+        Parameter("robot.wheel_radius_error", -0.1, 0.1),
+    ),
+    "car": (
+        Parameter("robot.drive_lag_s", 0.001, 0.5),
+        Parameter("robot.wheel_radius_error", -0.1, 0.1),
+    ),
+    "quadrotor": (
+        Parameter("robot.gains.velocity", 0.5, 5.0),
+        Parameter("robot.gains.climb", 0.5, 6.0),
+    ),
 }
 """What is fitted of a robot by default, besides the two latencies."""
 
@@ -256,15 +361,21 @@ def usual(scenario: Scenario, record: pl.DataFrame) -> tuple[Parameter, ...]:
     markers = "u_px_0" in record.columns
     stamps = (Parameter(STAMPS, -0.2, 0.5),) if markers else ()
     own = USUAL.get(scenario.robot.kind, ())
-    return (Parameter(COMMAND_LATENCY, 0.0, 0.5), *stamps, *(p for p in own if markers or p.field != "robot.wheel_radius_error"))
+    return (
+        Parameter(COMMAND_LATENCY, 0.0, 0.5),
+        *stamps,
+        *(p for p in own if markers or p.field != "robot.wheel_radius_error"),
+    )
 
 
 @dataclass(frozen=True)
 class Identified:
-    """What was found. values, half: of each parameter, and half of its 95 % interval. together: pairs of parameters that the record does
-    not tell apart, with the cosine between what they change. noise: standard deviations of what was read, by name [rad, m or px];
-    latency_s, jitter_s: of the pictures from stamp to arrival, and of their stamps' distances. residual: RMS of the prediction errors
-    over the noise, of parts of the record that were left out of the fit [1].
+    """What was found. values, half: of each parameter, and half of its 95 % interval. together:
+    pairs of parameters that the record does not tell apart, with the cosine between what they
+    change. noise: standard deviations of what was read, by name [rad, m or px]; latency_s,
+    jitter_s: of the pictures from stamp to arrival, and of their stamps' distances. residual: RMS
+    of the prediction errors over the noise, of parts of the record that were left out of the fit
+    [1].
     """
 
     scenario: Scenario
@@ -283,23 +394,34 @@ class Identified:
 
 
 def identify(
-    record: pl.DataFrame, scenario: Scenario, parameters: Sequence[Parameter] = (), say: Callable[[str], None] = lambda _: None
+    record: pl.DataFrame,
+    scenario: Scenario,
+    parameters: Sequence[Parameter] = (),
+    say: Callable[[str], None] = lambda _: None,
 ) -> Identified:
     """Fit parameters to a record. say: told of each run of the simulator.
-    Raises ParameterError: a parameter that the scenario has not, or a record of another robot. ScenarioError: a value is refused.
+    Raises ParameterError: a parameter that the scenario has not, or a record of another robot.
+    ScenarioError: a value is refused.
     """
     record = _within_range(cleaned(record), scenario)
     fit = tuple(parameters) or usual(scenario, record)
-    commands, motions = sum(re.fullmatch(r"u_\d+", name) is not None for name in record.columns), _motions(scenario).shape[1]
+    commands, motions = (
+        sum(re.fullmatch(r"u_\d+", name) is not None for name in record.columns),
+        _motions(scenario).shape[1],
+    )
     if commands != motions:
-        words = f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}: is it of another robot?"
+        words = (
+            f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}:"
+            " is it of another robot?"
+        )
         raise ParameterError("record", words)
     names, measured, _ = _measured(record, scenario)
     sigma = _noise(measured, names)
     start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
     model = _Model(record, scenario, fit, start, say)
     errors, x = _Errors(model, measured, sigma), start
-    for stage in range(STAGES):  # by the sensors' noise alone first; then by how the errors of that go together
+    # by the sensors' noise alone first; then by how the errors of that go together
+    for stage in range(STAGES):
         x = _fitted(errors, x, fit)
         if stage + 1 < STAGES:
             errors = errors.whitened(x)
@@ -314,11 +436,13 @@ STAGES = 3
 
 @dataclass(frozen=True)
 class _Errors:
-    """Prediction errors over the parameters, whitened: those of the moment before are taken off as far as they go on (an AR(1) process for
-    each reading), and what is left is weighed by its covariance. A craft that drifts in its own sensors' noise, or a camera whose
-    markers move together, would else count as hundreds of independent surprises.
+    """Prediction errors over the parameters, whitened: those of the moment before are taken off as
+    far as they go on (an AR(1) process for each reading), and what is left is weighed by its
+    covariance. A craft that drifts in its own sensors' noise, or a camera whose markers move
+    together, would else count as hundreds of independent surprises.
 
-    sigma: noise of each reading (k,). rho: how much of an error goes on (k,); 0 at first. W: weights (k, k), W^T W the inverse covariance.
+    sigma: noise of each reading (k,). rho: how much of an error goes on (k,); 0 at first. W:
+    weights (k, k), W^T W the inverse covariance.
     """
 
     model: _Model
@@ -347,11 +471,16 @@ class _Errors:
     def whitened(self, x: Array) -> _Errors:
         """The same with rho and W of the errors at x."""
         off = self.plain(x)
-        rho = np.clip((off[1:] * off[:-1]).sum(axis=0) / np.maximum((off[:-1] ** 2).sum(axis=0), 1e-12), 0.0, 0.995)
+        rho = np.clip(
+            (off[1:] * off[:-1]).sum(axis=0) / np.maximum((off[:-1] ** 2).sum(axis=0), 1e-12),
+            0.0,
+            0.995,
+        )
         made = replace(self, rho=rho)
         left = made._onward(off)[1:]
         S = left.T @ left / len(left)
-        S = 0.95 * S + 0.05 * np.diag(np.diag(S)) + 1e-3 * np.eye(len(S))  # shrunk: of few moments it is uncertain
+        # shrunk: of few moments it is uncertain
+        S = 0.95 * S + 0.05 * np.diag(np.diag(S)) + 1e-3 * np.eye(len(S))
         return replace(made, W=np.linalg.inv(np.linalg.cholesky(S)))
 
 
@@ -373,8 +502,17 @@ def _fitted(errors: _Errors, start: Array, fit: Sequence[Parameter]) -> Array:
     return found.x
 
 
-def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, ...], errors: _Errors, x: Array, sigma: Array) -> Identified:
-    """What was found at x: intervals, what is not told apart, the noise, and the test on parts that are left out."""
+def _summed_up(
+    record: pl.DataFrame,
+    scenario: Scenario,
+    fit: tuple[Parameter, ...],
+    errors: _Errors,
+    x: Array,
+    sigma: Array,
+) -> Identified:
+    """What was found at x: intervals, what is not told apart, the noise, and the test on parts that
+    are left out.
+    """
     names, measured, _ = _measured(record, scenario)
     pixels, t = np.array(["_px_" in name for name in names]), record["t"].to_numpy()
     predicted = errors.model.predicted(x)
@@ -388,18 +526,33 @@ def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, .
     arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
     # of the errors, since the motion itself is not smooth from picture to picture
     own = _noise(measured - predicted, names)
-    noise = {name: float(np.median(s)) for name, s in {"joints": own[~pixels], "markers": own[pixels]}.items() if len(s)}
+    noise = {
+        name: float(np.median(s))
+        for name, s in {"joints": own[~pixels], "markers": own[pixels]}.items()
+        if len(s)
+    }
     parts = np.array_split(np.arange(len(off)), PARTS)
-    left_out = np.concatenate([off[part] + plain[part] @ change for part, change in zip(parts, without, strict=True)]) * sigma / own
-    # A command acts at the next step of the robot's clock, one of some phase to the camera's: within a step nothing tells when it came.
+    left_out = (
+        np.concatenate(
+            [off[part] + plain[part] @ change for part, change in zip(parts, without, strict=True)]
+        )
+        * sigma
+        / own
+    )
+    # A command acts at the next step of the robot's clock, one of some phase to the camera's:
+    # within a step nothing tells when it came.
     half += np.array([errors.model.grid_s if p.field == COMMAND_LATENCY else 0.0 for p in fit])
     times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
     rest = (record, predicted, measured, names)
-    return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((left_out**2).mean())), *rest)
+    return Identified(
+        scenario, fit, x, half, together, noise, *times, float(np.sqrt((left_out**2).mean())), *rest
+    )
 
 
 def _together(fit: Sequence[Parameter], J: Array) -> list[tuple[str, str, float]]:
-    """Pairs of parameters that the record does not tell apart, with the cosine between what they do to the predictions, J (n, k, p)."""
+    """Pairs of parameters that the record does not tell apart, with the cosine between what they do
+    to the predictions, J (n, k, p).
+    """
     sizes = np.maximum(np.linalg.norm(J, axis=(0, 1)), 1e-12)
     cosines = np.einsum("tki,tkj->ij", J, J) / np.outer(sizes, sizes)
     pairs = [(i, j) for i in range(len(fit)) for j in range(i) if abs(cosines[i, j]) > APART]
@@ -410,14 +563,17 @@ PARTS = 8  # of a record, each left out in its turn
 
 
 def _interval(J: Array, off: Array) -> tuple[Array, Array]:
-    """Half of the 95 % interval of each parameter (p,), and how the parameters change without each part of the record (PARTS, p), by
-    the whitened errors e (n, k) and their Jacobian J (n, k, p), with H = sum J^T J.
+    """Half of the 95 % interval of each parameter (p,), and how the parameters change without each
+    part of the record (PARTS, p), by the whitened errors e (n, k) and their Jacobian J (n, k, p),
+    with H = sum J^T J.
 
-    The errors go on in time, most of all where the model lacks something. Their covariances R_l over l moments give
-    H^-1 (sum_l w_l sum_t J_t+l^T R_l J_t) H^-1 (Hjalmarsson & Ljung 1992, IEEE Trans. Automatic Control 37, 1004-1008), with weights that
-    fall to 0 over a quarter of the record (Newey & West 1987, doi:10.2307/1913610). Without a part b the parameters change by
-    -(H - H_b)^-1 sum_not_b J^T e, and spread where the parts do not agree (jackknife of blocks, Kuensch 1989,
-    doi:10.1214/aos/1176347265). The wider of both counts. Neither knows of what changes the readings as a parameter does.
+    The errors go on in time, most of all where the model lacks something. Their covariances R_l
+    over l moments give H^-1 (sum_l w_l sum_t J_t+l^T R_l J_t) H^-1 (Hjalmarsson & Ljung 1992, IEEE
+    Trans. Automatic Control 37, 1004-1008), with weights that fall to 0 over a quarter of the
+    record (Newey & West 1987, doi:10.2307/1913610). Without a part b the parameters change by -(H -
+    H_b)^-1 sum_not_b J^T e, and spread where the parts do not agree (jackknife of blocks, Kuensch
+    1989, doi:10.1214/aos/1176347265). The wider of both counts. Neither knows of what changes the
+    readings as a parameter does.
     """
     n, most = len(off), len(off) // 4
     each, g = np.einsum("tki,tkj->tij", J, J), np.einsum("tki,tk->ti", J, off)
@@ -432,7 +588,9 @@ def _interval(J: Array, off: Array) -> tuple[Array, Array]:
         rest = np.delete(np.arange(n), part)
         without.append(-np.linalg.pinv(each[rest].sum(axis=0)) @ g[rest].sum(axis=0))
     by_parts = (PARTS - 1) * np.var(without, axis=0)
-    half = np.maximum(student.ppf(0.975, n) * np.sqrt(by_time), student.ppf(0.975, PARTS - 1) * np.sqrt(by_parts))
+    half = np.maximum(
+        student.ppf(0.975, n) * np.sqrt(by_time), student.ppf(0.975, PARTS - 1) * np.sqrt(by_parts)
+    )
     return half, np.array(without)
 
 
@@ -448,7 +606,9 @@ def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Paramete
 
 
 def _start(p: Parameter, scenario: Scenario) -> float:
-    """Where the search begins: at the scenario's value, a factor at 1; in the middle where there is none."""
+    """Where the search begins: at the scenario's value, a factor at 1; in the middle where there is
+    none.
+    """
     if p.factor:
         return 1.0
     if p.shifts:
@@ -456,23 +616,37 @@ def _start(p: Parameter, scenario: Scenario) -> float:
     now: Any = scenario
     for part in p.field.split("."):
         now = getattr(now, part, None)
-    return float(now) if isinstance(now, int | float) and now else (0.05 if p.low > 0 else 0.5 * (p.low + p.high))
+    return (
+        float(now)
+        if isinstance(now, int | float) and now
+        else (0.05 if p.low > 0 else 0.5 * (p.low + p.high))
+    )
 
 
 def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Array, Array]:
     """Names and values (n, k) of what was read, and its times (n,), from 0 on."""
     joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in record.columns]
-    pixels = [name for i in range(len(scenario.target.points)) for name in (f"u_px_{i}", f"v_px_{i}") if name in record.columns]
+    pixels = [
+        name
+        for i in range(len(scenario.target.points))
+        for name in (f"u_px_{i}", f"v_px_{i}")
+        if name in record.columns
+    ]
     moving = [name for name in joints if record[name].fill_nan(None).drop_nulls().n_unique() > 1]
     if not moving and not pixels:
-        words = f"has none of q_{', q_'.join(scenario.robot.joints)} that changes, and no u_px_0, ...: is it of another robot?"
+        words = (
+            f"has none of q_{', q_'.join(scenario.robot.joints)} that changes, and no u_px_0, ...:"
+            " is it of another robot?"
+        )
         raise ParameterError("record", words, record.columns[:8])
     t = record["t" if not joints or "t_q" not in record.columns else "t_q"].to_numpy()
     return moving + pixels, record.select(moving + pixels).to_numpy(), t
 
 
 def _noise(a: Array, names: list[str]) -> Array:
-    """Standard deviations (k,) of white noise on smooth signals (n, k), by third differences (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+    """Standard deviations (k,) of white noise on smooth signals (n, k), by third differences
+    (Gasser, Sroka & Jennen-Steinmetz 1986).
+    """
     out = [LEAST_NOISE["pixel" if "_px_" in name else "joint"] for name in names]
     for i, column in enumerate(a.T):
         d = np.abs(np.diff(column[np.isfinite(column)], 3))
@@ -480,16 +654,29 @@ def _noise(a: Array, names: list[str]) -> Array:
     return np.array(out)
 
 
-_EXACT = {"robot.imu.gyro_sigma_radps": 0.0, "robot.imu.accel_sigma_mps2": 0.0, "robot.range_sigma_m": 0.0}
-"""Instruments without noise, of a robot that flies by them: its motion would else follow the noise of another flight."""
+_EXACT = {
+    "robot.imu.gyro_sigma_radps": 0.0,
+    "robot.imu.accel_sigma_mps2": 0.0,
+    "robot.range_sigma_m": 0.0,
+}
+"""Instruments without noise, of a robot that flies by them: its motion would else follow the noise
+of another flight.
+"""
 
 
 class _Model:
-    """What the simulator predicts, over the parameters; runs are kept. Commands reach a simulated robot at a step of its clock: between two
-    latencies on a grid, predictions are interpolated.
+    """What the simulator predicts, over the parameters; runs are kept. Commands reach a simulated
+    robot at a step of its clock: between two latencies on a grid, predictions are interpolated.
     """
 
-    def __init__(self, record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, ...], start: Array, say: Callable[[str], None]):
+    def __init__(
+        self,
+        record: pl.DataFrame,
+        scenario: Scenario,
+        fit: tuple[Parameter, ...],
+        start: Array,
+        say: Callable[[str], None],
+    ):
         self._scenario, self._fit, self._record, self._say = scenario, fit, record, say
         self._names, _, t = _measured(record, scenario)
         self._pixels = np.array(["_px_" in name for name in self._names])
@@ -504,29 +691,42 @@ class _Model:
         self.grid_s = made.clock[0] if onboard is None else onboard.control_period_s
 
     def _own(self, x: Array) -> tuple[float, ...]:
-        return tuple(round(v, 9) for p, v in zip(self._fit, x.tolist(), strict=True) if not p.shifts)
+        return tuple(
+            round(v, 9) for p, v in zip(self._fit, x.tolist(), strict=True) if not p.shifts
+        )
 
     def predicted(self, x: Array) -> Array:
         """What is read at each picture (n, k)."""
         shift = {p.field: v for p, v in zip(self._fit, x.tolist(), strict=True) if p.shifts}
         own = self._own(x)
-        steps, share = divmod(shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s) / self.grid_s, 1.0)
+        steps, share = divmod(
+            shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s) / self.grid_s, 1.0
+        )
         ends = [self._run(own, steps + k) if share > 1e-9 or k == 0 else None for k in (0, 1)]
         whole = ends[0] if ends[1] is None else (1 - share) * ends[0] + share * ends[1]  # type: ignore[operator] - the first is a run
         assert whole is not None
-        times, (values, speeds) = np.arange(len(whole)) * self._scenario.camera.period, np.split(whole, 2, axis=1)
+        times, (values, speeds) = (
+            np.arange(len(whole)) * self._scenario.camera.period,
+            np.split(whole, 2, axis=1),
+        )
         out = np.empty((len(self._t), values.shape[1]))
         for joint in (True, False):
             those = self._pixels != joint
             if those.any():
-                at = np.clip(self._t if joint else self._stamps - shift.get(STAMPS, 0.0), 0, times[-1])
-                of = CubicHermiteSpline(times, values[:, those], speeds[:, those]) if joint else CubicSpline(times, values[:, those])
+                at = np.clip(
+                    self._t if joint else self._stamps - shift.get(STAMPS, 0.0), 0, times[-1]
+                )
+                of = (
+                    CubicHermiteSpline(times, values[:, those], speeds[:, those])
+                    if joint
+                    else CubicSpline(times, values[:, those])
+                )
                 out[:, those] = of(at)
         return out
 
     def _run(self, own: tuple[float, ...], steps: float) -> Array:
-        """What is read without noise, and the joints' speeds (frames, 2 k), with these values and a latency of so many steps of the
-        grid.
+        """What is read without noise, and the joints' speeds (frames, 2 k), with these values and a
+        latency of so many steps of the grid.
         """
         if (steps, *own) not in self._kept:
             self._kept[steps, *own] = self._simulated(own, steps * self.grid_s)
@@ -537,16 +737,29 @@ class _Model:
         values = iter(own)
         given = {p.field: p.value(self._scenario, next(values)) for p in self._fit if not p.shifts}
         # exact sensors and an ideal camera: what is read is what there is
-        timing = {"command_latency_s": latency_s, "command_timeout_s": self._scenario.timing.command_timeout_s}
-        given |= {"timing": timing, "noise": {}, "detector": {"kind": "oracle", "field_of_view": "unlimited"}, "calibration": {}}
+        timing = {
+            "command_latency_s": latency_s,
+            "command_timeout_s": self._scenario.timing.command_timeout_s,
+        }
+        given |= {
+            "timing": timing,
+            "noise": {},
+            "detector": {"kind": "oracle", "field_of_view": "unlimited"},
+            "calibration": {},
+        }
         given |= {"camera.latency_s": self._latency_s, "camera.readout_s": 0.0}
         if (flow := getattr(self._scenario.robot, "velocity", None)) is not None:
             given |= {**_EXACT, "robot.velocity": {**to_mapping(flow), "sigma_mps": 0.0}}
         if "image" in (law := self._scenario.law).inputs:  # it moves nothing here
             given["law"] = {"kind": "ibvs", "depth": "goal"}
-        elif law.depth.needs_pose and not self._scenario.goal.needs_pose:  # a quarter of the time would be for a pose that nobody reads
+        elif law.depth.needs_pose and not self._scenario.goal.needs_pose:
+            # a quarter of the time would be for a pose that nobody reads
             given["law.depth"] = "goal"
-        given |= {f"camera.{name}": None for name in ("exposure", "stream") if getattr(self._scenario.camera, name) is not None}
+        given |= {
+            f"camera.{name}": None
+            for name in ("exposure", "stream")
+            if getattr(self._scenario.camera, name) is not None
+        }
         return parse(self._plain, self._scenario.name or "scenario", given)
 
     def _simulated(self, own: tuple[float, ...], latency_s: float) -> Array:
@@ -557,10 +770,20 @@ class _Model:
         u = commands[np.clip(np.searchsorted(self._t, at + period / 2) - 1, 0, len(commands) - 1)]
         table = fly(s, pl.DataFrame({"t": at, **{f"u_{i}": u[:, i] for i in range(u.shape[1])}}))
         if len(table) < len(at):
-            words = f"ends after {len(table) * period:.2f} of {at[-1]:.2f} s, though it is commanded as in the record: does its start fit?"
+            words = (
+                f"ends after {len(table) * period:.2f} of {at[-1]:.2f} s,"
+                " though it is commanded as in the record: does its start fit?"
+            )
             raise ParameterError("robot", words)
-        speeds = [table[self._qd[name]] if self._qd[name] in table.columns else pl.Series(np.zeros(len(table))) for name in self._names]
-        return np.column_stack([table.select(self._names).to_numpy(), *(one.to_numpy() for one in speeds)])
+        speeds = [
+            table[self._qd[name]]
+            if self._qd[name] in table.columns
+            else pl.Series(np.zeros(len(table)))
+            for name in self._names
+        ]
+        return np.column_stack(
+            [table.select(self._names).to_numpy(), *(one.to_numpy() for one in speeds)]
+        )
 
 
 def robot_preset(found: Identified) -> dict[str, Any]:
@@ -573,13 +796,19 @@ def robot_preset(found: Identified) -> dict[str, Any]:
             for part in path:
                 place = place.setdefault(part, {})
             value = p.value(found.scenario, v)
-            place[last] = [float(f"{one:.6g}") for one in value] if isinstance(value, list) else float(f"{value:.6g}")
+            place[last] = (
+                [float(f"{one:.6g}") for one in value]
+                if isinstance(value, list)
+                else float(f"{value:.6g}")
+            )
     return block
 
 
 def overrides(found: Identified) -> dict[str, float]:
     """The scenario's other fields that were found, by their paths."""
-    shifts = {p.field: v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.shifts}
+    shifts = {
+        p.field: v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.shifts
+    }
     given = {"camera.latency_s": max(found.latency_s + shifts.get(STAMPS, 0.0), 0.0)}
     if COMMAND_LATENCY in shifts:
         given[COMMAND_LATENCY] = max(shifts[COMMAND_LATENCY], 0.0)
@@ -589,14 +818,18 @@ def overrides(found: Identified) -> dict[str, float]:
 
 
 INTERVAL = (
-    "The intervals are as wide as what is left of the prediction errors makes them, by how long these go on and by how far the parts of "
-    "the record disagree. Of a robot that has what the model lacks, they are intervals of the values with which the model fits best."
+    "The intervals are as wide as what is left of the prediction errors makes them,"
+    " by how long these go on and by how far the parts of the record disagree. Of a robot that has"
+    " what the model lacks, they are intervals of the values with which the model fits best."
 )
 
 
 def tested(found: Identified) -> str:
     """How well parts of the record are predicted that were left out of the fit, in a sentence."""
-    words = f"Each eighth of the record is predicted by the rest of it with errors of {found.residual:.3g} times the sensors' noise (RMS)"
+    words = (
+        "Each eighth of the record is predicted by the rest of it with errors of"
+        f" {found.residual:.3g} times the sensors' noise (RMS)"
+    )
     if found.residual < MISFIT:
         return f"{words}; 1 is all that can be asked for."
     return f"{words}: the robot has what this model lacks, and what was found may be wrong."
@@ -607,7 +840,11 @@ def lines_of(found: Identified) -> list[list[str]]:
     lines = []
     for p, v, h in zip(found.parameters, found.values, found.half, strict=True):
         name = f"{p.field} (factor)" if p.factor else p.field
-        edge = " at its bound" if min(v - p.low, p.high - v) < 1e-3 * (p.high - p.low) and p.field != STAMPS else ""
+        edge = (
+            " at its bound"
+            if min(v - p.low, p.high - v) < 1e-3 * (p.high - p.low) and p.field != STAMPS
+            else ""
+        )
         lines.append([name, f"{v:.5g}{edge}", f"{v - h:.5g} to {v + h:.5g}"])
     return lines
 
@@ -618,7 +855,10 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
     from vstestbed.report.canvas import publish, style
     from vstestbed.report.pages import write_page
 
-    write_whole(folder / "robot.yaml", f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}")
+    write_whole(
+        folder / "robot.yaml",
+        f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}",
+    )
     sets = " ".join(f"--set {name}={v:g}" for name, v in overrides(found).items())
     sentences = [tested(found), INTERVAL]
     for a, b, c in found.together:
@@ -627,31 +867,48 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
             f"only their {'sum' if c > 0 else 'difference'} is known."
         )
     for name, s in found.noise.items():
-        sentences.append(f"Noise of the {name}: {s:.3g} {'px' if name == 'markers' else 'rad or m'}.")
+        sentences.append(
+            f"Noise of the {name}: {s:.3g} {'px' if name == 'markers' else 'rad or m'}."
+        )
     sentences.append(
-        f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median), which are {1e3 * found.jitter_s:.2f} ms uneven."
+        f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median),"
+        f" which are {1e3 * found.jitter_s:.2f} ms uneven."
     )
     if found.residual >= MISFIT:
         head = "The simulator does not read what the robot read"
     else:
-        head = "Not all is told apart" if found.together else "The simulator reads what the robot read"
+        head = (
+            "Not all is told apart" if found.together else "The simulator reads what the robot read"
+        )
     good = found.residual < MISFIT and not found.together
     tables = [("What was found", ["Parameter", "Value", "95 % interval"], lines_of(found))]
     with style():
-        plots = [("Read, and predicted", publish(_drawn(found), "predicted", "Readings and predictions", None), CAPTION)]
+        plots = [
+            (
+                "Read, and predicted",
+                publish(_drawn(found), "predicted", "Readings and predictions", None),
+                CAPTION,
+            )
+        ]
     return write_page(
         folder,
         "study.html",
         f"Identification from {source}",
         outcome=(head, "good" if good else "open", sentences),
-        take=f"vstestbed run {found.scenario.name} --set robot.realism={folder / 'robot.yaml'} {sets}",
+        take=(
+            f"vstestbed run {found.scenario.name} --set"
+            f" robot.realism={folder / 'robot.yaml'} {sets}"
+        ),
         plots=plots,
         tables=tables,
         command=command,
     )
 
 
-CAPTION = "Dots: what was read; lines: what the simulator predicts with the numbers found; both less the first reading."
+CAPTION = (
+    "Dots: what was read; lines: what the simulator predicts with the numbers found;"
+    " both less the first reading."
+)
 
 
 def _drawn(found: Identified) -> Figure:
@@ -659,7 +916,12 @@ def _drawn(found: Identified) -> Figure:
     from vstestbed.report.marks import LINE_COLORS
 
     drawn, t = new_figure(4.4, 7.16), found.record["t"].to_numpy()
-    for axes, pick, label in zip(drawn.subplots(2, 1, sharex=True), ("q_", "u_px_"), ("joints [rad, m]", "markers u [px]"), strict=True):
+    for axes, pick, label in zip(
+        drawn.subplots(2, 1, sharex=True),
+        ("q_", "u_px_"),
+        ("joints [rad, m]", "markers u [px]"),
+        strict=True,
+    ):
         those = [i for i, name in enumerate(found.names) if name.startswith(pick)][:7]
         for k, i in enumerate(those):
             colour, origin = LINE_COLORS[k % len(LINE_COLORS)], found.measured[0, i]

@@ -1,4 +1,6 @@
-"""Pools of workers for all studies: processes of this machine, or of a dask cluster. Both take requests and return futures."""
+"""Pools of workers for all studies: processes of this machine, or of a dask cluster. Both take
+requests and return futures.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,10 @@ Done_co = TypeVar("Done_co", covariant=True)
 
 @dataclass(frozen=True)
 class Request(Generic[Done_co]):
-    """One run or several, as they are sent to a worker: a function of a module, its arguments, and `place` of temporary files.
-    folder: identifies it, of a single run of a comparison its path below the comparison's folder. light: it may be done in the study's own
-    process, in some hundredths of a second and by code of this package alone.
+    """One run or several, as they are sent to a worker: a function of a module, its arguments, and
+    `place` of temporary files. folder: identifies it, of a single run of a comparison its path
+    below the comparison's folder. light: it may be done in the study's own process, in some
+    hundredths of a second and by code of this package alone.
     """
 
     folder: str
@@ -49,8 +52,9 @@ class Request(Generic[Done_co]):
 
 
 def begin(place: str) -> None:
-    """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone.
-    place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
+    """Initialise a worker process: leave signals for the whole group to its parent, and exit when
+    the parent is gone. place: folder of its temporary files; by TMPDIR alone, Python takes another
+    one where the disk is full, and runs are done in vain.
     """
     tempfile.tempdir = place
     for number in STOPS:
@@ -67,18 +71,35 @@ def begin(place: str) -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or of BLAS."""
-KEEP_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(1 << 25), "MALLOC_TRIM_THRESHOLD_": str(1 << 28), "MALLOC_TOP_PAD_": str(1 << 26)}
-"""The same for glibc: freed memory stays with the process, since SIFT's pyramids, 5 MB an image, otherwise cost a page fault for each
-page of each picture: an eighth of the time of a run with SIFT in every picture."""
+ONE_CORE = {
+    "LP_NUM_THREADS": "0",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
+"""Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or
+of BLAS.
+"""
+KEEP_MEMORY = {
+    "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
+    "MALLOC_TRIM_THRESHOLD_": str(1 << 28),
+    "MALLOC_TOP_PAD_": str(1 << 26),
+}
+"""The same for glibc: freed memory stays with the process, since SIFT's pyramids, 5 MB an image,
+otherwise cost a page fault for each page of each picture: an eighth of the time of a run with SIFT
+in every picture.
+"""
 DASK = "dask://"
 Done = TypeVar("Done")
 Of = TypeVar("Of")
 Asked = TypeVar("Asked", bound=Request[Any])
-MOST_TRIES = 2  # attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever
+# attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for
+# ever
+MOST_TRIES = 2
 HERE_S = 5.0
-"""Processor time of light runs after which workers are started for the rest: on a loaded machine two need about as much to start [s]."""
+"""Processor time of light runs after which workers are started for the rest: on a loaded machine
+two need about as much to start [s].
+"""
 RUNNING = ".running"  # folder of the workers' temporary files in a study's folder
 
 
@@ -86,13 +107,21 @@ class WorkerLostError(Exception):
     """The worker process of a run has died: killed, out of memory, or a crash in a library."""
 
 
-def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of, Asked]]) -> Iterator[tuple[Of, Asked, Future[Any]]]:
-    """Do requests; each is given back with its future as it is done, in any order, those with a result before those with an error.
+def completed(
+    pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of, Asked]]
+) -> Iterator[tuple[Of, Asked, Future[Any]]]:
+    """Do requests; each is given back with its future as it is done, in any order, those with a
+    result before those with an error.
 
-    pool: is kept full, but never gets more than it has room for. work: requests, each with what it is of; made when they are asked for, one
-    of them ahead, while the workers are busy. again: work that the caller adds while this goes on, which comes first.
+    pool: is kept full, but never gets more than it has room for. work: requests, each with what it
+    is of; made when they are asked for, one of them ahead, while the workers are busy. again: work
+    that the caller adds while this goes on, which comes first.
     """
-    rest, going, ended = iter(work), dict[Future[Any], tuple[Of, Asked]](), list[tuple[Of, Asked, Future[Any]]]()
+    rest, going, ended = (
+        iter(work),
+        dict[Future[Any], tuple[Of, Asked]](),
+        list[tuple[Of, Asked, Future[Any]]](),
+    )
     following = next(rest, None)
     while True:
         while len(going) < pool.room and (now := again.pop() if again else following):
@@ -100,7 +129,8 @@ def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of
             if now is following:
                 following = next(rest, None)
         pool.dispatch()
-        yield from ended  # after the pool has been filled, which goes on while the caller keeps what is done
+        # after the pool has been filled, which goes on while the caller keeps what is done
+        yield from ended
         if not (going or again or following):
             return
         done = sorted(some_done(going), key=lambda future: future.exception() is not None)
@@ -109,14 +139,17 @@ def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of
 
 @contextmanager
 def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterator[None]:
-    """Environment variables for a process that is started meanwhile: defaults where the user has set none, and overrides."""
+    """Environment variables for a process that is started meanwhile: defaults where the user has
+    set none, and overrides.
+    """
     changed = {k: v for k, v in defaults.items() if k not in os.environ} | overrides
     before = {name: os.environ.get(name) for name in changed}
     os.environ.update(changed)
     try:
         yield
     finally:
-        for name, value in before.items():  # these alone: another thread may have changed others meanwhile
+        # these alone: another thread may have changed others meanwhile
+        for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
@@ -125,8 +158,11 @@ def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterato
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """A process that is started meanwhile receives no Ctrl-C before `begin` ignores it: its imports would end with a traceback."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows, where console processes cannot hold it back
+    """A process that is started meanwhile receives no Ctrl-C before `begin` ignores it: its imports
+    would end with a traceback.
+    """
+    # Windows, where console processes cannot hold it back
+    if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     resource_tracker.ensure_running()  # here, since it lets the signals pass again when it starts
@@ -140,7 +176,8 @@ def _signals_held_back() -> Iterator[None]:
 class _Slot:
     """One worker process, restarted after it has died.
 
-    Each has an executor of its own: the death of one process breaks its executor as a whole, and all other runs in it.
+    Each has an executor of its own: the death of one process breaks its executor as a whole, and
+    all other runs in it.
     """
 
     def __init__(self, place: str):
@@ -149,10 +186,15 @@ class _Slot:
         self.start()
 
     def start(self) -> None:
-        """Start the process; its temporary files go to the pool's folder, which is removed also if the process is killed."""
-        self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(self._place,))
+        """Start the process; its temporary files go to the pool's folder, which is removed also if
+        the process is killed.
+        """
+        self.executor = ProcessPoolExecutor(
+            1, mp_context=get_context("spawn"), initializer=begin, initargs=(self._place,)
+        )
         self.broken = False
-        # the process starts with the first submission, so that it inherits these variables, and what is held back
+        # the process starts with the first submission, so that it inherits these variables, and
+        # what is held back
         with _environment(ONE_CORE | KEEP_MEMORY, {"TMPDIR": self._place}), _signals_held_back():
             self.pid = self.executor.submit(os.getpid)
 
@@ -174,27 +216,33 @@ class _Slot:
         return self.pid.done() and self.pid.exception() is None
 
     def kill(self) -> None:
-        """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
-        for process in list((self.executor._processes or {}).values()):  # public only from Python 3.14 on (kill_workers)
+        """Kill the process, also one that is still starting: its run would otherwise go on, and
+        hold this process at its end.
+        """
+        # public only from Python 3.14 on (kill_workers)
+        for process in list((self.executor._processes or {}).values()):
             process.kill()
 
 
 def clear(folder: Path) -> Path:
-    """Remove what a killed process has left of its temporary files in a study's folder; returns their place."""
+    """Remove what a killed process has left of its temporary files in a study's folder; returns
+    their place.
+    """
     place = folder.absolute() / RUNNING
     shutil.rmtree(place, ignore_errors=True)
     return place
 
 
 class LocalPool:
-    """Processes of this machine, each with one OpenGL context and one core, which start when this process has enough work for them.
+    """Processes of this machine, each with one OpenGL context and one core, which start when this
+    process has enough work for them.
 
     Attribute films: it makes films where they are asked for.
 
     Args:
         jobs: number of processes.
-        folder: the study's folder, held by this process. Temporary files stand in `.running` in it, where the next process that
-            holds the folder removes what a killed one has left.
+        folder: the study's folder, held by this process. Temporary files stand in `.running` in it,
+            where the next process that holds the folder removes what a killed one has left.
     """
 
     films = True
@@ -204,7 +252,8 @@ class LocalPool:
         place = clear(folder)
         with writing(folder):
             place.mkdir(exist_ok=True)
-            self._place = tempfile.mkdtemp(dir=place)  # another one each time: a worker of a killed process may live a moment longer
+            # another one each time: a worker of a killed process may live a moment longer
+            self._place = tempfile.mkdtemp(dir=place)
         self._slots: list[_Slot] = []
         self._free: list[_Slot] = []
         self._tries: dict[str, int] = {}
@@ -218,7 +267,9 @@ class LocalPool:
             self._free.append(slot)
 
     def submit(self, request: Request[Done]) -> Future[Done]:
-        """Start a run in a free worker; do a light one in this process, while they have not taken HERE_S together."""
+        """Start a run in a free worker; do a light one in this process, while they have not taken
+        HERE_S together.
+        """
         self._tries[request.folder] = self._tries.get(request.folder, 0) + 1
         if request.light and self._here_s < HERE_S:
             began = time.process_time()
@@ -227,7 +278,8 @@ class LocalPool:
             return done
         self._start()
         slot = self._free.pop()
-        outer: Future[Done] = Future()  # not the executor's own: the slot must be free before the future is done
+        # not the executor's own: the slot must be free before the future is done
+        outer: Future[Done] = Future()
         outer.set_running_or_notify_cancel()
         slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
         return outer
@@ -254,8 +306,14 @@ class LocalPool:
         return self._tries.get(request.folder, 0)
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Call it in a worker as soon as one is free; in this process, which has loaded more of the package, if there is one at most."""
-        return at_once(function, *arguments) if len(self._slots) < 2 else self._callers.submit(self._called, function, arguments)
+        """Call it in a worker as soon as one is free; in this process, which has loaded more of the
+        package, if there is one at most.
+        """
+        return (
+            at_once(function, *arguments)
+            if len(self._slots) < 2
+            else self._callers.submit(self._called, function, arguments)
+        )
 
     def _called(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         slot = self._free.pop()  # there is one: as many threads as slots call
@@ -263,7 +321,8 @@ class LocalPool:
             return slot.executor.submit(function, *arguments).result()
         except (BrokenProcessPool, CancelledError):  # killed, after its last run or now
             slot.broken = True
-            if self._closed:  # else what is interrupted would go on in this process, which could not end
+            # else what is interrupted would go on in this process, which could not end
+            if self._closed:
                 raise WorkerLostError("the pool is closed") from None
             return function(*arguments)
         finally:
@@ -275,7 +334,9 @@ class LocalPool:
         self._callers.shutdown(wait=False, cancel_futures=True)
         for slot in self._slots:
             slot.kill()
-        for slot in self._slots:  # waited for: Python wakes its threads at exit, and prints an error of one that closes just then
+        # waited for: Python wakes its threads at exit, and prints an error of one that closes just
+        # then
+        for slot in self._slots:
             slot.executor.shutdown(wait=True, cancel_futures=True)
         shutil.rmtree(Path(self._place).parent, ignore_errors=True)
 
@@ -289,7 +350,8 @@ class DaskPool:
     Args:
         address: HOST:PORT of the scheduler.
 
-    Raises EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
+    Raises EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the
+    address.
     """
 
     films = True
@@ -298,16 +360,26 @@ class DaskPool:
         try:
             from distributed import Client
         except ImportError:
-            raise EnvironmentLackError("dask.distributed is not installed", "pip install 'vstestbed[cluster]'") from None
+            raise EnvironmentLackError(
+                "dask.distributed is not installed", "pip install 'vstestbed[cluster]'"
+            ) from None
         try:
             self._client = Client(f"tcp://{address}", timeout="5s", set_as_default=False)
         except (OSError, ValueError) as error:
-            words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
-            raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
-        self._name = f"vstestbed-{uuid.uuid4().hex}"  # unique: a cluster keeps results by key, also those of earlier comparisons
+            words = (
+                "start a scheduler (`dask scheduler`)"
+                " and workers (`dask worker HOST:PORT --nthreads 1`) first"
+            )
+            raise EnvironmentLackError(
+                f"no dask scheduler answers at {address} ({error})", words
+            ) from None
+        # unique: a cluster keeps results by key, also those of earlier comparisons
+        self._name = f"vstestbed-{uuid.uuid4().hex}"
         self._begun: dict[str, list[str]] = {}
         if not self._threads():
-            logging.getLogger("vstestbed").warning("no workers at %s yet; waiting for some", address)
+            logging.getLogger("vstestbed").warning(
+                "no workers at %s yet; waiting for some", address
+            )
 
     def _threads(self) -> int:
         with self._scheduler_there():
@@ -316,7 +388,9 @@ class DaskPool:
 
     @contextmanager
     def _scheduler_there(self) -> Iterator[None]:
-        """Turn errors of a client whose scheduler does not answer any more into one with a remedy."""
+        """Turn errors of a client whose scheduler does not answer any more into one with
+        a remedy.
+        """
         try:
             yield
         except OSError as error:
@@ -328,15 +402,21 @@ class DaskPool:
 
     @property
     def room(self) -> int:
-        """Two runs per worker of the cluster as it is now, so that a worker that becomes free has its next run at hand."""
+        """Two runs per worker of the cluster as it is now, so that a worker that becomes free has
+        its next run at hand.
+        """
         return 2 * max(1, self._threads())
 
     def submit(self, request: Request[Done]) -> Future[Done]:
-        """Start a run on some worker; if that dies, the scheduler passes the run on to another one."""
+        """Start a run on some worker; if that dies,
+        the scheduler passes the run on to another one.
+        """
         keys = self._begun.setdefault(request.folder, [])
         keys.append(f"{self._name}-{request.folder}-{len(keys)}")
         with self._scheduler_there():
-            future = self._client.submit(_execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False)
+            future = self._client.submit(
+                _execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False
+            )
         outer: Future[Done] = Future()
         outer.set_running_or_notify_cancel()
         future.add_done_callback(lambda inner: self._hand_over(inner, outer))
@@ -346,7 +426,9 @@ class DaskPool:
         """Nothing waits."""
 
     def _hand_over(self, inner: Any, outer: Future[Done]) -> None:
-        """Complete `outer` with the result or the error of `inner`, in every case: the runner waits for it."""
+        """Complete `outer` with the result or the error of `inner`, in every case: the runner waits
+        for it.
+        """
         from distributed.scheduler import KilledWorker
 
         try:
@@ -356,13 +438,16 @@ class DaskPool:
                 error: Any = None if inner.status == "finished" else inner.exception()
                 result: Any = None if error is not None else inner.result()
             if error is not None:
-                raise WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error
+                raise (
+                    WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error
+                )
             outer.set_result(result)
         except BaseException as error:
             outer.set_exception(error)
 
     def tries(self, request: Request[Any]) -> int:
-        """How often a run has been started: every worker that starts it logs an event under the run's key.
+        """How often a run has been started: every worker that starts it logs an event under the
+        run's key.
 
         Of a run whose result is there when the scheduler ends: how often it was submitted.
         """
@@ -384,7 +469,9 @@ class DaskPool:
 
 
 def _execute_on_dask(request: Request[Done], key: str) -> Done:
-    """What the request asks for, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
+    """What the request asks for, with an event that counts the attempt; dask itself removes the
+    folder of a worker that was killed.
+    """
     from distributed import get_worker
 
     worker = get_worker()
@@ -393,38 +480,59 @@ def _execute_on_dask(request: Request[Done], key: str) -> Done:
 
 
 def must_not_be_worker(function: str) -> None:
-    """Refuse a function that starts workers in a worker that imports the caller's script: each would start workers of its own."""
+    """Refuse a function that starts workers in a worker that imports the caller's script: each
+    would start workers of its own.
+    """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        raise ParameterError(function, "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
+        raise ParameterError(
+            function,
+            (
+                "must stand under `if __name__ == '__main__':` in a script,"
+                " which worker processes import"
+            ),
+        )
 
 
 def workers(requested: int | None, runs: int) -> int:
-    """Number of worker processes: as requested, else one per core; never more than there are runs."""
+    """Number of worker processes: as requested, else one per core;
+    never more than there are runs.
+    """
     if requested is not None and requested < 1:
         raise ParameterError.count("--jobs", "1", "or more", requested)
     # the cores that this process may use, which in a container can be fewer than the machine has
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     return max(1, min(requested or cores, runs))
 
 
 Pool = LocalPool | DaskPool
-"""Takes requests, at most `room` at a time, and returns futures of their results; that of a request whose worker died raises
-WorkerLostError, and by then the pool has replaced the worker."""
+"""Takes requests, at most `room` at a time, and returns futures of their results; that of a request
+whose worker died raises WorkerLostError, and by then the pool has replaced the worker.
+"""
 
 
-def pool_of(executor: str, workers: int, folder: Path, flown: Callable[[], Iterable[Scenario]] = tuple) -> Pool:
-    """The pool of `--executor`: `local`, `warp`, or `dask://HOST:PORT`; `folder` is the study's. flown: what it shall fly.
-    Raises ParameterError: warp does not draw what one of them asks for. EnvironmentLackError: no scheduler, no MuJoCo Warp.
+def pool_of(
+    executor: str, workers: int, folder: Path, flown: Callable[[], Iterable[Scenario]] = tuple
+) -> Pool:
+    """The pool of `--executor`: `local`, `warp`, or `dask://HOST:PORT`; `folder` is the study's.
+    flown: what it shall fly.
+    Raises ParameterError: warp does not draw what one of them asks for. EnvironmentLackError: no
+    scheduler, no MuJoCo Warp.
     """
     must_be_known(executor)
     if executor == "warp":
         try:
             from vstestbed.studies.together import TogetherPool, must_fly_together
         except ImportError as error:
-            raise EnvironmentLackError(f"MuJoCo Warp is not installed ({error})", "pip install 'vstestbed[gpu]'") from None
+            raise EnvironmentLackError(
+                f"MuJoCo Warp is not installed ({error})", "pip install 'vstestbed[gpu]'"
+            ) from None
         must_fly_together(flown())
         return TogetherPool(workers, folder)
-    return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
+    return (
+        LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
+    )
 
 
 def must_be_known(executor: str) -> None:

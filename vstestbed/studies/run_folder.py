@@ -1,4 +1,6 @@
-"""A run with its folder of results, each file complete or not at all: the one writer of such folders."""
+"""A run with its folder of results, each file complete or not at all: the one writer of such
+folders.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ REMEDY = "give a new folder; an older run is never written over"
 
 
 def new_folder(scenario: Scenario, out: Path | None) -> Path:
-    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next free number."""
+    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next
+    free number.
+    """
     return files.new_folder(Path("runs") / files.file_word(scenario.name), out, REMEDY)
 
 
@@ -62,22 +66,25 @@ def run_into(
 
     Args:
         folder: an empty folder, which is made if it is not there. films: which films to make.
-        watch: further watchers, such as a progress bar. stage: called with a description of what is being done after the run.
+        watch: further watchers, such as a progress bar. stage: called with a description of what is
+            being done after the run.
         report: whether to write the report, which can also be written later.
         tile_px: (width, height) of the film from outside; by default that of its quality.
         fine: films with shadows, smooth edges and a picture of every frame, in place of drafts.
         fly: what runs it, as `loop.run`; another one takes its commands from elsewhere.
 
-    Raises EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written, holds a run already, or another
-    process writes into it.
+    Raises EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be
+    written, holds a run already, or another process writes into it.
     """
     folder = make_folder(Path(folder))
     with files.only_writer(folder):
-        if (folder / GIVEN).exists():  # of a process that ended between the check of `new_folder` and this one
+        # of a process that ended between the check of `new_folder` and this one
+        if (folder / GIVEN).exists():
             raise OutputError(folder, "holds a run", REMEDY)
         recording = _run_into(folder, scenario, films, watch, tile_px, fine, fly)
         if report:
-            from vstestbed.report import Setting, write_report  # imported only if a report is written
+            # imported only if a report is written
+            from vstestbed.report import Setting, write_report
 
             stage("writing the report")
             write_report(folder, log=recording.rows, setting=Setting.of(recording.scenario))
@@ -98,28 +105,37 @@ def _run_into(
         scenario = scenario.resolved
         with _filming(folder, scenario, films, tile_px, fine) as filming:
             put(folder, before)
-            # A film shows rows and flicker where the run took the pictures; one drawn afterwards is of an instant.
+            # A film shows rows and flicker where the run took the pictures; one drawn afterwards is
+            # of an instant.
             pictures = "camera" in FILM_CAMERAS[films] and scenario.by_rows
             recording = fly(scenario, [*filming, *watch], folder, pictures=pictures)
             for film in filming:
-                film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
+                # a film of several runs shows it itself
+                film.close(None if tile_px else (recording.outcome, recording.reason))
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
     finish(folder, recording.rows)
     goals: Files = {}
     if images := recording.goal_images:
         from vstestbed.report.video.writer import png_of  # imported only if there is one
 
-        goals = {"goal.png" if len(images) == 1 else f"goal_{i}.png": png_of(image) for i, image in enumerate(images)}
+        goals = {
+            "goal.png" if len(images) == 1 else f"goal_{i}.png": png_of(image)
+            for i, image in enumerate(images)
+        }
     put(folder, goals | {SUMMARY: _summary(recording.summary())})
     return recording
 
 
-# What is in a run's folder, and how it is written: a single run, a worker of a study and a crash have their files from here.
-Files = dict[str, bytes]  # content of a run's folder by file name, in the order in which they are written
+# What is in a run's folder, and how it is written: a single run, a worker of a study and a crash
+# have their files from here.
+
+# content of a run's folder by file name, in the order in which they are written
+Files = dict[str, bytes]
 
 
 def files_before(scenario: Scenario) -> Files:
-    """What is there before the run: the scenario as given and as it runs, the files that `model.xml` refers to, and it.
+    """What is there before the run: the scenario as given and as it runs, the files that
+    `model.xml` refers to, and it.
     Raises ParameterError: what the seed draws is refused.
     """
     runs = scenario.resolved
@@ -129,8 +145,16 @@ def files_before(scenario: Scenario) -> Files:
     return texts | kept | assets | {"model.xml": xml.encode()}
 
 
-def files_of_failure(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:
-    """The files of a run that crashed, or that could not begin: `rest`, which it has left, the scenario as given, traceback, summary."""
+def files_of_failure(
+    text: str,
+    reason: str,
+    trace: str = "",
+    rest: Files | None = None,
+    outcome: Outcome = Outcome.crashed,
+) -> Files:
+    """The files of a run that crashed, or that could not begin: `rest`, which it has left, the
+    scenario as given, traceback, summary.
+    """
     plain = plain_mapping(text, GIVEN, "")[0]
     ended = {"outcome": outcome.name, "success": False, "reason": reason}
     figures = {"scenario": plain.get("name", "")} | ended | {"seed": plain.get("seed", 0)}
@@ -144,21 +168,29 @@ def _summary(figures: Mapping[str, object]) -> bytes:
 
 def files_in(folder: Path) -> Files:
     """The files of a run's folder; none where there is no folder."""
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
+    return (
+        {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+        if folder.is_dir()
+        else {}
+    )
 
 
 def put(folder: Path, files: Files) -> None:
-    """Write files into a run's folder, each whole. Raises EnvironmentLackError, OutputError: see `core.files.writing`."""
+    """Write files into a run's folder, each whole. Raises EnvironmentLackError, OutputError: see
+    `core.files.writing`.
+    """
     for name, content in files.items():
         make_folder((folder / name).parent)
         write_whole(folder / name, content)
 
 
 def store(place: Path, files: Files, shared: Path, attempts: int) -> dict[str, Any]:
-    """Write a run's folder under a temporary name, flush it to the disk, and only then rename it. Returns the summary.
+    """Write a run's folder under a temporary name, flush it to the disk, and only then rename it.
+    Returns the summary.
 
-    place: the folder. files: its content. shared: where the only copy of each mesh or texture of a study's runs stands. attempts: at the
-    run, for its summary. Raises EnvironmentLackError: no space left. OutputError: cannot be written.
+    place: the folder. files: its content. shared: where the only copy of each mesh or texture of a
+    study's runs stands. attempts: at the run, for its summary. Raises EnvironmentLackError: no
+    space left. OutputError: cannot be written.
     """
     summary = json.loads(files[SUMMARY]) | {"attempts": attempts}
     with writing(place):
@@ -167,7 +199,14 @@ def store(place: Path, files: Files, shared: Path, attempts: int) -> dict[str, A
         part = temporary(place)
         part.mkdir(parents=True)
         files = files | {SUMMARY: _summary(summary)}
-        put(part, {name: content for name, content in files.items() if not _linked(part / name, name, content, shared)})
+        put(
+            part,
+            {
+                name: content
+                for name, content in files.items()
+                if not _linked(part / name, name, content, shared)
+            },
+        )
         flush_entries(part)
         if place.exists():  # left incomplete: a complete one is never stored again
             shutil.rmtree(place)
@@ -177,7 +216,9 @@ def store(place: Path, files: Files, shared: Path, attempts: int) -> dict[str, A
 
 
 def _linked(path: Path, name: str, content: bytes, shared: Path) -> bool:
-    """Whether a mesh or texture could be stored as a link to the study's only copy of it: those of one arm are some 10 MB a run."""
+    """Whether a mesh or texture could be stored as a link to the study's only copy of it: those of
+    one arm are some 10 MB a run.
+    """
     if not name.startswith(f"{ASSETS}/"):
         return False
     kept = shared / f"{zlib.crc32(content):08x}_{path.name}"
@@ -194,7 +235,9 @@ def _linked(path: Path, name: str, content: bytes, shared: Path) -> bool:
 
 @contextmanager
 def _all_or_nothing(folder: Path) -> Iterator[None]:
-    """Remove the folder again if the run failed before its first frame (no OpenGL, no codec, no space)."""
+    """Remove the folder again if the run failed before its first frame (no OpenGL, no codec, no
+    space).
+    """
     try:
         yield
     except BaseException:
@@ -211,7 +254,9 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None, fine: bool) -> Iterator[list[FilmThread]]:
+def _filming(
+    folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None, fine: bool
+) -> Iterator[list[FilmThread]]:
     """The films of a run, to be closed when it ends or is interrupted; discarded when it fails."""
     paths = {camera: folder / f"{name}.mp4" for name, camera in FILM_CAMERAS[films].items()}
     if not paths:
@@ -222,7 +267,9 @@ def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int,
     quality = quality_of(scenario, fine)
     quality = replace(quality, size=tile_px or quality.size)
     rate_hz = scenario.camera.rate_hz
-    filming = FilmThread(lambda: open_films(scenario, paths, quality), Pace(rate_hz, quality.every(rate_hz)))
+    filming = FilmThread(
+        lambda: open_films(scenario, paths, quality), Pace(rate_hz, quality.every(rate_hz))
+    )
     try:
         yield [filming]
     finally:

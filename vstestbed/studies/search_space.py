@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, ScenarioError
+from vstestbed.core.errors import (
+    EnvironmentLackError,
+    ParameterError,
+    RunFolderError,
+    ScenarioError,
+)
 from vstestbed.core.files import read_file, write_json
 from vstestbed.core.registry import registries_of
 from vstestbed.scenario.dump import flow_text
@@ -25,7 +30,9 @@ if TYPE_CHECKING:
 
 OPTION = "--vary"
 FORM = "needs a.b=LOW:HIGH, a.b=LOW:HIGH:log, or a.b=v1,v2,..."
-STEPS = 1000  # values of a range from which a search chooses: a recommendation of more digits than these would claim too much
+# values of a range from which a search chooses: a recommendation of more digits than these would
+# claim too much
+STEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,9 @@ class Range:
         return (self.low, self.high)
 
     def rounded(self, value: float) -> object:
-        """A value as it is tried: of so many digits that neighbours are about a thousandth of the range apart."""
+        """A value as it is tried: of so many digits that neighbours are about a thousandth of the
+        range apart.
+        """
         if self.whole:
             return int(value)
         step = (abs(value) if self.log else self.high - self.low) / STEPS
@@ -60,17 +69,27 @@ class Range:
         """The value at a place between the ends, 0 to 1."""
         if self.whole:
             return math.floor(self.low + place * self.size)
-        return self.low * (self.high / self.low) ** place if self.log else self.low + place * (self.high - self.low)
+        return (
+            self.low * (self.high / self.low) ** place
+            if self.log
+            else self.low + place * (self.high - self.low)
+        )
 
     def place(self, value: object) -> float:
         """Where a value lies between the ends, 0 to 1."""
-        low, high, x = (math.log(v) if self.log else v for v in (self.low, self.high, float(str(value))))
+        low, high, x = (
+            math.log(v) if self.log else v for v in (self.low, self.high, float(str(value)))
+        )
         return (x - low) / (high - low)
 
     def current(self, scenario: Scenario, at_values: Sequence[Scenario]) -> object:
         """The value that a scenario has now; None where it has none in the range."""
         found = _value_at(scenario, self.path)
-        inside = isinstance(found, int | float) and not isinstance(found, bool) and self.low <= found <= self.high
+        inside = (
+            isinstance(found, int | float)
+            and not isinstance(found, bool)
+            and self.low <= found <= self.high
+        )
         return found if inside else None
 
     def __str__(self) -> str:
@@ -105,7 +124,10 @@ class Choice:
 
     def current(self, scenario: Scenario, at_values: Sequence[Scenario]) -> object:
         """The value that a scenario has now; None where it is none of them."""
-        return next((value for value, one in zip(self.values, at_values, strict=True) if one == scenario), None)
+        return next(
+            (value for value, one in zip(self.values, at_values, strict=True) if one == scenario),
+            None,
+        )
 
     def __str__(self) -> str:
         return ",".join(self.words)
@@ -115,14 +137,18 @@ Parameter = Range | Choice
 
 
 def parameter(path: str, given: object) -> Parameter:
-    """The range `"0.2:2"` or `"10:80:log"` (also as the only item of a sequence) or the choice of several values, for a dotted path."""
+    """The range `"0.2:2"` or `"10:80:log"` (also as the only item of a sequence) or the choice of
+    several values, for a dotted path.
+    """
     if not isinstance(given, str):
         values = tuple(given) if isinstance(given, Sequence) else (given,)
         if len(values) > 1:
             return Choice(path, values)
         given = values[0] if values else ""
     if ":" not in str(given):
-        raise ParameterError(OPTION, f"{path}: one value leaves nothing to choose; it {FORM}", given)
+        raise ParameterError(
+            OPTION, f"{path}: one value leaves nothing to choose; it {FORM}", given
+        )
     low, high, scale = (*map(str.strip, str(given).split(":", 2)), "")[:3]
     least, most = _number(low), _number(high)
     if least is None or most is None or scale not in ("", "log"):
@@ -146,7 +172,8 @@ class SearchSpace:
     """All that a search varies, checked against the scenario.
 
     Attributes:
-        parameters: ranges and choices. now: the values that the scenario has already; None where one of them is not in the space.
+        parameters: ranges and choices. now: the values that the scenario has already; None where
+            one of them is not in the space.
     """
 
     parameters: tuple[Parameter, ...]
@@ -159,16 +186,20 @@ class SearchSpace:
 
 
 def checked(plan: Comparison, parameters: Sequence[Parameter]) -> SearchSpace:
-    """The space of a search; each end of each range and each choice is loaded, so that bad input is found before anything runs.
+    """The space of a search; each end of each range and each choice is loaded, so that bad input is
+    found before anything runs.
 
-    plan: the scenario with its settings, and the ends and choices as axes. Raises ScenarioError, ParameterError: a value that a field does
-    not take, in the words of a scenario's mistakes.
+    plan: the scenario with its settings, and the ends and choices as axes. Raises ScenarioError,
+    ParameterError: a value that a field does not take, in the words of a scenario's mistakes.
     """
     found, now = [], dict[str, object]()
     scenario = controllers(changed(plan, axes={}, seeds=None))[0].scenario
     for one in parameters:
         first = {p.path: p.ends[:1] for p in parameters}
-        loaded = [c.scenario for c in controllers(changed(plan, axes={**first, one.path: one.ends}, seeds=None))]
+        loaded = [
+            c.scenario
+            for c in controllers(changed(plan, axes={**first, one.path: one.ends}, seeds=None))
+        ]
         if isinstance(one, Range):
             one = replace(one, whole=_is_whole(plan, one, first))
         found.append(one)
@@ -183,13 +214,18 @@ def _alone(plan: Comparison, one: Parameter) -> list[Scenario]:
     if isinstance(one, Range):
         return []
     try:
-        return [c.scenario for c in controllers(changed(plan, axes={one.path: one.values}, seeds=None))]
-    except (ScenarioError, ParameterError):  # valid only together with another choice: then it is not what the scenario has now
+        return [
+            c.scenario for c in controllers(changed(plan, axes={one.path: one.values}, seeds=None))
+        ]
+    except (ScenarioError, ParameterError):
+        # valid only together with another choice: then it is not what the scenario has now
         return []
 
 
 def _is_whole(plan: Comparison, one: Range, first: Mapping[str, tuple[object, ...]]) -> bool:
-    """Whether the field takes whole numbers alone: one that is none, between the ends, is refused."""
+    """Whether the field takes whole numbers alone:
+    one that is none, between the ends, is refused.
+    """
     if not (one.low.is_integer() and one.high.is_integer()):
         return False
     try:
@@ -200,7 +236,9 @@ def _is_whole(plan: Comparison, one: Range, first: Mapping[str, tuple[object, ..
 
 
 def _value_at(scenario: Scenario, path: str) -> object:
-    """The value of a field; of a block for which a number may stand, such as a constant gain, that number."""
+    """The value of a field; of a block for which a number may stand, such as a constant gain, that
+    number.
+    """
     value: Any = scenario
     for part in path.split("."):
         value = getattr(value, part, None)
@@ -217,7 +255,8 @@ class Trial:
     """A setting, and what its runs gave.
 
     Attributes:
-        number: from 0 on; None for the scenario as it is, where that is no trial. values: by dotted path.
+        number: from 0 on; None for the scenario as it is, where that is no trial. values: by dotted
+            path.
         outcomes: how each run ended. reached: whether it reached the goal.
         found: the metric of each run in its display unit, NaN where it has none.
         refused: why the scenario does not take the setting; "" where it does.
@@ -231,11 +270,25 @@ class Trial:
     refused: str = ""
 
     @classmethod
-    def of(cls, number: int | None, values: Mapping[str, object], summaries: Sequence[Mapping[str, Any]], metric: Metric) -> Trial:
+    def of(
+        cls,
+        number: int | None,
+        values: Mapping[str, object],
+        summaries: Sequence[Mapping[str, Any]],
+        metric: Metric,
+    ) -> Trial:
         """The trial with the summaries of its runs."""
         numbers = (one.get(metric.name) for one in summaries)
-        found = tuple(math.nan if not isinstance(x, int | float) else x * metric.scale for x in numbers)
-        return cls(number, dict(values), tuple(s["outcome"] for s in summaries), tuple(bool(s["success"]) for s in summaries), found)
+        found = tuple(
+            math.nan if not isinstance(x, int | float) else x * metric.scale for x in numbers
+        )
+        return cls(
+            number,
+            dict(values),
+            tuple(s["outcome"] for s in summaries),
+            tuple(bool(s["success"]) for s in summaries),
+            found,
+        )
 
     @property
     def failed(self) -> int:
@@ -245,16 +298,25 @@ class Trial:
     @property
     def mean(self) -> float:
         """Mean of the metric over the runs that reached the goal; NaN where none has it."""
-        known = [x for x, good in zip(self.found, self.reached, strict=True) if good and math.isfinite(x)]
+        known = [
+            x for x, good in zip(self.found, self.reached, strict=True) if good and math.isfinite(x)
+        ]
         return sum(known) / len(known) if known else math.nan
 
     def rank(self, higher: bool) -> tuple[float, float]:
-        """Less is better: first the failed runs, then the mean of the metric. A failure outweighs any number."""
+        """Less is better: first the failed runs, then the mean of the metric. A failure outweighs
+        any number.
+        """
         mean = -self.mean if higher else self.mean
-        return (math.inf if self.refused else self.failed, mean if math.isfinite(mean) else math.inf)
+        return (
+            math.inf if self.refused else self.failed,
+            mean if math.isfinite(mean) else math.inf,
+        )
 
     def score(self, higher: bool, runs: int) -> float:
-        """`rank` as one number, for a search that only orders them: the failed runs, and the mean squeezed into 0 to 1 by x / (1 + |x|)."""
+        """`rank` as one number, for a search that only orders them: the failed runs, and the mean
+        squeezed into 0 to 1 by x / (1 + |x|).
+        """
         failed, mean = self.rank(higher)
         squeezed = 1.0 if math.isinf(mean) else 0.5 + 0.5 * mean / (1 + abs(mean))
         return min(failed, runs + 1) + squeezed
@@ -267,12 +329,19 @@ def best_of(trials: Sequence[Trial], higher: bool) -> Trial | None:
 
 
 def write_record(folder: Path, settings: Sequence[Mapping[str, object]]) -> None:
-    """Write the settings of all trials so far: before their runs begin, so that an interrupted search goes on with the same."""
-    write_json(folder / RECORD, [{"number": i, "values": dict(values)} for i, values in enumerate(settings)])
+    """Write the settings of all trials so far: before their runs begin, so that an interrupted
+    search goes on with the same.
+    """
+    write_json(
+        folder / RECORD,
+        [{"number": i, "values": dict(values)} for i, values in enumerate(settings)],
+    )
 
 
 def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
-    """The settings of the trials so far; none where there is no record. Raises RunFolderError: it is damaged."""
+    """The settings of the trials so far; none where there is no record. Raises RunFolderError: it
+    is damaged.
+    """
     path, works = folder / RECORD, "start again in a new folder"
     if not path.exists():
         return []
@@ -289,32 +358,44 @@ def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
 #
 # Reference: Bergstra et al. 2011, Algorithms for hyper-parameter optimization, NeurIPS.
 STARTUP = 8  # trials that are drawn at random before the estimator has anything to go by
-GUIDED, ATTEMPTS = 10, 200  # attempts at a setting that was not tried yet: by the estimator, then at random as well
+# attempts at a setting that was not tried yet: by the estimator, then at random as well
+GUIDED, ATTEMPTS = 10, 200
 
 
 def must_be_installed() -> Any:
-    """Import optuna, and keep its log to itself. Raises EnvironmentLackError: it is not installed."""
+    """Import optuna, and keep its log to itself.
+    Raises EnvironmentLackError: it is not installed.
+    """
     try:
         import optuna
     except ImportError:
-        raise EnvironmentLackError("optuna, which chooses the settings to try, is not installed", "pip install 'vstestbed[tune]'") from None
+        raise EnvironmentLackError(
+            "optuna, which chooses the settings to try, is not installed",
+            "pip install 'vstestbed[tune]'",
+        ) from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna
 
 
-def next_settings(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int, size: int, seed: int) -> list[dict[str, object]]:
-    """Settings to try next, each different from all before; fewer than `size` where the space has no more.
+def next_settings(
+    space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int, size: int, seed: int
+) -> list[dict[str, object]]:
+    """Settings to try next, each different from all before; fewer than `size` where the space has
+    no more.
 
-    They depend on the finished trials and the seed alone, and not on how often a search was interrupted, or by how many workers it runs.
+    They depend on the finished trials and the seed alone, and not on how often a search was
+    interrupted, or by how many workers it runs.
 
-    space: what is varied. trials: the finished ones. higher: whether more of the metric is better. runs: of a trial. size: how many. seed:
-    of the search.
+    space: what is varied. trials: the finished ones. higher: whether more of the metric is better.
+    runs: of a trial. size: how many. seed: of the search.
     """
     settings: list[dict[str, object]] = []
     if not trials and space.now is not None:
         settings.append(space.now)
     study = _study(space, trials, higher, runs, seed, len(trials))
-    tried = {_key(space, trial.values) for trial in trials} | {_key(space, values) for values in settings}
+    tried = {_key(space, trial.values) for trial in trials} | {
+        _key(space, values) for values in settings
+    }
     random = np.random.default_rng((seed, len(trials)))
     for attempt in range(ATTEMPTS * size):
         if len(settings) == size or len(tried) >= space.size:
@@ -326,8 +407,12 @@ def next_settings(space: SearchSpace, trials: Sequence[Trial], higher: bool, run
     return settings
 
 
-def _study(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int, seed: int, place: int) -> optuna.Study:
-    """A study with the finished trials, whose sampler begins with a seed of its own at each place of the search."""
+def _study(
+    space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int, seed: int, place: int
+) -> optuna.Study:
+    """A study with the finished trials, whose sampler begins with a seed of its own at each place
+    of the search.
+    """
     optuna = must_be_installed()
     own = int(np.random.SeedSequence((seed, place)).generate_state(1)[0])
     # a liar: settings chosen together count as bad while they are not known, and so keep apart
@@ -335,7 +420,11 @@ def _study(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int,
     study, distributions = optuna.create_study(sampler=sampler), _distributions(space)
     for trial in trials:
         params = {p.path: _told(p, trial.values[p.path]) for p in space.parameters}
-        study.add_trial(optuna.trial.create_trial(params=params, distributions=distributions, value=trial.score(higher, runs)))
+        study.add_trial(
+            optuna.trial.create_trial(
+                params=params, distributions=distributions, value=trial.score(higher, runs)
+            )
+        )
     return study
 
 
@@ -347,7 +436,11 @@ def _distributions(space: SearchSpace) -> dict[str, Any]:
         if isinstance(p, Choice):
             found[p.path] = CategoricalDistribution(p.words)
         else:
-            found[p.path] = IntDistribution(int(p.low), int(p.high), p.log) if p.whole else FloatDistribution(p.low, p.high, p.log)
+            found[p.path] = (
+                IntDistribution(int(p.low), int(p.high), p.log)
+                if p.whole
+                else FloatDistribution(p.low, p.high, p.log)
+            )
     return found
 
 
@@ -358,12 +451,19 @@ def _told(p: Parameter, value: object) -> Any:
 
 def _asked(study: optuna.Study, space: SearchSpace) -> dict[str, object]:
     params = study.ask(_distributions(space)).params
-    return {p.path: p.chosen(params[p.path]) if isinstance(p, Choice) else p.rounded(params[p.path]) for p in space.parameters}
+    return {
+        p.path: p.chosen(params[p.path]) if isinstance(p, Choice) else p.rounded(params[p.path])
+        for p in space.parameters
+    }
 
 
 def _drawn(space: SearchSpace, random: np.random.Generator) -> dict[str, object]:
     def of(p: Parameter) -> object:
-        return p.values[random.integers(len(p.values))] if isinstance(p, Choice) else p.rounded(p.at(random.random()))
+        return (
+            p.values[random.integers(len(p.values))]
+            if isinstance(p, Choice)
+            else p.rounded(p.at(random.random()))
+        )
 
     return {p.path: of(p) for p in space.parameters}
 

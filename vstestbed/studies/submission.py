@@ -1,4 +1,6 @@
-"""A submission to the suite: one file with a law, its results and where they were flown; and a drawn part of it flown again."""
+"""A submission to the suite: one file with a law, its results and where they were flown; and a
+drawn part of it flown again.
+"""
 
 from __future__ import annotations
 
@@ -28,25 +30,46 @@ from vstestbed.studies.comparison.plan import Job
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
 from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.pools import pool_of, workers
-from vstestbed.studies.suite import NAME, TO_GOAL, SuiteEntry, SuiteTask, fingerprint, opened, read_suite
+from vstestbed.studies.suite import (
+    NAME,
+    TO_GOAL,
+    SuiteEntry,
+    SuiteTask,
+    fingerprint,
+    opened,
+    read_suite,
+)
 from vstestbed.tasks.metrics import Metric
 
-ABOUT, RUNS, SCORES, RECORD, LAW_FOLDER = "suite.json", "runs.csv", "scores.csv", "environment.json", "law"
+ABOUT, RUNS, SCORES, RECORD, LAW_FOLDER = (
+    "suite.json",
+    "runs.csv",
+    "scores.csv",
+    "environment.json",
+    "law",
+)
 BESIDE = (ABOUT, RUNS, SCORES, RECORD)
 KEYS = ["task", "law", "start"]
 COLUMNS = [*KEYS, "success", "value"]
 ONE_OF, MISSED = 10, 0.05
-"""A task of whose runs one of so many is forged passes the drawing with this probability at most."""
+"""A task of whose runs one of so many is forged passes the drawing with this probability
+at most.
+"""
 MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
 MOST_TEXT, MOST_UNPACKED = 1 << 20, 128 << 20
 """Largest sizes [B] of a file beside the law, and of all that a submission holds."""
 WORKS = "`vstestbed submit DIR` makes one"
-_END, _FIRST, _ZIP64 = b"PK\5\6", b"PK\3\4", b"PK\6\7"  # of an archive: its last record, its first, and a record of larger archives
-_FLAGS = 0x80E  # of a member: how hard it is packed, sizes behind it, name in UTF-8; others mean that it is encrypted
+# of an archive: its last record, its first, and a record of larger archives
+_END, _FIRST, _ZIP64 = b"PK\5\6", b"PK\3\4", b"PK\6\7"
+# of a member: how hard it is packed, sizes behind it, name in UTF-8; others mean that it is
+# encrypted
+_FLAGS = 0x80E
 
 
 class Asked(NamedTuple):
-    """What a submission has to be of, as who checks it says: the archive decides none of it. See `suite.opened`."""
+    """What a submission has to be of, as who checks it says: the archive decides none of it. See
+    `suite.opened`.
+    """
 
     suite: str = NAME
     quick: bool = False
@@ -57,8 +80,8 @@ ALL_STARTS = Asked()
 
 
 class Checked(NamedTuple):
-    """Runs that were flown again: how many, and in words those that ended otherwise; the law's scores, beside the suite's own, as handed
-    in.
+    """Runs that were flown again: how many, and in words those that ended otherwise; the law's
+    scores, beside the suite's own, as handed in.
     """
 
     runs: int
@@ -67,18 +90,27 @@ class Checked(NamedTuple):
 
 
 def pack(folder: Path, out: Path) -> Path:
-    """Pack a suite's folder into one file: what was flown, the law's files, its runs, the scores, versions and machine.
-    Raises RunFolderError: the folder has no finished suite, the law's file is not a law of one's own, or it is too large to be checked.
+    """Pack a suite's folder into one file: what was flown, the law's files, its runs, the scores,
+    versions and machine.
+    Raises RunFolderError: the folder has no finished suite, the law's file is not a law of one's
+    own, or it is too large to be checked.
     """
     for name in (ABOUT, RUNS, SCORES):
         if not (folder / name).is_file():
-            raise RunFolderError(folder, f"has no {name}", "`vstestbed suite LAW_FILE --out DIR` makes one")
+            raise RunFolderError(
+                folder, f"has no {name}", "`vstestbed suite LAW_FILE --out DIR` makes one"
+            )
     law = sorted((folder / LAW_FOLDER).rglob("*")) if (folder / LAW_FOLDER).is_dir() else []
     if not law:
-        raise RunFolderError(folder, "has the suite's own laws alone", "fly a law of your own: `vstestbed suite LAW_FILE --out DIR`")
+        raise RunFolderError(
+            folder,
+            "has the suite's own laws alone",
+            "fly a law of your own: `vstestbed suite LAW_FILE --out DIR`",
+        )
     with foreign(folder, "`vstestbed suite LAW_FILE --out DIR` makes one", RunFolderError):
         own = Path(json.loads((folder / ABOUT).read_bytes())["file"]).stem
-        runs = pl.read_csv(folder / RUNS, infer_schema=False).filter(pl.col("law") == own)  # those beside it are in the suite
+        # those beside it are in the suite
+        runs = pl.read_csv(folder / RUNS, infer_schema=False).filter(pl.col("law") == own)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:
         packed.writestr(RUNS, runs.write_csv())
@@ -95,10 +127,12 @@ def pack(folder: Path, out: Path) -> Path:
 
 
 def contents(file: Path) -> dict[str, bytes]:
-    """What a submission holds, by the names of its members, all of which are validated before any is unpacked.
+    """What a submission holds, by the names of its members, all of which are validated before any
+    is unpacked.
 
-    Raises RunFolderError: it is not a plain archive within the limits above, of files that a submission has, with names that mean the same
-    on every system. Sizes that the archive states are limits of what is unpacked, so that those that lie gain nothing.
+    Raises RunFolderError: it is not a plain archive within the limits above, of files that a
+    submission has, with names that mean the same on every system. Sizes that the archive states are
+    limits of what is unpacked, so that those that lie gain nothing.
     """
     packed = plain_file(file, WORKS, refusal=_refused).read_bytes()
     counted = _members_counted(file, packed)
@@ -108,19 +142,25 @@ def contents(file: Path) -> dict[str, bytes]:
             raise _refused(file, wrong)
         if counted != len(members):
             raise _refused(file, f"it has {len(members)} files and counts {counted}")
-        # to a number of bytes: without one the whole of what is packed would be unpacked at once, whatever its stated size
+        # to a number of bytes: without one the whole of what is packed would be unpacked at once,
+        # whatever its stated size
         return {one.filename: archive.open(one).read(one.file_size + 1) for one in members}
 
 
 def _members_counted(file: Path, packed: bytes) -> int:
     """How many members an archive counts in its last record, which every zip file has.
 
-    Raises RunFolderError: it is more or less than one plain zip file, or its directory is too large to be read.
+    Raises RunFolderError: it is more or less than one plain zip file, or its directory is too large
+    to be read.
     """
     end = packed[-22:]
     size = int.from_bytes(end[12:16], "little")
     start = int.from_bytes(end[16:20], "little")
-    whole = packed.startswith(_FIRST) and end.startswith(_END) and start + size + len(end) == len(packed)
+    whole = (
+        packed.startswith(_FIRST)
+        and end.startswith(_END)
+        and start + size + len(end) == len(packed)
+    )
     if not whole or size > MOST_DIRECTORY or packed[-42:].startswith(_ZIP64):
         raise _refused(file, "it is no plain zip file, from its first byte to its last")
     return int.from_bytes(end[10:12], "little")
@@ -144,7 +184,9 @@ def _unfit(members: list[zipfile.ZipInfo]) -> str:
 
 
 def _held_twice(names: Counter[str]) -> str:
-    """What names of files, by their numbers, have twice, also as a folder, in words; "" where nothing."""
+    """What names of files, by their numbers, have twice, also as a folder, in words; "" where
+    nothing.
+    """
     folders = {str(above) for name in names for above in PurePosixPath(name).parents}
     twice = next((name for name, times in (names + Counter(folders)).items() if times > 1), "")
     return twice and f"it holds {short(twice)} twice"
@@ -164,36 +206,68 @@ def _unfit_member(one: zipfile.ZipInfo) -> str:
 
 def _belongs(name: str) -> bool:
     """Whether a submission has a file of this name, which is the same on every system."""
-    return name in BESIDE or (name.startswith(f"{LAW_FOLDER}/") and all(map(_portable, name.split("/"))))
+    return name in BESIDE or (
+        name.startswith(f"{LAW_FOLDER}/") and all(map(_portable, name.split("/")))
+    )
 
 
 def _portable(part: str) -> bool:
-    """Whether a part of a path is: nothing hidden, no device, no letter that can be written otherwise."""
+    """Whether a part of a path is: nothing hidden, no device, no letter that can be written
+    otherwise.
+    """
     plain = part.isprintable() and not set(part) & set('<>:"|?*\\') and part.strip(". ") == part
-    return bool(part) and plain and unicodedata.normalize("NFC", part) == part and allowed(part) == part
+    return (
+        bool(part)
+        and plain
+        and unicodedata.normalize("NFC", part) == part
+        and allowed(part) == part
+    )
 
 
 def _readable(one: zipfile.ZipInfo) -> bool:
-    """Whether a member is a regular file, not encrypted, packed in one of two ways, with a name that ends where it says."""
-    plain = stat.S_IFMT(one.external_attr >> 16) in (0, stat.S_IFREG) and not one.flag_bits & ~_FLAGS
-    return plain and one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) and one.orig_filename == one.filename
+    """Whether a member is a regular file, not encrypted, packed in one of two ways, with a name
+    that ends where it says.
+    """
+    plain = (
+        stat.S_IFMT(one.external_attr >> 16) in (0, stat.S_IFREG) and not one.flag_bits & ~_FLAGS
+    )
+    return (
+        plain
+        and one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+        and one.orig_filename == one.filename
+    )
 
 
 def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEntry, pl.DataFrame]:
-    """The suite of a submission with its law alone, and its runs as they were handed in: those of the plan. Its code is not run
-    here.
-    Raises RunFolderError: it is no submission, of another suite or of other starts than what is asked, or its runs are not the plan's.
+    """The suite of a submission with its law alone, and its runs as they were handed in: those of
+    the plan. Its code is not run here.
+    Raises RunFolderError: it is no submission, of another suite or of other starts than what is
+    asked, or its runs are not the plan's.
     """
     found = contents(file)
     with foreign(file, WORKS, _refused):
         about = json.loads(found[ABOUT])
     main = about.get("file") if isinstance(about, dict) else None
-    if not isinstance(main, str) or f"{LAW_FOLDER}/{main}" not in found or not main.endswith((".py", ".yaml", ".yml")):
+    if (
+        not isinstance(main, str)
+        or f"{LAW_FOLDER}/{main}" not in found
+        or not main.endswith((".py", ".yaml", ".yml"))
+    ):
         raise _refused(file, f"its {ABOUT} names no file of a law that it holds")
     flown, ours = about.get("sha256"), fingerprint(*read_suite(asked.suite))
     if flown != ours:
-        why = f"was flown on another {asked.suite}, of the files {str(flown)[:12]!r} and not {ours[:12]!r}"
-        raise RunFolderError(file, why, "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`, then `vstestbed submit DIR`")
+        why = (
+            f"was flown on another {asked.suite},"
+            f" of the files {str(flown)[:12]!r} and not {ours[:12]!r}"
+        )
+        raise RunFolderError(
+            file,
+            why,
+            (
+                "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`,"
+                " then `vstestbed submit DIR`"
+            ),
+        )
     for name in found:
         if name.startswith(f"{LAW_FOLDER}/"):
             place = into / PurePosixPath(name).relative_to(LAW_FOLDER)
@@ -204,75 +278,137 @@ def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEn
     except ParameterError as error:
         raise _refused(file, str(error)) from error
     here = entry.about | {"laws": about.get("laws")}  # what the law is, its files say
-    if other := [name for name in (*here, *about) if name not in here or about.get(name) != here[name]]:
-        said = f"{short(other[0])} in its {ABOUT} is not what is asked for, {short(here.get(other[0]))}"
+    if other := [
+        name for name in (*here, *about) if name not in here or about.get(name) != here[name]
+    ]:
+        said = (
+            f"{short(other[0])} in its {ABOUT} is not what is asked for,"
+            f" {short(here.get(other[0]))}"
+        )
         raise _refused(file, said, "say --suite, --quick and --word as it was to be flown")
     return entry, _handed_in(file, found[RUNS], entry)
 
 
 def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
-    """The runs of a submission, which must be those of the plan: each once, and no other, with a result that a run can have."""
-    planned = Counter((task, law, start) for task in entry.plans for law in entry.laws for start in entry.jobs(task))
+    """The runs of a submission, which must be those of the plan: each once, and no other, with a
+    result that a run can have.
+    """
+    planned = Counter(
+        (task, law, start)
+        for task in entry.plans
+        for law in entry.laws
+        for start in entry.jobs(task)
+    )
     works = f"{RUNS} holds each run of the plan once: {WORKS}"
     if not planned:
         raise _refused(file, f"its law takes part in no task: {next(iter(entry.blank.values()))}")
     with foreign(file, works, _refused):
-        cells = pl.read_csv(text, infer_schema=False, n_rows=planned.total() + 1)  # one more tells that there are more
+        # one more tells that there are more
+        cells = pl.read_csv(text, infer_schema=False, n_rows=planned.total() + 1)
         if cells.columns != COLUMNS:
-            raise _refused(file, f"its {RUNS} has the columns {short(cells.columns)}, not {COLUMNS}", works)
+            raise _refused(
+                file, f"its {RUNS} has the columns {short(cells.columns)}, not {COLUMNS}", works
+            )
         value = pl.col("value").cast(pl.Float64, strict=False)
         no_number = value.is_null() & pl.col("value").is_not_null()
         odd = cells.filter(no_number | ~pl.col("success").is_in(["true", "false"]))
         for _, _, start, reached, said in odd.iter_rows():
-            raise _refused(file, f"its {RUNS} says success {short(reached)} and value {short(said)} of {short(start)}", works)
-        success = pl.col("success").replace_strict({"true": True, "false": False}, return_dtype=pl.Boolean)
+            raise _refused(
+                file,
+                (
+                    f"its {RUNS} says success {short(reached)}"
+                    f" and value {short(said)} of {short(start)}"
+                ),
+                works,
+            )
+        success = pl.col("success").replace_strict(
+            {"true": True, "false": False}, return_dtype=pl.Boolean
+        )
         runs = cells.with_columns(success, value)
     there = Counter(runs.select(KEYS).rows())
     if lacking := planned - there:
-        raise _refused(file, f"its {RUNS} lacks {short(next(iter(lacking)))}, of {len(lacking)} runs", works)
+        raise _refused(
+            file, f"its {RUNS} lacks {short(next(iter(lacking)))}, of {len(lacking)} runs", works
+        )
     if other := there - planned:
-        raise _refused(file, f"its {RUNS} holds {short(next(iter(other)))}, which is not of the plan, or there twice", works)
+        raise _refused(
+            file,
+            (
+                f"its {RUNS} holds {short(next(iter(other)))},"
+                " which is not of the plan, or there twice"
+            ),
+            works,
+        )
     for task, _, start, reached, value in runs.iter_rows():
         if not _can_be(reached, value, entry.suite.tasks[task]):
-            raise _refused(file, f"its {RUNS} says success {reached} and value {value} of {task} {start}", works)
+            raise _refused(
+                file,
+                f"its {RUNS} says success {reached} and value {value} of {task} {start}",
+                works,
+            )
     return runs
 
 
 def _can_be(reached: bool | None, value: float | None, task: SuiteTask) -> bool:
-    """Whether a run can have a result: one that crashed alone has no number, where the task says none for it."""
+    """Whether a run can have a result: one that crashed alone has no number, where the task says
+    none for it.
+    """
     if value is None:
         return reached is False and task.worst is None and task.metric != TO_GOAL
     return reached is not None and math.isfinite(value)
 
 
 def draws(n: int) -> int:
-    """How many of n runs are drawn, without replacement, so that of K = ceil(n / ONE_OF) forged ones one is among them but for a
-    probability of MISSED: the least k with C(n - K, k) / C(n, k) <= MISSED, the hypergeometric distribution at 0.
+    """How many of n runs are drawn, without replacement, so that of K = ceil(n / ONE_OF) forged
+    ones one is among them but for a probability of MISSED: the least k with C(n - K, k) / C(n,
+    k) <= MISSED, the hypergeometric distribution at 0.
     """
     true = n - math.ceil(n / ONE_OF)
     return next(k for k in range(n + 1) if math.comb(true, k) <= MISSED * math.comb(n, k))
 
 
-def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = None, asked: Asked = ALL_STARTS) -> Checked:
-    """Fly drawn runs of each task of a submission again, as many as `draws` says, and compare them: outcome, and the task's number.
-    Writes the page of the runs as they were handed in, with scores computed here.
+def check(
+    file: Path,
+    folder: Path,
+    jobs: int | None = None,
+    seed: int | None = None,
+    asked: Asked = ALL_STARTS,
+) -> Checked:
+    """Fly drawn runs of each task of a submission again, as many as `draws` says, and compare them:
+    outcome, and the task's number. Writes the page of the runs as they were handed in, with scores
+    computed here.
 
-    folder: where they are flown; the law's files are elsewhere, and its code runs in processes of its own. seed: of what is drawn; None:
-    nobody knows it before. asked: see there. Errors: as of `unpacked` and `compare`.
+    folder: where they are flown; the law's files are elsewhere, and its code runs in processes of
+    its own. seed: of what is drawn; None: nobody knows it before. asked: see there. Errors: as of
+    `unpacked` and `compare`.
     """
     with offered(), TemporaryDirectory(prefix="law_") as place:
         return _checked(*unpacked(file, Path(place), asked), folder, jobs, seed)
 
 
-def _checked(entry: SuiteEntry, given: pl.DataFrame, folder: Path, jobs: int | None, seed: int | None) -> Checked:
-    rng, otherwise, n = np.random.default_rng(secrets.randbits(63) if seed is None else seed), list[str](), 0
+def _checked(
+    entry: SuiteEntry, given: pl.DataFrame, folder: Path, jobs: int | None, seed: int | None
+) -> Checked:
+    rng, otherwise, n = (
+        np.random.default_rng(secrets.randbits(63) if seed is None else seed),
+        list[str](),
+        0,
+    )
     for task, plan in entry.plans.items():
         every = list(entry.jobs(task).items())
-        drawn = [every[i] for i in sorted(rng.choice(len(every), draws(len(every)), replace=False).tolist())]
-        again = entry.rows_of(_flown(make_folder(folder / task), [job for _, job in drawn], jobs), plan, task)
+        drawn = [
+            every[i]
+            for i in sorted(rng.choice(len(every), draws(len(every)), replace=False).tolist())
+        ]
+        again = entry.rows_of(
+            _flown(make_folder(folder / task), [job for _, job in drawn], jobs), plan, task
+        )
         n += len(drawn)
-        asked_for = given.filter((pl.col("task") == task) & pl.col("start").is_in([start for start, _ in drawn]))
-        both = asked_for.join(again, on=["task", "start"], how="left", suffix="_again")  # one that leaves no run here is otherwise, too
+        asked_for = given.filter(
+            (pl.col("task") == task) & pl.col("start").is_in([start for start, _ in drawn])
+        )
+        # one that leaves no run here is otherwise, too
+        both = asked_for.join(again, on=["task", "start"], how="left", suffix="_again")
         least = LEAST if Metric.named(entry.suite.tasks[task].metric).unit == "s" else 0.0
         otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row, least)]
     return Checked(n, tuple(otherwise), entry.write(folder, given))
@@ -285,9 +421,11 @@ def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:
 
 
 def _agrees(row: dict[str, Any], least: float) -> bool:
-    """Whether a run that was flown again has the outcome and, within the tolerance of `compare --again`, the number that was handed in.
+    """Whether a run that was flown again has the outcome and, within the tolerance of
+    `compare --again`, the number that was handed in.
 
-    least: that tolerance in the number's unit, of times; distances and pixels of a task have it by their share alone.
+    least: that tolerance in the number's unit, of times; distances and pixels of a task have it by
+    their share alone.
     """
     given, again = row["value"], row["value_again"]
     if row["success"] != row["success_again"]:
@@ -299,7 +437,12 @@ def _agrees(row: dict[str, Any], least: float) -> bool:
 
 def _words(row: dict[str, Any]) -> str:
     def said(success: object, value: object) -> str:
-        return "left no run" if success is None else f"{'reached' if success else 'failed'} ({value})"
+        return (
+            "left no run" if success is None else f"{'reached' if success else 'failed'} ({value})"
+        )
 
-    given, again = said(row["success"], row["value"]), said(row["success_again"], row["value_again"])
+    given, again = (
+        said(row["success"], row["value"]),
+        said(row["success_again"], row["value_again"]),
+    )
     return f"{row['task']} {row['start']}: handed in {given}, flown again {again}"

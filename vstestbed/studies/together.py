@@ -1,8 +1,10 @@
-"""`--executor warp`: runs that fly together in one process, so that a device draws the pictures of all of them at once.
+"""`--executor warp`: runs that fly together in one process, so that a device draws the pictures of
+all of them at once.
 
-Each run is a coroutine (a greenlet: the loop need not know of it), and goes on until it asks for a picture, when the next one does. As all
-wait, their pictures are drawn by one call. What a run computes, and in which order, is what it computes alone: its result does not depend
-on the others. Imported only where it is asked for: it needs the extra `gpu`.
+Each run is a coroutine (a greenlet: the loop need not know of it), and goes on until it asks for a
+picture, when the next one does. As all wait, their pictures are drawn by one call. What a run
+computes, and in which order, is what it computes alone: its result does not depend on the others.
+Imported only where it is asked for: it needs the extra `gpu`.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ from vstestbed.sim.render.warp import Device, PictureRequest
 from vstestbed.studies.pools import Done, LocalPool, Request
 
 TOGETHER = 32
-"""Runs of one worker that fly together: of 32 pictures the calls of a device are a few per cent, and so many are lost with a worker."""
+"""Runs of one worker that fly together: of 32 pictures the calls of a device are a few per cent,
+and so many are lost with a worker.
+"""
 
 
 class Together:
@@ -37,7 +41,9 @@ class Together:
         self._device, self.name = device, device.name
 
     def draw(self, request: PictureRequest) -> Sequence[Image]:
-        """The tiles of a picture that a run asks for: the others go on until each of them waits, too."""
+        """The tiles of a picture that a run asks for: the others go on until each of them waits,
+        too.
+        """
         current = getcurrent()
         assert current.parent is not None, "pictures are drawn together for runs that `fly`"
         return current.parent.switch(request)
@@ -54,7 +60,9 @@ class Together:
             try:
                 drawn = self._device.draw(requests)
             except Exception as error:  # of the device, or of its memory: each run tells it
-                lack = EnvironmentLackError(f"the device draws no pictures: {error}", "use --executor local")
+                lack = EnvironmentLackError(
+                    f"the device draws no pictures: {error}", "use --executor local"
+                )
                 for run in runs:
                     waiting += self._asked(run, run.throw(lack))
             else:
@@ -66,7 +74,9 @@ class Together:
         """Let a run go on; what it waits for then, nothing at its end."""
         return self._asked(run, run.switch(*given))
 
-    def _asked(self, run: greenlet, request: PictureRequest) -> list[tuple[greenlet, PictureRequest]]:
+    def _asked(
+        self, run: greenlet, request: PictureRequest
+    ) -> list[tuple[greenlet, PictureRequest]]:
         return [] if run.dead else [(run, request)]
 
     def _begin(self, task: Callable[[], Any], done: Future[Any]) -> None:
@@ -83,20 +93,30 @@ def device() -> Device:
     try:
         return Device()
     except RuntimeError as error:
-        raise EnvironmentLackError(f"Warp does not work here: {error}", "use --executor local") from error
+        raise EnvironmentLackError(
+            f"Warp does not work here: {error}", "use --executor local"
+        ) from error
 
 
-def fly(requests: Sequence[Request[Any]], place: str | None = None) -> list[tuple[Any, BaseException | None]]:
+def fly(
+    requests: Sequence[Request[Any]], place: str | None = None
+) -> list[tuple[Any, BaseException | None]]:
     """Do requests together, in a worker: of each its result, or what it raised."""
-    flown = Together(device()).fly([lambda request=request: request.perform(place) for request in requests])
-    return [(None, error) if (error := done.exception()) is not None else (done.result(), None) for done in flown]
+    flown = Together(device()).fly(
+        [lambda request=request: request.perform(place) for request in requests]
+    )
+    return [
+        (None, error) if (error := done.exception()) is not None else (done.result(), None)
+        for done in flown
+    ]
 
 
 class TogetherPool(LocalPool):
-    """Processes of this machine, each with some runs that fly together; arguments as of `LocalPool`.
+    """Processes of this machine, each with some runs that fly together; arguments as of
+    `LocalPool`.
 
-    A run whose process died flies alone when it is tried again: it shall not take others with it. OpenGL, which makes the films, does not
-    share a process with a device's drawing.
+    A run whose process died flies alone when it is tried again: it shall not take others with it.
+    OpenGL, which makes the films, does not share a process with a device's drawing.
     """
 
     films = False
@@ -132,7 +152,9 @@ class TogetherPool(LocalPool):
                 bunch, self._waiting = self._waiting[:share], self._waiting[share:]
                 slot = self._free.pop()
                 slot.run(Request("", fly, ([request for request, _ in bunch],))).add_done_callback(
-                    lambda inner, slot=slot, bunch=bunch: self._returned(inner, slot, [outer for _, outer in bunch])
+                    lambda inner, slot=slot, bunch=bunch: self._returned(
+                        inner, slot, [outer for _, outer in bunch]
+                    )
                 )
 
     def _returned(self, inner: Future[Any], slot: Any, outers: Sequence[Future[Any]]) -> None:
@@ -157,8 +179,23 @@ def must_fly_together(scenarios: Iterable[Scenario]) -> None:
     for scenario in scenarios:
         for camera in (scenario.camera, *(eye.camera for eye in scenario.eyes.values())):
             if camera.renderer != "auto":
-                raise ParameterError.fixed("camera.renderer", "auto", camera.renderer, why="--executor warp draws by rays of its own")
+                raise ParameterError.fixed(
+                    "camera.renderer",
+                    "auto",
+                    camera.renderer,
+                    why="--executor warp draws by rays of its own",
+                )
             if camera.shadows:
-                raise ParameterError.fixed("camera.shadows", "false", camera.shadows, why="--executor warp draws no shadows")
+                raise ParameterError.fixed(
+                    "camera.shadows",
+                    "false",
+                    camera.shadows,
+                    why="--executor warp draws no shadows",
+                )
         if scenario.world.floor.mirror:
-            raise ParameterError.fixed("world.floor.mirror", "0", scenario.world.floor.mirror, why="--executor warp draws no mirrors")
+            raise ParameterError.fixed(
+                "world.floor.mirror",
+                "0",
+                scenario.world.floor.mirror,
+                why="--executor warp draws no mirrors",
+            )

@@ -1,4 +1,6 @@
-"""A fair comparison: each law of it is tuned with the same budget first, and then they are compared from starts that no search has seen."""
+"""A fair comparison: each law of it is tuned with the same budget first, and then they are compared
+from starts that no search has seen.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,15 @@ from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 from vstestbed.studies.comparison import ComparisonTable, carry_out, prepared
 from vstestbed.studies.comparison.plan import Comparison, Tuned, Variant, changed, chosen
 from vstestbed.studies.comparison.runs import OnDone
-from vstestbed.studies.comparison.tuning_record import gains_of, is_gain, law_axes, laws_of, ranges, tunable, world
+from vstestbed.studies.comparison.tuning_record import (
+    gains_of,
+    is_gain,
+    law_axes,
+    laws_of,
+    ranges,
+    tunable,
+    world,
+)
 from vstestbed.studies.tuning import Listener, NoListener, TuningResult, begun, finished, planned
 
 
@@ -25,7 +35,8 @@ from vstestbed.studies.tuning import Listener, NoListener, TuningResult, begun, 
 class TunedLaw:
     """One law of a comparison: its name, the scenario with its settings, and what its search found.
 
-    base, case: the scenario, and what the law's case sets (None where the scenario alone is the law).
+    base, case: the scenario, and what the law's case sets (None where the scenario alone is the
+    law).
     left: why it was not tuned; "" of one that was. took_s: wall time of the search [s].
     """
 
@@ -41,7 +52,8 @@ class TunedLaw:
         if self.result is None:
             return f"{self.name} as it is ({self.left})"
         values = ", ".join(
-            f"{path}={value:.4g}" if isinstance(value, float) else f"{path}={value}" for path, value in self.result.settings.items()
+            f"{path}={value:.4g}" if isinstance(value, float) else f"{path}={value}"
+            for path, value in self.result.settings.items()
         )
         return f"{self.name} {values or 'as it is (no run reached the goal)'} ({self.took_s:.0f} s)"
 
@@ -50,7 +62,11 @@ def names_comparison(name: str | None) -> bool:
     """Whether a name is that of a comparison: bundled, or a file with `base`."""
     if name is None or name in bundled_comparisons():
         return name is not None
-    return Path(name).suffix in (".yaml", ".yml") and is_there(Path(name)) and "base" in plain_mapping(text_of(Path(name)), name, "")[0]
+    return (
+        Path(name).suffix in (".yaml", ".yml")
+        and is_there(Path(name))
+        and "base" in plain_mapping(text_of(Path(name)), name, "")[0]
+    )
 
 
 def tune_comparison(
@@ -66,18 +82,23 @@ def tune_comparison(
     say: Callable[[str], None] = lambda words: None,
     **numbers: Any,
 ) -> tuple[ComparisonTable, list[TunedLaw]]:
-    """Tune each law of a comparison in `out/tune/NAME`, and compare them with what was found in `out/comparison`.
+    """Tune each law of a comparison in `out/tune/NAME`, and compare them with what was found in
+    `out/comparison`.
 
-    Every law has the same ranges, of those gains that it has, and numbers of trials and starts. One without a varied field goes into the
-    comparison as it is, and the report says so. Searches use seeds from 2,000,000,000 on, and comparisons those below, so that no start
-    is in both. How each law was tuned is in the comparison's plan (`Comparison.tuned`).
+    Every law has the same ranges, of those gains that it has, and numbers of trials and starts. One
+    without a varied field goes into the comparison as it is, and the report says so. Searches use
+    seeds from 2,000,000,000 on, and comparisons those below, so that no start is in both. How each
+    law was tuned is in the comparison's plan (`Comparison.tuned`).
 
     Args:
-        name: of the comparison, or its file. vary, numbers: as of `tune`; without `vary` all gains of all laws (`ranges`).
+        name: of the comparison, or its file. vary, numbers: as of `tune`; without `vary` all gains
+            of all laws (`ranges`).
         settings: values by dotted path for all.
-        listener: of the searches. on_done: called after each run of the comparison. say: what is being done.
+        listener: of the searches. on_done: called after each run of the comparison. say: what is
+            being done.
 
-    Raises: as of `tune` and `compare`; ParameterError: no law has the varied fields, or several axes vary the law.
+    Raises: as of `tune` and `compare`; ParameterError: no law has the varied fields, or several
+    axes vary the law.
     """
     comparison = chosen([name], settings or {}, {}, plugins)
     laws, flown = list[TunedLaw](), laws_of(comparison)
@@ -86,50 +107,85 @@ def tune_comparison(
         began = time.perf_counter()
         try:
             plan = planned(
-                law.base, _own(vary, flown, law.name), comparison.set | dict(law.case or {}), (*comparison.plugins, *plugins), **numbers
+                law.base,
+                _own(vary, flown, law.name),
+                comparison.set | dict(law.case or {}),
+                (*comparison.plugins, *plugins),
+                **numbers,
             )
             with begun(plan, out / "tune" / file_word(law.name)) as search:
-                search.jobs, search.executor, search.listener = jobs, executor, listener or NoListener()
-                laws.append(replace(law, result=finished(search), took_s=time.perf_counter() - began))
+                search.jobs, search.executor, search.listener = (
+                    jobs,
+                    executor,
+                    listener or NoListener(),
+                )
+                laws.append(
+                    replace(law, result=finished(search), took_s=time.perf_counter() - began)
+                )
         except (ScenarioError, ParameterError) as error:
             laws.append(replace(law, left=str(error).splitlines()[0]))
     if all(law.result is None for law in laws):
         raise ParameterError("--vary", f"fits none of the laws: {laws[0].left}")
-    records = {law.name: _record(comparison, law.result) for law in laws if law.result and law.result.best}
+    records = {
+        law.name: _record(comparison, law.result) for law in laws if law.result and law.result.best
+    }
     tuned = changed(_with_gains(comparison, laws, make_folder(out / "scenarios")), tuned=records)
     say("comparing")
-    with prepared([], {}, out / "comparison", False, {}, (), False, requested=tuned) as (runner, plan):
+    with prepared([], {}, out / "comparison", False, {}, (), False, requested=tuned) as (
+        runner,
+        plan,
+    ):
         return carry_out(runner, plan, jobs, executor, on_done, say), laws
 
 
-def _own(vary: Mapping[str, str | Sequence[object]], laws: Mapping[str, Variant], name: str) -> Mapping[str, str | Sequence[object]]:
-    """What is varied of a law: what is asked for, without the gains that it does not have; else all its gains."""
+def _own(
+    vary: Mapping[str, str | Sequence[object]], laws: Mapping[str, Variant], name: str
+) -> Mapping[str, str | Sequence[object]]:
+    """What is varied of a law: what is asked for, without the gains that it does not have; else all
+    its gains.
+    """
     gains, asked = gains_of(laws[name].scenario.law), vary or ranges(laws)
-    return {path: given for path, given in asked.items() if path in gains or not is_gain(path)} or asked
+    return {
+        path: given for path, given in asked.items() if path in gains or not is_gain(path)
+    } or asked
 
 
 def _laws(comparison: Comparison) -> list[TunedLaw]:
     """The cases of the axis that sets the law, or without one the scenarios."""
     if not tunable(comparison):
-        words = "varies the law in several axes, in `axes`, or beside several scenarios; give its laws as one axis of `cases`"
+        words = (
+            "varies the law in several axes, in `axes`, or beside several scenarios;"
+            " give its laws as one axis of `cases`"
+        )
         raise ParameterError("SCENARIO", words)
     if axes := law_axes(comparison):
-        return [TunedLaw(name, comparison.base[0], case) for name, case in comparison.cases[axes[0]].items()]
+        return [
+            TunedLaw(name, comparison.base[0], case)
+            for name, case in comparison.cases[axes[0]].items()
+        ]
     return [TunedLaw(file_word(Path(base).stem), base) for base in comparison.base]
 
 
 def _with_gains(comparison: Comparison, laws: Sequence[TunedLaw], folder: Path) -> Comparison:
-    """The comparison with what the searches found: in its cases, or in scenarios of its own in a folder."""
+    """The comparison with what the searches found: in its cases, or in scenarios of its own in a
+    folder.
+    """
     plan = max((law.result.plan for law in laws if law.result), key=lambda plan: len(plan.vary))
     between = ", ".join(f"{p.path}={p}" for p in plan.parameters)
-    budget = f"Tuned before by {plan.shown.title.lower()}, each law with {plan.trials} trials from {plan.seeds or 1} starts"
+    budget = (
+        f"Tuned before by {plan.shown.title.lower()},"
+        f" each law with {plan.trials} trials from {plan.seeds or 1} starts"
+    )
     words = (
-        f"{comparison.description} {budget} that are not among these: {between}. Found: {'; '.join(law.words() for law in laws)}.".strip()
+        f"{comparison.description} {budget} that are not among these: {between}."
+        f" Found: {'; '.join(law.words() for law in laws)}.".strip()
     )
     if not (axes := law_axes(comparison)):
         base = tuple(_written(law, folder) for law in laws)
         return changed(comparison, base=base, description=words)
-    cases = {law.name: dict(law.case or {}) | (law.result.settings if law.result else {}) for law in laws}
+    cases = {
+        law.name: dict(law.case or {}) | (law.result.settings if law.result else {}) for law in laws
+    }
     return changed(comparison, cases=comparison.cases | {axes[0]: cases}, description=words)
 
 
@@ -137,7 +193,13 @@ def _record(comparison: Comparison, result: TuningResult) -> Tuned:
     """How a law was tuned."""
     plan, law = result.plan, to_mapping(result.scenario.law)
     budget = {"metric": plan.metric, "trials": plan.trials, "seeds": plan.seeds}
-    return Tuned(law=law, scenario=file_word(Path(plan.scenario).stem), set=world(comparison), vary=plan.vary, **budget)
+    return Tuned(
+        law=law,
+        scenario=file_word(Path(plan.scenario).stem),
+        set=world(comparison),
+        vary=plan.vary,
+        **budget,
+    )
 
 
 def _written(law: TunedLaw, folder: Path) -> str:

@@ -7,6 +7,28 @@ from vstestbed.targets.mesh import MeshTarget
 from vstestbed.targets.picture import PictureTarget
 from vstestbed.targets.regions import Ball, Shape
 
-TARGETS = Registry("target", Square, Points, PictureTarget, MeshTarget, GroundLines, Shape, Ball, contract=Contract(Target, base=Target))
+TARGETS = Registry(
+    "target",
+    Square,
+    Points,
+    PictureTarget,
+    MeshTarget,
+    GroundLines,
+    Shape,
+    Ball,
+    contract=Contract(Target, base=Target),
+)
 
-__all__ = ["TARGETS", "Ball", "GroundLines", "MeshTarget", "Name", "Pad", "PictureTarget", "Points", "Shape", "Square", "Target"]
+__all__ = [
+    "TARGETS",
+    "Ball",
+    "GroundLines",
+    "MeshTarget",
+    "Name",
+    "Pad",
+    "PictureTarget",
+    "Points",
+    "Shape",
+    "Square",
+    "Target",
+]

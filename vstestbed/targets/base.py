@@ -1,7 +1,7 @@
 """The contract of a target and its defaults: pose in the world, marker, motion, landing pad.
 
-Target frame: the markers of a planar target lie in z = 0, and z points away from a camera that faces them, so that the goal view
-"1 m in front" is T_camera_target = (0, 0, 1) without rotation.
+Target frame: the markers of a planar target lie in z = 0, and z points away from a camera that
+faces them, so that the goal view "1 m in front" is T_camera_target = (0, 0, 1) without rotation.
 """
 
 from __future__ import annotations
@@ -32,18 +32,23 @@ if TYPE_CHECKING:
 
 
 Body = tuple[Array | float, tuple[float, float, float], bool]
-"""A solid in the target's frame: its triangles (F, 3, 3) [m], counter-clockwise from outside, or the radius of a sphere about the origin
-[m]; its colour in 0..1; whether the scene's lights shade it, else its brightness is constant."""
-Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]  # of a marker: it begins with a letter, so that it is no number
+"""A solid in the target's frame: its triangles (F, 3, 3) [m], counter-clockwise from outside, or
+the radius of a sphere about the origin [m]; its colour in 0..1; whether the scene's lights shade
+it, else its brightness is constant.
+"""
+# of a marker: it begins with a letter, so that it is no number
+Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]
 
 
 @spec
 class Pad:
-    """A square plate to land on: centred at the target's origin, its upper side in the target's plane z = 0 (z down).
+    """A square plate to land on: centred at the target's origin, its upper side in the target's
+    plane z = 0 (z down).
 
     Args:
         side: edge of the square [m].
-        mass: what a vehicle that carries it has to bear [kg]; by default that of an aluminium honeycomb, 4 kg/m^2; e.g. `3.2`.
+        mass: what a vehicle that carries it has to bear [kg]; by default that of an aluminium
+            honeycomb, 4 kg/m^2; e.g. `3.2`.
     """
 
     side: PositiveLength = 0.9
@@ -57,7 +62,8 @@ class Pad:
 
 @spec
 class Socket:
-    """A round hole for a plug: a tube on the front of the target, its axis along the target's z, the mouth towards the viewer.
+    """A round hole for a plug: a tube on the front of the target, its axis along the target's z,
+    the mouth towards the viewer.
 
     Args:
         radius: of the hole [m].
@@ -84,8 +90,8 @@ class Target:
         motion: how it moves from there.
         pad: a plate to land on; None: no plate; e.g. `{side: 0.9}`.
         socket: a hole for a plug; None: none; e.g. `{radius: 0.011, depth: 0.04}`.
-        names: names of its markers, in their order, for messages, figures and `goal.markers`; none: they are numbered;
-            e.g. `[top left, top right, bottom right, bottom left]`.
+        names: names of its markers, in their order, for messages, figures and `goal.markers`; none:
+            they are numbered; e.g. `[top left, top right, bottom right, bottom left]`.
     """
 
     pose: Pose
@@ -95,10 +101,15 @@ class Target:
     socket: Socket | None = None
     names: Annotated[tuple[Name, ...], Len(0, 24)] = ()
 
-    one_sided: ClassVar[bool] = False  # whether only its front has markers: seen from behind its plane it counts as lost
+    one_sided: ClassVar[bool] = (
+        False  # whether only its front has markers: seen from behind its plane it counts as lost
+    )
     outlined: ClassVar[bool] = False
-    """Whether its points are the outline of one region of one colour, in order, and not markers that can be told apart."""
-    draw_markers = True  # a field of some; without markers its picture or its body shows what is to be seen of them
+    """Whether its points are the outline of one region of one colour, in order, and not markers
+    that can be told apart.
+    """
+    # a field of some; without markers its picture or its body shows what is to be seen of them
+    draw_markers = True
 
     @cached_property
     @abstractmethod
@@ -108,12 +119,16 @@ class Target:
 
     @property
     def places(self) -> Array:
-        """The markers with a fixed place in the target frame, shape (K, 3) [m]: all, except for lines on the floor."""
+        """The markers with a fixed place in the target frame, shape (K, 3) [m]: all, except for
+        lines on the floor.
+        """
         return self.points
 
     @property
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
-        """Left and right edge of each line painted on the floor, (K, 2) each in the target frame [m]; empty for other targets."""
+        """Left and right edge of each line painted on the floor, (K, 2) each in the target frame
+        [m]; empty for other targets.
+        """
         return ()
 
     @property
@@ -123,12 +138,20 @@ class Target:
 
     @property
     def floor_path(self) -> Array:
-        """Points on the floor along the carrier's route, or along painted lines, every centimetre, (K, 2) [m]; else empty."""
-        return np.empty((0, 2)) if self.motion.carrier is None else self.motion.carrier.route.samples[1]
+        """Points on the floor along the carrier's route, or along painted lines, every centimetre,
+        (K, 2) [m]; else empty.
+        """
+        return (
+            np.empty((0, 2))
+            if self.motion.carrier is None
+            else self.motion.carrier.route.samples[1]
+        )
 
     @property
     def board_half_m(self) -> tuple[float, float] | None:
-        """Half the edges of the board behind the markers, along x and y [m]; None where there is no board."""
+        """Half the edges of the board behind the markers, along x and y [m]; None where there is no
+        board.
+        """
         return None
 
     @property
@@ -148,7 +171,9 @@ class Target:
 
     @property
     def source(self) -> pathlib.Path | None:
-        """The file that it was made from, its field `file`, which a run's folder keeps; None without one."""
+        """The file that it was made from, its field `file`, which a run's folder keeps; None
+        without one.
+        """
         return None
 
     @property
@@ -167,43 +192,58 @@ class Target:
         return self.motion.carrier
 
     def path(self, rng: np.random.Generator) -> Path:
-        """Its pose in the world (4, 4) as a function of time, for a target that moves by itself or stands still."""
+        """Its pose in the world (4, 4) as a function of time, for a target that moves by itself or
+        stands still.
+        """
         # Displacements are in the target's own axes at rest: a motion turns with `pose`.
         rest, displacement = self.pose.T, self.motion.path(rng)
         return lambda t: rest @ displacement(t)
 
     @property
     def T_world_start(self) -> Array:
-        """Its pose in the world at the start (4, 4); in the gripper, the pose relative to the flange (`sim.base`)."""
+        """Its pose in the world at the start (4, 4); in the gripper, the pose relative to the
+        flange (`sim.base`).
+        """
         return self.motion.start(self.pose.T)
 
     def points_at(self, T_camera_target: Array) -> Array:
-        """Marker centres (..., N, 3) [m] in the frame of a camera that sees the target at a pose (..., 4, 4); NaN where it sees none."""
+        """Marker centres (..., N, 3) [m] in the frame of a camera that sees the target at a pose
+        (..., 4, 4); NaN where it sees none.
+        """
         return transform(T_camera_target, self.points)
 
     def seen_from(self, T_target_camera: Array) -> Array:
-        """Marker centres in the frame of a camera at a pose (4, 4) in the target's, shape (N, 3) [m]."""
+        """Marker centres in the frame of a camera at a pose (4, 4) in the target's, shape (N, 3)
+        [m].
+        """
         return self.points_at(inverse(T_target_camera))
 
     def by_size(self, ray: Array) -> Array | None:
-        """Marker centres (N, 3) [m] from their unit rays (N, 3), NaN where unseen, and the known size; None where it does not tell."""
+        """Marker centres (N, 3) [m] from their unit rays (N, 3), NaN where unseen, and the known
+        size; None where it does not tell.
+        """
         return None
 
     @property
     def figure_corners(self) -> Array | None:
-        """Corners of the polygon whose outline its points are, (E, 2) in z = 0 of the target frame [m]; None for other targets."""
+        """Corners of the polygon whose outline its points are, (E, 2) in z = 0 of the target frame
+        [m]; None for other targets.
+        """
         return None
 
     def round_outline(self, ray: Array) -> tuple[Array, Array] | None:
-        """The outline that fits unit rays (K, 3) to the border of a round region; None where none fits, or the outline is not round.
+        """The outline that fits unit rays (K, 3) to the border of a round region; None where none
+        fits, or the outline is not round.
 
-        It is given as directions of its points in the camera's frame (N, 3), with how far each ray is off it (K,), as a share of its
-        apparent radius.
+        It is given as directions of its points in the camera's frame (N, 3), with how far each ray
+        is off it (K,), as a share of its apparent radius.
         """
         return None
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
-        """Which markers its own body hides from a camera at a pose (4, 4) in the target's frame, shape (N,)."""
+        """Which markers its own body hides from a camera at a pose (4, 4) in the target's frame,
+        shape (N,).
+        """
         return np.zeros(len(self.points), bool)
 
     def called(self, i: int) -> str:
@@ -211,43 +251,69 @@ class Target:
         return f"{i} ({self.names[i]})" if self.names else str(i)
 
     def number(self, marker: int | str) -> int:
-        """The number of a marker, given by its number or its name; -1 for a name that no marker has."""
-        return marker if isinstance(marker, int) else self.names.index(marker) if marker in self.names else -1
+        """The number of a marker, given by its number or its name; -1 for a name that no marker
+        has.
+        """
+        return (
+            marker
+            if isinstance(marker, int)
+            else self.names.index(marker)
+            if marker in self.names
+            else -1
+        )
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:
-        """One hue for each marker [deg], by which detectors identify the markers: those given, or spread evenly from red on."""
+        """One hue for each marker [deg], by which detectors identify the markers: those given, or
+        spread evenly from red on.
+        """
         n = len(self.points)
-        return tuple(hue if isinstance(hue, float) else HUES_DEG[hue] for hue in self.marker.hues) or tuple(360 * i / n for i in range(n))
+        return tuple(
+            hue if isinstance(hue, float) else HUES_DEG[hue] for hue in self.marker.hues
+        ) or tuple(360 * i / n for i in range(n))
 
     @cached_property
     def hue_gap_deg(self) -> float:
-        """Smallest difference between two markers' hues that are not the same [deg]; 360 of one hue alone."""
+        """Smallest difference between two markers' hues that are not the same [deg]; 360 of one hue
+        alone.
+        """
         hues = sorted({hue % 360 for hue in self.hues_deg})
         return min(b - a for a, b in pairwise([*hues, hues[0] + 360.0]))
 
     @cached_property
     def colors(self) -> Array:
-        """The colours of these hues with the marker's saturation and albedo, shape (N, 3) in 0..1."""
+        """The colours of these hues with the marker's saturation and albedo, shape (N,
+        3) in 0..1.
+        """
         marker = self.marker
-        return np.array([colorsys.hsv_to_rgb(hue / 360, marker.saturation, marker.albedo) for hue in self.hues_deg])
+        return np.array(
+            [
+                colorsys.hsv_to_rgb(hue / 360, marker.saturation, marker.albedo)
+                for hue in self.hues_deg
+            ]
+        )
 
     def _check_markers(self) -> None:
         p = self.points
-        # 1e9 on the diagonal: a marker's distance to itself is no gap, and a single marker has none.
+        # 1e9 on the diagonal: a marker's distance to itself is no gap, and a single marker has
+        # none.
         gaps = np.linalg.norm(p[:, None] - p[None], axis=-1) + np.eye(len(p)) * 1e9
         self.marker.check_spacing(float(gaps.min()), len(p))
         self._check_names()
 
     def _check_names(self) -> None:
         if self.names and len(self.names) != len(self.points):
-            raise ParameterError.count("names", len(self.points), "names, one for each marker, or none", list(self.names))
+            raise ParameterError.count(
+                "names", len(self.points), "names, one for each marker, or none", list(self.names)
+            )
         name, times = Counter(self.names).most_common(1)[0] if self.names else ("", 1)
         if times > 1:
             raise ParameterError.twice("names", name, list(self.names))
 
 
-BOARD_MARGIN = 1.5  # the board behind a square reaches this many marker radii beyond the markers' edges
+BOARD_MARGIN = (
+    1.5  # the board behind a square reaches this many marker radii beyond the markers' edges
+)
 
 
 @spec

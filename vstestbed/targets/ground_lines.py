@@ -21,15 +21,20 @@ from vstestbed.targets.route import AnyRoute, Route, Straight
 
 
 def foot_of(T: Array) -> Array:
-    """(x, y, heading) of the ground frame under a camera at T (4, 4) over z = 0: its x is the horizontal part of (camera z - camera y)."""
-    # Camera z alone has no horizontal part in a camera that looks straight down, and -y none in one that looks straight ahead: the
-    # sum points ahead for both (the top of the picture ahead), and for every tilt between them.
+    """(x, y, heading) of the ground frame under a camera at T (4, 4) over z = 0: its x is the
+    horizontal part of (camera z - camera y).
+    """
+    # Camera z alone has no horizontal part in a camera that looks straight down, and -y none in one
+    # that looks straight ahead: the sum points ahead for both (the top of the picture ahead), and
+    # for every tilt between them.
     ahead = T[:2, 2] - T[:2, 1]
     return np.array([T[0, 3], T[1, 3], np.arctan2(ahead[1], ahead[0])])
 
 
 def on_foot(T: Array, xy: Array) -> Array:
-    """Floor points xy (..., 2) of the ground frame `foot_of(T)`, in the frame of the camera at T (4, 4), shape (..., 3) [m]."""
+    """Floor points xy (..., 2) of the ground frame `foot_of(T)`, in the frame of the camera at T
+    (4, 4), shape (..., 3) [m].
+    """
     xy = np.asarray(xy, dtype=float)
     flat = np.concatenate([xy, np.zeros_like(xy[..., :1])], axis=-1)
     return transform(inverse(T) @ pose_on_ground(foot_of(T)), flat)
@@ -39,15 +44,16 @@ def on_foot(T: Array, xy: Array) -> Array:
 class GroundLines(Target):
     """One or two lines painted on the floor along a route, parallel to it.
 
-    Two points are measured of each line, where it crosses the look-ahead distances `look_m` from the camera's foot, in the order line 0
-    near, line 0 far, line 1 near, line 1 far.
+    Two points are measured of each line, where it crosses the look-ahead distances `look_m` from
+    the camera's foot, in the order line 0 near, line 0 far, line 1 near, line 1 far.
 
     Args:
         pose: where the route's frame lies on the floor (flat, z = 0).
         marker: the stripe; each line has a hue of its own.
         route: the route that the lines follow.
         offsets_m: offset of each line to the left of the route [m].
-        look_m: look-ahead distances (near, far) from the point on the floor under the camera [m]; negative: behind it.
+        look_m: look-ahead distances (near, far) from the point on the floor under the camera [m];
+            negative: behind it.
     """
 
     kind: Literal["lines"] = "lines"
@@ -61,16 +67,27 @@ class GroundLines(Target):
         if self.moves:
             raise ParameterError.fixed("motion", "still", why="lines are painted on the floor")
         if abs(self.pose.T[2, 2] - 1) > 1e-9 or abs(self.pose.T[2, 3]) > 1e-9:
-            raise ParameterError.fixed("pose", "flat on the floor", self.pose.xyz, why="z = 0, and a turn about z only")
+            raise ParameterError.fixed(
+                "pose", "flat on the floor", self.pose.xyz, why="z = 0, and a turn about z only"
+            )
         if self.look_m[1] - self.look_m[0] < 0.02:
-            raise ParameterError.form("look_m", "[near, far], far 0.02 m or more beyond near", self.look_m)
+            raise ParameterError.form(
+                "look_m", "[near, far], far 0.02 m or more beyond near", self.look_m
+            )
         width = self.marker.width_m
         if len(self.offsets_m) == 2 and abs(self.offsets_m[0] - self.offsets_m[1]) < 2 * width:
-            raise ParameterError.bound("offsets_m", "at least", f"2 stripe widths, {2 * width:g} m, apart", self.offsets_m)
+            raise ParameterError.bound(
+                "offsets_m", "at least", f"2 stripe widths, {2 * width:g} m, apart", self.offsets_m
+            )
         # Beyond the centre of curvature a parallel line runs backwards and crosses itself.
         tightest = 1 / max(float(np.abs(self.route.samples[3]).max()), 1e-9)
         if max(map(abs, self.offsets_m)) + width >= tightest:
-            raise ParameterError.bound("offsets_m", "smaller than", f"the way's tightest radius, {tightest:.4g} m", self.offsets_m)
+            raise ParameterError.bound(
+                "offsets_m",
+                "smaller than",
+                f"the way's tightest radius, {tightest:.4g} m",
+                self.offsets_m,
+            )
         self._check_names()
 
     @property
@@ -92,7 +109,10 @@ class GroundLines(Target):
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
         """Left and right edge of each line in the target frame, each (K, 2) [m]."""
         half, (_, xy, heading, _) = self.marker.width_m / 2, self.route.samples
-        return tuple((_beside(xy, heading, offset + half), _beside(xy, heading, offset - half)) for offset in self.offsets_m)
+        return tuple(
+            (_beside(xy, heading, offset + half), _beside(xy, heading, offset - half))
+            for offset in self.offsets_m
+        )
 
     # Cached: `seen_from` runs for every frame, and a route has hundreds of samples.
     @cached_property
@@ -102,21 +122,35 @@ class GroundLines(Target):
 
     @cached_property
     def points(self) -> Array:
-        """The points measured by a camera over the start of the route, facing along it, in the target frame, shape (N, 3) [m]."""
+        """The points measured by a camera over the start of the route, facing along it, in the
+        target frame, shape (N, 3) [m].
+        """
         x, y, heading, _ = self.route.at(np.array(self.look_m)).T
-        xy = np.concatenate([_beside(np.column_stack([x, y]), heading, offset) for offset in self.offsets_m])
+        xy = np.concatenate(
+            [_beside(np.column_stack([x, y]), heading, offset) for offset in self.offsets_m]
+        )
         return np.column_stack([xy, np.zeros(len(xy))])
 
     def seen_from(self, T_target_camera: Array) -> Array:
-        """Where the lines cross the look-ahead distances of a camera at a pose (4, 4): (N, 3) in its frame [m], NaN where one does not."""
+        """Where the lines cross the look-ahead distances of a camera at a pose (4, 4): (N, 3) in
+        its frame [m], NaN where one does not.
+        """
         foot = foot_of(T_target_camera)
         xy = np.concatenate([_crossings(line, foot, self.look_m) for line in self._lines])
         return on_foot(T_target_camera, xy)
 
     def straight_ahead(self, T_base_camera: Array, offset: float) -> Array:
-        """The points (N, 3) [m] that a vehicle's camera at a mount (4, 4) measures in its frame, `offset` [m] left of a straight route."""
-        # In the middle of a route that reaches beyond what the camera looks at, ahead or behind, wherever it is mounted.
-        reach = 10.0 + abs(self.look_m[0]) + abs(self.look_m[1]) + float(np.abs(T_base_camera[:2, 3]).max())
+        """The points (N, 3) [m] that a vehicle's camera at a mount (4, 4) measures in its frame,
+        `offset` [m] left of a straight route.
+        """
+        # In the middle of a route that reaches beyond what the camera looks at, ahead or behind,
+        # wherever it is mounted.
+        reach = (
+            10.0
+            + abs(self.look_m[0])
+            + abs(self.look_m[1])
+            + float(np.abs(T_base_camera[:2, 3]).max())
+        )
         T = pose_on_ground(np.array([reach, offset, 0.0])) @ T_base_camera
         return replace(self, pose=Pose(), route=Straight(length_m=2 * reach)).seen_from(T)
 
@@ -128,21 +162,27 @@ class GroundLines(Target):
 
 
 def _beside(xy: Array, heading: Array, offset: float) -> Array:
-    """Points (K, 2) beside points xy (K, 2) of a route with headings (K,) [rad], at an offset to the left [m]."""
+    """Points (K, 2) beside points xy (K, 2) of a route with headings (K,) [rad], at an offset to
+    the left [m].
+    """
     return xy + offset * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
 
 
 def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:
-    """(ahead, left) where a line (K, 2) crosses distances ahead of a ground frame (x, y, heading) [m], (n, 2); NaN where it does not."""
+    """(ahead, left) where a line (K, 2) crosses distances ahead of a ground frame (x, y, heading)
+    [m], (n, 2); NaN where it does not.
+    """
     d, c, s = line - foot[:2], math.cos(foot[2]), math.sin(foot[2])
     x, y = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
     out = np.full((len(aheads), 2), np.nan)
     for point, ahead in zip(out, aheads, strict=True):
-        # A crossing is where neighbouring samples lie on different sides; between them the line is straight.
+        # A crossing is where neighbouring samples lie on different sides; between them the line is
+        # straight.
         before = x < ahead
         at = np.flatnonzero(before[:-1] != before[1:])
         if len(at):
-            # Where a line bends back into view there are several crossings: the one nearest to straight ahead counts.
+            # Where a line bends back into view there are several crossings: the one nearest to
+            # straight ahead counts.
             left = y[at] + (ahead - x[at]) * (y[at + 1] - y[at]) / (x[at + 1] - x[at])
             point[:] = ahead, left[np.argmin(np.abs(left))]
     return out

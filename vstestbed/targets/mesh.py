@@ -1,4 +1,6 @@
-"""A part of one's own as the target: a solid from a CAD program, with marker points on its surface."""
+"""A part of one's own as the target: a solid from a CAD program,
+with marker points on its surface.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +23,18 @@ from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import Disc, Marker, Sphere
 
 MOST_FACES = 200_000  # MuJoCo reads no more from a file
-RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  # a triangle in a binary STL file
+# a triangle in a binary STL file
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 Triangles = NDArray[np.float64]  # corners (F, 3, 3), counter-clockwise from outside
 
 
 @functools.lru_cache(maxsize=8)
 def read_triangles(path: Path, written_ns: int) -> Triangles:
-    """The triangles of an STL (binary or text) or OBJ file, last written at a time [ns], in its units, without those that have no area.
+    """The triangles of an STL (binary or text) or OBJ file, last written at a time [ns], in its
+    units, without those that have no area.
 
-    Of an OBJ file vertices and faces count; polygons are cut into triangles, normals, textures and materials are left out.
+    Of an OBJ file vertices and faces count; polygons are cut into triangles, normals, textures and
+    materials are left out.
     """
     raw = path.read_bytes()
     try:
@@ -37,14 +42,28 @@ def read_triangles(path: Path, written_ns: int) -> Triangles:
     except (ValueError, IndexError) as error:
         raise ParameterError.unreadable("file", error, "an STL or OBJ file", str(path)) from None
     if not np.isfinite(found).all():
-        raise ParameterError.unreadable("file", "it has corners that are not finite", "an STL or OBJ file", str(path))
+        raise ParameterError.unreadable(
+            "file", "it has corners that are not finite", "an STL or OBJ file", str(path)
+        )
     area = np.linalg.norm(np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0]), axis=1)
-    found = found[area > 1e-12 * max(float(np.ptp(found.reshape(-1, 3), axis=0).max()), 1e-30) ** 2] if len(found) else found
+    found = (
+        found[area > 1e-12 * max(float(np.ptp(found.reshape(-1, 3), axis=0).max()), 1e-30) ** 2]
+        if len(found)
+        else found
+    )
     if not len(found):
-        raise ParameterError.unreadable("file", "it has no faces with an area", "a part that is exported as triangles", str(path))
+        raise ParameterError.unreadable(
+            "file",
+            "it has no faces with an area",
+            "a part that is exported as triangles",
+            str(path),
+        )
     if len(found) > MOST_FACES:
         raise ParameterError.unreadable(
-            "file", f"it has {len(found)} faces", f"at most {MOST_FACES}, of a part that is reduced (decimated)", str(path)
+            "file",
+            f"it has {len(found)} faces",
+            f"at most {MOST_FACES}, of a part that is reduced (decimated)",
+            str(path),
         )
     return found
 
@@ -55,8 +74,12 @@ def _stl(raw: bytes) -> Triangles:
         records = np.frombuffer(raw, RECORD, count, 84)
         return records["corners"].astype(float)
     if not raw.lstrip()[:5].lower() == b"solid":
-        raise ValueError(f"as a binary STL it should have {84 + 50 * count} bytes, it has {len(raw)}")
-    words = [line.split()[1:4] for line in raw.splitlines() if line.lstrip()[:6].lower() == b"vertex"]
+        raise ValueError(
+            f"as a binary STL it should have {84 + 50 * count} bytes, it has {len(raw)}"
+        )
+    words = [
+        line.split()[1:4] for line in raw.splitlines() if line.lstrip()[:6].lower() == b"vertex"
+    ]
     if len(words) % 3:
         raise ValueError(f"{len(words)} corners make no whole number of triangles")
     return np.array(words, dtype=float).reshape(-1, 3, 3)
@@ -73,14 +96,19 @@ def _obj(raw: bytes) -> Triangles:
             try:
                 corners += _fan(rest, len(places))
             except ValueError:
-                raise ValueError(f"line {number}: no face of three vertices or more that stand before it") from None
+                raise ValueError(
+                    f"line {number}: no face of three vertices or more that stand before it"
+                ) from None
     return np.array(places, dtype=float).reshape(-1, 3)[np.array(corners, int)].reshape(-1, 3, 3)
 
 
 def _fan(items: list[bytes], count: int) -> list[int]:
-    """Corners of the triangles of a polygon `v/vt/vn ...` of an OBJ file that has `count` vertices so far; ValueError for no polygon."""
+    """Corners of the triangles of a polygon `v/vt/vn ...` of an OBJ file that has `count` vertices
+    so far; ValueError for no polygon.
+    """
     numbers = [int(item.split(b"/")[0]) for item in items]
-    at = [i - 1 if i > 0 else count + i for i in numbers]  # counted from 1; a negative number counts back from the last vertex
+    # counted from 1; a negative number counts back from the last vertex
+    at = [i - 1 if i > 0 else count + i for i in numbers]
     if len(at) < 3 or min(at) < 0 or max(at) >= count:
         raise ValueError
     return [k for i in range(1, len(at) - 1) for k in (at[0], at[i], at[i + 1])]
@@ -94,7 +122,9 @@ def as_stl(triangles: Triangles) -> bytes:
 
 
 def nearest(triangles: Triangles, point: Array) -> tuple[Array, int]:
-    """The point of triangles (F, 3, 3) nearest to a point (3,), and its triangle's number: its projection, or a point of an edge."""
+    """The point of triangles (F, 3, 3) nearest to a point (3,), and its triangle's number: its
+    projection, or a point of an edge.
+    """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -102,7 +132,9 @@ def nearest(triangles: Triangles, point: Array) -> tuple[Array, int]:
     edges = np.stack([_on_edge(p, q, point) for p, q in ((a, b), (b, c), (c, a))])
     best = np.linalg.norm(edges - point, axis=-1).argmin(axis=0)
     found = edges[best, np.arange(len(triangles))]
-    turns = [(np.cross(q - p, flat - p) * normal).sum(axis=1) >= 0 for p, q in ((a, b), (b, c), (c, a))]
+    turns = [
+        (np.cross(q - p, flat - p) * normal).sum(axis=1) >= 0 for p, q in ((a, b), (b, c), (c, a))
+    ]
     found = np.where(np.logical_and.reduce(turns)[:, None], flat, found)
     i = int(np.linalg.norm(found - point, axis=1).argmin())
     return found[i], i
@@ -121,13 +153,16 @@ SOLID_MARKERS = Registry("marker", Disc, Sphere, default="disc")
 
 @spec
 class MeshTarget(Target):
-    """A solid of triangles with markers on its surface: spheres, or discs that lie in it. What it hides is hidden from the oracle, too.
+    """A solid of triangles with markers on its surface: spheres, or discs that lie in it. What it
+    hides is hidden from the oracle, too.
 
     Args:
-        file: an STL or OBJ file, absolute, relative to the scenario's file, or `package:NAME/path`. Of an OBJ file only the shape counts.
+        file: an STL or OBJ file, absolute, relative to the scenario's file, or `package:NAME/path`.
+            Of an OBJ file only the shape counts.
         scale: metres for one unit of the file [m]; 0.001 for millimetres.
         at: marker points on the surface, (x, y, z) as a CAD program shows them [unit of the file].
-        draw_markers: draw the markers; false: nothing is to be seen of them, which the oracle does not mind.
+        draw_markers: draw the markers; false: nothing is to be seen of them, which the oracle does
+            not mind.
         color: colour of the solid, (r, g, b) of 0 to 1 [1].
     """
 
@@ -140,20 +175,30 @@ class MeshTarget(Target):
     color: Annotated[tuple[Channel, ...], Len(3, 3)] = (0.72, 0.74, 0.77)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its solid is
+        # frozen; a run remembers where its solid is
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         if not self.file.lower().endswith((".stl", ".obj")):
             raise ParameterError.form("file", "FILE.stl or FILE.obj, a solid", self.file)
         if self.pad:
             raise ParameterError.only_for("pad", "target square or points")
-        size = float(np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0)))  # the diagonal of its box
-        if not 1e-4 <= size <= 100:  # a part of 0.1 m or more whose millimetres were taken for metres is larger
-            words = f"makes the solid {size:.3g} m large; give the metres of one unit of the file, 0.001 for millimetres"
+        # the diagonal of its box
+        size = float(np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0)))
+        # a part of 0.1 m or more whose millimetres were taken for metres is larger
+        if not 1e-4 <= size <= 100:
+            words = (
+                f"makes the solid {size:.3g} m large; give the metres of one unit of the file,"
+                " 0.001 for millimetres"
+            )
             raise ParameterError("scale", words, self.scale)
         for i, (point, (on, _)) in enumerate(zip(self.at, self._nearest, strict=True)):
             off = float(np.linalg.norm(np.array(point) * self.scale - on))
-            if off > max(1e-3, 5e-3 * size):  # the triangles of a file deviate from curved surfaces by tenths of a millimetre
+            # the triangles of a file deviate from curved surfaces by tenths of a millimetre
+            if off > max(1e-3, 5e-3 * size):
                 near = [round(float(x), 6) for x in on / self.scale]
-                words = f"must lie on the solid's surface: it is {off * 1e3:.3g} mm off, nearest is {near}"
+                words = (
+                    "must lie on the solid's surface:"
+                    f" it is {off * 1e3:.3g} mm off, nearest is {near}"
+                )
                 raise ParameterError(f"at.{i}", words, list(point))
         self._check_markers()
         if self.draw_markers and not self.marker.height_m:
@@ -164,11 +209,20 @@ class MeshTarget(Target):
         for i, (p, n) in enumerate(zip(self.points, normals, strict=True)):
             across = np.cross(n, [1.0, 0, 0] if abs(n[0]) < 0.7 else [0, 1.0, 0])
             across /= np.linalg.norm(across)
-            rim = p + self.marker.radius * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(n, across))
+            rim = p + self.marker.radius * (
+                np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(n, across)
+            )
             off = max(float(np.linalg.norm(nearest(self._triangles, q)[0] - q)) for q in rim)
             if off > 1e-3:
-                words = f"does not fit at marker {self.called(i)}: the surface is curved or ends there, {off * 1e3:.3g} mm from"
-                raise ParameterError("marker.radius", f"{words} the disc's rim; take a smaller disc, or spheres", self.marker.radius)
+                words = (
+                    f"does not fit at marker {self.called(i)}: the surface is curved or ends there,"
+                    f" {off * 1e3:.3g} mm from"
+                )
+                raise ParameterError(
+                    "marker.radius",
+                    f"{words} the disc's rim; take a smaller disc, or spheres",
+                    self.marker.radius,
+                )
 
     @cached_property
     def _triangles(self) -> Array:
@@ -185,7 +239,9 @@ class MeshTarget(Target):
 
     @cached_property
     def points(self) -> Array:
-        """Marker centres in the target frame, shape (N, 3) [m]: the surface's points nearest to `at`."""
+        """Marker centres in the target frame, shape (N, 3) [m]: the surface's points nearest to
+        `at`.
+        """
         return np.array([point for point, _ in self._nearest])
 
     @cached_property
@@ -200,13 +256,19 @@ class MeshTarget(Target):
         return self._triangles, (self.color[0], self.color[1], self.color[2]), True
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
-        """Which markers (N,) a triangle hides: it cuts the camera's way to them more than their height before its end.
+        """Which markers (N,) a triangle hides: it cuts the camera's way to them more than their
+        height before its end.
 
-        Reference: Moeller & Trumbore 1997, Fast, minimum storage ray/triangle intersection, doi:10.1080/10867651.1997.10487468.
+        Reference: Moeller & Trumbore 1997, Fast, minimum storage ray/triangle intersection,
+            doi:10.1080/10867651.1997.10487468.
         """
         triangles, eye = self._triangles, T_target_camera[:3, 3]
         slack = self.marker.clearance_m(self.points - eye)
-        a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+        a, e1, e2 = (
+            triangles[:, 0],
+            triangles[:, 1] - triangles[:, 0],
+            triangles[:, 2] - triangles[:, 0],
+        )
         off = eye - a
         q = np.cross(off, e1)
         covered = np.zeros(len(self.points), bool)
@@ -214,8 +276,17 @@ class MeshTarget(Target):
             way = point - eye
             reach = float(np.linalg.norm(way))
             p = np.cross(way, e2)
-            with np.errstate(divide="ignore", invalid="ignore"):  # a triangle seen edge on hides nothing
+            # a triangle seen edge on hides nothing
+            with np.errstate(divide="ignore", invalid="ignore"):
                 det = (e1 * p).sum(axis=1)
                 u, v, t = (off * p).sum(axis=1) / det, q @ way / det, (e2 * q).sum(axis=1) / det
-                covered[i] = bool(((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1 - slack / max(reach, 1e-9))).any())
+                covered[i] = bool(
+                    (
+                        (u >= 0)
+                        & (v >= 0)
+                        & (u + v <= 1)
+                        & (t > 0)
+                        & (t < 1 - slack / max(reach, 1e-9))
+                    ).any()
+                )
         return covered

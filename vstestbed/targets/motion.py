@@ -1,4 +1,6 @@
-"""Prescribed motions of targets and plates: a displacement D(t) (4, 4) in the frame at rest, T_world(t) = T_world_rest D(t)."""
+"""Prescribed motions of targets and plates: a displacement D(t) (4, 4) in the frame at rest,
+T_world(t) = T_world_rest D(t).
+"""
 
 from __future__ import annotations
 
@@ -42,8 +44,10 @@ class MotionBase:
     """Defaults of a motion: the target moves along a prescribed path.
 
     Attributes:
-        moves: it does not stand still. by_itself: it follows `path`, whatever robots and vehicles do.
-        on_gripper: the robot's gripper holds the target, and the camera stands in the room (eye to hand).
+        moves: it does not stand still. by_itself: it follows `path`, whatever robots and vehicles
+            do.
+        on_gripper: the robot's gripper holds the target, and the camera stands in the room (eye to
+            hand).
         draws: `path` draws from its generator, so that another seed gives another path.
     """
 
@@ -59,8 +63,12 @@ class MotionBase:
         return None
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time. Raises ParameterError: something else moves the target."""
-        raise ParameterError("target.motion", "has no path of its own: the target goes where it is carried")
+        """The displacement as a function of time. Raises ParameterError: something else moves the
+        target.
+        """
+        raise ParameterError(
+            "target.motion", "has no path of its own: the target goes where it is carried"
+        )
 
     def start(self, pose: Array) -> Array:
         """T_world_target (4, 4) at the start, of a target whose pose at rest is `pose` (4, 4)."""
@@ -102,7 +110,8 @@ class Line(MotionBase):
 
 @spec
 class Circle(MotionBase):
-    """D = radius (cos 2 pi f t, sin 2 pi f t, 0): about its place at rest, in its own plane x, y, at a constant speed 2 pi f radius.
+    """D = radius (cos 2 pi f t, sin 2 pi f t, 0): about its place at rest, in its own plane x, y,
+    at a constant speed 2 pi f radius.
 
     Args:
         radius_m: radius of the circle [m].
@@ -125,7 +134,8 @@ class Sinusoid(MotionBase):
     """D = sin(2 pi f t) times a translation and times roll-pitch-yaw angles.
 
     Args:
-        amplitude: translation and angles at the peak; e.g. `{xyz: [0.1, 0, 0], rpy_deg: [0, 0, 10]}`.
+        amplitude: translation and angles at the peak; e.g.
+            `{xyz: [0.1, 0, 0], rpy_deg: [0, 0, 10]}`.
         frequency_hz: f [Hz]; e.g. `0.2`.
     """
 
@@ -149,11 +159,13 @@ class Sinusoid(MotionBase):
 
 @spec
 class Lissajous(MotionBase):
-    """D_i = amplitude_i sin(2 pi f_i t + phase_i) along each of its own axes; incommensurable frequencies never repeat.
+    """D_i = amplitude_i sin(2 pi f_i t + phase_i) along each of its own axes; incommensurable
+    frequencies never repeat.
 
     Args:
         amplitude_m: largest displacement along each axis [m]; e.g. `[0.2, 0.1, 0]`.
-        frequency_hz: frequency of each axis; a negative one runs backwards [Hz]; e.g. `[0.1, 0.2, 0]`.
+        frequency_hz: frequency of each axis; a negative one runs backwards [Hz]; e.g.
+            `[0.1, 0.2, 0]`.
         phase_deg: phase of each axis [deg].
     """
 
@@ -163,26 +175,36 @@ class Lissajous(MotionBase):
     phase_deg: Angles = (0.0, 0.0, 0.0)
 
     def path(self, rng: np.random.Generator) -> Path:
-        a, w, start = np.array(self.amplitude_m), 2 * math.pi * np.array(self.frequency_hz), np.radians(self.phase_deg)
+        a, w, start = (
+            np.array(self.amplitude_m),
+            2 * math.pi * np.array(self.frequency_hz),
+            np.radians(self.phase_deg),
+        )
         return lambda t: _shift(*(a * np.sin(w * t + start)))
 
 
-DRAW_S = 0.01  # sampling period of a random walk, which is interpolated by cubic Hermite polynomials of position and speed [s]
+# sampling period of a random walk, which is interpolated by cubic Hermite polynomials of position
+# and speed [s]
+DRAW_S = 0.01
 
 
 @spec
 class RandomWalk(MotionBase):
-    """A random walk bound by a spring: x'' = -W^2 x - sqrt(2) W x' + white noise on each axis, W = 2 pi corner_hz.
+    """A random walk bound by a spring: x'' = -W^2 x - sqrt(2) W x' + white noise on each axis, W =
+    2 pi corner_hz.
 
-    The stationary distribution of each axis is normal with standard deviation rms_m, that of its speed with W rms_m. It starts at rest with
-    D = 1 and is drawn from the seed of the run, so that every law meets the same path.
+    The stationary distribution of each axis is normal with standard deviation rms_m, that of its
+    speed with W rms_m. It starts at rest with D = 1 and is drawn from the seed of the run, so that
+    every law meets the same path.
 
     Args:
         rms_m: standard deviation of the displacement along each axis [m].
-        corner_hz: corner frequency [Hz]; above it the power spectrum falls with the fourth power of frequency.
+        corner_hz: corner frequency [Hz]; above it the power spectrum falls with the fourth power of
+            frequency.
 
-    Reference: Papoulis & Pillai 2002, Probability, Random Variables and Stochastic Processes, section 10.2 (the harmonically
-    bound particle of Uhlenbeck & Ornstein 1930, doi:10.1103/PhysRev.36.823); exact steps by Van Loan 1978, doi:10.1109/TAC.1978.1101743.
+    Reference: Papoulis & Pillai 2002, Probability, Random Variables and Stochastic Processes,
+    section 10.2 (the harmonically bound particle of Uhlenbeck & Ornstein 1930,
+    doi:10.1103/PhysRev.36.823); exact steps by Van Loan 1978, doi:10.1109/TAC.1978.1101743.
     """
 
     kind: Literal["random_walk"] = "random_walk"
@@ -196,22 +218,31 @@ class RandomWalk(MotionBase):
 
         def at(t: float) -> Array:
             k = int(t / DRAW_S + 1e-9)
-            # Drawn in order of time whenever they are first needed, and kept: `at` is a function of t, whoever asks first and how often.
+            # Drawn in order of time whenever they are first needed, and kept: `at` is a function of
+            # t, whoever asks first and how often.
             while len(states) < k + 2:
                 states.append(F @ states[-1] + chol @ rng.standard_normal((2, 3)))
             (x0, v0), (x1, v1) = states[k], states[k + 1]
             s, h = t / DRAW_S - k, DRAW_S
-            x = x0 * (1 + 2 * s) * (1 - s) ** 2 + v0 * h * s * (1 - s) ** 2 + x1 * s * s * (3 - 2 * s) + v1 * h * s * s * (s - 1)
+            x = (
+                x0 * (1 + 2 * s) * (1 - s) ** 2
+                + v0 * h * s * (1 - s) ** 2
+                + x1 * s * s * (3 - 2 * s)
+                + v1 * h * s * s * (s - 1)
+            )
             return _shift(*(rms * x))
 
         return at
 
     def exact_step(self, dt: float) -> tuple[Array, Array]:
-        """Exact step of (position, speed) at unit variance of position: transition (2, 2), and the noise's Cholesky factor (2, 2)."""
+        """Exact step of (position, speed) at unit variance of position: transition (2, 2), and the
+        noise's Cholesky factor (2, 2).
+        """
         from scipy.linalg import expm
 
         W = 2 * math.pi * self.corner_hz
-        damping = 1.0 / math.sqrt(2.0)  # damping ratio: a spectrum that is flat up to the corner frequency (Butterworth)
+        # damping ratio: a spectrum that is flat up to the corner frequency (Butterworth)
+        damping = 1.0 / math.sqrt(2.0)
         F = np.asarray(expm(np.array([[0.0, 1.0], [-W * W, -2 * damping * W]]) * dt), dtype=float)
         # The noise that keeps the stationary covariance P where it is: P = F P F^T + Q.
         stationary = np.diag([1.0, W * W])
@@ -224,9 +255,11 @@ PLATE_MOTIONS = Registry("motion", *OWN_MOTIONS, default="still")
 
 @spec
 class Carried(MotionBase):
-    """The target rides on a vehicle that drives along a route; `target.pose` is then where it sits in the vehicle's frame.
+    """The target rides on a vehicle that drives along a route; `target.pose` is then where it sits
+    in the vehicle's frame.
 
-    The vehicle is simulated with its masses, wheels and servos. Its driver steers by the true place, and is no part of the experiment.
+    The vehicle is simulated with its masses, wheels and servos. Its driver steers by the true
+    place, and is no part of the experiment.
 
     Args:
         by: the vehicle's kind. It starts on the route.
@@ -257,7 +290,8 @@ class Carried(MotionBase):
 class Held(MotionBase):
     """The robot's gripper holds the target, and the camera stands in the room (eye to hand).
 
-    `target.pose` is then where the target sits in the flange's frame, `camera.mount` where the camera stands in the world.
+    `target.pose` is then where the target sits in the flange's frame, `camera.mount` where the
+    camera stands in the world.
     """
 
     kind: Literal["held"] = "held"
@@ -265,7 +299,9 @@ class Held(MotionBase):
     on_gripper: ClassVar[bool] = True
 
     def start(self, pose: Array) -> Array:
-        """The pose in the flange's frame; its place in the world depends on the robot (`sim.base`)."""
+        """The pose in the flange's frame; its place in the world depends on the robot
+        (`sim.base`).
+        """
         return pose
 
 

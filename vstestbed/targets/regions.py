@@ -1,4 +1,6 @@
-"""Targets that are one region of colour: a flat shape on a board, and a ball. Their points are on the outline, in order."""
+"""Targets that are one region of colour: a flat shape on a board, and a ball. Their points are on
+the outline, in order.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,14 @@ from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import Outline
 
 
-# Ellipses as images: of a circle in space, from points, and points on them in an order that the picture alone determines.
+# Ellipses as images: of a circle in space, from points, and points on them in an order that the
+# picture alone determines.
 def circle_conic(T_camera_circle: Array, radius: float) -> Array:
-    """The conic C (..., 3, 3) with m^T C m = 0 for the images m = (x, y, 1) of a circle in the plane z = 0 of a frame at T (..., 4, 4).
+    """The conic C (..., 3, 3) with m^T C m = 0 for the images m = (x, y, 1) of a circle in the
+    plane z = 0 of a frame at T (..., 4, 4).
 
-    With H = [R ex, R ey, t] the circle X^2 + Y^2 = radius^2 becomes C = H^-T diag(1, 1, -radius^2) H^-1 (Hartley & Zisserman 2004,
-    Multiple View Geometry, result 2.13).
+    With H = [R ex, R ey, t] the circle X^2 + Y^2 = radius^2 becomes C = H^-T diag(1, 1, -radius^2)
+    H^-1 (Hartley & Zisserman 2004, Multiple View Geometry, result 2.13).
     """
     H = np.concatenate([T_camera_circle[..., :3, :2], T_camera_circle[..., :3, 3:]], axis=-1)
     G = np.linalg.inv(H)
@@ -33,39 +37,54 @@ def circle_conic(T_camera_circle: Array, radius: float) -> Array:
 
 
 def fitted_conic(xy: Array) -> Array:
-    """The conic (3, 3) that fits points xy (K, 2) on an ellipse, by linear least squares about their mean, in units of their spread."""
+    """The conic (3, 3) that fits points xy (K, 2) on an ellipse, by linear least squares about
+    their mean, in units of their spread.
+    """
     middle, spread = xy.mean(axis=0), float(xy.std())
     x, y = ((xy - middle) / spread).T
-    a, b, c, d, e = np.linalg.lstsq(np.column_stack([x * x, x * y, y * y, x, y]), np.ones(len(x)), rcond=None)[0]
+    a, b, c, d, e = np.linalg.lstsq(
+        np.column_stack([x * x, x * y, y * y, x, y]), np.ones(len(x)), rcond=None
+    )[0]
     C = np.array([[a, b / 2, d / 2], [b / 2, c, e / 2], [d / 2, e / 2, -1.0]])
-    N = np.array([[1 / spread, 0, -middle[0] / spread], [0, 1 / spread, -middle[1] / spread], [0, 0, 1]])
+    N = np.array(
+        [[1 / spread, 0, -middle[0] / spread], [0, 1 / spread, -middle[1] / spread], [0, 0, 1]]
+    )
     return N.T @ C @ N
 
 
 def ellipse_points(C: Array, count: int) -> Array:
-    """Points xy (..., count, 2) on the ellipses C (..., 3, 3), from the picture's right downwards; NaN where C is no ellipse.
+    """Points xy (..., count, 2) on the ellipses C (..., 3, 3), from the picture's right downwards;
+    NaN where C is no ellipse.
 
-    They are m + S (cos phi_i, sin phi_i), with the centre m and the symmetric root S of the ellipse's matrix,
-    (x - m)^T S^-2 (x - m) = 1: of all maps of the unit circle onto the ellipse the one without a rotation, which depends on nothing that
-    the picture of a circle does not show. Their polygon is an affine image of the regular one, so that its moments are those of the
+    They are m + S (cos phi_i, sin phi_i), with the centre m and the symmetric root S of the
+    ellipse's matrix,
+    (x - m)^T S^-2 (x - m) = 1: of all maps of the unit circle onto the ellipse the one without a
+    rotation, which depends on nothing that the picture of a circle does not show. Their polygon is
+    an affine image of the regular one, so that its moments are those of the
     ellipse times constants.
     """
     A, b = C[..., :2, :2], C[..., :2, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
         det = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
-        adjugate = np.stack([A[..., 1, 1], -A[..., 0, 1], -A[..., 1, 0], A[..., 0, 0]], axis=-1).reshape(A.shape)
+        adjugate = np.stack(
+            [A[..., 1, 1], -A[..., 0, 1], -A[..., 1, 0], A[..., 0, 0]], axis=-1
+        ).reshape(A.shape)
         inverse = adjugate / det[..., None, None]
         middle = -(inverse @ b[..., None])[..., 0]
         level = -(C[..., 2, 2] + (b * middle).sum(axis=-1))
         S2 = inverse * level[..., None, None]
         det = S2[..., 0, 0] * S2[..., 1, 1] - S2[..., 0, 1] ** 2
-        root = np.sqrt(np.where(S2[..., 0, 0] > 0, det, np.nan))  # of a hyperbola the determinant is negative
-        S = (S2 + root[..., None, None] * np.eye(2)) / np.sqrt(S2[..., 0, 0] + S2[..., 1, 1] + 2 * root)[..., None, None]
+        # of a hyperbola the determinant is negative
+        root = np.sqrt(np.where(S2[..., 0, 0] > 0, det, np.nan))
+        S = (S2 + root[..., None, None] * np.eye(2)) / np.sqrt(
+            S2[..., 0, 0] + S2[..., 1, 1] + 2 * root
+        )[..., None, None]
     return middle[..., None, :] + unit_circle(count) @ S
 
 
 def distance_to_conic(C: Array, xy: Array) -> Array:
-    """Distance (K,) of points xy (K, 2) from a conic C (3, 3), to first order: m^T C m / |grad|; its sign is that side's of C.
+    """Distance (K,) of points xy (K, 2) from a conic C (3, 3), to first order: m^T C m / |grad|;
+    its sign is that side's of C.
 
     Reference: Sampson 1982, doi:10.1016/0146-664X(82)90101-0.
     """
@@ -76,7 +95,9 @@ def distance_to_conic(C: Array, xy: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def unit_circle(count: int) -> Array:
-    """(cos, sin) at `count` equal angles from 0 on, shape (count, 2); kept, so nobody may write to it."""
+    """(cos, sin) at `count` equal angles from 0 on, shape (count, 2); kept, so nobody may write to
+    it.
+    """
     angle = np.arange(count) * (2 * np.pi / count)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
@@ -96,7 +117,9 @@ def centroid(xy: Array) -> Array:
 
 
 def covariance(xy: Array) -> Array:
-    """Second central moments (2, 2) of a polygon's area over that area, corners (E, 2) (Steger 1996, FGBV-96-05)."""
+    """Second central moments (2, 2) of a polygon's area over that area, corners (E, 2) (Steger
+    1996, FGBV-96-05).
+    """
     p = xy - centroid(xy)
     q = np.roll(p, -1, axis=0)
     cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
@@ -106,7 +129,9 @@ def covariance(xy: Array) -> Array:
 
 
 def evenly_along(xy: Array, count: int) -> Array:
-    """Points (count, 2) along the sides of a polygon (E, 2), evenly by length, from its first corner on."""
+    """Points (count, 2) along the sides of a polygon (E, 2), evenly by length, from its first
+    corner on.
+    """
     closed = np.concatenate([xy, xy[:1]])
     reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
     at = np.arange(count) / count * reached[-1]
@@ -114,7 +139,9 @@ def evenly_along(xy: Array, count: int) -> Array:
 
 
 def crossing(xy: Array) -> tuple[int, int] | None:
-    """Numbers of two sides of a polygon (E, 2) that meet elsewhere than neighbours do, or fold back onto each other; None without such."""
+    """Numbers of two sides of a polygon (E, 2) that meet elsewhere than neighbours do, or fold back
+    onto each other; None without such.
+    """
     return next(((i, j) for i, j in combinations(range(len(xy)), 2) if _meet(xy, i, j)), None)
 
 
@@ -125,19 +152,29 @@ def _meet(xy: Array, i: int, j: int) -> bool:
         far, corner, near = (a, b, d) if j == i + 1 else (c, a, b)
         return _side(far, corner, near) == 0 and float((far - corner) @ (near - corner)) >= 0
     # Segments on one line overlap only where their boxes do.
-    boxes_meet = (np.maximum(np.minimum(a, b), np.minimum(c, d)) <= np.minimum(np.maximum(a, b), np.maximum(c, d))).all()
-    return bool(_side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0 and boxes_meet)
+    boxes_meet = (
+        np.maximum(np.minimum(a, b), np.minimum(c, d))
+        <= np.minimum(np.maximum(a, b), np.maximum(c, d))
+    ).all()
+    return bool(
+        _side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0 and boxes_meet
+    )
 
 
 def _side(a: Array, b: Array, c: Array) -> float:
     """Which side of the line from a to b the point c lies on: -1, 0, 1."""
     u, v = b - a, c - a
     cross = float(u[0] * v[1] - u[1] * v[0])
-    return 0.0 if abs(cross) <= 1e-12 * float(np.hypot(*u) * np.hypot(*v)) else math.copysign(1.0, cross)
+    return (
+        0.0
+        if abs(cross) <= 1e-12 * float(np.hypot(*u) * np.hypot(*v))
+        else math.copysign(1.0, cross)
+    )
 
 
 def triangulated(xy: Array) -> list[tuple[int, int, int]]:
-    """Triangles of a polygon (E, 2) that does not cross itself, as numbers of its corners, by cutting off ears.
+    """Triangles of a polygon (E, 2) that does not cross itself, as numbers of its corners, by
+    cutting off ears.
 
     Reference: Meisters 1975, Polygons have ears, doi:10.1080/00029890.1975.11993898.
     """
@@ -150,13 +187,18 @@ def triangulated(xy: Array) -> list[tuple[int, int, int]]:
 
 
 def _is_ear(xy: Array, left: list[int], k: int) -> bool:
-    """Whether corner k of those that are left is convex and no other lies in the triangle with its neighbours."""
+    """Whether corner k of those that are left is convex and no other lies in the triangle with its
+    neighbours.
+    """
     i, j, m = left[k - 1], left[k], left[(k + 1) % len(left)]
     a, b, c = xy[i], xy[j], xy[m]
     if _side(a, b, c) <= 0:
         return False
     others = xy[[n for n in left if n not in (i, j, m)]]
-    sides = [(q[0] - p[0]) * (others[:, 1] - p[1]) - (q[1] - p[1]) * (others[:, 0] - p[0]) for p, q in ((a, b), (b, c), (c, a))]
+    sides = [
+        (q[0] - p[0]) * (others[:, 1] - p[1]) - (q[1] - p[1]) * (others[:, 0] - p[0])
+        for p, q in ((a, b), (b, c), (c, a))
+    ]
     return not bool(np.logical_and.reduce([side >= 0 for side in sides]).any())
 
 
@@ -164,7 +206,8 @@ Corner = Annotated[tuple[Length, ...], Len(2, 2)]
 
 
 class Figure:
-    """The outline of a region in the plane z = 0 of a target, seen with x to the right and y down; by default a polygon.
+    """The outline of a region in the plane z = 0 of a target, seen with x to the right and y down;
+    by default a polygon.
 
     Attributes:
         round: whether it is a circle, whose picture does not tell how it is turned.
@@ -176,7 +219,9 @@ class Figure:
     round: ClassVar[bool] = False
 
     def outline(self, count: int) -> Array:
-        """At least `count` points on the outline in order, shape (M, 2) [m]: all corners, and points between them on long sides."""
+        """At least `count` points on the outline in order, shape (M, 2) [m]: all corners, and
+        points between them on long sides.
+        """
         corners = self.corners
         side = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
         parts = np.ones(len(corners), dtype=int)
@@ -190,10 +235,12 @@ class Figure:
 class PolygonFigure(Figure):
     """A polygon.
 
-    The picture of one with rotational symmetry fits its outline in several ways: the detector begins with the smallest rotation.
+    The picture of one with rotational symmetry fits its outline in several ways: the detector
+    begins with the smallest rotation.
 
     Args:
-        at: its corners (x, y) in order, in the target's plane, x to the right and y down as seen [m];
+        at: its corners (x, y) in order, in the target's plane, x to the right and y down as seen
+            [m];
             e.g. `[[0, 0], [0.3, 0], [0, 0.2]]`.
     """
 
@@ -203,7 +250,10 @@ class PolygonFigure(Figure):
     def __post_init__(self) -> None:
         given = np.array(self.at)
         if sides := crossing(given):
-            words = f"must not cross or touch itself: the sides from corners {sides[0]} and {sides[1]} meet"
+            words = (
+                "must not cross or touch itself:"
+                f" the sides from corners {sides[0]} and {sides[1]} meet"
+            )
             raise ParameterError("at", words, [list(corner) for corner in self.at])
 
     @cached_property
@@ -229,7 +279,9 @@ class DiscFigure(Figure):
     def corners(self) -> Array:
         """A regular polygon with the disc's area, whose border is within 5e-5 of its radius."""
         n = 256
-        return self.radius * math.sqrt(2 * math.pi / (n * math.sin(2 * math.pi / n))) * unit_circle(n)
+        return (
+            self.radius * math.sqrt(2 * math.pi / (n * math.sin(2 * math.pi / n))) * unit_circle(n)
+        )
 
     def outline(self, count: int) -> Array:
         return self.radius * unit_circle(count)
@@ -273,34 +325,46 @@ class LShape(Figure):
 
 # fmt: off
 WHALE = (
-    (0.50, 0.02), (0.46, 0.09), (0.31, 0.13), (0.15, 0.14), (0.12, 0.23), (0.05, 0.24), (0.02, 0.13),
-    (-0.18, 0.07), (-0.34, 0.03), (-0.43, 0.10), (-0.50, 0.09), (-0.46, 0.00), (-0.50, -0.12), (-0.45, -0.16),
-    (-0.36, -0.05), (-0.25, -0.07), (-0.08, -0.15), (0.13, -0.20), (0.33, -0.18), (0.46, -0.09),
+    (0.50, 0.02), (0.46, 0.09), (0.31, 0.13), (0.15, 0.14), (0.12, 0.23), (0.05, 0.24),
+    (0.02, 0.13), (-0.18, 0.07), (-0.34, 0.03), (-0.43, 0.10), (-0.50, 0.09), (-0.46, 0.00),
+    (-0.50, -0.12), (-0.45, -0.16), (-0.36, -0.05), (-0.25, -0.07), (-0.08, -0.15),
+    (0.13, -0.20), (0.33, -0.18), (0.46, -0.09),
 )
 # fmt: on
-"""Points on the outline of a whale of length 1 that swims to the right, clockwise as seen (y down)."""
+"""Points on the outline of a whale of length 1 that swims to the right,
+clockwise as seen (y down).
+"""
 
 FIGURES = Registry("figure", Whale, LShape, PolygonFigure, DiscFigure)
 
 
 def _smooth(points: Array, parts: int) -> Array:
-    """`parts` points for each of the points (E, 2) on a closed curve through them (Catmull & Rom 1974)."""
+    """`parts` points for each of the points (E, 2) on a closed curve through them (Catmull & Rom
+    1974).
+    """
     before, after, beyond = (np.roll(points, k, axis=0) for k in (1, -1, -2))
     out = []
     for t in np.arange(parts) / parts:
-        weights = 0.5 * np.array([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3])
-        out.append(sum(w * p for w, p in zip(weights, (before, points, after, beyond), strict=True)))
+        weights = 0.5 * np.array(
+            [-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3]
+        )
+        out.append(
+            sum(w * p for w, p in zip(weights, (before, points, after, beyond), strict=True))
+        )
     return np.stack(out, axis=1).reshape(-1, 2)
 
 
-BOARD_MARGIN = 0.25  # the board behind a shape reaches this share of the shape's longer side beyond it
+BOARD_MARGIN = (
+    0.25  # the board behind a shape reaches this share of the shape's longer side beyond it
+)
 LEAST_AHEAD = 0.05  # least Z of a unit ray to the border of a flat region: 87 degrees off the axis
 LEAST_SEEN = 3  # fewest points of an outline from which a ball's place is found
 
 
 @spec
 class OneRegion(Target):
-    """What targets of one region share: the colour, and how many points of the outline are measured.
+    """What targets of one region share: the colour, and how many points of the outline are
+    measured.
 
     Args:
         marker: how the region is lit.
@@ -315,7 +379,9 @@ class OneRegion(Target):
 
     def __post_init__(self) -> None:
         if self.names:
-            raise ParameterError.only_for("names", "markers; the points of an outline have none", list(self.names))
+            raise ParameterError.only_for(
+                "names", "markers; the points of an outline have none", list(self.names)
+            )
         if self.pad:
             raise ParameterError.only_for("pad", "target square or points")
 
@@ -330,10 +396,12 @@ class OneRegion(Target):
 
 @spec
 class Shape(OneRegion):
-    """A flat region of one colour on a board, in z = 0, upright for a camera that faces it: x to its right, y down.
+    """A flat region of one colour on a board, in z = 0, upright for a camera that faces it: x to
+    its right, y down.
 
-    Its points are on its outline, clockwise as seen; of a polygon all corners are among them. The outline of a disc does not tell how it
-    is turned: its points are those of `ellipse_points` in the picture, and where they are on the disc depends on the camera.
+    Its points are on its outline, clockwise as seen; of a polygon all corners are among them. The
+    outline of a disc does not tell how it is turned: its points are those of `ellipse_points` in
+    the picture, and where they are on the disc depends on the camera.
 
     Args:
         figure: the outline: `whale`, `l_shape`, `polygon` or `disc`.
@@ -345,7 +413,9 @@ class Shape(OneRegion):
 
     @cached_property
     def points(self) -> Array:
-        """Points on the outline in the target frame, shape (M, 3) [m]; of a disc those that a camera before it sees."""
+        """Points on the outline in the target frame, shape (M, 3) [m]; of a disc those that a
+        camera before it sees.
+        """
         xy = self.figure.outline(self.count)
         return np.column_stack([xy, np.zeros(len(xy))])
 
@@ -372,7 +442,9 @@ class Shape(OneRegion):
         return np.empty((0, 3)) if self.figure.round else self.points
 
     def points_at(self, T_camera_target: Array) -> Array:
-        """Points on the outline (..., M, 3) in the camera's frame [m]; of a disc NaN where it reaches behind the image plane."""
+        """Points on the outline (..., M, 3) in the camera's frame [m]; of a disc NaN where it
+        reaches behind the image plane.
+        """
         if not self.figure.round:
             return super().points_at(T_camera_target)
         T, radius = T_camera_target, float(self.points[0, 0])
@@ -393,23 +465,30 @@ class Shape(OneRegion):
         if len(corners) == 3:  # MuJoCo takes no mesh of three vertices
             corners = self.figure.outline(4)
         at = np.column_stack([corners, np.zeros(len(corners))])
-        # Corners run clockwise as seen from the front, where z points away: from outside triangles are counter-clockwise.
+        # Corners run clockwise as seen from the front, where z points away: from outside triangles
+        # are counter-clockwise.
         return at[[(a, c, b) for a, b, c in triangulated(corners)]]
 
     @property
     def board_half_m(self) -> tuple[float, float]:
-        """It reaches BOARD_MARGIN of the longer side beyond the outline, on all sides of the origin."""
+        """It reaches BOARD_MARGIN of the longer side beyond the outline, on all sides of the
+        origin.
+        """
         corners = self.figure.corners
-        x, y = (np.abs(corners).max(axis=0) + BOARD_MARGIN * float(np.ptp(corners, axis=0).max())).tolist()
+        x, y = (
+            np.abs(corners).max(axis=0) + BOARD_MARGIN * float(np.ptp(corners, axis=0).max())
+        ).tolist()
         return x, y
 
 
 @spec
 class Ball(OneRegion):
-    """A ball about the target's origin. Its points are on the circle where the camera's rays touch it, which depends on the camera.
+    """A ball about the target's origin. Its points are on the circle where the camera's rays touch
+    it, which depends on the camera.
 
-    With the centre c in the camera's frame and a = c/|c|, the circle has the centre c (1 - r^2/|c|^2) and the radius
-    r sqrt(1 - r^2/|c|^2) across a. It begins in the direction of the camera's x axis and runs clockwise in the picture.
+    With the centre c in the camera's frame and a = c/|c|, the circle has the centre c (1 -
+    r^2/|c|^2) and the radius r sqrt(1 - r^2/|c|^2) across a. It begins in the direction of the
+    camera's x axis and runs clockwise in the picture.
 
     Args:
         radius: of the ball [m].
@@ -420,7 +499,9 @@ class Ball(OneRegion):
 
     @cached_property
     def points(self) -> Array:
-        """The circle that a camera far before it sees, in the target frame, shape (count, 3) [m]."""
+        """The circle that a camera far before it sees, in the target frame,
+        shape (count, 3) [m].
+        """
         return np.column_stack([self.radius * unit_circle(self.count), np.zeros(self.count)])
 
     @property
@@ -437,7 +518,9 @@ class Ball(OneRegion):
         return self.outline_of(T_camera_target[..., :3, 3])
 
     def outline_of(self, centre: Array) -> Array:
-        """The outline (..., count, 3) of a ball with its centre (..., 3) in the camera's frame [m]; NaN from inside."""
+        """The outline (..., count, 3) of a ball with its centre (..., 3) in the camera's frame [m];
+        NaN from inside.
+        """
         far = lengths(centre)
         with np.errstate(invalid="ignore", divide="ignore"):
             axis = centre / far
@@ -450,9 +533,11 @@ class Ball(OneRegion):
             return (centre * shrink)[..., None, :] + unit_circle(self.count) @ across
 
     def centre_of(self, ray: Array) -> Array | None:
-        """The ball's centre (3,) in the camera's frame [m] from unit rays (K, 3) that touch it; None where they are on no cone.
+        """The ball's centre (3,) in the camera's frame [m] from unit rays (K, 3) that touch it;
+        None where they are on no cone.
 
-        The rays lie on a cone, ray . n = 1 with n = a / cos(theta), sin(theta) = radius / distance: linear least squares in n.
+        The rays lie on a cone, ray . n = 1 with n = a / cos(theta), sin(theta) = radius / distance:
+        linear least squares in n.
         """
         if len(ray) < LEAST_SEEN:
             return None
@@ -473,10 +558,13 @@ class Ball(OneRegion):
         return self.outline_of(centre), off
 
     def by_size(self, ray: Array) -> Array | None:
-        """The outline (count, 3) [m] from its unit rays (count, 3): the ball's place follows from its size."""
+        """The outline (count, 3) [m] from its unit rays (count, 3): the ball's place follows from
+        its size.
+        """
         seen = np.isfinite(ray[:, 0])
         centre = self.centre_of(ray[seen])
         if centre is None:
             return np.full_like(ray, np.nan)
-        reach = math.sqrt(max(float(centre @ centre) - self.radius**2, 0.0))  # of each point where a ray touches
+        # of each point where a ray touches
+        reach = math.sqrt(max(float(centre @ centre) - self.radius**2, 0.0))
         return ray * reach

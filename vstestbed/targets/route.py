@@ -16,10 +16,14 @@ from vstestbed.core.quantity import Angle, Length, PositiveLength, TighterBounds
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
-SPACING_M = 0.01  # distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1 m radius by 12.5 um
+# distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1
+# m radius by 12.5 um
+SPACING_M = 0.01
 LONGEST_M = 10_000.0  # longest track [m]: its table has a million samples
 Samples = tuple[Array, Array, Array, Array]
-"""A route as a table: arc length s (K,) [m], xy (K, 2) [m], heading (K,) [rad] without jumps, curvature (K,) [1/m]."""
+"""A route as a table: arc length s (K,) [m], xy (K, 2) [m], heading (K,) [rad] without jumps,
+curvature (K,) [1/m].
+"""
 
 
 @spec
@@ -67,16 +71,24 @@ class Route(ABC):
         inside = np.clip(along, 0.0, self.length)
         x, y, heading, curvature = (np.interp(inside, way, c) for c in (*xy.T, turned, bent))
         beyond = along - inside
-        # A route that turns by 360 degrees a lap has a heading that grows: without jumps, as followers of it expect.
+        # A route that turns by 360 degrees a lap has a heading that grows: without jumps, as
+        # followers of it expect.
         heading = heading + rounds * (turned[-1] - turned[0])
         curvature = np.where(beyond == 0, curvature, 0.0)
-        return np.stack([x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, curvature], axis=-1)
+        return np.stack(
+            [x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, curvature],
+            axis=-1,
+        )
 
-    def nearest(self, xy: Array, around: float | None = None, reach: float = 2.0) -> tuple[float, float]:
-        """(s, offset) of the route's point nearest to xy (2,): arc length [m], and the offset of xy to the left of it [m].
+    def nearest(
+        self, xy: Array, around: float | None = None, reach: float = 2.0
+    ) -> tuple[float, float]:
+        """(s, offset) of the route's point nearest to xy (2,): arc length [m], and the offset of xy
+        to the left of it [m].
 
         Args:
-            around: arc length near which to search, which selects the branch where a route crosses itself; None: everywhere.
+            around: arc length near which to search, which selects the branch where a route crosses
+                itself; None: everywhere.
             reach: largest distance from it along the route [m].
         """
         s = self.samples[0] if around is None else around + np.arange(-reach, reach, SPACING_M)
@@ -84,26 +96,34 @@ class Route(ABC):
         i = int(np.argmin(np.hypot(places[:, 0] - xy[0], places[:, 1] - xy[1])))
         x, y, heading, _ = places[i]
         along = (xy[0] - x) * np.cos(heading) + (xy[1] - y) * np.sin(heading)
-        # Refined once: the offset counts from the tangent at the foot point, up to half a sample's distance from the sample.
+        # Refined once: the offset counts from the tangent at the foot point, up to half a sample's
+        # distance from the sample.
         if not self.closed or around is not None or 0 < i < len(s) - 1:
             x, y, heading, _ = self.at(s[i] + along)
-        return float(s[i] + along), float(-(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading))
+        return float(s[i] + along), float(
+            -(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading)
+        )
 
     def beside(self, place: Array) -> float:
-        """Lateral offset of a vehicle at (x, y, heading) from the route [m], positive to the left of its driving direction (`branch`)."""
+        """Lateral offset of a vehicle at (x, y, heading) from the route [m], positive to the left
+        of its driving direction (`branch`).
+        """
         s, with_it = self.branch(place)
         offset = self.nearest(place[:2], around=s, reach=3 * SPACING_M)[1]
         return offset if with_it >= 0 else -offset
 
     def branch(self, place: Array) -> tuple[float, float]:
-        """(s, cosine) of the sample nearest to a vehicle at (x, y, heading): arc length [m], cosine of the angle between their headings.
+        """(s, cosine) of the sample nearest to a vehicle at (x, y, heading): arc length [m], cosine
+        of the angle between their headings.
 
-        Where the route crosses itself, the branch within 45 degrees of the vehicle's heading, in either sense, counts.
+        Where the route crosses itself, the branch within 45 degrees of the vehicle's heading, in
+        either sense, counts.
         """
         s, xy, heading, _ = self.samples
         distance = np.hypot(xy[:, 0] - place[0], xy[:, 1] - place[1])
         with_it = np.cos(heading - place[2])
-        # Both senses (|cos|): a painted line has no direction. Far off, square to it, no branch qualifies, and the nearest counts.
+        # Both senses (|cos|): a painted line has no direction. Far off, square to it, no branch
+        # qualifies, and the nearest counts.
         near = np.where(np.abs(with_it) > np.sqrt(0.5), distance, np.inf)
         i = int(np.argmin(near if np.isfinite(near).any() else distance))
         return float(s[i]), float(with_it[i])
@@ -138,7 +158,9 @@ class CircularRoute(Route):
 
     def __post_init__(self) -> None:
         if abs(self.radius_m) < 0.1:
-            raise ParameterError.bound("radius_m", "at least", "0.1 m in size (negative: to the right)", self.radius_m)
+            raise ParameterError.bound(
+                "radius_m", "at least", "0.1 m in size (negative: to the right)", self.radius_m
+            )
 
     def _local(self) -> Samples:
         return _joined([(2 * np.pi * abs(self.radius_m), 1 / self.radius_m)])
@@ -146,9 +168,11 @@ class CircularRoute(Route):
 
 @spec
 class FigureEight(Route):
-    """A figure of eight, x = length/2 sin 2 pi p, y = width/2 sin 4 pi p for p in 0..1, from its crossing on.
+    """A figure of eight, x = length/2 sin 2 pi p, y = width/2 sin 4 pi p for p in 0..1, from its
+    crossing on.
 
-    Its curvature is continuous, so that a vehicle can follow it at constant speed. At `start` it crosses itself, along the first branch.
+    Its curvature is continuous, so that a vehicle can follow it at constant speed. At `start` it
+    crosses itself, along the first branch.
 
     Args:
         length_m: its extent along the direction of `start` [m].
@@ -162,7 +186,8 @@ class FigureEight(Route):
 
     def _local(self) -> Samples:
         a, b = self.length_m / 2, self.width_m / 2
-        # Arc length has no closed form here: the speed along p is integrated by trapezoids, finely, and the table resampled evenly in s.
+        # Arc length has no closed form here: the speed along p is integrated by trapezoids, finely,
+        # and the table resampled evenly in s.
         p = np.linspace(0.0, 2 * np.pi, 20001)
         x, y, dx, dy = a * np.sin(p), b * np.sin(2 * p), a * np.cos(p), 2 * b * np.cos(2 * p)
         ddx, ddy = -a * np.sin(p), -4 * b * np.sin(2 * p)
@@ -193,8 +218,13 @@ class Piece:
 
     def __post_init__(self) -> None:
         bend = self.turn_deg is not None and self.radius_m is not None
-        if bend == (self.length_m is not None) or (self.turn_deg is None) != (self.radius_m is None):
-            raise ParameterError("length_m", "a piece has either length_m (straight), or turn_deg and radius_m (a bend)")
+        if bend == (self.length_m is not None) or (self.turn_deg is None) != (
+            self.radius_m is None
+        ):
+            raise ParameterError(
+                "length_m",
+                "a piece has either length_m (straight), or turn_deg and radius_m (a bend)",
+            )
 
     @property
     def length_and_curvature(self) -> tuple[float, float]:
@@ -207,7 +237,8 @@ class Piece:
 
 @spec
 class Track(Route):
-    """Straight pieces and bends, one after another; `closed` where the last leads back to the start.
+    """Straight pieces and bends, one after another; `closed` where the last leads back to the
+    start.
 
     Args:
         pieces: the pieces in their order along the route.
@@ -219,11 +250,15 @@ class Track(Route):
     def __post_init__(self) -> None:
         length = sum(piece.length_and_curvature[0] for piece in self.pieces)
         if length > LONGEST_M:
-            raise ParameterError.bound("pieces", "at most", f"{LONGEST_M:g} m long together", round(length, 2))
+            raise ParameterError.bound(
+                "pieces", "at most", f"{LONGEST_M:g} m long together", round(length, 2)
+            )
 
     @cached_property
     def closed(self) -> bool:
-        """Whether place and heading at its end are those at its start, within 1 mm and 1/1000 of a turn."""
+        """Whether place and heading at its end are those at its start, within 1 mm and 1/1000 of a
+        turn.
+        """
         s, xy, heading, _ = self._local()
         turn = heading[-1] / (2 * np.pi)
         return bool(np.hypot(*xy[-1]) < 1e-3 and abs(turn - round(turn)) < 1e-3 and len(s) > 2)
@@ -233,15 +268,25 @@ class Track(Route):
 
 
 def _joined(pieces: list[tuple[float, float]]) -> Samples:
-    """The table of arcs (length, curvature) one after another, from the origin along x; exact at each sample."""
-    s, xy, heading, curvature = [np.zeros(1)], [np.zeros((1, 2))], [np.zeros(1)], [np.full(1, pieces[0][1])]
+    """The table of arcs (length, curvature) one after another, from the origin along x; exact at
+    each sample.
+    """
+    s, xy, heading, curvature = (
+        [np.zeros(1)],
+        [np.zeros((1, 2))],
+        [np.zeros(1)],
+        [np.full(1, pieces[0][1])],
+    )
     for length, k in pieces:
         u = np.linspace(0.0, length, max(1, round(length / SPACING_M)) + 1)[1:]
-        # Chord u sinc(k u / 2) at half the turned angle: exact for an arc, and for a straight piece, k = 0, without a division by it.
+        # Chord u sinc(k u / 2) at half the turned angle: exact for an arc, and for a straight
+        # piece, k = 0, without a division by it.
         half = k * u / 2
         chord = u * np.sinc(half / np.pi)
         h0 = heading[-1][-1]
-        xy.append(xy[-1][-1] + np.stack([chord * np.cos(h0 + half), chord * np.sin(h0 + half)], axis=1))
+        xy.append(
+            xy[-1][-1] + np.stack([chord * np.cos(h0 + half), chord * np.sin(h0 + half)], axis=1)
+        )
         heading.append(h0 + k * u)
         s.append(s[-1][-1] + u)
         curvature.append(np.full(len(u), k))

@@ -1,4 +1,6 @@
-"""Tasks, one file for each kind of goal: the reference frame by frame, and when the task is completed or failed."""
+"""Tasks, one file for each kind of goal: the reference frame by frame, and when the task is
+completed or failed.
+"""
 
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.tasks.base import Task, TaskBase
@@ -21,7 +23,18 @@ FIELDS = {
     "tip_m": "insertion",
 }
 """The kind of a goal block without `kind`, recognised by one of its fields."""
-KINDS = GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalInsertion, GoalTrack
+KINDS = (
+    GoalView,
+    GoalViewFrom,
+    GoalViews,
+    GoalPlace,
+    GoalGap,
+    GoalLine,
+    GoalPath,
+    GoalLanding,
+    GoalInsertion,
+    GoalTrack,
+)
 GOALS = Registry("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=Task))
 
 __all__ = [

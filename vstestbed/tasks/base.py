@@ -1,6 +1,7 @@
 """The contract of a task: checks, goal views, reference generation, monitor and metrics.
 
-A goal block of a scenario is a `Task`: parameters and behaviour in one frozen object. No code outside this folder tests its kind.
+A goal block of a scenario is a `Task`: parameters and behaviour in one frozen object. No code
+outside this folder tests its kind.
 """
 
 from __future__ import annotations
@@ -36,13 +37,17 @@ from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision.observe import pose_by_depth, shown_goal
 
-PLANE_INPUTS = {"xy", "xyw", "depth", "relative"}  # fields of an observation that exist only for points in front of the camera
+# fields of an observation that exist only for points in front of the camera
+PLANE_INPUTS = {"xy", "xyw", "depth", "relative"}
 LEVEL_DEG = 1.0  # largest tilt of the craft at a goal view [deg]
 
 
-def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
-    """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an image plane.
-    setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,); None: all.
+def check_visible(
+    setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None
+) -> None:
+    """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an
+    image plane. setup: the experiment's parts. field: of the view. T_camera_target: its pose (4,
+    4). counted: the markers that count (N,); None: all.
     Raises ParameterError: it names the field, the markers, what hides them, and what would work.
     """
     camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
@@ -50,10 +55,17 @@ def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDA
     p = target.seen_from(T_target_camera)
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
     lens, behind = isinstance(camera, Perspective), p[:, 2] <= 0
-    if behind.any() and (lens or PLANE_INPUTS & set(law.inputs)):  # a law of rays or poses has no image plane
-        where = "behind the camera" if lens else f"behind the camera, where law {law.kind} has no image plane to work in"
+    # a law of rays or poses has no image plane
+    if behind.any() and (lens or PLANE_INPUTS & set(law.inputs)):
+        where = (
+            "behind the camera"
+            if lens
+            else f"behind the camera, where law {law.kind} has no image plane to work in"
+        )
         what = "a wider camera" if lens else "a law of rays (feature spherical) or poses"
-        raise _not_visible(field, target, behind, where, f"move the goal back, or use {what} or a smaller target")
+        raise _not_visible(
+            field, target, behind, where, f"move the goal back, or use {what} or a smaller target"
+        )
     if detector.rows is not None:  # it finds other points than the target's markers
         return
     uv, limited = camera.project(p), getattr(detector, "field_of_view", "limited") == "limited"
@@ -61,31 +73,51 @@ def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDA
     inside = camera.inside(uv) if limited and len(camera.panels) == 1 else np.isfinite(uv[:, 0])
     if (outside := ~inside & counted).any():
         where = f"outside the {camera.width} x {camera.height} picture"
-        raise _not_visible(field, target, outside, where, "move the goal back, or use a wider camera or a smaller target")
+        raise _not_visible(
+            field,
+            target,
+            outside,
+            where,
+            "move the goal back, or use a wider camera or a smaller target",
+        )
     if not limited:
         return
     if (hidden := target.hides(T_target_camera) & counted).any():
         remedy = "move the goal, or let goal.markers name those that are to be seen"
         raise _not_visible(field, target, hidden, "hidden by the target itself", remedy)
-    if target.moves and not target.on_gripper:  # where the goal view is in the room is not known before the run
+    # where the goal view is in the room is not known before the run
+    if target.moves and not target.on_gripper:
         return
     T_world_camera = camera.mount.T if target.on_gripper else target.T_world_start @ T_target_camera
     names = setup.world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
     if (hidden := np.array([bool(name) for name in names]) & counted).any():
-        what = ", ".join(dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts))
-        remedy = "move the goal, or the scenery by world.scenery.pose, or let goal.markers name the markers that are to be seen"
+        what = ", ".join(
+            dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts)
+        )
+        remedy = (
+            "move the goal, or the scenery by world.scenery.pose,"
+            " or let goal.markers name the markers that are to be seen"
+        )
         raise _not_visible(field, target, hidden, f"hidden by the scenery ({what})", remedy)
 
 
-def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str, remedy: str) -> ParameterError:
+def _not_visible(
+    field: str, target: Target, bad: NDArray[np.bool_], where: str, remedy: str
+) -> ParameterError:
     """The error for markers (N,) that a goal view does not show."""
     called = [target.called(int(i)) for i in np.flatnonzero(bad)]
     markers = f"marker {called[0]} is" if len(called) == 1 else f"markers {', '.join(called)} are"
     return ParameterError(field, f"is a view in which {markers} {where}; {remedy}")
 
 
-# The picture of a goal: a file from a real camera, or one that the simulated camera takes there, also under other light.
-PLAIN: dict[str, float | None] = {"brightness": 1.0, "contrast": 1.0, "image_sigma": 0.0, "jpeg_quality": None}
+# The picture of a goal: a file from a real camera, or one that the simulated camera takes there,
+# also under other light.
+PLAIN: dict[str, float | None] = {
+    "brightness": 1.0,
+    "contrast": 1.0,
+    "image_sigma": 0.0,
+    "jpeg_quality": None,
+}
 MID_GREY = 128.0  # the grey level that a change of contrast leaves as it is
 Factor = Annotated[float, Gt(0), Le(10)]
 
@@ -94,15 +126,18 @@ Factor = Annotated[float, Gt(0), Le(10)]
 class GoalPicture:
     """The picture that was taken at the goal, for a law or a detector that compares with it.
 
-    Without a file the simulated camera takes it there before the run, without noise. Under other light than the run's its grey levels I
-    become contrast (brightness I - 128) + 128; then it may be kept as a JPEG file.
+    Without a file the simulated camera takes it there before the run, without noise. Under other
+    light than the run's its grey levels I become contrast (brightness I - 128) + 128; then it may
+    be kept as a JPEG file.
 
     Args:
-        file: a PNG or JPEG file of the camera's size, from a real camera at the goal; its name alone is enough; e.g. `goal.png`.
+        file: a PNG or JPEG file of the camera's size, from a real camera at the goal; its name
+            alone is enough; e.g. `goal.png`.
         brightness: factor on the grey levels [1].
         contrast: factor on their distance from mid-grey [1].
         image_sigma: standard deviation of Gaussian noise on each channel [grey levels].
-        jpeg_quality: of the JPEG file in which it is kept, 1 to 100; None: it is kept as it is; e.g. `95`.
+        jpeg_quality: of the JPEG file in which it is kept, 1 to 100; None: it is kept as it is;
+            e.g. `95`.
     """
 
     file: str | None = None
@@ -112,13 +147,18 @@ class GoalPicture:
     jpeg_quality: Annotated[int, Ge(1), Le(100)] | None = None
 
     def __post_init__(self) -> None:
-        """Make the name independent of the folder; refuse other light for a picture that is taken already."""
+        """Make the name independent of the folder; refuse other light for a picture that is taken
+        already.
+        """
         if self.file is None:
             return
-        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its picture is
+        # frozen; a run remembers where its picture is
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         if self.other_light:
             words = "a picture that the simulated camera takes; leave it out, or the file"
-            raise ParameterError.only_for(next(name for name, value in self._changes.items() if value != PLAIN[name]), words)
+            raise ParameterError.only_for(
+                next(name for name, value in self._changes.items() if value != PLAIN[name]), words
+            )
 
     @property
     def other_light(self) -> bool:
@@ -136,45 +176,75 @@ class GoalPicture:
 
     @property
     def source(self) -> Path | None:
-        """The file; None where the simulated camera takes the picture. Raises ParameterError: it is not there."""
+        """The file; None where the simulated camera takes the picture. Raises ParameterError: it is
+        not there.
+        """
         return None if self.file is None else place_of_file(self.file)
 
     def read(self, camera: Camera) -> Image:
-        """The file's picture (H, W, 3) RGB. Raises ParameterError: it cannot be read, or is of another size than the camera's pictures."""
+        """The file's picture (H, W, 3) RGB. Raises ParameterError: it cannot be read, or is of
+        another size than the camera's pictures.
+        """
         assert self.source is not None
         image = read_rgb(self.source)
         height, width = image.shape[:2]
         if (width, height) != (camera.width, camera.height):
-            words = f"has {width} x {height} px, and the camera's pictures have {camera.width} x {camera.height}"
-            raise ParameterError("file", f"{words}; take it with this camera, or set camera.width and camera.height", self.file)
+            words = (
+                f"has {width} x {height} px,"
+                f" and the camera's pictures have {camera.width} x {camera.height}"
+            )
+            raise ParameterError(
+                "file",
+                f"{words}; take it with this camera, or set camera.width and camera.height",
+                self.file,
+            )
         return image
 
     def under_its_light(self, image: Image, rng: np.random.Generator) -> Image:
-        """A picture (H, W, 3) that was taken in the light of the run, as it is under the light of teaching."""
+        """A picture (H, W, 3) that was taken in the light of the run, as it is under the light of
+        teaching.
+        """
         if not self.other_light:
             return image
         made = self.contrast * (self.brightness * image.astype(np.float32) - MID_GREY) + MID_GREY
         made += rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self.image_sigma)
         kept = np.clip(made + 0.5, 0, 255).astype(np.uint8)
-        return round_trip(None if self.jpeg_quality is None else JpegStream(quality=self.jpeg_quality), 1.0)(kept)
+        return round_trip(
+            None if self.jpeg_quality is None else JpegStream(quality=self.jpeg_quality), 1.0
+        )(kept)
 
 
 Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each
 
 
 class Task:
-    """The task of a scenario, its `goal` block, with defaults for all but `kind` and `goal_poses`: one view, on any base."""
+    """The task of a scenario, its `goal` block, with defaults for all but `kind` and `goal_poses`:
+    one view, on any base.
+    """
 
-    asks: ClassVar[str] = "view"  # The word by which a law declares that it supports such tasks (`Law.tasks`)
-    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})  # The bases of robots that can execute it
-    continuing: ClassVar[bool] = False  # Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration
+    asks: ClassVar[str] = (
+        "view"  # The word by which a law declares that it supports such tasks (`Law.tasks`)
+    )
+    # The bases of robots that can execute it
+    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
+    continuing: ClassVar[bool] = (
+        # Whether it has no goal to reach, but an error to keep within a tolerance for the whole
+        # duration
+        False
+    )
     lands: ClassVar[bool] = False  # Whether it ends on the ground
     ends: ClassVar[Outcome] = Outcome.converged  # The outcome with which it is done
-    by_clock: ClassVar[bool] = False  # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
+    by_clock: ClassVar[bool] = (
+        # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
+        False
+    )
     needs_pose: ClassVar[bool] = False
-    """Whether the law needs the target's pose itself, so that its depth source must be one that estimates it."""
+    """Whether the law needs the target's pose itself, so that its depth source must be one that
+    estimates it.
+    """
     needs_still: ClassVar[bool] = False  # Whether the target must stand still
-    view_fields: ClassVar[tuple[str, ...]] = ()  # The scenario's field of each goal view, for error messages; `goal` where there is none
+    # The scenario's field of each goal view, for error messages; `goal` where there is none
+    view_fields: ClassVar[tuple[str, ...]] = ()
 
     kind: Any  # The word in a scenario, a field of each task
     settle_s: Any = 0.0  # Settling time, after which the tolerance counts [s]
@@ -186,23 +256,36 @@ class Task:
 
     @abstractmethod
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
+        """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount
+        T_base_camera (4, 4).
+        """
         ...
 
     def check(self, setup: Setup) -> None:
-        """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would work."""
+        """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would
+        work.
+        """
         self._check_law(setup.law)
         self._check_base(setup.robot)
         if setup.target.painted_route is not None:
-            words = "needs markers, and lines on the floor have none; use goal: {kind: line} and law: {kind: line_following}"
+            words = (
+                "needs markers, and lines on the floor have none; use goal: {kind: line} and law:"
+                " {kind: line_following}"
+            )
             raise ParameterError("goal", f"of kind {self.kind} {words}")
         if self.needs_still and setup.target.moves:
-            words = "needs a target that stands still; for one that moves use goal: {gap_m: ...} or {T_camera_target: ...}"
+            words = (
+                "needs a target that stands still;"
+                " for one that moves use goal: {gap_m: ...} or {T_camera_target: ...}"
+            )
             raise ParameterError("goal", f"of kind {self.kind} {words}")
 
     def _check_law(self, law: Law[Any]) -> None:
         if self.asks not in law.tasks:
-            raise ParameterError.excluded("goal", f"of kind {self.kind} with law {law.kind}, which takes {' or '.join(law.tasks)}")
+            raise ParameterError.excluded(
+                "goal",
+                f"of kind {self.kind} with law {law.kind}, which takes {' or '.join(law.tasks)}",
+            )
         if self.needs_pose and not law.depth.needs_pose:
             words = f"{law.depth.kind} with law {law.kind}, which needs the pose itself"
             raise ParameterError.excluded("law.depth", words, works="floor or pnp")
@@ -212,39 +295,58 @@ class Task:
             return
         if self.bases == {"floating"}:
             raise ParameterError.excluded(
-                "goal", f"{self.kind} with robot {robot.kind}", why="it is for a craft that flies (robot quadrotor)"
+                "goal",
+                f"{self.kind} with robot {robot.kind}",
+                why="it is for a craft that flies (robot quadrotor)",
             )
-        raise ParameterError.excluded("goal", f"{self.kind} with robot {robot.kind}", why="it is for a vehicle", works="T_camera_target")
+        raise ParameterError.excluded(
+            "goal",
+            f"{self.kind} with robot {robot.kind}",
+            why="it is for a vehicle",
+            works="T_camera_target",
+        )
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        """What is said of the picture at each goal view; () where nothing is: the simulated camera takes it."""
+        """What is said of the picture at each goal view; () where nothing is: the simulated camera
+        takes it.
+        """
         return ()
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Refuse goal views that do not show their markers, or at which a flying robot is not level. Raises ParameterError."""
+        """Refuse goal views that do not show their markers, or at which a flying robot is not
+        level. Raises ParameterError.
+        """
         poses = self.goal_poses(setup.target, setup.camera.mount.T)
         fields = self.view_fields or ("goal",) * len(poses)
         for field, pose, view in zip(fields, poses, views, strict=True):
             check_visible(setup, field, pose, view.counted)
             if setup.robot.base != "floating":
                 continue
-            # z of the craft's base in the world's axes: its last component is the cosine of the tilt, and a craft hovers level.
+            # z of the craft's base in the world's axes: its last component is the cosine of the
+            # tilt, and a craft hovers level.
             up = (setup.target.T_world_start @ inverse(pose) @ inverse(setup.camera.mount.T))[2, 2]
             lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
             if lean > LEVEL_DEG:
                 words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level"
                 raise ParameterError(field, f"{words}; turn the view, or camera.mount, by as much")
 
-    def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
-        """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
+    def goal_pose_at(
+        self, setup: Setup, poses: tuple[Array, ...], t: float, view: int
+    ) -> Array | None:
+        """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the
+        `goal_poses`; None where no single pose is it.
+        """
         return poses[view] if np.isfinite(poses[view]).all() else None
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The goals for the law: the views from the goal poses."""
         n = len(self.goal_poses(setup.target, setup.camera.mount.T))
         # i=i binds the number now: a plain closure would give every view the last pose.
-        return tuple(view_from(setup, lambda mount, i=i: self.goal_poses(setup.target, mount)[i], i) for i in range(n))
+        return tuple(
+            view_from(setup, lambda mount, i=i: self.goal_poses(setup.target, mount)[i], i)
+            for i in range(n)
+        )
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
         """The initial state of the reference: here the first view, which stays the goal."""
@@ -255,23 +357,33 @@ class Task:
         return state, state
 
     def passed(self, state: Any, error: ImageError) -> tuple[Any, Goal | None]:
-        """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
+        """After a frame: the next state, and the new goal for which the law must be initialised
+        again, if there is one.
+        """
         return state, None
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """What measures the task's error and decides when it is completed or failed; by default reached when `stop.converged` holds."""
-        return TaskMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
+        """What measures the task's error and decides when it is completed or failed; by default
+        reached when `stop.converged` holds.
+        """
+        return TaskMonitor(
+            setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor
+        )
 
     def metrics(self, log: Log) -> dict[str, float | None]:
         """Summary figures of this task alone."""
         return {}
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """The error by which the task was judged, from the log of a run; by default the one that `stop.converged` tests."""
+        """The error by which the task was judged, from the log of a run; by default the one that
+        `stop.converged` tests.
+        """
         return by_convergence(log, stop.converged)
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """Straight distance from the start of a run to its goal [m]: the first frame's position error."""
+        """Straight distance from the start of a run to its goal [m]: the first frame's position
+        error.
+        """
         return float(log["position_error_m"][0])
 
 
@@ -280,18 +392,27 @@ TaskBase = Task  # the name by which tasks of one's own derive from it
 
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
     """The goal for the law: the view from a goal pose.
-    setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a
-    place of the base, a wrong calibration of the mount displaces the believed goal view. number: of the view, among several in turn.
+    setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target
+    (4, 4) at the goal. Where the goal is a
+    place of the base, a wrong calibration of the mount displaces the believed goal view. number: of
+    the view, among several in turn.
     """
     target, points, scale = setup.target, setup.target.points, setup.depth_scale
     if setup.goal_shown:
-        made = shown_goal(setup.camera, setup.believed_camera, target, pose_with(setup.camera.mount.T))
+        made = shown_goal(
+            setup.camera, setup.believed_camera, target, pose_with(setup.camera.mount.T)
+        )
     else:
         T = pose_with(setup.believed_camera.mount.T)
         made = Goal.of_points(setup.believed_camera, target.points_at(T), T)
     if scale is not None:
-        # A shown goal is known by its picture alone, so that its pose is estimated with the wrong depths, too.
-        pose = pose_by_depth(made.T_camera_target, points, scale) if setup.goal_shown else made.T_camera_target
+        # A shown goal is known by its picture alone, so that its pose is estimated with the wrong
+        # depths, too.
+        pose = (
+            pose_by_depth(made.T_camera_target, points, scale)
+            if setup.goal_shown
+            else made.T_camera_target
+        )
         depth, reach, middle = made.depth * scale, made.range * scale, made.middle * scale.mean()
         made = replace(made, depth=depth, range=reach, middle=middle, T_camera_target=pose)
     return replace(made, view=number) if number else made

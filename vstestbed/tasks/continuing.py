@@ -1,4 +1,6 @@
-"""Continuing tasks: the true error must stay within a tolerance from `settle_s` until the run's duration is over."""
+"""Continuing tasks: the true error must stay within a tolerance from `settle_s` until the run's
+duration is over.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,23 @@ from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 
-WINDOW_S = 2.0  # window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)
+WINDOW_S = (
+    2.0  # window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)
+)
 STEADY = 0.8
-"""Least share of a commanded speed. Measured: steady driving .98 and more, a straight approach to a line at 25 degrees .91, a start
-within the first two seconds .87."""
-FOLLOWS = 0.5  # least share of the leader's speed for a follower, which cuts corners, and waits where it is too near
+"""Least share of a commanded speed. Measured: steady driving .98 and more, a straight approach to a
+line at 25 degrees .91, a start within the first two seconds .87.
+"""
+# least share of the leader's speed for a follower, which cuts corners, and waits where it is too
+# near
+FOLLOWS = 0.5
 
-MinSpeed = tuple[str, float, float]  # who, in words, is commanded which speed, and must reach which [m/s]
+# who, in words, is commanded which speed, and must reach which [m/s]
+MinSpeed = tuple[str, float, float]
 Odometer = Callable[[Array, Array], tuple[float, ...]]
-"""Distances so far [m] of the vehicles under a minimum speed, in their order, with vehicle and target now at these true poses (4, 4)."""
+"""Distances so far [m] of the vehicles under a minimum speed, in their order, with vehicle and
+target now at these true poses (4, 4).
+"""
 
 
 class SpeedMonitor:
@@ -42,21 +52,35 @@ class SpeedMonitor:
         self.slow: tuple[float, str] | None = None
 
     def update(self, t: float, travelled: tuple[float, ...], at_the_end: bool) -> None:
-        """Add the distances so far [m] at a time [s]. A run shorter than the window is tested as a whole."""
+        """Add the distances so far [m] at a time [s]. A run shorter than the window is tested as a
+        whole.
+        """
         past = self._past
         past.append((t, travelled))
-        # The first entry left is the newest that is a whole window old: the mean is over WINDOW_S, whatever the frame rate.
+        # The first entry left is the newest that is a whole window old: the mean is over WINDOW_S,
+        # whatever the frame rate.
         while len(past) > 2 and past[1][0] <= t - WINDOW_S + 1e-9:
             past.popleft()
         began, before = past[0]
         whole = t - began >= WINDOW_S - 1e-9 or (at_the_end and t > began)
         if self.slow or t < self._from_s or not whole:
             return
-        for (who, commanded_mps, least_mps), now, then in zip(self._speeds, travelled, before, strict=True):
+        for (who, commanded_mps, least_mps), now, then in zip(
+            self._speeds, travelled, before, strict=True
+        ):
             mean = (now - then) / (t - began)
             if not mean >= least_mps:  # `not >=`: a mean of NaN is a violation, too
-                commanded = f"{commanded_mps:g} m/s were commanded, {least_mps:.2g} are the least that counts"
-                self.slow = t, f"{who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s; {commanded}"
+                commanded = (
+                    f"{commanded_mps:g} m/s were commanded,"
+                    f" {least_mps:.2g} are the least that counts"
+                )
+                self.slow = (
+                    t,
+                    (
+                        f"{who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s;"
+                        f" {commanded}"
+                    ),
+                )
                 return
 
 
@@ -90,7 +114,9 @@ class Continuing(Task):
         return 0.0
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        return ToleranceMonitor(self, setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
+        return ToleranceMonitor(
+            self, setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor
+        )
 
     def metrics(self, log: Log) -> dict[str, float | None]:
         """`worst_task_error_m`: the largest true error after `settle_s` [m]."""
@@ -102,7 +128,8 @@ class Continuing(Task):
 
 
 class ToleranceMonitor(TaskMonitor):
-    """Completed at the end of the duration, unless the error left its tolerance once settled, or a vehicle was too slow.
+    """Completed at the end of the duration, unless the error left its tolerance once settled, or a
+    vehicle was too slow.
 
     Column `task_error_m`: the true task error [m].
     """
@@ -134,18 +161,29 @@ class ToleranceMonitor(TaskMonitor):
             self._left_at = t, self._error_m
         over = t >= duration - 1e-9  # times are sums of steps, and may miss the end by a rounding
         if self._speeds and self._odometer:
-            travelled = self._odometer(frame.T_world_base(self.mount_inverse), frame.truth.T_world_target)
+            travelled = self._odometer(
+                frame.T_world_base(self.mount_inverse), frame.truth.T_world_target
+            )
             self._speeds.update(t, travelled, over)
         if not over:
             return None
         tolerance, settle = self.task.tolerance_m, self.task.settle_s
         if not settled:
-            return Outcome.timed_out, f"{duration:g} s ended before the {settle:g} s in which it may settle"
+            return (
+                Outcome.timed_out,
+                f"{duration:g} s ended before the {settle:g} s in which it may settle",
+            )
         slow, left = self._speeds.slow if self._speeds else None, self._left_at
         if slow and (left is None or slow[0] < left[0]):
             return Outcome.timed_out, slow[1]
         if left is not None:
-            return Outcome.timed_out, f"out of its band of {tolerance:g} m at {left[0]:.3g} s, {abs(left[1]):.3g} m off"
+            return (
+                Outcome.timed_out,
+                f"out of its band of {tolerance:g} m at {left[0]:.3g} s, {abs(left[1]):.3g} m off",
+            )
         if duration < self.task.end_s:
-            return Outcome.timed_out, f"{duration:g} s ended on the way: its end is reached at {self.task.end_s:.3g} s"
+            return (
+                Outcome.timed_out,
+                f"{duration:g} s ended on the way: its end is reached at {self.task.end_s:.3g} s",
+            )
         return Outcome.completed, f"within {tolerance:g} m from {settle:g} s on"

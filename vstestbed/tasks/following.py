@@ -19,7 +19,15 @@ from vstestbed.robots.base import Base
 from vstestbed.robots.vehicle import Vehicle
 from vstestbed.targets import GroundLines, Target
 from vstestbed.targets.route import Route
-from vstestbed.tasks.continuing import FOLLOWS, STEADY, Continuing, MinSpeed, Odometer, Settle, Tolerance
+from vstestbed.tasks.continuing import (
+    FOLLOWS,
+    STEADY,
+    Continuing,
+    MinSpeed,
+    Odometer,
+    Settle,
+    Tolerance,
+)
 from vstestbed.tasks.monitor import Setup
 from vstestbed.vision.floor_pose import LEVEL
 
@@ -30,8 +38,8 @@ ONE_PLACE_M = 1e-6  # points within this of one another in the floor plan are at
 class GoalGap(Continuing):
     """Continuing task: keep a distance, on the floor, from the vehicle's origin to the target's.
 
-    Behind a vehicle that drives, both vehicles must keep a minimum speed. Behind a target that stands by scenario (`motion: still`)
-    the vehicle waits at the distance.
+    Behind a vehicle that drives, both vehicles must keep a minimum speed. Behind a target that
+    stands by scenario (`motion: still`) the vehicle waits at the distance.
 
     Args:
         gap_m: the distance [m].
@@ -62,26 +70,45 @@ class GoalGap(Continuing):
             if self.gap_m <= least:
                 front_m = f"the front of robot {robot.kind}, {front:g} m before its origin,"
                 why = f"there {front_m} touches the {target.carrier.by} that carries the target"
-                raise ParameterError.bound("goal.gap_m", "over", f"{least:.4g} m", self.gap_m, why=why)
-        # Points above one another do not determine the target's heading: they must lie over the origin to which the gap is measured.
-        p: Array = target.points @ target.pose.T[:3, :3].T  # from the target's origin, in the axes of what carries it
+                raise ParameterError.bound(
+                    "goal.gap_m", "over", f"{least:.4g} m", self.gap_m, why=why
+                )
+        # Points above one another do not determine the target's heading: they must lie over the
+        # origin to which the gap is measured. p is from the target's origin, in the axes of what
+        # carries it.
+        p: Array = target.points @ target.pose.T[:3, :3].T
         if not setup.law.depth.on_floor or np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
             return
-        # One place gives one direction and, by the known height, one distance: enough for a point, not for the carrier's heading.
+        # One place gives one direction and, by the known height, one distance: enough for a point,
+        # not for the carrier's heading.
         if np.abs(p[0, :2]).max() > ONE_PLACE_M:
-            words = "has its points at one place of the floor plan, which does not tell its heading, so that its origin, to which the gap"
-            remedy = "is measured, stays unknown; use x = y = 0 there and put the place into target.pose, or add a point beside it"
+            words = (
+                "has its points at one place of the floor plan, which does not tell its heading, so"
+                " that its origin, to which the gap"
+            )
+            remedy = (
+                "is measured, stays unknown;"
+                " use x = y = 0 there and put the place into target.pose, or add a point beside it"
+            )
             raise ParameterError("target", f"{words} {remedy}")
         height = p[:, 2] + target.pose.xyz[2] - camera.mount.xyz[2]
         if np.abs(height).max() <= LEVEL * (self.gap_m + abs(camera.mount.xyz[0])):
-            words = "has its points at the camera's own height, where their images do not determine their distance"
-            raise ParameterError("target", f"{words}; mount the camera higher or lower, or add a point beside it")
+            words = (
+                "has its points at the camera's own height,"
+                " where their images do not determine their distance"
+            )
+            raise ParameterError(
+                "target", f"{words}; mount the camera higher or lower, or add a point beside it"
+            )
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Nothing: the goal is a distance, not a view, and markers may be out of the picture there."""
+        """Nothing: the goal is a distance, not a view,
+        and markers may be out of the picture there.
+        """
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        # The gap counts from the target's origin: its place on the carrier is dropped, its height and orientation stay.
+        # The gap counts from the target's origin: its place on the carrier is dropped, its height
+        # and orientation stay.
         carrier = target.pose.T.copy()
         carrier[:2, 3] = 0.0
         return (inverse(mount) @ pose_on_ground(np.array([self.gap_m, 0.0, 0.0])) @ carrier,)
@@ -94,7 +121,8 @@ class GoalGap(Continuing):
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - self.gap_m
 
     def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
-        # Without them a run could be completed behind a leader that is stuck, or by a follower that stands while the leader circles it.
+        # Without them a run could be completed behind a leader that is stuck, or by a follower that
+        # stands while the leader circles it.
         if setup.target.carrier is None:
             return (), None
         v = setup.target.carrier.speed_mps
@@ -117,7 +145,10 @@ def leader_and_follower(target: Target) -> Odometer:
 
 
 # Line following: keep the vehicle over a line painted on the floor.
-ALONG_M = 0.5  # search range along the line round the vehicle's last arc length [m]; at 3 m/s and 10 Hz it moves by .3 m a frame
+
+# search range along the line round the vehicle's last arc length [m]; at 3 m/s and 10 Hz it moves
+# by .3 m a frame
+ALONG_M = 0.5
 
 
 @spec
@@ -138,18 +169,27 @@ class GoalLine(Continuing):
     bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
 
     def check(self, setup: Setup) -> None:
-        """The target must be lines with bends that the vehicle can follow, at a speed within its limits."""
+        """The target must be lines with bends that the vehicle can follow, at a speed within its
+        limits.
+        """
         self._check_law(setup.law)
         self._check_base(setup.robot)
         robot, route, law = setup.robot, _lines(setup.target).route, setup.law
         if not isinstance(robot, Vehicle):
             return
-        # The parallel at an offset d to the left of a bend of curvature k has the curvature k / (1 - k d).
+        # The parallel at an offset d to the left of a bend of curvature k has the curvature k /
+        # (1 - k d).
         k = route.samples[3]
         tightest = float(np.abs(k / np.maximum(1 - k * self.offset_m, 1e-9)).max())
         if tightest * robot.turning_radius_m > 1:
-            words = f"has a bend of {1 / tightest:.3g} m where the vehicle shall drive, which turns no tighter than"
-            raise ParameterError("target.route", f"{words} {robot.turning_radius_m:.3g} m; make it wider, or use robot omni")
+            words = (
+                f"has a bend of {1 / tightest:.3g} m where the vehicle shall drive,"
+                " which turns no tighter than"
+            )
+            raise ParameterError(
+                "target.route",
+                f"{words} {robot.turning_radius_m:.3g} m; make it wider, or use robot omni",
+            )
         if law.cruise_mps is None:
             return
         most = min(robot.top_speed_mps, law.limits.speed_mps or np.inf)
@@ -161,8 +201,12 @@ class GoalLine(Continuing):
         """On a straight line all measured points must be in the picture."""
         camera = setup.camera
         if not camera.inside(views[-1].uv).all():
-            words = f"are outside the {camera.width} x {camera.height} picture even where all is well"
-            raise ParameterError("target.look_m", f"{words}; turn the camera, or use a wider one or other distances")
+            words = (
+                f"are outside the {camera.width} x {camera.height} picture even where all is well"
+            )
+            raise ParameterError(
+                "target.look_m", f"{words}; turn the camera, or use a wider one or other distances"
+            )
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """NaN: the goal is no single pose, but any place along the line."""
@@ -172,7 +216,10 @@ class GoalLine(Continuing):
         mount = setup.believed_camera.mount.T
         ahead = _lines(setup.target).straight_ahead(mount, self.offset_m)
         if not np.isfinite(ahead).all():
-            words = "must have the camera look ahead, or down with the top of its picture ahead: lines are met ahead of it"
+            words = (
+                "must have the camera look ahead, or down with the top of its picture ahead:"
+                " lines are met ahead of it"
+            )
             raise ParameterError("camera.mount", words, setup.camera.mount.rpy_deg)
         return (Goal.of_points(setup.believed_camera, ahead, np.full((4, 4), np.nan)),)
 
@@ -188,14 +235,18 @@ class GoalLine(Continuing):
 
 def _lines(target: Target) -> GroundLines:
     """The target as lines on the floor. Raises ParameterError: it is another kind of target."""
-    if not isinstance(target, GroundLines):  # the one task that needs more of its target than markers: a route
-        raise ParameterError.needs("goal", "a line on the floor for kind line", works="target: {kind: lines}")
+    # the one task that needs more of its target than markers: a route
+    if not isinstance(target, GroundLines):
+        raise ParameterError.needs(
+            "goal", "a line on the floor for kind line", works="target: {kind: lines}"
+        )
     return target
 
 
 def along_route(route: Route) -> Odometer:
-    """Distance along a route, in the direction that the vehicle faced at the start: a painted line has no direction.
-    ds (1 - curvature offset) is the vehicle's own step beside the line, which in a bend is longer or shorter than the line's.
+    """Distance along a route, in the direction that the vehicle faced at the start: a painted line
+    has no direction. ds (1 - curvature offset) is the vehicle's own step beside the line, which in
+    a bend is longer or shorter than the line's.
     """
     last, sense, travelled = math.nan, 1.0, 0.0
 
@@ -205,7 +256,8 @@ def along_route(route: Route) -> Odometer:
         if math.isnan(last):
             last, with_it = route.branch(place)
             sense = 1.0 if with_it >= 0 else -1.0
-        # Near its last arc length: where the line crosses itself, the nearest point may be on the other branch.
+        # Near its last arc length: where the line crosses itself, the nearest point may be on the
+        # other branch.
         s, offset = route.nearest(place[:2], around=last, reach=ALONG_M)
         travelled += sense * (s - last) * (1 - float(route.at(s)[3]) * offset)
         last = s

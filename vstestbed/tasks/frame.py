@@ -1,4 +1,6 @@
-"""Cycle: one control step, from the picture to the order. Frame: the same with the truth, for the log, the task's monitor and watchers."""
+"""Cycle: one control step, from the picture to the order. Frame: the same with the truth, for the
+log, the task's monitor and watchers.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,11 @@ class FrameTiming(NamedTuple):
     """Times of one frame.
 
     Attributes:
-        number: counts frames from 0. t: time of exposure [s]; in a cycle by the picture's stamp, in a frame the true one.
+        number: counts frames from 0. t: time of exposure [s]; in a cycle by the picture's stamp, in
+            a frame the true one.
         t_cmd: when its command reaches the robot [s].
-        own: values of the columns that only runs with errors of stamps and links have (`Timing.columns`); None without them.
+        own: values of the columns that only runs with errors of stamps and links have
+            (`Timing.columns`); None without them.
     """
 
     number: int
@@ -39,7 +43,8 @@ class ImageError(NamedTuple):
 
     Attributes:
         lost: the law had no measurement to work with. all_seen: every marker that counts is seen.
-        rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost, and without markers.
+        rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost, and
+            without markers.
     """
 
     lost: bool
@@ -47,31 +52,41 @@ class ImageError(NamedTuple):
     rms_px: float
 
     @classmethod
-    def of(cls, seen: Observation, goal: Goal, rest_reason: str, by_others: bool = False) -> ImageError:
-        """The error of what a picture itself shows against the goal; rest_reason: why the law commands rest ("" while it works).
-        by_others: further cameras tell where markers are that the picture lacks, so that the law has a measurement.
+    def of(
+        cls, seen: Observation, goal: Goal, rest_reason: str, by_others: bool = False
+    ) -> ImageError:
+        """The error of what a picture itself shows against the goal; rest_reason: why the law
+        commands rest ("" while it works). by_others: further cameras tell where markers are that
+        the picture lacks, so that the law has a measurement.
         """
         error = seen.uv - goal.uv
         squares = float(np.vdot(error, error))
         all_seen = math.isfinite(squares)
-        if not all_seen:  # the costlier masks only where something is missing: this runs for every frame
+        # the costlier masks only where something is missing: this runs for every frame
+        if not all_seen:
             error = error[seen.seen]
             squares = float(np.vdot(error, error))
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
-        # A law may command motion although it sees nothing (coasting), and one that works on whole pictures needs no marker.
+        # A law may command motion although it sees nothing (coasting), and one that works on whole
+        # pictures needs no marker.
         lost = bool(rest_reason) or not (error.size or seen.image is not None or by_others)
-        return cls(lost, all_seen, math.nan if lost or not error.size else math.sqrt(squares / error.size))
+        return cls(
+            lost, all_seen, math.nan if lost or not error.size else math.sqrt(squares / error.size)
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """One control step of a robot: measurement, reference, command. It holds what a real robot knows, and nothing else.
+    """One control step of a robot: measurement, reference, command. It holds what a real robot
+    knows, and nothing else.
 
     Attributes:
         timing: number and times. observation: the law's measurement. goal: its reference.
-        error: in the image. command: of the law. allocation: the command within the robot's limits, whatever is ordered.
+        error: in the image. command: of the law. allocation: the command within the robot's limits,
+            whatever is ordered.
         order: what the robot is ordered: that, or what its supervisor has put in its place.
-        notes: what was unusual about the picture's time, or that pictures do not change, in words (`Controller.step`).
+        notes: what was unusual about the picture's time, or that pictures do not change, in words
+            (`Controller.step`).
     """
 
     timing: FrameTiming
@@ -90,12 +105,16 @@ class Cycle:
 
     @property
     def twist(self) -> Array:
-        """The camera twist (6,) that is ordered, (v, w) in the camera frame, within the robot's limits [m/s, rad/s]; of a stop zero."""
+        """The camera twist (6,) that is ordered, (v, w) in the camera frame, within the robot's
+        limits [m/s, rad/s]; of a stop zero.
+        """
         return self.order.twist
 
     @property
     def setpoint(self) -> Array:
-        """What goes to the actuators or the onboard controller (joint velocities [rad/s], a twist); of a stop the robot's rest."""
+        """What goes to the actuators or the onboard controller (joint velocities [rad/s], a twist);
+        of a stop the robot's rest.
+        """
         return self.order.setpoint
 
     @property
@@ -105,7 +124,9 @@ class Cycle:
 
     @property
     def reason(self) -> str:
-        """Why the robot stops, or has another velocity than the law's; "" while it follows the law."""
+        """Why the robot stops, or has another velocity than the law's;
+        "" while it follows the law.
+        """
         return self.order.reason
 
     @property
@@ -118,10 +139,12 @@ class CameraRecord(NamedTuple):
     """What a further camera showed last, for the log and for films.
 
     Attributes:
-        t: time of its exposure [s]. uv, depth: markers as measured (N, 2) [px], (N,) [m]. goal_uv: where the law wants them in its picture
-            (N, 2) [px], NaN where it wants them nowhere.
-        p_camera: true markers in its frame then (N, 3) [m]. T_world_camera: its true pose then (4, 4).
-        image: its picture (H, W, 3) uint8 RGB, valid until its next one; None where none was taken, or only part of it drawn.
+        t: time of its exposure [s]. uv, depth: markers as measured (N, 2) [px], (N,) [m]. goal_uv:
+            where the law wants them in its picture (N, 2) [px], NaN where it wants them nowhere.
+        p_camera: true markers in its frame then (N, 3) [m]. T_world_camera: its true pose then (4,
+            4).
+        image: its picture (H, W, 3) uint8 RGB, valid until its next one; None where none was taken,
+            or only part of it drawn.
     """
 
     t: float
@@ -139,12 +162,13 @@ class Frame(Cycle):
 
     Attributes:
         truth: for the log, the judge and the oracle, and for nothing else.
-        image: the servo camera's own picture, (H, W, 3) uint8 RGB, valid until the next frame; None where none was taken, or only
-            part of it drawn.
+        image: the servo camera's own picture, (H, W, 3) uint8 RGB, valid until the next frame; None
+            where none was taken, or only part of it drawn.
         row: values of the columns that only this robot and this task have (`Scenario.own_columns`).
         verdict: how the run ended with this frame, and why; None while it goes on.
         depth_image: what the depth camera measured (H, W) [m], NaN in its holes; None without one.
-        cameras: what each further camera showed last, by name; none of one that has not taken a picture yet.
+        cameras: what each further camera showed last, by name; none of one that has not taken a
+            picture yet.
     """
 
     truth: Truth
@@ -152,10 +176,14 @@ class Frame(Cycle):
     row: Array
     verdict: Verdict | None = field(default=None, kw_only=True)
     depth_image: DepthImage | None = field(default=None, kw_only=True)
-    cameras: Mapping[str, CameraRecord] = field(default_factory=dict[str, CameraRecord], kw_only=True)
+    cameras: Mapping[str, CameraRecord] = field(
+        default_factory=dict[str, CameraRecord], kw_only=True
+    )
 
     def protected(self) -> Frame:
-        """The same frame with its arrays read-only, but for the picture: the log keeps them, and who wrote to one would change a row."""
+        """The same frame with its arrays read-only, but for the picture: the log keeps them, and
+        who wrote to one would change a row.
+        """
         parts = self.observation, self.goal, self.command, self.allocation
         values = (getattr(part, name) for part in parts for name in part.__dataclass_fields__)
         for value in (*values, *self.order, *self.truth, self.row):
@@ -169,5 +197,7 @@ class Frame(Cycle):
         return self.verdict[0] if self.verdict else None
 
     def T_world_base(self, mount_inverse: Array) -> Array:
-        """True pose (4, 4) of the base that carries the camera; mount_inverse: T_camera_base (4, 4)."""
+        """True pose (4, 4) of the base that carries the camera; mount_inverse: T_camera_base (4,
+        4).
+        """
         return self.truth.T_world_camera @ mount_inverse

@@ -1,4 +1,6 @@
-"""Insertion of a plug into the target's socket: a reference that approaches along the hole's axis, and the verdict on depth and force."""
+"""Insertion of a plug into the target's socket: a reference that approaches along the hole's axis,
+and the verdict on depth and force.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,14 @@ from annotated_types import Gt, Le
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, rotation_angle
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import Angle, PositiveAngle, PositiveLength, PositiveSpeed, PositiveTime, Time
+from vstestbed.core.quantity import (
+    Angle,
+    PositiveAngle,
+    PositiveLength,
+    PositiveSpeed,
+    PositiveTime,
+    Time,
+)
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.arm import Arm
@@ -26,15 +35,17 @@ from vstestbed.tasks.stop import Stop
 
 Force = Annotated[float, Gt(0), Le(1e4)]
 DEEP_ENOUGH_M = 5e-4  # what may be missing of the depth
-BEYOND_M = 0.004  # how far the reference goes beyond the depth: the arm presses, and the contact with the bottom shows
+# how far the reference goes beyond the depth: the arm presses, and the contact with the bottom
+# shows
+BEYOND_M = 0.004
 LEAD_M = 0.01  # farthest that the reference runs ahead of the plug along the axis
 CRAWL_M = 5e-4  # a plug that touches and goes no deeper than this is stuck
 FORCE_COLUMN = "plug_force_n"  # of the arm's tool
 
 
 class Approach(NamedTuple):
-    """State of the reference: how far it has come along the axis [m], time of the last frame [s], since when the plug is in line [s], and
-    the pressure before any contact [N].
+    """State of the reference: how far it has come along the axis [m], time of the last frame [s],
+    since when the plug is in line [s], and the pressure before any contact [N].
     """
 
     setup: Setup
@@ -46,21 +57,28 @@ class Approach(NamedTuple):
 
 @spec
 class GoalInsertion(Task):
-    """Insert the arm's plug (`robot.tool`) into the target's socket: servo to a view with the tip before the mouth, then along its axis.
+    """Insert the arm's plug (`robot.tool`) into the target's socket: servo to a view with the tip
+    before the mouth, then along its axis.
 
-    The reference waits until the plug is in line by the robot's own estimate, then advances; before the mouth it waits again where the plug
-    leaves the line. With a sensor at the wrist it stops where the plug presses with `press_n`. Reached with the tip at `depth_m` in the
-    socket, by the truth, and touching; failed over `limit_n`, or where the plug touches and stays where it is for `jam_s`.
+    The reference waits until the plug is in line by the robot's own estimate, then advances; before
+    the mouth it waits again where the plug leaves the line. With a sensor at the wrist it stops
+    where the plug presses with `press_n`. Reached with the tip at `depth_m` in the socket, by the
+    truth, and touching; failed over `limit_n`, or where the plug touches and stays where it is for
+    `jam_s`.
 
     Args:
-        tip_m: distance of the plug's tip from the flange, the length of `robot.tool`, as the robot knows it [m].
-        roll_deg: how the plug is turned about its axis there: 0 with the flange's x along the target's [deg].
+        tip_m: distance of the plug's tip from the flange, the length of `robot.tool`, as the robot
+            knows it [m].
+        roll_deg: how the plug is turned about its axis there: 0 with the flange's x along the
+            target's [deg].
         standoff_m: distance of the tip from the mouth at which the approach begins [m].
-        within_m, within_deg: largest lateral and rotational error, by the robot's estimate, with which it begins and goes on [m, deg].
+        within_m, within_deg: largest lateral and rotational error, by the robot's estimate, with
+            which it begins and goes on [m, deg].
         hold_s: for how long the plug must be in line before the approach begins [s].
         speed_mps: of the approach [m/s].
         depth_m: to be reached [m]; None: the bottom of the socket; e.g. `0.03`.
-        press_n: pressure along the axis at which the reference stops, with `robot.wrist` [N]; None: it does not stop by force.
+        press_n: pressure along the axis at which the reference stops, with `robot.wrist` [N]; None:
+            it does not stop by force.
         limit_n: true force on the plug that ends the run [N].
         jam_s: how long a plug that touches may stay where it is [s].
         seat_s: for how long it must touch at its depth until it is inserted [s].
@@ -84,29 +102,52 @@ class GoalInsertion(Task):
     ends: ClassVar[Outcome] = Outcome.inserted
 
     def check(self, setup: Setup) -> None:
-        """The arm must have a plug, the target a socket that takes it, and the law a pose to be in line by."""
+        """The arm must have a plug, the target a socket that takes it, and the law a pose to be in
+        line by.
+        """
         super().check(setup)
         socket, robot = setup.target.socket, setup.robot
         plug = robot.tool if isinstance(robot, Arm) else None
         if plug is None:
-            raise ParameterError.missing("robot.tool", "goal of kind insertion needs a plug, e.g. {radius: 0.01, length: 0.15}")
+            raise ParameterError.missing(
+                "robot.tool",
+                "goal of kind insertion needs a plug, e.g. {radius: 0.01, length: 0.15}",
+            )
         if abs(plug.length - self.tip_m) > 1e-9:
-            raise ParameterError.fixed("goal.tip_m", f"robot.tool.length, {plug.length:g} m", self.tip_m)
+            raise ParameterError.fixed(
+                "goal.tip_m", f"robot.tool.length, {plug.length:g} m", self.tip_m
+            )
         if socket is None:
-            raise ParameterError.missing("target.socket", "goal of kind insertion needs one, e.g. {radius: 0.011, depth: 0.04}")
+            raise ParameterError.missing(
+                "target.socket",
+                "goal of kind insertion needs one, e.g. {radius: 0.011, depth: 0.04}",
+            )
         if socket.radius <= plug.radius:
-            raise ParameterError.bound("target.socket.radius", "over", f"robot.tool.radius = {plug.radius:g} m", socket.radius)
+            raise ParameterError.bound(
+                "target.socket.radius",
+                "over",
+                f"robot.tool.radius = {plug.radius:g} m",
+                socket.radius,
+            )
         if self.depth_m is not None and self.depth_m > socket.depth:
-            raise ParameterError.bound("goal.depth_m", "at most", f"target.socket.depth = {socket.depth:g} m", self.depth_m)
+            raise ParameterError.bound(
+                "goal.depth_m", "at most", f"target.socket.depth = {socket.depth:g} m", self.depth_m
+            )
         if not (setup.law.depth.needs_pose or "T_camera_target" in setup.law.inputs):
             words = f"{setup.law.depth.kind}, by which the plug cannot be seen to be in line"
             raise ParameterError.excluded("law.depth", words, works="pnp")
 
     def pose(self, target: Target, mount: Array, way_m: float) -> Array:
-        """T_camera_target (4, 4) with the tip so far along the axis from its standoff [m], for a camera at a mount (4, 4)."""
+        """T_camera_target (4, 4) with the tip so far along the axis from its standoff [m], for a
+        camera at a mount (4, 4).
+        """
         socket = target.socket
         assert socket is not None
-        T_target_flange, c, s = np.eye(4), math.cos(math.radians(self.roll_deg)), math.sin(math.radians(self.roll_deg))
+        T_target_flange, c, s = (
+            np.eye(4),
+            math.cos(math.radians(self.roll_deg)),
+            math.sin(math.radians(self.roll_deg)),
+        )
         T_target_flange[:2, :2] = [[c, -s], [s, c]]
         T_target_flange[:3, 3] = [*socket.xy, -socket.depth - self.standoff_m + way_m - self.tip_m]
         return inverse(T_target_flange @ mount)
@@ -120,7 +161,9 @@ class GoalInsertion(Task):
         return (self.pose(target, mount, 0.0),)
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
-        return self.pose(setup.target, setup.camera.mount.T, self.standoff_m + self.depth_in(setup.target))
+        return self.pose(
+            setup.target, setup.camera.mount.T, self.standoff_m + self.depth_in(setup.target)
+        )
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Approach:
         return Approach(setup)
@@ -133,50 +176,66 @@ class GoalInsertion(Task):
         if T is None or math.isnan(dt):
             return state._replace(t=seen.t), goal
         axis = reference[:3, 2]  # of the hole, into it, in the camera's frame
-        away = reference[:3, 3] - T[:3, 3]  # how far the camera still has to go, so that the target comes to where it is wanted
+        # how far the camera still has to go, so that the target comes to where it is wanted
+        away = reference[:3, 3] - T[:3, 3]
         lateral, lead = float(np.linalg.norm(away - (away @ axis) * axis)), float(-away @ axis)
         turned = math.degrees(rotation_angle(T[:3, :3].T @ reference[:3, :3]))
         in_line = lateral < self.within_m and turned < self.within_deg and abs(lead) < LEAD_M
         since = min(state.in_line_since, seen.t) if in_line else math.inf
         press = 0.0 if seen.wrench is None else float(-seen.wrench[:3] @ axis)
-        rest_n = press if way == 0.0 or math.isnan(state.rest_n) else state.rest_n  # the weight of the tool
+        # the weight of the tool
+        rest_n = press if way == 0.0 or math.isnan(state.rest_n) else state.rest_n
         presses = self.press_n is not None and press - rest_n > self.press_n
         begun = way > 0.0 or seen.t - since >= self.hold_s
         inside = way > self.standoff_m
         last = self.standoff_m + self.depth_in(setup.target) + BEYOND_M
-        advances = begun and (in_line or inside) and abs(lead) < LEAD_M and not presses and way < last
+        advances = (
+            begun and (in_line or inside) and abs(lead) < LEAD_M and not presses and way < last
+        )
         if advances:
             way = min(way + self.speed_mps * dt, last)
             goal = self._view_at(setup, way, self.speed_mps)
         return Approach(setup, way, seen.t, since, rest_n), goal
 
     def _view_at(self, setup: Setup, way_m: float, speed_mps: float = 0.0) -> Goal:
-        """The view at a way along the axis, with the errors of the calibration that the first view has; the twist of a camera that goes
-        along.
+        """The view at a way along the axis, with the errors of the calibration that the first view
+        has; the twist of a camera that goes along.
         """
         goal = view_from(setup, lambda mount: self.pose(setup.target, mount, way_m))
         if not speed_mps:
             return goal
-        return replace(goal, twist=np.concatenate([speed_mps * goal.T_camera_target[:3, 2], np.zeros(3)]), moves=True)
+        return replace(
+            goal,
+            twist=np.concatenate([speed_mps * goal.T_camera_target[:3, 2], np.zeros(3)]),
+            moves=True,
+        )
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> InsertionMonitor:
         return InsertionMonitor(self, setup, supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
-        """Depth reached [m], the largest force on the plug, and its mean over the last second [N]."""
+        """Depth reached [m], the largest force on the plug,
+        and its mean over the last second [N].
+        """
         depth, force = log["insertion_m"], log[FORCE_COLUMN]
         last = force[log["t"] > log["t"][-1] - 1.0]
-        return {"insertion_m": float(depth[-1]), "largest_force_n": float(np.nanmax(force)), "final_force_n": float(np.nanmean(last))}
+        return {
+            "insertion_m": float(depth[-1]),
+            "largest_force_n": float(np.nanmax(force)),
+            "final_force_n": float(np.nanmean(last)),
+        }
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
         return at_the_end(log, "task_error_m", DEEP_ENOUGH_M)
 
 
 class InsertionMonitor(TaskMonitor):
-    """Ends when the plug is at its depth and touches, presses with more than its limit, or is stuck.
+    """Ends when the plug is at its depth and touches, presses with more than its limit, or is
+    stuck.
 
-    Columns `insertion_m`: true depth of the tip in the socket, negative before it [m]; `plug_offset_m`: its true distance from the axis
-    [m]; `task_error_m`: what is missing of the depth [m].
+    Columns `insertion_m`: true depth of the tip in the socket, negative before it [m];
+    `plug_offset_m`: its true distance from the axis [m]; `task_error_m`: what is missing of the
+    depth [m].
     """
 
     error_columns = ("insertion_m", "plug_offset_m", "task_error_m")
@@ -196,16 +255,27 @@ class InsertionMonitor(TaskMonitor):
     def task_error(self, frame: Frame) -> tuple[float, ...]:
         T = inverse(frame.truth.T_world_target) @ frame.T_world_base(self.mount_inverse)
         x, y, z = T[:3, :3] @ self._tip + T[:3, 3]
-        self.depth_m, self.offset_m = float(z + self._socket.depth), math.hypot(x - self._socket.xy[0], y - self._socket.xy[1])
+        self.depth_m, self.offset_m = (
+            float(z + self._socket.depth),
+            math.hypot(x - self._socket.xy[0], y - self._socket.xy[1]),
+        )
         return self.depth_m, self.offset_m, max(0.0, self._depth - self.depth_m)
 
     def reached(self, frame: Frame) -> Verdict | None:
         """The plug touches at its depth inside of the hole."""
         within, force = self.offset_m < self._socket.radius, frame.truth.effects[self._force]
-        seated = within and force <= self._goal.limit_n and self.depth_m >= self._depth - DEEP_ENOUGH_M and bool(frame.truth.feet)
+        seated = (
+            within
+            and force <= self._goal.limit_n
+            and self.depth_m >= self._depth - DEEP_ENOUGH_M
+            and bool(frame.truth.feet)
+        )
         self._seated_since = held_since(self._seated_since, seated, frame.t)
         if has_held(self._seated_since, frame.t, self._goal.seat_s):
-            return Outcome.inserted, f"{1e3 * self.depth_m:.1f} mm deep, {1e3 * self.offset_m:.2f} mm beside the axis"
+            return (
+                Outcome.inserted,
+                f"{1e3 * self.depth_m:.1f} mm deep, {1e3 * self.offset_m:.2f} mm beside the axis",
+            )
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:
@@ -213,7 +283,13 @@ class InsertionMonitor(TaskMonitor):
         goal, force, t = self._goal, frame.truth.effects[self._force], frame.t
         where = f"{1e3 * self.depth_m:.1f} mm deep, {1e3 * self.offset_m:.1f} mm beside the axis"
         if force > goal.limit_n:
-            return Outcome.collided, f"contact of {frame.truth.feet or 'the plug'} with {force:.0f} N, over {goal.limit_n:g} N, {where}"
+            return (
+                Outcome.collided,
+                (
+                    f"contact of {frame.truth.feet or 'the plug'} with {force:.0f} N,"
+                    f" over {goal.limit_n:g} N, {where}"
+                ),
+            )
         if not frame.truth.feet or self.depth_m > self._deepest + CRAWL_M:
             self._deepest, self._stuck_since = max(self._deepest, self.depth_m), math.inf
         stuck = bool(frame.truth.feet) and math.isinf(self._seated_since)

@@ -1,4 +1,6 @@
-"""The error by which a task is judged: its value at the end of a run, its limit, who measured it, and what a step is worth by it."""
+"""The error by which a task is judged: its value at the end of a run, its limit, who measured it,
+and what a step is worth by it.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ class JudgedError(NamedTuple):
 
     Attributes:
         value: at the end of the run, in `unit`; NaN where it is unknown.
-        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it. by: who measured it.
+        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is
+            reached under it. by: who measured it.
     """
 
     value: float
@@ -45,27 +48,55 @@ class JudgedError(NamedTuple):
     def summary(self) -> dict[str, object]:
         """Its entries in `summary.json`."""
         value = self.value if math.isfinite(self.value) else None
-        return {"judged_error": value, "judged_unit": self.unit, "judged_limit": self.limit, "judged_by": self.by}
+        return {
+            "judged_error": value,
+            "judged_unit": self.unit,
+            "judged_limit": self.limit,
+            "judged_by": self.by,
+        }
 
 
 def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedError:
-    """The error that `stop.converged` tests at the end of a run; of several, the one that is largest compared with its limit."""
+    """The error that `stop.converged` tests at the end of a run; of several, the one that is
+    largest compared with its limit.
+    """
     found: list[JudgedError] = []
     if converged.error_px is not None:
-        column, by = ("level_error_px", "level pixels") if "level_error_px" in log else ("error_px", "pixels")
+        column, by = (
+            ("level_error_px", "level pixels")
+            if "level_error_px" in log
+            else ("error_px", "pixels")
+        )
         found.append(JudgedError(_last(log, column), "px", converged.error_px, by))
     if converged.error_grey is not None:
-        found.append(JudgedError(_last(log, "error_grey"), "grey levels", converged.error_grey, "grey levels"))
+        found.append(
+            JudgedError(
+                _last(log, "error_grey"), "grey levels", converged.error_grey, "grey levels"
+            )
+        )
     if converged.position_m is not None:
-        found.append(JudgedError(_last(log, "est_position_m"), "m", converged.position_m, "estimate"))
+        found.append(
+            JudgedError(_last(log, "est_position_m"), "m", converged.position_m, "estimate")
+        )
     if converged.rotation_deg is not None:
-        found.append(JudgedError(_last(log, "est_rotation_rad"), "rad", math.radians(converged.rotation_deg), "estimate"))
+        found.append(
+            JudgedError(
+                _last(log, "est_rotation_rad"),
+                "rad",
+                math.radians(converged.rotation_deg),
+                "estimate",
+            )
+        )
     return largest(found)
 
 
 def largest(errors: Iterable[JudgedError]) -> JudgedError:
-    """The error that is largest compared with its limit; an unknown one comes first: no task is done with it."""
-    return max(errors, key=lambda error: math.inf if math.isnan(error.value) else error.value / error.limit)
+    """The error that is largest compared with its limit; an unknown one comes first: no task is
+    done with it.
+    """
+    return max(
+        errors, key=lambda error: math.inf if math.isnan(error.value) else error.value / error.limit
+    )
 
 
 def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: float) -> JudgedError:
@@ -74,32 +105,48 @@ def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: floa
     return JudgedError(float(settled.max()) if len(settled) else math.nan, "m", limit, "truth")
 
 
-def at_the_end(log: Mapping[str, Array], column: str, limit: float, unit: Literal["m", "m/s"] = "m") -> JudgedError:
+def at_the_end(
+    log: Mapping[str, Array], column: str, limit: float, unit: Literal["m", "m/s"] = "m"
+) -> JudgedError:
     """A true error in the last frame."""
     return JudgedError(_last(log, column), unit, limit, "truth")
 
 
-def in_a_frame(judged: Callable[[Mapping[str, Array], Stop], JudgedError], stop: Stop, values: Mapping[str, float]) -> JudgedError:
-    """The error by which a task is judged, in one frame; judged: `Task.judged`. values: `error_px` and the task's own columns."""
+def in_a_frame(
+    judged: Callable[[Mapping[str, Array], Stop], JudgedError],
+    stop: Stop,
+    values: Mapping[str, float],
+) -> JudgedError:
+    """The error by which a task is judged, in one frame; judged: `Task.judged`. values: `error_px`
+    and the task's own columns.
+    """
     # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
-    return judged({name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}, stop)
+    return judged(
+        {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])},
+        stop,
+    )
 
 
 def _last(log: Mapping[str, Array], column: str) -> float:
     return float(log[column][-1]) if len(log["t"]) else math.nan
 
 
-# What a step of a run is worth to a learner: potentials by the judged error, and rewards by their differences.
+# What a step of a run is worth to a learner: potentials by the judged error, and rewards by their
+# differences.
 RewardKind = Literal["potential", "negative_error", "sparse"]
-WORST = 1e4  # an error of so many times its limit, or more, or unknown, is the worst (2000 px where .2 px are the goal)
+# an error of so many times its limit, or more, or unknown, is the worst (2000 px where .2 px are
+# the goal)
+WORST = 1e4
 
 
 def potential(error: JudgedError, view: int = 0, views: int = 1) -> float:
-    """How near a task is to its goal, phi in [0, 1]: 1 at no error, 0 at the worst, or where the error is unknown (markers lost).
+    """How near a task is to its goal, phi in [0, 1]: 1 at no error, 0 at the worst, or where the
+    error is unknown (markers lost).
 
         nearness = 1 - ln(1 + |error| / limit) / ln(1 + WORST),  phi = (view + nearness) / views
 
-    Logarithmic: to halve the error has the same worth at 100 px as at 1 px, and pixels, metres and radians are on one scale.
+    Logarithmic: to halve the error has the same worth at 100 px as at 1 px, and pixels, metres and
+    radians are on one scale.
     """
     return float(view + nearness(error.value, error.limit)) / views
 
@@ -114,20 +161,22 @@ def nearness(error: Any, limit: float) -> Any:
 class Reward:
     """What a step is worth.
 
-    `potential`: discount phi' - phi, and `success_bonus` at a success. After the end (termination, not truncation) phi' is 0, so
-    that the sum of the differences depends on the start alone, and the best policy is that of the bonus alone, at a learner's discount
-    equal to this one.
-    `negative_error`: phi' - 1 in [-1, 0] at every step, and the bonus. An end that is no success is charged with the worst error in
-    all n steps that were left, -(discount + ... + discount^n): without this, to give up would cost less than to go to the goal.
-    `sparse`: the bonus alone.
+    `potential`: discount phi' - phi, and `success_bonus` at a success. After the end (termination,
+    not truncation) phi' is 0, so that the sum of the differences depends on the start alone, and
+    the best policy is that of the bonus alone, at a learner's discount equal to this one.
+    `negative_error`: phi' - 1 in [-1, 0] at every step, and the bonus. An end that is no success is
+    charged with the worst error in all n steps that were left, -(discount + ... + discount^n):
+    without this, to give up would cost less than to go to the goal. `sparse`: the bonus alone.
 
     kind: which of them. discount: gamma, in (0, 1]. success_bonus: reward of a success.
     Raises ParameterError: another kind, a discount out of its range, a bonus that is not finite.
 
-    Reference: Ng, Harada & Russell 1999, "Policy invariance under reward transformations: theory and application to reward shaping",
-    ICML, pp. 278-287; that phi must be 0 after the end: Grzes 2017, "Reward shaping in episodic reinforcement learning", AAMAS,
-    pp. 565-573; that an end must be worth what an absorbing state in its place would be: Kostrikov, Agrawal, Dwibedi, Levine & Tompson
-    2019, "Discriminator-actor-critic: addressing sample inefficiency and reward bias in adversarial imitation learning", ICLR.
+    Reference: Ng, Harada & Russell 1999, "Policy invariance under reward transformations: theory
+    and application to reward shaping", ICML, pp. 278-287; that phi must be 0 after the end: Grzes
+    2017, "Reward shaping in episodic reinforcement learning", AAMAS, pp. 565-573; that an end must
+    be worth what an absorbing state in its place would be: Kostrikov, Agrawal, Dwibedi, Levine &
+    Tompson 2019, "Discriminator-actor-critic: addressing sample inefficiency and reward bias in
+    adversarial imitation learning", ICLR.
     """
 
     kind: RewardKind
@@ -144,13 +193,20 @@ class Reward:
 
     def of_step(self, before: Any, after: Any, terminated: Any, success: Any, left: Any = 0) -> Any:
         """The reward of a step between two potentials; of many steps by arrays.
-        terminated: the episode has ended, and not by the clock. left: how many steps the episode would still have had.
+        terminated: the episode has ended, and not by the clock. left: how many steps the episode
+        would still have had.
         """
         bonus = self.success_bonus * np.asarray(success)
         if self.kind == "sparse":
             return bonus
         if self.kind == "negative_error":
-            g = self.discount  # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
+            # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
+            g = self.discount
             lost = 1.0 * left if g == 1 else g * -np.expm1(left * math.log(g)) / (1.0 - g)
-            return after - 1.0 + bonus - np.where(np.logical_and(terminated, np.logical_not(success)), lost, 0.0)
+            return (
+                after
+                - 1.0
+                + bonus
+                - np.where(np.logical_and(terminated, np.logical_not(success)), lost, 0.0)
+            )
         return np.where(terminated, 0.0, self.discount * after) - before + bonus

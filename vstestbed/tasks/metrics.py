@@ -1,4 +1,6 @@
-"""The table of metrics that every reader uses, and the metrics that a scenario adds (`metrics: [...]`), computed from the log."""
+"""The table of metrics that every reader uses, and the metrics that a scenario adds
+(`metrics: [...]`), computed from the log.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,12 @@ LEAST = 1e-9  # a start nearer to its goal than this has no share [m, rad]: roun
 
 @spec
 class StartShares:
-    """Distance and angle from the goal at the end as shares of those at the start, by the truth, and the pictures that it took.
+    """Distance and angle from the goal at the end as shares of those at the start, by the truth,
+    and the pictures that it took.
 
-    `pictures_to_share` counts the pictures until both are under `share` for the rest of the run; `rotation_path_ratio` is the angle
-    that the camera turned through over the angle at the start (of the path in space, `path_ratio` is the same).
+    `pictures_to_share` counts the pictures until both are under `share` for the rest of the run;
+    `rotation_path_ratio` is the angle that the camera turned through over the angle at the start
+    (of the path in space, `path_ratio` is the same).
 
     Args:
         share: of the start's distance and angle [1].
@@ -55,13 +59,19 @@ class StartShares:
         cosine = np.abs(np.einsum("ij,ij->i", q[1:], q[:-1]))
         sine = np.sqrt(np.maximum(0, 1 - np.minimum(cosine, 1) ** 2))
         turned = float(2 * np.arctan2(sine, cosine).sum())
-        found = (*(last / start).tolist(), pictures if pictures <= len(errors) else None, turned / float(start[1]))
+        found = (
+            *(last / start).tolist(),
+            pictures if pictures <= len(errors) else None,
+            turned / float(start[1]),
+        )
         return dict(zip(self.titles, found, strict=True))
 
 
 Runs = Literal["reached", "ended", "any"]
-"""Of which runs a metric tells something: of those that reached their goal (times, paths); of each run at its end (final errors); of any
-run on its way, so that also failed runs can be compared by it."""
+"""Of which runs a metric tells something: of those that reached their goal (times, paths); of each
+run at its end (final errors); of any run on its way, so that also failed runs can be compared by
+it.
+"""
 
 
 @dataclass(frozen=True)
@@ -80,7 +90,9 @@ class Metric:
 
     @classmethod
     def named(cls, name: str) -> Metric:
-        """The metric of a key of `summary.json`; one that is in no table has its key as its title."""
+        """The metric of a key of `summary.json`;
+        one that is in no table has its key as its title.
+        """
         return KNOWN.get(name) or own_metrics().get(name) or cls(name, name)
 
     @property
@@ -90,7 +102,9 @@ class Metric:
 
     @property
     def every_run(self) -> bool:
-        """Whether a median is over all runs that have the number, not only over those that reached the goal."""
+        """Whether a median is over all runs that have the number, not only over those that reached
+        the goal.
+        """
         return self.of != "reached"
 
     @property
@@ -100,20 +114,44 @@ class Metric:
 
     @property
     def every_pair(self) -> bool:
-        """Whether differences are over all common seeds, too: the number means the same for a run that failed."""
+        """Whether differences are over all common seeds, too: the number means the same for a run
+        that failed.
+        """
         return self.of == "any"
 
 
-MOVING, MODES, LINK, PLUG = "a target that moves", "a law with modes", "a link or a camera clock", "a task of insertion"
+MOVING, MODES, LINK, PLUG = (
+    "a target that moves",
+    "a law with modes",
+    "a link or a camera clock",
+    "a task of insertion",
+)
 EVERY_RUN = (
     Metric("sim_time_s", "Simulated time", "s", better=0),
     Metric("frames", "Frames", better=0),
     Metric("frames_lost", "Frames without target"),
     Metric("time_to_converge_s", "Time to converge", "s", tile=True),
-    Metric("time_to_goal_s", "Time to the goal, a failure at its limit", "s", of="any", compared=True),
+    Metric(
+        "time_to_goal_s", "Time to the goal, a failure at its limit", "s", of="any", compared=True
+    ),
     Metric("final_error_px", "Measured image error", "px", of="ended", tile=True, compared=True),
-    Metric("final_position_error_m", "True position error", "mm", 1e3, of="ended", tile=True, compared=True),
-    Metric("final_rotation_error_deg", "True rotation error", "deg", of="ended", tile=True, compared=True),
+    Metric(
+        "final_position_error_m",
+        "True position error",
+        "mm",
+        1e3,
+        of="ended",
+        tile=True,
+        compared=True,
+    ),
+    Metric(
+        "final_rotation_error_deg",
+        "True rotation error",
+        "deg",
+        of="ended",
+        tile=True,
+        compared=True,
+    ),
     Metric("path_length_m", "Path length", "m", tile=True),
     Metric("path_ratio", "Path over straight line", "×", compared=True),
     Metric("max_retreat_m", "Largest retreat", "m", compared=True),
@@ -138,21 +176,65 @@ SOME_RUNS = (
     Metric("pictures_lost", "Pictures lost", of="any", where=LINK),
     Metric("pictures_refused", "Pictures refused, out of order", of="any", where=LINK),
     Metric("commands_lost", "Commands lost", of="any", where=LINK),
-    Metric("final_error_grey", "Measured image error", "grey levels", of="ended", where="a law that works on grey levels", tile=True),
-    Metric("swung_s", "Longest time for which the command swung", "s", of="any", where="a command that swung"),
-    Metric("swing_frames", "Period of that swing, in frames", better=0, of="any", where="a command that swung"),
-    Metric("insertion_m", "Depth of the plug in its socket", "mm", 1e3, better=1, of="any", where=PLUG, tile=True),
+    Metric(
+        "final_error_grey",
+        "Measured image error",
+        "grey levels",
+        of="ended",
+        where="a law that works on grey levels",
+        tile=True,
+    ),
+    Metric(
+        "swung_s",
+        "Longest time for which the command swung",
+        "s",
+        of="any",
+        where="a command that swung",
+    ),
+    Metric(
+        "swing_frames",
+        "Period of that swing, in frames",
+        better=0,
+        of="any",
+        where="a command that swung",
+    ),
+    Metric(
+        "insertion_m",
+        "Depth of the plug in its socket",
+        "mm",
+        1e3,
+        better=1,
+        of="any",
+        where=PLUG,
+        tile=True,
+    ),
     Metric("largest_force_n", "Largest force on the plug", "N", of="any", where=PLUG, tile=True),
-    Metric("final_force_n", "Force on the plug over the last second", "N", better=0, of="any", where=PLUG),
+    Metric(
+        "final_force_n",
+        "Force on the plug over the last second",
+        "N",
+        better=0,
+        of="any",
+        where=PLUG,
+    ),
 )
 """The metrics that a summary has where the run has what they tell of."""
 OF_A_RUN = (
     Metric("seed", "Seed", better=0),
     Metric("wall_time_s", "Wall time", "s"),
-    Metric("worst_task_error_m", "Largest error once settled", "m", of="any", where="a continuing task", tile=True),
+    Metric(
+        "worst_task_error_m",
+        "Largest error once settled",
+        "m",
+        of="any",
+        where="a continuing task",
+        tile=True,
+    ),
     Metric("real_time_factor", "Real-time factor, films included", "×", better=1, tile=True),
 )
-"""Other numbers of a summary that a run's page shows, and by which no runs are compared unless they are named."""
+"""Other numbers of a summary that a run's page shows, and by which no runs are compared unless they
+are named.
+"""
 KNOWN = {metric.name: metric for metric in (*EVERY_RUN, *SOME_RUNS, *OF_A_RUN)}
 FIGURES, SOME_FIGURES = tuple(m.name for m in EVERY_RUN), tuple(m.name for m in SOME_RUNS)
 RUN_COLUMNS = {
@@ -171,8 +253,11 @@ RUN_COLUMNS = {
     "judged_by": "who measured it: pixels, level pixels, estimate, truth",
     "law_mode_share": "share of the frames in each mode of the law",
 }
-"""What else a summary, or the row of a run in a comparison's table, has; the varied fields have columns of their own."""
-TAKEN = frozenset((*KNOWN, *RUN_COLUMNS))  # Names that a summary or a comparison's table has already
+"""What else a summary, or the row of a run in a comparison's table, has; the varied fields have
+columns of their own.
+"""
+# Names that a summary or a comparison's table has already
+TAKEN = frozenset((*KNOWN, *RUN_COLUMNS))
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
@@ -180,8 +265,9 @@ class MetricContract(Protocol):
     """A metric.
 
     Attributes:
-        titles: the figures that it adds to `summary.json`, by name, each with its title and unit in reports and, where they are not 1 and
-            -1, `Metric.scale` and `Metric.better`: ("Charge left", "%", 100, 1) is a share that is shown as per cent, and more is better.
+        titles: the figures that it adds to `summary.json`, by name, each with its title and unit in
+            reports and, where they are not 1 and -1, `Metric.scale` and `Metric.better`: ("Charge
+            left", "%", 100, 1) is a share that is shown as per cent, and more is better.
     """
 
     titles: ClassVar[Mapping[str, Any]]
@@ -192,21 +278,27 @@ class MetricContract(Protocol):
         ...
 
     def figures(self, log: Log, setup: Setup) -> Figures:
-        """The figures of one run: a number for each name of `titles`, or None where it is undefined.
+        """The figures of one run: a number for each name of `titles`, or None where it is
+        undefined.
 
-        log: its columns by name, each with one row a frame, of one frame at least. setup: the experiment.
+        log: its columns by name, each with one row a frame, of one frame at least. setup: the
+            experiment.
         """
         ...
 
 
 @spec
 class ErrorIntegrals:
-    """Integrals of the measured image error e (RMS of the coordinates seen [px]) over the run, by the trapezoidal rule.
+    """Integrals of the measured image error e (RMS of the coordinates seen [px]) over the run, by
+    the trapezoidal rule.
 
-    iae_px_s = int e dt,  ise_px2_s = int e^2 dt,  itae_px_s2 = int t e dt.  Frames without a measurement are bridged.
-    Runs are comparable where they last equally long, or converge.
+    iae_px_s = int e dt,  ise_px2_s = int e^2 dt,  itae_px_s2 = int t e dt.
 
-    Reference: Graham & Lathrop 1953, The synthesis of "optimum" transient response, Trans. AIEE 72(5).
+    Frames without a measurement are bridged. Runs are comparable where they last equally long, or
+    converge.
+
+    Reference: Graham & Lathrop 1953, The synthesis of "optimum" transient response, Trans. AIEE
+    72(5).
     """
 
     kind: Literal["error_integrals"] = "error_integrals"
@@ -226,9 +318,11 @@ class ErrorIntegrals:
 
 @spec
 class CommandVariation:
-    """Total variation of the commanded camera twist, TV = sum_k |v_(k+1) - v_k|, of translation and of rotation: less is smoother.
+    """Total variation of the commanded camera twist, TV = sum_k |v_(k+1) - v_k|, of translation and
+    of rotation: less is smoother.
 
-    Reference: Skogestad 2003, J. Process Control 13(4), doi:10.1016/S0959-1524(02)00062-8 (total variation of the input).
+    Reference: Skogestad 2003, J. Process Control 13(4), doi:10.1016/S0959-1524(02)00062-8 (total
+    variation of the input).
     """
 
     kind: Literal["command_variation"] = "command_variation"
@@ -239,16 +333,22 @@ class CommandVariation:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`."""
-        steps = np.diff(np.column_stack([log[f"cmd_{name}"] for name in TWIST]), axis=0).reshape(-1, 2, 3)
-        return dict(zip(self.titles, np.linalg.norm(steps, axis=2).sum(axis=0).tolist(), strict=True))
+        steps = np.diff(np.column_stack([log[f"cmd_{name}"] for name in TWIST]), axis=0).reshape(
+            -1, 2, 3
+        )
+        return dict(
+            zip(self.titles, np.linalg.norm(steps, axis=2).sum(axis=0).tolist(), strict=True)
+        )
 
 
 @spec
 class ErrorGrowth:
-    """Frames in which an error is larger than in the frame before: of the image (RMS [px], measured), and of the true position and angle.
+    """Frames in which an error is larger than in the frame before: of the image (RMS [px],
+    measured), and of the true position and angle.
 
-    The error of a law's own features falls in every frame under ideal conditions: its square is a Lyapunov function of the law. Errors
-    that grow by less than `least` of the largest one of the run count as noise.
+    The error of a law's own features falls in every frame under ideal conditions: its square is a
+    Lyapunov function of the law. Errors that grow by less than `least` of the largest one of the
+    run count as noise.
 
     Args:
         least: share of the largest error until then under which a growth is not counted [1].
@@ -264,19 +364,32 @@ class ErrorGrowth:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`."""
-        errors = np.column_stack([log[name] for name in ("error_px", "position_error_m", "rotation_error_rad")])
+        errors = np.column_stack(
+            [log[name] for name in ("error_px", "position_error_m", "rotation_error_rad")]
+        )
         largest = np.fmax.accumulate(np.nan_to_num(errors, nan=-np.inf), axis=0)
         grew = (np.diff(errors, axis=0) > self.least * largest[1:]).sum(axis=0)
         return dict(zip(self.titles, grew.tolist(), strict=True))
 
 
-METRICS = Registry("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, StartShares, contract=Contract(MetricContract))
+METRICS = Registry(
+    "metric",
+    ErrorIntegrals,
+    CommandVariation,
+    ErrorGrowth,
+    StartShares,
+    contract=Contract(MetricContract),
+)
 
 
 def own_metrics() -> dict[str, Metric]:
     """The metrics of all registered kinds, by name."""
     kinds: Any = METRICS.members.values()  # of the contract
-    return {name: Metric(name, *title, of="any") for kind in kinds for name, title in kind.titles.items()}
+    return {
+        name: Metric(name, *title, of="any")
+        for kind in kinds
+        for name, title in kind.titles.items()
+    }
 
 
 def comparable() -> tuple[str, ...]:
@@ -290,13 +403,18 @@ def check_metrics(metrics: Sequence[MetricContract]) -> None:
     for i, metric in enumerate(metrics):
         for name in metric.titles:
             if name in owner:
-                words = f"has a figure {name!r}, which {owner[name]} has already; give it another name in `titles`"
+                words = (
+                    f"has a figure {name!r}, which {owner[name]} has already;"
+                    " give it another name in `titles`"
+                )
                 raise ParameterError(f"metrics.{i}", f"of kind {metric.kind} {words}")
             owner[name] = f"metrics.{i}"
 
 
 def own_figures(metrics: Sequence[MetricContract], log: Log, setup: Setup) -> Figures:
-    """The figures of a scenario's own metrics of one run. Raises ParameterError: they are not those of the titles, or not numbers."""
+    """The figures of a scenario's own metrics of one run. Raises ParameterError: they are not those
+    of the titles, or not numbers.
+    """
     figures: Figures = {}
     for metric in metrics:
         found = metric.figures(log, setup)
@@ -306,6 +424,8 @@ def own_figures(metrics: Sequence[MetricContract], log: Log, setup: Setup) -> Fi
         for name in metric.titles:
             value = found[name]
             if isinstance(value, bool) or not isinstance(value, Real | None):
-                raise ParameterError.returned(f"metrics: {metric.kind}", "figures", f"{name} as a number or None", str(value))
+                raise ParameterError.returned(
+                    f"metrics: {metric.kind}", "figures", f"{name} as a number or None", str(value)
+                )
             figures[name] = None if value is None else float(value)
     return figures

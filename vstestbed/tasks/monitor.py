@@ -22,7 +22,9 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 
-REST = 1e-6  # a commanded twist under this (goal distances/s and rad/s) is rest; with any pixel noise, commands never are so small
+# a commanded twist under this (goal distances/s and rad/s) is rest; with any pixel noise, commands
+# never are so small
+REST = 1e-6
 
 
 # eq=False: compared by identity, since the comparison of its arrays has no single truth value.
@@ -31,9 +33,12 @@ class Setup:
     """The parts of an experiment that a task uses.
 
     Attributes:
-        robot, camera, target, law, detector, stop, world: as the scenario has them. believed_camera: the camera as the robot knows it.
-        depth_scale: ratio of each marker's assumed depth to the true one, (N,); None for exact depths.
-        goal_shown: the goal image was taken by the true camera (teaching by showing); else it is computed with the believed one.
+        robot, camera, target, law, detector, stop, world: as the scenario has them.
+            believed_camera: the camera as the robot knows it.
+        depth_scale: ratio of each marker's assumed depth to the true one, (N,); None for exact
+            depths.
+        goal_shown: the goal image was taken by the true camera (teaching by showing); else it is
+            computed with the believed one.
     """
 
     robot: Robot
@@ -49,28 +54,34 @@ class Setup:
 
 
 def held_since(since: float, holds: bool, t: float) -> float:
-    """Since when a condition has held without a break, at a time t [s]; infinite where it does not hold. since: the same before."""
+    """Since when a condition has held without a break, at a time t [s]; infinite where it does not
+    hold. since: the same before.
+    """
     return min(since, t) if holds else math.inf
 
 
 def has_held(since: float, t: float, duration_s: float) -> bool:
     """Whether a condition that has held since then has held for so long [s]."""
-    return t - since + 1e-9 >= duration_s  # times are sums of steps: a hold of 0.5 s must not miss its frame by a rounding
+    # times are sums of steps: a hold of 0.5 s must not miss its frame by a rounding
+    return t - since + 1e-9 >= duration_s
 
 
 class TaskMonitor:
-    """Measures once a frame; asked then, once each, whether the task is reached and whether it is missed.
+    """Measures once a frame; asked then, once each, whether the task is reached and whether it is
+    missed.
 
-    A task with a goal is reached when `stop.converged` holds at the last view; it is missed in a local minimum, or when the duration is
-    over. Other tasks override both.
+    A task with a goal is reached when `stop.converged` holds at the last view; it is missed in a
+    local minimum, or when the duration is over. Other tasks override both.
 
-    Columns of the log: `view`, the number of the current goal view, where there are several; the task's own (`error_columns`);
-    `est_position_m`, `est_rotation_rad`, the robot's estimated distance from its goal, where `stop.converged` uses it;
-    `level_error_px` of a craft that tilts: as `error_px`, after derotation; `error_grey` of a law that works on grey levels: the RMS
+    Columns of the log: `view`, the number of the current goal view, where there are several; the
+    task's own (`error_columns`); `est_position_m`, `est_rotation_rad`, the robot's estimated
+    distance from its goal, where `stop.converged` uses it; `level_error_px` of a craft that tilts:
+    as `error_px`, after derotation; `error_grey` of a law that works on grey levels: the RMS
     difference between picture and goal picture, with the law's weights.
 
     Args:
-        setup: the experiment's parts. views: how many goal views there are. supervisor: the robot's.
+        setup: the experiment's parts. views: how many goal views there are. supervisor: the
+            robot's.
     """
 
     error_columns: tuple[str, ...] = ()
@@ -78,7 +89,10 @@ class TaskMonitor:
     def __init__(self, setup: Setup, views: int, supervisor: Supervisor):
         self.setup, self.views, self.supervisor = setup, views, supervisor
         self.mount_inverse = inverse(setup.camera.mount.T)
-        self._by_estimate, self._leans = setup.stop.converged.by_estimate, setup.robot.base == "floating"
+        self._by_estimate, self._leans = (
+            setup.stop.converged.by_estimate,
+            setup.robot.base == "floating",
+        )
         self.estimate = math.nan, math.nan
         self.error_px = self.error_grey = math.nan
         self._in_grey = "image" in setup.law.inputs
@@ -118,7 +132,11 @@ class TaskMonitor:
         """Whether the conditions hold in this frame."""
         last = frame.goal.view + 1 == self.views and not frame.goal.moves
         errors = self.error_px, *self.estimate, self.error_grey
-        return last and not frame.error.lost and self.setup.stop.converged.near(frame.error.all_seen, *errors)
+        return (
+            last
+            and not frame.error.lost
+            and self.setup.stop.converged.near(frame.error.all_seen, *errors)
+        )
 
     def reached(self, frame: Frame) -> Verdict | None:
         """Converged, when the conditions have held for long enough."""
@@ -143,15 +161,23 @@ class TaskMonitor:
             if goal.error_grey is not None:
                 said.append(f"at an RMS error of {self.error_grey:.3g} grey levels")
             if goal.by_estimate:
-                said.append(f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal by the robot's own estimate")
+                said.append(
+                    f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal by the"
+                    " robot's own estimate"
+                )
             return Outcome.local_minimum, f"the commanded twist is zero {', '.join(said)}"
-        # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
+        # After the local minimum: of a law that rests in the last frame, the more telling reason
+        # counts.
         duration = self.setup.stop.duration_s
-        return (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None
+        return (
+            (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None
+        )
 
 
 def estimated_error(seen: Observation, goal: Goal) -> tuple[float, float]:
-    """Estimated distance from the goal [m, rad]: of a vehicle by its place, else of the camera by the target's pose; NaN if unknown."""
+    """Estimated distance from the goal [m, rad]: of a vehicle by its place, else of the camera by
+    the target's pose; NaN if unknown.
+    """
     if goal.place is not None and seen.place is not None:
         ahead, left, turn = relative(goal.place, seen.place)
         return math.hypot(ahead, left), abs(float(turn))
@@ -161,8 +187,11 @@ def estimated_error(seen: Observation, goal: Goal) -> tuple[float, float]:
 
 
 def level_error(seen: Observation, goal: Goal) -> float:
-    """RMS of goal minus measured after derotation, in pixels of the camera [px]; NaN where nothing is seen."""
-    # The raw error would not do: a craft that tilts to hold against wind never brings it to zero over its goal.
+    """RMS of goal minus measured after derotation, in pixels of the camera [px]; NaN where nothing
+    is seen.
+    """
+    # The raw error would not do: a craft that tilts to hold against wind never brings it to zero
+    # over its goal.
     p = np.column_stack([seen.xy, np.ones(len(seen.xy))]) if seen.ray is None else seen.ray
     error = goal.camera.project(p) - goal.uv
     error = error[np.isfinite(error[:, 0])]

@@ -1,4 +1,6 @@
-"""Outcome monitors that a scenario adds to the loop's own (`monitors: [...]`): the referee's rules, which may read the truth."""
+"""Outcome monitors that a scenario adds to the loop's own (`monitors: [...]`): the referee's rules,
+which may read the truth.
+"""
 
 from __future__ import annotations
 
@@ -31,34 +33,47 @@ Pictures = Annotated[int, Ge(1), Le(1_000_000)]
 Share = Annotated[float, Gt(0), Le(1)]
 Away = tuple[float, float]  # distance [m] and angle [rad] of the camera from its goal
 EARLY_PICTURES = 10
-"""In so many pictures in turn both errors must be under `early` of their limits: one alone may be there on its way through."""
+"""In so many pictures in turn both errors must be under `early` of their limits: one alone may be
+there on its way through.
+"""
 
 REST_PX = 0.3  # by which an error may grow while the camera rests [px]: noise
-NEARER = 0.98  # a run comes nearer where the larger of both errors falls under this share of its smallest value so far
+# a run comes nearer where the larger of both errors falls under this share of its smallest value so
+# far
+NEARER = 0.98
 
 
 def away_from_goal(frame: Frame) -> Away:
-    """True distance [m] and angle [rad] between the camera and its goal, the law's goal view of the target as it truly stands."""
+    """True distance [m] and angle [rad] between the camera and its goal, the law's goal view of the
+    target as it truly stands.
+    """
     truth = frame.truth
-    return rigid_error(truth.T_world_camera, truth.T_world_target @ inverse(frame.goal.T_camera_target))
+    return rigid_error(
+        truth.T_world_camera, truth.T_world_target @ inverse(frame.goal.T_camera_target)
+    )
 
 
 def near_in_turn(share: float | None, near: float, before: int) -> int:
-    """For how many pictures in turn both errors have been under a share of their limits; near: the larger one over its limit."""
+    """For how many pictures in turn both errors have been under a share of their limits; near: the
+    larger one over its limit.
+    """
     return before + 1 if share is not None and near < share else 0
 
 
 @spec
 class Settles:
-    """The run ends when the commanded motion has died down, and has converged where both errors fell to a share of the start's.
+    """The run ends when the commanded motion has died down, and has converged where both errors
+    fell to a share of the start's.
 
-    It has settled when, of the last two windows of pictures, the mean speed and the mean rate of the first are under their limits, and
-    those of the second are no smaller. It has converged where distance and angle from the goal are both under `share` of the
-    start's, or under `or_position_m` and `or_rotation_deg`. It has diverged beyond `diverged` times the start's distance. Where
+    It has settled when, of the last two windows of pictures, the mean speed and the mean rate of
+    the first are under their limits, and those of the second are no smaller. It has converged where
+    distance and angle from the goal are both under `share` of the start's, or under `or_position_m`
+    and `or_rotation_deg`. It has diverged beyond `diverged` times the start's distance. Where
     `stop.rest_after_s` is None, a run that rests elsewhere, or that is stuck, goes on.
 
-    The defaults are the rule of ViT-VS (Scherl et al. 2025, arXiv:2503.04545) in the units of its paper, where a step takes a second:
-    at R pictures a second, multiply `speed_mps` and `rate_degps` by R.
+    The defaults are the rule of ViT-VS (Scherl et al. 2025, arXiv:2503.04545) in the units of its
+    paper, where a step takes a second: at R pictures a second, multiply `speed_mps` and
+    `rate_degps` by R.
 
     Args:
         window: number of pictures in each of the two windows [1].
@@ -67,14 +82,16 @@ class Settles:
         least: number of pictures before which no run has settled [1].
         most: number of pictures after which a run is judged as it is [1].
         share: of the start's distance and angle, within which the run has converged [1].
-        or_position_m: distance from the goal that is near enough from any start, with or_rotation_deg [m]; None: none is; e.g. `0.01`.
+        or_position_m: distance from the goal that is near enough from any start, with
+            or_rotation_deg [m]; None: none is; e.g. `0.01`.
         or_rotation_deg: the angle that goes with it [deg]; e.g. `1`.
         diverged: how many times the start's distance is too far [1].
-        early: end a run as converged once both errors have been under this share of their limits for EARLY_PICTURES pictures in turn, also
-            before it has settled [1]; None: never. It saves two thirds of their pictures; the errors at the end are then larger;
-            e.g. `0.1`.
-        stuck: end a run as not converged once the larger error, over its limit, has not been smaller than before for so many pictures [1];
-            None: never. A run that would have found its way later counts as lost then, so that it must be long; e.g. `400`.
+        early: end a run as converged once both errors have been under this share of their limits
+            for EARLY_PICTURES pictures in turn, also before it has settled [1]; None: never. It
+            saves two thirds of their pictures; the errors at the end are then larger; e.g. `0.1`.
+        stuck: end a run as not converged once the larger error, over its limit, has not been
+            smaller than before for so many pictures [1]; None: never. A run that would have found
+            its way later counts as lost then, so that it must be long; e.g. `400`.
     """
 
     kind: Literal["settles"] = "settles"
@@ -94,7 +111,9 @@ class Settles:
         """Refuse half of the alternative, and an end before the beginning."""
         if (self.or_position_m is None) != (self.or_rotation_deg is None):
             lacking = "or_position_m" if self.or_position_m is None else "or_rotation_deg"
-            raise ParameterError.missing(lacking, "the alternative has a distance and an angle; give both, or neither")
+            raise ParameterError.missing(
+                lacking, "the alternative has a distance and an angle; give both, or neither"
+            )
         check_ordered(self, "least", "most")
 
     def monitor(self, setup: Setup) -> _Settles:
@@ -103,10 +122,15 @@ class Settles:
 
     def near(self, away: Away, start: Away) -> float:
         """The larger of both errors, each over its limit; under 1 the run has converged."""
-        shares = max(error / (self.share * max(first, 1e-12)) for error, first in zip(away, start, strict=True))
+        shares = max(
+            error / (self.share * max(first, 1e-12))
+            for error, first in zip(away, start, strict=True)
+        )
         if self.or_position_m is None or self.or_rotation_deg is None:
             return shares
-        return min(shares, max(away[0] / self.or_position_m, math.degrees(away[1]) / self.or_rotation_deg))
+        return min(
+            shares, max(away[0] / self.or_position_m, math.degrees(away[1]) / self.or_rotation_deg)
+        )
 
 
 class _Settles:
@@ -122,24 +146,39 @@ class _Settles:
         start = self._start = self._start or away
         self._pictures += 1
         v = frame.command.twist
-        self._speeds.append((float(np.linalg.norm(v[:3])), math.degrees(float(np.linalg.norm(v[3:])))))
+        self._speeds.append(
+            (float(np.linalg.norm(v[:3])), math.degrees(float(np.linalg.norm(v[3:]))))
+        )
         if away[0] > rule.diverged * start[0]:
-            return Outcome.diverged, f"{away[0] / max(start[0], 1e-12):.1f} times as far from the goal as at the start"
+            return (
+                Outcome.diverged,
+                f"{away[0] / max(start[0], 1e-12):.1f} times as far from the goal as at the start",
+            )
         near = rule.near(away, start)
         self._early = near_in_turn(rule.early, near, self._early)
         if self._early >= EARLY_PICTURES:
             return Outcome.converged, self._words("within", near, "before it settled")
         nearer, stuck = near < NEARER * self._nearest, rule.stuck
-        self._nearest, self._since_nearer = (near, 0) if nearer else (self._nearest, self._since_nearer + 1)
+        self._nearest, self._since_nearer = (
+            (near, 0) if nearer else (self._nearest, self._since_nearer + 1)
+        )
         if self._rest_ends and stuck is not None and self._since_nearer >= stuck and near > 1:
-            return Outcome.timed_out, self._words("not within", near, f"no nearer for {rule.stuck} pictures")
+            return Outcome.timed_out, self._words(
+                "not within", near, f"no nearer for {rule.stuck} pictures"
+            )
         ended = self._pictures >= rule.most
         if not (ended or self._settled()):
             return None
         if near < 1:
-            return Outcome.converged, self._words("within", near, "when it settled" if not ended else "at the end")
+            return Outcome.converged, self._words(
+                "within", near, "when it settled" if not ended else "at the end"
+            )
         outcome = Outcome.timed_out if ended else Outcome.local_minimum if self._rest_ends else None
-        return None if outcome is None else (outcome, self._words("not within", near, "when it settled"))
+        return (
+            None
+            if outcome is None
+            else (outcome, self._words("not within", near, "when it settled"))
+        )
 
     def _settled(self) -> bool:
         rule, n = self._rule, self._rule.window
@@ -152,8 +191,15 @@ class _Settles:
     def _words(self, within: str, near: float, when: str) -> str:
         rule = self._rule
         limit = f"{100 * rule.share:g} % of the start's distance and angle"
-        other = f", or {rule.or_position_m:g} m and {rule.or_rotation_deg:g} deg" if rule.or_position_m is not None else ""
-        return f"{within} {limit}{other}, at {near:.3g} of the limit, {when}, after {self._pictures} pictures"
+        other = (
+            f", or {rule.or_position_m:g} m and {rule.or_rotation_deg:g} deg"
+            if rule.or_position_m is not None
+            else ""
+        )
+        return (
+            f"{within} {limit}{other}, at {near:.3g} of the limit, {when},"
+            f" after {self._pictures} pictures"
+        )
 
 
 @spec
@@ -164,11 +210,13 @@ class AfterPictures:
 
     Args:
         pictures: after how many pictures the run is judged [1].
-        share: of the distance between camera and target at the goal, within which the camera must be from its goal [1].
+        share: of the distance between camera and target at the goal, within which the camera must
+            be from its goal [1].
         rotation_deg: angle within which it must be [deg].
         early: as of `settles` [1]; e.g. `0.1`.
-        rest_px: the run is judged before, once the RMS error of the points that the law sees has been under this for `rest_s`, and
-            not above 1.1 times its least since then, plus 0.3 px [px]; None: it is not; e.g. `5.4`.
+        rest_px: the run is judged before, once the RMS error of the points that the law sees has
+            been under this for `rest_s`, and not above 1.1 times its least since then, plus 0.3 px
+            [px]; None: it is not; e.g. `5.4`.
         rest_s: for how long [s].
     """
 
@@ -192,7 +240,8 @@ class _AfterPictures:
 
     def _at_rest(self, t: float, error_px: float) -> bool:
         """Whether the error in the image has stayed small, and fallen no further, for `rest_s`."""
-        if self._rule.rest_px is None or not error_px <= self._rule.rest_px:  # also where it is not known
+        # also where it is not known
+        if self._rule.rest_px is None or not error_px <= self._rule.rest_px:
             self._least_px = math.inf
         elif error_px < 0.9 * self._least_px or error_px > 1.1 * self._least_px + REST_PX:
             self._least_px, self._since = min(error_px, self._least_px), t
@@ -207,7 +256,10 @@ class _AfterPictures:
         rests = self._at_rest(frame.t, frame.error.rms_px)
         if self._early < EARLY_PICTURES and self._pictures < rule.pictures and not rests:
             return None
-        at = f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal after {self._pictures} pictures"
+        at = (
+            f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal after"
+            f" {self._pictures} pictures"
+        )
         words = f"{at}; the limits are {limit:.3g} m and {rule.rotation_deg:g} deg"
         return (Outcome.converged if near < 1 else Outcome.timed_out), words
 
@@ -221,7 +273,9 @@ class Monitor(Protocol):
 
 
 class MonitorContract(Protocol):
-    """A rule of when a run ends: its parameters are frozen in the object, and each run has a `Monitor` of its own."""
+    """A rule of when a run ends: its parameters are frozen in the object, and each run has a
+    `Monitor` of its own.
+    """
 
     @property
     def kind(self) -> str:
@@ -229,15 +283,19 @@ class MonitorContract(Protocol):
         ...
 
     def monitor(self, setup: Setup) -> Monitor:
-        """What tests each frame of one run, by measurements, commands and truth. It must not write into a frame."""
+        """What tests each frame of one run, by measurements, commands and truth. It must not write
+        into a frame.
+        """
         ...
 
 
 @spec
 class KeepOut:
-    """The run ends as `collided` when the camera's centre enters a box with sides along the world's axes.
+    """The run ends as `collided` when the camera's centre enters a box with sides along the world's
+    axes.
 
-    Contacts of the robot's body with what stands in the scene end a run anyway; this box is of no substance.
+    Contacts of the robot's body with what stands in the scene end a run anyway; this box is of no
+    substance.
 
     Args:
         corner: a corner of the box in the world [m]; e.g. `[0.4, -0.3, 0.5]`.
@@ -251,7 +309,9 @@ class KeepOut:
     def __post_init__(self) -> None:
         """Refuse a box without volume."""
         if any(a == b for a, b in zip(self.corner, self.opposite, strict=True)):
-            raise ParameterError("opposite", "must differ from `corner` in x, y and z", list(self.opposite))
+            raise ParameterError(
+                "opposite", "must differ from `corner` in x, y and z", list(self.opposite)
+            )
 
     def monitor(self, setup: Setup) -> Monitor:
         """The rule itself, which keeps nothing from frame to frame."""
@@ -264,15 +324,22 @@ class KeepOut:
         if not ((xyz >= low) & (xyz <= high)).all():
             return None
         x, y, z = xyz.tolist()
-        return Outcome.collided, f"the camera entered the forbidden box at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
+        return (
+            Outcome.collided,
+            f"the camera entered the forbidden box at x {x:.3f}, y {y:.3f}, z {z:.3f} m",
+        )
 
 
 MONITORS = Registry("monitor", KeepOut, Settles, AfterPictures, contract=Contract(MonitorContract))
 
 
 def checked(kind: str, verdict: Verdict | None) -> Verdict | None:
-    """The verdict of a monitor of this kind. Raises ParameterError: it is neither None nor an outcome with its reason."""
+    """The verdict of a monitor of this kind. Raises ParameterError: it is neither None nor an
+    outcome with its reason.
+    """
     match verdict:
         case None | (Outcome(), str()):
             return verdict
-    raise ParameterError.returned(f"monitors: {kind}", "update", "None or (Outcome, reason)", repr(verdict))
+    raise ParameterError.returned(
+        f"monitors: {kind}", "update", "None or (Outcome, reason)", repr(verdict)
+    )

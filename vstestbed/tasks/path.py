@@ -29,26 +29,31 @@ from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
 
 _TURN = ThetaU()
-JERK_PEAK = 15 / 8  # ratio of peak to mean speed of a minimum-jerk motion: s'(p) = 30 p^2 (1 - p)^2 at p = 1/2
+# ratio of peak to mean speed of a minimum-jerk motion: s'(p) = 30 p^2 (1 - p)^2 at p = 1/2
+JERK_PEAK = 15 / 8
 DIFFERENCE_S = 1e-3  # step of the central difference for the reference's velocity [s]
 LEAST_LEG_S = 0.5  # shortest duration of a leg [s]; two equal views would have a leg of none
 LATE_S = 2.0
-"""The error is taken from the part of the path that the reference passes within this time [s]: a lag along the path is no error."""
+"""The error is taken from the part of the path that the reference passes within this time [s]: a
+lag along the path is no error.
+"""
 
 
 @spec
 class GoalPath(Continuing):
     """Continuing task: fly along a path through given views, and stay at the last one.
 
-    Between two views the reference camera moves along a straight line, rotating about a fixed axis, with minimum-jerk timing from
-    rest to rest, s(p) = 10 p^3 - 15 p^4 + 6 p^5.
+    Between two views the reference camera moves along a straight line, rotating about a fixed axis,
+    with minimum-jerk timing from rest to rest, s(p) = 10 p^3 - 15 p^4 + 6 p^5.
 
     Args:
         way: the views; the first is held for `settle_s`.
         speed_mps: peak speed of the reference along a leg [m/s].
         turn_degps: its peak angular rate [deg/s].
-        lead_s: the reference's velocity is fed forward this much ahead, since a craft's velocity lags its setpoint [s].
-        band_m: tolerance of the camera's distance from the path, from `settle_s` on, within 2 s of the reference [m].
+        lead_s: the reference's velocity is fed forward this much ahead, since a craft's velocity
+            lags its setpoint [s].
+        band_m: tolerance of the camera's distance from the path, from `settle_s` on, within 2 s of
+            the reference [m].
         settle_s: time to reach the first view [s].
 
     Reference: Flash & Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985 (minimum jerk).
@@ -75,8 +80,17 @@ class GoalPath(Continuing):
         """When each view is reached, for the last time (n,) [s]."""
         times = []
         for a, b in pairwise(self._ways):
-            length, angle = np.linalg.norm(b[:3, 3] - a[:3, 3]), rotation_angle(a[:3, :3].T @ b[:3, :3])
-            times.append(max(JERK_PEAK * length / self.speed_mps, JERK_PEAK * angle / np.radians(self.turn_degps), LEAST_LEG_S))
+            length, angle = (
+                np.linalg.norm(b[:3, 3] - a[:3, 3]),
+                rotation_angle(a[:3, :3].T @ b[:3, :3]),
+            )
+            times.append(
+                max(
+                    JERK_PEAK * length / self.speed_mps,
+                    JERK_PEAK * angle / np.radians(self.turn_degps),
+                    LEAST_LEG_S,
+                )
+            )
         return np.asarray(self.settle_s + np.concatenate([[0.0], np.cumsum(times)]), dtype=float)
 
     @property
@@ -91,7 +105,11 @@ class GoalPath(Continuing):
         return self.at(t)[0]
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        return tuple(replace(goal, view=i) for i, view in enumerate(self.way) for goal in view.goal_views(setup))
+        return tuple(
+            replace(goal, view=i)
+            for i, view in enumerate(self.way)
+            for goal in view.goal_views(setup)
+        )
 
     @property
     def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -114,7 +132,9 @@ class GoalPath(Continuing):
         return self.off(inverse(T_world_target) @ T_world_base @ setup.camera.mount.T, t)
 
     def at(self, t: float) -> tuple[Array, int]:
-        """T_camera_target (4, 4) at a time [s], and the number of the view at the end of the present leg."""
+        """T_camera_target (4, 4) at a time [s], and the number of the view at the end of the
+        present leg.
+        """
         leg = int(np.searchsorted(self._until, t, side="right")) - 1
         if leg < 0:
             return inverse(self._ways[0]), 0
@@ -125,16 +145,23 @@ class GoalPath(Continuing):
         return inverse(between(a, b, share)), leg + 1
 
     def twist_at(self, t: float) -> Array:
-        """Velocity of the reference camera at t + lead_s, in its frame at time t (6,) [m/s, rad/s]."""
-        before, after = (inverse(self.at(t + self.lead_s + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S))
-        # Ahead in time, since the craft lags, but in the axes of the camera now, in which the law commands.
+        """Velocity of the reference camera at t + lead_s,
+        in its frame at time t (6,) [m/s, rad/s].
+        """
+        before, after = (
+            inverse(self.at(t + self.lead_s + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S)
+        )
+        # Ahead in time, since the craft lags, but in the axes of the camera now, in which the law
+        # commands.
         back = inverse(self.at(t)[0])[:3, :3].T
         v = (after[:3, 3] - before[:3, 3]) / (2 * DIFFERENCE_S)
         w = before[:3, :3] @ _TURN.measure(before[:3, :3].T @ after[:3, :3]) / (2 * DIFFERENCE_S)
         return np.concatenate([back @ v, back @ w])
 
     def off(self, T_target_camera: Array, t: float) -> float:
-        """Distance [m] of a camera (4, 4) from the part of the path that the reference passes within LATE_S of a time [s]."""
+        """Distance [m] of a camera (4, 4) from the part of the path that the reference passes
+        within LATE_S of a time [s].
+        """
         until = self._until
         first, last = np.clip([t - LATE_S, t + LATE_S], until[0], until[-1])
         x, nearest = T_target_camera[:3, 3], np.inf
@@ -142,9 +169,12 @@ class GoalPath(Continuing):
             began, ended = until[leg], until[leg + 1]
             if began > last or ended < first:
                 continue
-            # The part of this leg within the window, by travelled shares; a leg of pure rotation has no length to divide by.
+            # The part of this leg within the window, by travelled shares; a leg of pure rotation
+            # has no length to divide by.
             a, along = self._ways[leg][:3, 3], self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
-            low, high = (_smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last))
+            low, high = (
+                _smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last)
+            )
             share = np.clip((x - a) @ along / max(along @ along, 1e-12), low, high)
             nearest = min(nearest, float(np.linalg.norm(x - a - share * along)))
         return nearest
@@ -156,8 +186,9 @@ def _smooth(p: float) -> float:
 
 
 def between(a: Array, b: Array, share: float) -> Array:
-    """The pose (4, 4) at a share of the way from pose a to pose b: on a straight line, with a rotation about a fixed axis.
-    Of a camera on its way from view to view: its poses T_target_camera. T_camera_target would bend the line while the camera turns.
+    """The pose (4, 4) at a share of the way from pose a to pose b: on a straight line, with a
+    rotation about a fixed axis. Of a camera on its way from view to view: its poses
+    T_target_camera. T_camera_target would bend the line while the camera turns.
     """
     T = np.eye(4)
     T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
@@ -168,9 +199,11 @@ def between(a: Array, b: Array, share: float) -> Array:
 
 # Via points: several views in turn.
 class Passage(NamedTuple):
-    """State of the reference: the goal views in turn, the number of the current one, and since when the goal moves to it.
+    """State of the reference: the goal views in turn, the number of the current one, and since when
+    the goal moves to it.
 
-    moves: whether it is on its way there. left_s: when it left the view before [s]; NaN until the first frame after that.
+    moves: whether it is on its way there. left_s: when it left the view before [s]; NaN until the
+    first frame after that.
     """
 
     setup: Setup
@@ -182,21 +215,27 @@ class Passage(NamedTuple):
 
 @spec
 class GoalViews(Task):
-    """Via points: views in turn, each passed when its error falls under `threshold_px`; the last is the goal.
+    """Via points: views in turn, each passed when its error falls under `threshold_px`; the last is
+    the goal.
 
-    Without `speed_mps` the goal jumps from view to view, and the command with it: the law begins anew. With it the goal moves,
-    a camera's pose on a straight line at constant speed, and the law goes on: its command stays continuous. The law's own lag,
-    speed / gain behind the goal, blends one leg into the next: its velocity is v2 + (v1 - v2) exp(-gain t) after the goal has turned
-    from v1 to v2 = speed, so that at a corner of angle a the speed never falls under speed * cos(a/2), and a right angle is cut by half
-    the lag. For that a view must count as passed at this lag at the latest: a smaller `threshold_px` lets the camera slow down first.
+    Without `speed_mps` the goal jumps from view to view, and the command with it: the law begins
+    anew. With it the goal moves, a camera's pose on a straight line at constant speed, and the law
+    goes on: its command stays continuous. The law's own lag, speed / gain behind the goal, blends
+    one leg into the next: its velocity is v2 + (v1 - v2) exp(-gain t) after the goal has turned
+    from v1 to v2 = speed, so that at a corner of angle a the speed never falls under speed *
+    cos(a/2), and a right angle is cut by half the lag. For that a view must count as passed at this
+    lag at the latest: a smaller `threshold_px` lets the camera slow down first.
 
     Args:
         views: the views.
-        threshold_px: RMS error under which a view that is not the last counts as passed, with all its markers in sight [px].
+        threshold_px: RMS error under which a view that is not the last counts as passed, with all
+            its markers in sight [px].
         speed_mps: speed of the goal on its way to the next view [m/s]; None: it jumps.
-        turn_degps: largest angular rate of the goal on its way [deg/s]; where a leg turns by more, it is slower.
+        turn_degps: largest angular rate of the goal on its way [deg/s]; where a leg turns by more,
+            it is slower.
 
-    Reference: Taylor 1979, doi:10.1147/rd.234.0424 (straight lines through via points, blended at the corners).
+    Reference: Taylor 1979, doi:10.1147/rd.234.0424 (straight lines through via points, blended at
+    the corners).
     """
 
     kind: Literal["views"] = "views"
@@ -208,13 +247,19 @@ class GoalViews(Task):
     def __post_init__(self) -> None:
         """Refuse a single view."""
         if len(self.views) < 2:
-            words = "must be a list of 2 or more views; one alone is the goal itself: goal: {view_from: ...} or {T_camera_target: ...}"
+            words = (
+                "must be a list of 2 or more views;"
+                " one alone is the goal itself: goal: {view_from: ...} or {T_camera_target: ...}"
+            )
             raise ParameterError("views", words)
 
     def _check_base(self, robot: Robot) -> None:
         if any(robot.base not in view.bases for view in self.views):
             raise ParameterError.excluded(
-                "goal", f"{self.kind} with robot {robot.kind}", why="it is for a vehicle", works="T_camera_target"
+                "goal",
+                f"{self.kind} with robot {robot.kind}",
+                why="it is for a vehicle",
+                works="T_camera_target",
             )
 
     def check(self, setup: Setup) -> None:
@@ -226,7 +271,11 @@ class GoalViews(Task):
         return tuple(pose for view in self.views for pose in view.goal_poses(target, mount))
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        return tuple(replace(goal, view=i) for i, view in enumerate(self.views) for goal in view.goal_views(setup))
+        return tuple(
+            replace(goal, view=i)
+            for i, view in enumerate(self.views)
+            for goal in view.goal_views(setup)
+        )
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
@@ -235,7 +284,10 @@ class GoalViews(Task):
     @property
     def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """Field of each view."""
-        return tuple(view.view_fields[0].replace("goal.", f"goal.views.{i}.") for i, view in enumerate(self.views))
+        return tuple(
+            view.view_fields[0].replace("goal.", f"goal.views.{i}.")
+            for i, view in enumerate(self.views)
+        )
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         for i, view in enumerate(self.views):
@@ -255,7 +307,9 @@ class GoalViews(Task):
         share = (seen.t - state.left_s) / self._leg_s(state)
         if share >= 1:
             return state._replace(moves=False), goal
-        on_the_way = view_from(state.setup, lambda mount: inverse(between(*self._leg(state, mount), share)), state.view)
+        on_the_way = view_from(
+            state.setup, lambda mount: inverse(between(*self._leg(state, mount), share)), state.view
+        )
         return state, replace(on_the_way, counted=goal.counted, moves=True)
 
     def _leg(self, state: Passage, mount: Array) -> tuple[Array, Array]:
@@ -272,22 +326,33 @@ class GoalViews(Task):
         return max(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) / self.speed_mps, float(turn_s), 1e-9)
 
     def passed(self, state: Passage, error: ImageError) -> tuple[Passage, Goal | None]:
-        """The next view, when all markers that count are seen with a small error, and the goal stands."""
+        """The next view, when all markers that count are seen with a small error, and the goal
+        stands.
+        """
         near = error.all_seen and error.rms_px < self.threshold_px and not state.moves
         if not (near and state.view + 1 < len(self.views)):
             return state, None
-        state = state._replace(view=state.view + 1, moves=self.speed_mps is not None, left_s=math.nan)
-        # Returned as a new goal, the view makes the loop initialise the law again: its state belongs to the view that is passed.
+        state = state._replace(
+            view=state.view + 1, moves=self.speed_mps is not None, left_s=math.nan
+        )
+        # Returned as a new goal, the view makes the loop initialise the law again: its state
+        # belongs to the view that is passed.
         return state, None if state.moves else state.views[state.view]
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """The error at the last view; of a run that did not come so far, that at the view where it ended."""
+        """The error at the last view; of a run that did not come so far, that at the view where it
+        ended.
+        """
         if len(log["view"]) and log["view"][-1] + 1 < len(self.views):
             return by_convergence(log, Converged(error_px=self.threshold_px))
         return super().judged(log, stop)
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        # Not the log's position error, which is that of the current view: the first one, at the start.
-        target = np.array([log[f"tgt_{a}"][0] for a in "xyz"]), np.array([log[f"tgt_q{a}"][0] for a in "wxyz"])
+        # Not the log's position error, which is that of the current view: the first one, at the
+        # start.
+        target = (
+            np.array([log[f"tgt_{a}"][0] for a in "xyz"]),
+            np.array([log[f"tgt_q{a}"][0] for a in "wxyz"]),
+        )
         T_goal = pose_from(*target) @ inverse(goal_poses[-1])
         return float(np.linalg.norm(T_goal[:3, 3] - np.array([log[f"cam_{a}"][0] for a in "xyz"])))

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import math
 
-from vstestbed.core.quantity import Duration, PositiveAngle, PositiveGrey, PositiveLength, PositivePixels, PositiveTime, Time
+from vstestbed.core.quantity import (
+    Duration,
+    PositiveAngle,
+    PositiveGrey,
+    PositiveLength,
+    PositivePixels,
+    PositiveTime,
+    Time,
+)
 from vstestbed.core.spec import spec
 
 
 @spec
 class Converged:
-    """When the goal counts as reached: every condition given holds for hold_s. Without any, error_px is 0.2.
+    """When the goal counts as reached: every condition given holds for hold_s. Without any,
+    error_px is 0.2.
 
     Args:
         error_px: all markers are seen, and their RMS error is under this [px].
-        position_m, rotation_deg: largest distance from the goal by the law's own estimate (the pose from the markers; a vehicle's
-            place) [m, deg].
-        error_grey: RMS difference between picture and goal picture, of a law that works on grey levels (`photometric`), is under this
-            [grey levels]; e.g. `1`.
+        position_m, rotation_deg: largest distance from the goal by the law's own estimate (the pose
+            from the markers; a vehicle's place) [m, deg].
+        error_grey: RMS difference between picture and goal picture, of a law that works on grey
+            levels (`photometric`), is under this [grey levels]; e.g. `1`.
         hold_s: how long all conditions must hold [s].
     """
 
@@ -38,7 +47,14 @@ class Converged:
         """Whether the robot's own estimate counts."""
         return self.position_m is not None or self.rotation_deg is not None
 
-    def near(self, all_seen: bool, error_px: float, position_m: float, rotation_rad: float, error_grey: float = math.nan) -> bool:
+    def near(
+        self,
+        all_seen: bool,
+        error_px: float,
+        position_m: float,
+        rotation_rad: float,
+        error_grey: float = math.nan,
+    ) -> bool:
         """Whether the conditions hold; an unknown quantity (NaN) does not satisfy its condition."""
         if self.error_px is not None and not (all_seen and error_px < self.error_px):
             return False
@@ -51,10 +67,19 @@ class Converged:
     @property
     def summary(self) -> str:
         """The conditions in words."""
-        in_picture = ((self.error_px, "RMS error under {:g} px"), (self.error_grey, "RMS error under {:g} grey levels"))
+        in_picture = (
+            (self.error_px, "RMS error under {:g} px"),
+            (self.error_grey, "RMS error under {:g} grey levels"),
+        )
         by_estimate = ((self.position_m, "under {:g} m"), (self.rotation_deg, "under {:g} deg"))
-        said = ", ".join(form.format(value) for value, form in (*in_picture, *by_estimate) if value is not None)
-        return said if self.error_px is not None or self.error_grey is not None else f"by its own estimate {said} off"
+        said = ", ".join(
+            form.format(value) for value, form in (*in_picture, *by_estimate) if value is not None
+        )
+        return (
+            said
+            if self.error_px is not None or self.error_grey is not None
+            else f"by its own estimate {said} off"
+        )
 
 
 @spec
@@ -64,13 +89,17 @@ class Stop:
     Args:
         duration_s: simulated time after which the run times out [s]; at most a day.
         converged: when the goal counts as reached.
-        lost_after_s: longest time without sight of the target [s]; then the robot stops; None: it goes on for any time.
-        lost_after_m: longest way of the camera without sight of the target, by the robot's own sensors (dead reckoning, or a law that
-            coasts) [m]; then the robot stops; None: it goes on for any way. Where both are None, a camera behind its target goes on, too.
-        rest_after_s: how long a commanded rest away from the goal lasts until the run ends as `local_minimum` [s]; None: it never ends so.
-        frozen_after_s: how long pictures may be the same to the byte while a velocity is ordered, until the camera counts as frozen and the
-            robot stops (`target_lost`) [s], counted for each camera, further ones and depth pictures, too; None: a real camera's are told
-            in the cycle's notes, and end nothing; e.g. `1`.
+        lost_after_s: longest time without sight of the target [s]; then the robot stops; None: it
+            goes on for any time.
+        lost_after_m: longest way of the camera without sight of the target, by the robot's own
+            sensors (dead reckoning, or a law that coasts) [m]; then the robot stops; None: it goes
+            on for any way. Where both are None, a camera behind its target goes on, too.
+        rest_after_s: how long a commanded rest away from the goal lasts until the run ends as
+            `local_minimum` [s]; None: it never ends so.
+        frozen_after_s: how long pictures may be the same to the byte while a velocity is ordered,
+            until the camera counts as frozen and the robot stops (`target_lost`) [s], counted for
+            each camera, further ones and depth pictures, too; None: a real camera's are told in the
+            cycle's notes, and end nothing; e.g. `1`.
     """
 
     duration_s: Duration = 30.0
@@ -82,7 +111,9 @@ class Stop:
 
     @property
     def lost_after(self) -> tuple[float, float]:
-        """The time [s] and the way [m] after which a target that is out of sight is lost; inf: never."""
+        """The time [s] and the way [m] after which a target that is out of sight is lost; inf:
+        never.
+        """
         return _or_never(self.lost_after_s), _or_never(self.lost_after_m)
 
     @property
@@ -92,7 +123,9 @@ class Stop:
 
     @property
     def rest_after(self) -> float:
-        """How long a commanded rest away from the goal must last to count as a local minimum [s]; inf: it never does."""
+        """How long a commanded rest away from the goal must last to count as a local minimum [s];
+        inf: it never does.
+        """
         return _or_never(self.rest_after_s)
 
     @property

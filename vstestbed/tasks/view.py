@@ -1,4 +1,6 @@
-"""Views as goals: a pose from which the target is seen, a place on the floor, the view of a moving target."""
+"""Views as goals: a pose from which the target is seen, a place on the floor, the view of a moving
+target.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,11 @@ class GoalView(Task):
 
     Args:
         T_camera_target: the pose.
-        markers: numbers of the markers that count, from 0, or their names; None: all. The others may be out of the picture: near the
-            target an inner set can count, far away an outer one.
-        picture: the picture taken there, for a law or a detector that compares with it: a file's name, or a block.
+        markers: numbers of the markers that count, from 0, or their names; None: all. The others
+            may be out of the picture: near the target an inner set can count, far away an outer
+            one.
+        picture: the picture taken there, for a law or a detector that compares with it: a file's
+            name, or a block.
     """
 
     kind: Literal["view"] = "view"
@@ -51,7 +55,10 @@ class GoalView(Task):
         if self.markers is None:
             return views
         numbers = [setup.target.number(marker) for marker in self.markers]
-        return tuple(replace(view, counted=np.isin(np.arange(len(setup.target.points)), numbers)) for view in views)
+        return tuple(
+            replace(view, counted=np.isin(np.arange(len(setup.target.points)), numbers))
+            for view in views
+        )
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         self.check_counted(setup, "goal.markers")
@@ -62,16 +69,25 @@ class GoalView(Task):
         if self.markers is None:
             return
         if setup.target.outlined:
-            raise ParameterError.fixed(field, "left out", list(self.markers), why="the points of an outline count together")
+            raise ParameterError.fixed(
+                field, "left out", list(self.markers), why="the points of an outline count together"
+            )
         robot, n = setup.robot, len(setup.target.points)
-        needed = setup.law.markers_needed(robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints()))
+        needed = setup.law.markers_needed(
+            robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints())
+        )
         numbers = [setup.target.number(marker) for marker in self.markers]
         if not 0 <= min(numbers) <= max(numbers) < n:
             names = setup.target.names
-            words = f"must be numbers of markers, 0 to {n - 1}{', or names: ' * bool(names)}{', '.join(names)}"
+            words = (
+                "must be numbers of markers,"
+                f" 0 to {n - 1}{', or names: ' * bool(names)}{', '.join(names)}"
+            )
             raise ParameterError(field, words, list(self.markers))
         if len(set(numbers)) < needed:
-            raise ParameterError.count(field, f"{needed} or more", f"markers for law {setup.law.kind}", list(self.markers))
+            raise ParameterError.count(
+                field, f"{needed} or more", f"markers for law {setup.law.kind}", list(self.markers)
+            )
 
 
 @spec
@@ -80,7 +96,8 @@ class GoalViewFrom(Task):
 
     Args:
         view_from: the place of the vehicle.
-        picture: the picture taken there, for a law or a detector that compares with it: a file's name, or a block.
+        picture: the picture taken there, for a law or a detector that compares with it: a file's
+            name, or a block.
     """
 
     kind: Literal["view_from"] = "view_from"
@@ -94,7 +111,9 @@ class GoalViewFrom(Task):
         return (inverse(self.view_from.T @ mount) @ target.pose.T,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        return tuple(replace(view, place=self.view_from.place) for view in super().goal_views(setup))
+        return tuple(
+            replace(view, place=self.view_from.place) for view in super().goal_views(setup)
+        )
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
@@ -104,7 +123,9 @@ class GoalViewFrom(Task):
         """Nothing: all markers count."""
 
 
-VIEWS = Registry("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view", "view_from": "view_from"})
+VIEWS = Registry(
+    "view", GoalView, GoalViewFrom, fields={"T_camera_target": "view", "view_from": "view_from"}
+)
 
 
 # Docking at a place: a vehicle drives to a pose on the floor, by landmarks.
@@ -124,15 +145,26 @@ class GoalPlace(Task):
     needs_still: ClassVar[bool] = True
 
     def check(self, setup: Setup) -> None:
-        """The goal must be judged by the estimate, with a threshold beyond the distance at which the law rests."""
+        """The goal must be judged by the estimate, with a threshold beyond the distance at which
+        the law rests.
+        """
         super().check(setup)
         near, law = setup.stop.converged.position_m, setup.law
         if not setup.stop.converged.by_estimate:
-            words = "must have position_m or rotation_deg for a goal of kind pose, where some of the target may be out of the picture"
+            words = (
+                "must have position_m or rotation_deg for a goal of kind pose,"
+                " where some of the target may be out of the picture"
+            )
             raise ParameterError("stop.converged", words)
         if near is not None and law.rest_m >= near:
             why = "nearer than rest_m the vehicle stands for good"
-            raise ParameterError.bound("law.rest_m", "under", f"stop.converged.position_m = {near:g} m", law.rest_m, why=why)
+            raise ParameterError.bound(
+                "law.rest_m",
+                "under",
+                f"stop.converged.position_m = {near:g} m",
+                law.rest_m,
+                why=why,
+            )
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """Nothing: the goal is a place, and markers may be out of the picture there."""

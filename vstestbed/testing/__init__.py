@@ -1,11 +1,13 @@
-"""Suites that every kind must pass, bundled or brought along: `check_law`, `check_robot`, `check_detector`, `check_camera`, ...
+"""Suites that every kind must pass, bundled or brought along: `check_law`, `check_robot`,
+`check_detector`, `check_camera`, ...
 
     import vstestbed.testing
 
     def test_my_law():
         vstestbed.testing.check_law(MyLaw(gain=1.0))
 
-Each raises AssertionError with a sentence that says what was expected and what was found. `vstestbed new` writes files that have one.
+Each raises AssertionError with a sentence that says what was expected and what was found.
+`vstestbed new` writes files that have one.
 """
 
 from vstestbed.testing.laws import check_feature, check_law

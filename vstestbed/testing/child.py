@@ -1,4 +1,5 @@
-"""The process of a law that is judged: it holds the law alone. `loop/isolated.py` starts it, and says what for.
+"""The process of a law that is judged: it holds the law alone. `loop/isolated.py` starts it, and
+says what for.
 
 python -m vstestbed.testing.child NUMBER_OF_A_SOCKET
 """
@@ -30,9 +31,11 @@ from vstestbed.loop.isolated import JACOBIAN, Declared
 from vstestbed.scenario.plugins import load_plugins, registries
 from vstestbed.testing.laws import unnamed_in_source
 
-MEMORY, FILE, CPU_S = 8 << 30, 64 << 20, 3600  # most bytes of memory and of a file; most processor time [s]
+# most bytes of memory and of a file; most processor time [s]
+MEMORY, FILE, CPU_S = 8 << 30, 64 << 20, 3600
 KEPT = 64  # states: a judge asks for one again only soon
-COMMAND = "u", "twist", "rates", "wrench", "rest_reason", "scale", "free", "mode", "row"  # what is told of one
+# what is told of one
+COMMAND = "u", "twist", "rates", "wrench", "rest_reason", "scale", "free", "mode", "row"
 
 
 @spec
@@ -71,18 +74,26 @@ class _Held:
         """Nothing of the law is loaded so far: the time until this is not its own."""
         return True
 
-    def make(self, files: list[str], adds: str, block: dict[str, Any], reads: str) -> dict[str, Any]:
+    def make(
+        self, files: list[str], adds: str, block: dict[str, Any], reads: str
+    ) -> dict[str, Any]:
         """Load the law's files, and make it: what it declares."""
         confine(reads)
         own = _laws_of(files, adds)
         if not block and len(own) != 1:
-            raise ParameterError("files", "must add one law; of several, name one in a YAML file with law and plugins", own)
+            raise ParameterError(
+                "files",
+                "must add one law; of several, name one in a YAML file with law and plugins",
+                own,
+            )
         self.law = _Holder(law=block or {"kind": own[0]}).law  # pyright: ignore[reportArgumentType] - a block
         self.law.prepare()
         return {name: to_mapping(getattr(self.law, name)) for name in Declared.__annotations__}
 
     def step(self, state: int, seen: Observation, goal: Goal | None, basis: Array) -> Any:
-        """One frame, by a guard of its own: a law is asked again after a failure, for another state."""
+        """One frame, by a guard of its own: a law is asked again after a failure, for another
+        state.
+        """
         self.goal = goal or self.goal
         if seen.robot is not None:
             seen = replace(seen, robot=replace(seen.robot, jacobian=self.jacobian))
@@ -103,18 +114,25 @@ class _Held:
         return self.last
 
     def answer(self, method: str, given: Any) -> tuple[bool, Any]:
-        """Whether the law refuses it, and what it says: of a refusal the field, which is "" of a failure, and the sentence."""
+        """Whether the law refuses it, and what it says: of a refusal the field, which is "" of a
+        failure, and the sentence.
+        """
         asked = self if hasattr(self, method) else self.law
         try:
             return False, getattr(asked, method)(*given)
         except BaseException as error:  # whatever a law raises; also sys.exit
             field = error.field if isinstance(error, ParameterError) else ""
             what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
-            return True, (field.removeprefix("_Holder.law."), what + str(error).removeprefix(f"{field} "))
+            return True, (
+                field.removeprefix("_Holder.law."),
+                what + str(error).removeprefix(f"{field} "),
+            )
 
 
 def _laws_of(files: list[str], adds: str) -> list[str]:
-    """Load the law's files: the kinds of laws that they add. ParameterError: they cannot be, or do not add the kind that is asked for."""
+    """Load the law's files: the kinds of laws that they add. ParameterError: they cannot be, or do
+    not add the kind that is asked for.
+    """
     before = set(LAWS.members)
     try:
         load_plugins(files)
@@ -129,12 +147,22 @@ def _plain(value: Any) -> Any:
     return dict(value) if hasattr(value, "keys") else value.tolist()
 
 
-# Landlock, by which a process gives up rights for good, root's too: to files, to connect, to signal and trace other processes.
+# Landlock, by which a process gives up rights for good, root's too: to files, to connect, to signal
+# and trace other processes.
 CREATE, ADD, RESTRICT = 444, 445, 446  # its system calls, on all architectures
 RIGHTS = 13, 14, 15, 15, 16  # how many rights to files its versions know
 READ_FILE, READ = 0b101, 0b1101  # read and execute; of a folder list it, too
 SPECIAL = 1 << 6 | 1 << 9 | 1 << 10 | 1 << 11  # make devices, sockets and pipes with a path
-SYSTEM = "/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/dev/null", "/dev/urandom", "/proc/cpuinfo", "/sys/devices/system/cpu"
+SYSTEM = (
+    "/usr",
+    "/lib",
+    "/lib64",
+    "/etc/ld.so.cache",
+    "/dev/null",
+    "/dev/urandom",
+    "/proc/cpuinfo",
+    "/sys/devices/system/cpu",
+)
 
 
 def landlock() -> int:
@@ -143,15 +171,19 @@ def landlock() -> int:
 
 
 def confine(reads: str) -> None:
-    """Limit this process: its memory, files and time; on Linux 5.13 and newer also to reading Python, this package and `reads`, and to
-    writing into its own empty folder; on Linux on the machines of `CALLS` also to one process, and to system calls that change nothing
-    of others.
+    """Limit this process: its memory, files and time; on Linux 5.13 and newer also to reading
+    Python, this package and `reads`, and to writing into its own empty folder; on Linux on the
+    machines of `CALLS` also to one process, and to system calls that change nothing of others.
     """
     with suppress(ImportError, ValueError):  # Windows; a lower limit is in force
         import resource
 
         # the address space has shared memory, too
-        limits = (resource.RLIMIT_CPU, CPU_S), (resource.RLIMIT_FSIZE, FILE), (resource.RLIMIT_AS, MEMORY)
+        limits = (
+            (resource.RLIMIT_CPU, CPU_S),
+            (resource.RLIMIT_FSIZE, FILE),
+            (resource.RLIMIT_AS, MEMORY),
+        )
         for kind, most in limits:
             resource.setrlimit(kind, (most, most))
     if sys.platform != "linux":
@@ -166,7 +198,9 @@ def confine(reads: str) -> None:
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:
-    """Those of root, for good: out of the bounding set, then out of the process; capabilities(7)."""
+    """Those of root, for good: out of the bounding set, then out of the process;
+    capabilities(7).
+    """
     for capability in range(64):
         libc.prctl(24, capability, 0, 0, 0)
     libc.prctl(47, 4, 0, 0, 0)  # the ambient ones
@@ -180,7 +214,10 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
     rules = libc.syscall(CREATE, handled, len(handled), 0)
     own = Path.cwd()
     libraries = [path for path in sys.path if path.endswith("-packages")]
-    for path in map(Path, (Path(__file__).parents[1], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own)):
+    for path in map(
+        Path,
+        (Path(__file__).parents[1], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own),
+    ):
         if path.exists():
             place = os.open(path, os.O_PATH)
             rights = every & ~SPECIAL if path == own else READ if path.is_dir() else READ_FILE
@@ -189,8 +226,9 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
     libc.syscall(RESTRICT, rules, 0)
 
 
-# System calls that Landlock leaves open, by machine, each with its number; seccomp(2), bpf(2). A socket pair of its own is none of them.
-# On all machines: io_uring, mounts, pidfd_getfd, quotactl_fd, memfd_secret, modes and attributes.
+# System calls that Landlock leaves open, by machine, each with its number; seccomp(2), bpf(2). A
+# socket pair of its own is none of them. On all machines: io_uring, mounts, pidfd_getfd,
+# quotactl_fd, memfd_secret, modes and attributes.
 ALSO = 425, 428, 429, 430, 431, 432, 433, 438, 442, 443, 447, 452, 463, 466, 467, 469
 CALLS: dict[str, dict[str, tuple[int, ...]]] = {
     "x86_64": {
@@ -200,14 +238,50 @@ CALLS: dict[str, dict[str, tuple[int, ...]]] = {
         "chmod, chown, utime and their kind": (90, 91, 268, 92, 93, 94, 260, 132, 235, 261, 280),
         "setxattr, removexattr and their kind": (188, 189, 190, 197, 198, 199),
         "ptrace, process_vm_readv and writev, kcmp, perf_event_open": (101, 310, 311, 312, 298),
-        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (142, 144, 203, 314, 141, 251),
+        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (
+            142,
+            144,
+            203,
+            314,
+            141,
+            251,
+        ),
         "unshare, setns, mount, umount2, pivot_root, chroot": (272, 308, 165, 166, 155, 161),
-        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (321, 323, 248, 249, 250, 256, 279),
+        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (
+            321,
+            323,
+            248,
+            249,
+            250,
+            256,
+            279,
+        ),
         "shmget, shmat, semget, msgget, mq_open, memfd_create": (29, 30, 64, 68, 240, 319),
-        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (169, 246, 320, 175, 313, 176),
-        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (170, 171, 167, 168, 163, 179, 103),
+        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (
+            169,
+            246,
+            320,
+            175,
+            313,
+            176,
+        ),
+        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (
+            170,
+            171,
+            167,
+            168,
+            163,
+            179,
+            103,
+        ),
         "settimeofday, adjtimex, clock_settime, clock_adjtime": (164, 159, 227, 305),
-        "mknod, mknodat, name_to_handle_at, open_by_handle_at, fanotify_init": (133, 259, 303, 304, 300),
+        "mknod, mknodat, name_to_handle_at, open_by_handle_at, fanotify_init": (
+            133,
+            259,
+            303,
+            304,
+            300,
+        ),
         "iopl, ioperm, modify_ldt, lookup_dcookie": (172, 173, 154, 212),
     },
     "aarch64": {
@@ -216,18 +290,49 @@ CALLS: dict[str, dict[str, tuple[int, ...]]] = {
         "chmod, chown, utime and their kind": (52, 53, 54, 55, 88),
         "setxattr, removexattr and their kind": (5, 6, 7, 14, 15, 16),
         "ptrace, process_vm_readv and writev, kcmp, perf_event_open": (117, 270, 271, 272, 241),
-        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (118, 119, 122, 274, 140, 30),
+        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (
+            118,
+            119,
+            122,
+            274,
+            140,
+            30,
+        ),
         "unshare, setns, mount, umount2, pivot_root, chroot": (97, 268, 40, 39, 41, 51),
-        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (280, 282, 217, 218, 219, 238, 239),
+        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (
+            280,
+            282,
+            217,
+            218,
+            219,
+            238,
+            239,
+        ),
         "shmget, shmat, semget, msgget, mq_open, memfd_create": (194, 196, 190, 186, 180, 279),
-        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (142, 104, 294, 105, 273, 106),
-        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (161, 162, 224, 225, 89, 60, 116),
+        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (
+            142,
+            104,
+            294,
+            105,
+            273,
+            106,
+        ),
+        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (
+            161,
+            162,
+            224,
+            225,
+            89,
+            60,
+            116,
+        ),
         "settimeofday, adjtimex, clock_settime, clock_adjtime": (170, 171, 112, 266),
         "mknodat, name_to_handle_at, open_by_handle_at, fanotify_init": (33, 264, 265, 262),
         "lookup_dcookie": (18,),
     },
 }
-CLONE3 = 435  # on all machines; told that there is none, the C library takes clone, whose flags a filter sees
+# on all machines; told that there is none, the C library takes clone, whose flags a filter sees
+CLONE3 = 435
 LOAD, EQUAL, AT_LEAST, HAS, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06  # instructions of the filter
 ALLOW, REFUSE, NONE = 0x7FFF0000, 0x00050001, 0x00050026  # with EPERM, with ENOSYS
 FIRST, SECOND = 16, 24  # where arguments of a call stand: the low half, on the machines above
@@ -237,7 +342,9 @@ ASKS = 0x5412, 0x541C, 0x8901, 0x8902  # of ioctl: type into a terminal, whom th
 
 
 def _refuse_calls(libc: ctypes.CDLL) -> bool:
-    """Have the kernel refuse the calls above, of all threads; other processes' limits and new processes, too. Whether it does."""
+    """Have the kernel refuse the calls above, of all threads; other processes' limits and new
+    processes, too. Whether it does.
+    """
     first, *others = CALLS.get(os.uname().machine, {"": ()}).values()
     if not first:
         return False
@@ -262,8 +369,12 @@ def _refuse_calls(libc: ctypes.CDLL) -> bool:
     return libc.syscall(seccomp, 1, 1, pointer) == 0
 
 
-def _where(call: int, place: int, *tests: tuple[int, int, int, int]) -> list[tuple[int, int, int, int]]:
-    """Lines that refuse a call whose argument one of the tests finds: such a test jumps over the refusal behind it, or not."""
+def _where(
+    call: int, place: int, *tests: tuple[int, int, int, int]
+) -> list[tuple[int, int, int, int]]:
+    """Lines that refuse a call whose argument one of the tests finds: such a test jumps over the
+    refusal behind it, or not.
+    """
     lines = [(LOAD, 0, 0, place)]
     for test in tests:
         lines += test, (RETURN, 0, 0, REFUSE)

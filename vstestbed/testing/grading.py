@@ -1,4 +1,6 @@
-"""Marks for a student's file: a lab as YAML, starts that the student has not seen, and the reason for each point that is not given."""
+"""Marks for a student's file: a lab as YAML, starts that the student has not seen, and the reason
+for each point that is not given.
+"""
 
 from __future__ import annotations
 
@@ -82,15 +84,19 @@ class LabTask:
         scenario: a bundled one, or a file beside the lab's; e.g. `ibvs_book`.
         set: values by dotted path, put over it and over the student's kind.
         seeds: number of random starts; 0: the nominal one alone.
-        limit_s: time for all answers of the student's code in it, of which each run has its share [s].
-        reached: from how many of them the goal has to be reached; null: from all, or from any number with `better_than`.
-        median: limits of medians over the runs that reached it, by the names in `summary.json`; e.g. `{path_ratio: {at_most: 1.2}}`.
-        better_than: another kind, in place of the student's, than which it has to be better by the verdict of a comparison from these
-            starts; e.g. `{kind: ibvs, gain: 0.5}`.
+        limit_s: time for all answers of the student's code in it, of which each run has its share
+            [s].
+        reached: from how many of them the goal has to be reached; null: from all, or from any
+            number with `better_than`.
+        median: limits of medians over the runs that reached it, by the names in `summary.json`;
+            e.g. `{path_ratio: {at_most: 1.2}}`.
+        better_than: another kind, in place of the student's, than which it has to be better by the
+            verdict of a comparison from these starts; e.g. `{kind: ibvs, gain: 0.5}`.
         by: the metric that decides this verdict where both reach the goal alike.
-        also: further settings with which it has to be done, so that a field that changes nothing has no points.
-        may_be: bundled kinds whose commands the student's law may give, those that are to be written; the commands of another one have
-            no points. null: of any.
+        also: further settings with which it has to be done, so that a field that changes nothing
+            has no points.
+        may_be: bundled kinds whose commands the student's law may give, those that are to be
+            written; the commands of another one have no points. null: of any.
     """
 
     title: str
@@ -108,7 +114,9 @@ class LabTask:
 
     def __post_init__(self) -> None:
         if self.reached is not None and self.reached > max(self.seeds, 1):
-            raise ParameterError.bound("reached", "at most", f"the {max(self.seeds, 1)} runs of `seeds`", self.reached)
+            raise ParameterError.bound(
+                "reached", "at most", f"the {max(self.seeds, 1)} runs of `seeds`", self.reached
+            )
         _known_metrics(self.median, "median")
         _known_metrics([self.by], "by")
         for kind in self.may_be or ():
@@ -118,7 +126,10 @@ class LabTask:
     @property
     def parts(self) -> list[LabTask]:
         """It, and its further settings as tasks of their own."""
-        others = [replace(self, set=self.set | each.set, median=each.median, better_than=None) for each in self.also]
+        others = [
+            replace(self, set=self.set | each.set, median=each.median, better_than=None)
+            for each in self.also
+        ]
         return [self, *others]
 
 
@@ -135,9 +146,10 @@ class Lab:
     Args:
         title: of the sheet of marks.
         kind: the word of the student's kind; e.g. `my_law`.
-        field: where it stands in a scenario: `law`, or within it, such as `law.feature`. Other kinds would be part of what judges them.
-        check: points for passing `vstestbed.testing.check_law`, and at least one of the tasks: a file as `vstestbed new` writes it passes
-            the former; 0: it is not asked for.
+        field: where it stands in a scenario: `law`, or within it, such as `law.feature`. Other
+            kinds would be part of what judges them.
+        check: points for passing `vstestbed.testing.check_law`, and at least one of the tasks: a
+            file as `vstestbed new` writes it passes the former; 0: it is not asked for.
         tasks: what it has to do.
     """
 
@@ -150,7 +162,9 @@ class Lab:
     def __post_init__(self) -> None:
         if self.field.partition(".")[0] != "law":
             why = "a robot, a detector or a goal would be part of what judges it"
-            raise ParameterError.fixed("field", "law, or within it, such as law.feature", self.field, why=why)
+            raise ParameterError.fixed(
+                "field", "law, or within it, such as law.feature", self.field, why=why
+            )
 
 
 @dataclass(frozen=True)
@@ -169,7 +183,9 @@ class Result:
 
 @dataclass(frozen=True)
 class Mark:
-    """The marks of one file. missing: a result is, since the code could not be loaded, ended its process, or took too long."""
+    """The marks of one file. missing: a result is, since the code could not be loaded, ended its
+    process, or took too long.
+    """
 
     lab: str
     file: str
@@ -179,7 +195,9 @@ class Mark:
     @property
     def points(self) -> tuple[float, float]:
         """Those given, and all."""
-        return sum(result.given for result in self.results), sum(result.points for result in self.results)
+        return sum(result.given for result in self.results), sum(
+            result.points for result in self.results
+        )
 
     def plain(self) -> dict[str, Any]:
         """For JSON."""
@@ -191,9 +209,21 @@ class Mark:
         """A table for people."""
         given, all_of = self.points
         # in one line: what a student's exception says begins no row of its own
-        why = {r: " ".join(" ".join(r.reasons).split()).replace("|", "/") or "passed" for r in self.results}
-        rows = [f"| {r.title} | {r.given:g} of {r.points:g} | {words} |" for r, words in why.items()]
-        head = [f"# {self.lab}", "", f"**{given:g} of {all_of:g} points** ({self.file})", "", "| task | points | why |", "|---|---|---|"]
+        why = {
+            r: " ".join(" ".join(r.reasons).split()).replace("|", "/") or "passed"
+            for r in self.results
+        }
+        rows = [
+            f"| {r.title} | {r.given:g} of {r.points:g} | {words} |" for r, words in why.items()
+        ]
+        head = [
+            f"# {self.lab}",
+            "",
+            f"**{given:g} of {all_of:g} points** ({self.file})",
+            "",
+            "| task | points | why |",
+            "|---|---|---|",
+        ]
         return "\n".join([*head, *rows, ""])
 
     def write(self, folder: Path) -> None:
@@ -203,39 +233,60 @@ class Mark:
 
 
 def read_lab(path: Path) -> Lab:
-    """A lab's file. Raises ScenarioError: all mistakes in it at once; or in a task's scenario and settings, but for those of the student's
-    kind.
+    """A lab's file. Raises ScenarioError: all mistakes in it at once; or in a task's scenario and
+    settings, but for those of the student's kind.
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a lab needs title, kind and tasks")
     lab = build(Lab, plain, marks, str(path))
     parts = [(i, part) for i, whole in enumerate(lab.tasks) for part in whole.parts]
     for i, task in parts:
         named = absolute_files(task.set, path.absolute().parent)
-        others = {key: value for key, value in named.items() if key.partition(".")[0] != lab.field.partition(".")[0]}
+        others = {
+            key: value
+            for key, value in named.items()
+            if key.partition(".")[0] != lab.field.partition(".")[0]
+        }
         try:
             scenario = load(_place(task.scenario, path.parent), others)
             if scenario.stop.converged.error_grey is not None:
-                words = "is told by the law itself, and gives no marks; works: null, with another condition"
+                words = (
+                    "is told by the law itself, and gives no marks;"
+                    " works: null, with another condition"
+                )
                 raise ScenarioError([Mistake("", "stop.converged.error_grey", words)])
         except ScenarioError as error:
-            raise ScenarioError([replace(each, where=f"{path}: tasks.{i}") for each in error.mistakes]) from None
+            raise ScenarioError(
+                [replace(each, where=f"{path}: tasks.{i}") for each in error.mistakes]
+            ) from None
     return lab
 
 
 def grade(
-    lab: Lab, student: Path, first_seed: int = 0, beside: Path | None = None, on_task: Callable[[str], None] = lambda title: None
+    lab: Lab,
+    student: Path,
+    first_seed: int = 0,
+    beside: Path | None = None,
+    on_task: Callable[[str], None] = lambda title: None,
 ) -> Mark:
-    """Mark a student's file. Its code is run in processes of their own (`loop.isolated`), which get observations alone.
+    """Mark a student's file. Its code is run in processes of their own (`loop.isolated`), which get
+    observations alone.
 
-    first_seed: of the random starts; one that students do not know keeps them from fitting to these starts. beside: folder of the lab's
-    file, in which scenarios are searched first; None: they are bundled ones. on_task: is told the title of each task as it begins.
+    first_seed: of the random starts; one that students do not know keeps them from fitting to these
+    starts. beside: folder of the lab's file, in which scenarios are searched first; None: they are
+    bundled ones. on_task: is told the title of each task as it begins.
     """
     with offered():
         place, results, lost = student.absolute(), list[Result](), Child.lost
         refused = _refused(lab, place)
         if lab.check:
             on_task("check")
-            results.append(Result("It passes the suite of its room.", lab.check, (refused,) if refused else tuple(_unchecked(lab, place))))
+            results.append(
+                Result(
+                    "It passes the suite of its room.",
+                    lab.check,
+                    (refused,) if refused else tuple(_unchecked(lab, place)),
+                )
+            )
         for task in lab.tasks:
             on_task(task.title)
             reasons = [refused] if refused else []
@@ -244,7 +295,9 @@ def grade(
             results.append(Result(task.title, task.points, tuple(dict.fromkeys(reasons))))
         missing = bool(refused) or Child.lost > lost
     if lab.check and not any(result.given for result in results[1:]):
-        results[0] = replace(results[0], reasons=results[0].reasons or ("It does none of the tasks.",))
+        results[0] = replace(
+            results[0], reasons=results[0].reasons or ("It does none of the tasks.",)
+        )
     return Mark(lab.title, shown(student.name), tuple(results), missing)
 
 
@@ -267,18 +320,22 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
     """Why a law does not pass its suite; nothing where it does."""
     try:
         check_law(Isolated(**_apart(lab, student, {"kind": lab.kind})))
-    except Exception as error:  # an assertion's; and whatever the numbers of a law bring about in the loop
+    except Exception as error:
+        # an assertion's; and whatever the numbers of a law bring about in the loop
         Child.lost += not isinstance(error, AssertionError | VstestbedError)
         yield str(error).replace("isolated", lab.kind)
 
 
-def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path | None) -> Iterator[str]:
+def _reasons(
+    lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path | None
+) -> Iterator[str]:
     """Why the points of a task are not given."""
     like = Likeness({path.removeprefix("law."): value for path, value in task.set.items()})
     Child.watch = None if task.may_be is None else like
     try:
         own = _runs(lab, task, student, first_seed, beside)
-    except Exception as error:  # a refusal's; and whatever the numbers of a law bring about in the loop
+    except Exception as error:
+        # a refusal's; and whatever the numbers of a law bring about in the loop
         Child.lost += not isinstance(error, VstestbedError)
         yield f"It cannot be run: {error}"
         return
@@ -294,38 +351,68 @@ def _reasons(lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Pa
 def _missed(task: LabTask, own: list[dict[str, Any]]) -> Iterator[str]:
     """What runs of a task are short of, by their summaries."""
     good = [row for row in own if row["success"]]
-    needed = task.reached if task.reached is not None else 0 if task.better_than is not None else len(own)
+    needed = (
+        task.reached
+        if task.reached is not None
+        else 0
+        if task.better_than is not None
+        else len(own)
+    )
     if len(good) < needed:
         ends = Counter(str(row["outcome"]) for row in own if not row["success"])
         listed = ", ".join(f"{n} {end}" for end, n in ends.most_common())
-        yield f"{len(good)} of {counted(len(own), 'run')} reached the goal, {needed} are needed ({listed})."
+        yield (
+            f"{len(good)} of {counted(len(own), 'run')} reached the goal,"
+            f" {needed} are needed ({listed})."
+        )
         failed = next((str(row["reason"]) for row in own if row["outcome"] == "law_failed"), "")
         if failed:
             yield f"The law failed: {failed}."
     for name, bounds in task.median.items():
         values = [float(row[name]) for row in good if row.get(name) is not None]
-        missed = bounds.missed(statistics.median(values)) if values else "is unknown, since no run reached the goal"
+        missed = (
+            bounds.missed(statistics.median(values))
+            if values
+            else "is unknown, since no run reached the goal"
+        )
         if missed:
             yield f"The median of {name} {missed}."
 
 
-def _runs(lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path | None) -> list[dict[str, Any]]:
-    """Summaries of a task's runs, of the student's kind or (None) of the one that it has to be better than."""
+def _runs(
+    lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path | None
+) -> list[dict[str, Any]]:
+    """Summaries of a task's runs, of the student's kind or (None) of the one that it has to be
+    better than.
+    """
     place = _place(task.scenario, beside)
     seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
-    changes: dict[str, Any] = {lab.field: {"kind": lab.kind} if student else task.better_than} | absolute_files(task.set, beside or Path())
+    changes: dict[str, Any] = {
+        lab.field: {"kind": lab.kind} if student else task.better_than
+    } | absolute_files(task.set, beside or Path())
     if student:  # what is said of the law goes to the one inside
         law = _apart(lab, student, to_mapping(load(place).law), run_s=task.limit_s / len(seeds))
-        inside = {path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"}
+        inside = {
+            path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"
+        }
         changes = {"law": law} | {inside.get(path, path): value for path, value in changes.items()}
-    return [uninterrupted(run(load(place, changes, seed=seed, plugins=[MODULE]))).summary() for seed in seeds]
+    return [
+        uninterrupted(run(load(place, changes, seed=seed, plugins=[MODULE]))).summary()
+        for seed in seeds
+    ]
 
 
 def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str) -> Iterator[str]:
     """Why there is no verdict for the student's kind, from the same starts."""
     names = ("seed", "success", by)
-    rows = [{"scenario": who} | {name: row[name] for name in names} for who, runs in (("other", others), ("own", own)) for row in runs]
-    (pair,) = pairs(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), (), (), primary=by))
+    rows = [
+        {"scenario": who} | {name: row[name] for name in names}
+        for who, runs in (("other", others), ("own", own))
+        for row in runs
+    ]
+    (pair,) = pairs(
+        ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), (), (), primary=by)
+    )
     if pair.better != 1:
         count, other = (sum(bool(row["success"]) for row in runs) for runs in (own, others))
         reached = f"it reached the goal from {count} of {len(own)} starts, the other from {other}"
@@ -334,7 +421,9 @@ def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str
 
 
 def _place(name: str, beside: Path | None) -> str:
-    """A task's scenario: beside the lab's file, else a bundled one; never of the current folder, which may be the student's."""
+    """A task's scenario: beside the lab's file, else a bundled one; never of the current folder,
+    which may be the student's.
+    """
     if beside is None or (name in bundled_scenarios() and not is_there(beside / name)):
         return name
     return str((beside / name).absolute())

@@ -32,7 +32,9 @@ RADIUS_M = 0.35
 
 
 def check_feature(feature: Feature, seed: int = 0) -> None:
-    """On a circle of markers L is the derivative of the error over motions of the camera; shapes are right; leading axes are taken."""
+    """On a circle of markers L is the derivative of the error over motions of the camera; shapes
+    are right; leading axes are taken.
+    """
     assert FEATURES.contract is not None
     FEATURES.contract.check(type(feature))
     rng, many = np.random.default_rng(seed), []
@@ -46,11 +48,16 @@ def check_feature(feature: Feature, seed: int = 0) -> None:
         _check_derivative(feature, p)
     one = np.stack([feature.interaction(*inputs) for inputs in many])
     together = feature.interaction(*(np.stack(values) for values in zip(*many, strict=True)))
-    assert np.allclose(one, together), f"{feature.kind}: interaction must take leading axes: {VIEWS} views at once differ from one by one"
+    assert np.allclose(one, together), (
+        f"{feature.kind}: interaction must take leading axes:"
+        f" {VIEWS} views at once differ from one by one"
+    )
 
 
 def _on_a_circle(n: int) -> Array:
-    """Points (n, 3) on a circle [m], at uneven distances: the symmetries of a regular polygon leave some features undefined."""
+    """Points (n, 3) on a circle [m], at uneven distances: the symmetries of a regular polygon leave
+    some features undefined.
+    """
     i = np.arange(n)
     angle = 2 * np.pi * i / n + 0.4 * np.sin(2 * i)
     return RADIUS_M * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(n)])
@@ -66,15 +73,24 @@ def _inputs(feature: Feature, p: Array) -> tuple[Array, Array]:
 def _check_derivative(feature: Feature, p: Array) -> None:
     kind, inputs = feature.kind, _inputs(feature, p)
     s, L = feature.measure(inputs[0]), feature.interaction(*inputs)
-    assert L.ndim == 2 and L.shape[1] == 6, f"{kind}: interaction must have shape (rows, 6), got {L.shape}"
+    assert L.ndim == 2 and L.shape[1] == 6, (
+        f"{kind}: interaction must have shape (rows, 6), got {L.shape}"
+    )
     rows = feature.error(s, s).shape
-    assert rows == L.shape[:1], f"{kind}: error must have as many rows as L, {L.shape[0]}, got the shape {rows}"
+    assert rows == L.shape[:1], (
+        f"{kind}: error must have as many rows as L, {L.shape[0]}, got the shape {rows}"
+    )
     expected = feature.rows_per_marker * len(p)
-    assert not expected or len(L) == expected, f"{kind}: {feature.rows_per_marker} rows for each of {len(p)} markers, L has {len(L)}"
+    assert not expected or len(L) == expected, (
+        f"{kind}: {feature.rows_per_marker} rows for each of {len(p)} markers, L has {len(L)}"
+    )
     assert np.abs(feature.error(s, s)).max() < 1e-9, f"{kind}: error(s, s) must be 0"
     for i, name in enumerate(("vx", "vy", "vz", "wx", "wy", "wz")):
         step = STEP * (np.arange(6) == i)
-        after, before = (feature.measure(_inputs(feature, transform(inverse(exp(sign * step)), p))[0]) for sign in (1, -1))
+        after, before = (
+            feature.measure(_inputs(feature, transform(inverse(exp(sign * step)), p))[0])
+            for sign in (1, -1)
+        )
         measured = (feature.error(after, s) - feature.error(before, s)) / (2 * STEP)
         off = float(np.abs(measured - L[:, i]).max())
         assert off < 1e-5 * max(1.0, float(np.abs(L).max())), (
@@ -82,7 +98,8 @@ def _check_derivative(feature: Feature, p: Array) -> None:
         )
 
 
-# A quick closed loop for each kind of task: ideal motion where the task has it, markers by the oracle, no pictures.
+# A quick closed loop for each kind of task: ideal motion where the task has it, markers by the
+# oracle, no pictures.
 QUICK: dict[str, tuple[str, dict[str, object]]] = {
     "view": ("ibvs_book", {"camera.rate_hz": 25.0}),
     "pose": ("car_parking", {}),
@@ -91,13 +108,17 @@ QUICK: dict[str, tuple[str, dict[str, object]]] = {
     "path": ("quadrotor_path", {}),
     "landing": ("quadrotor_land", {}),
 }
-"""Bundled scenario and what is changed in it, by the word of `Law.tasks`. The longer tasks are cut to what shows the steady state."""
+"""Bundled scenario and what is changed in it, by the word of `Law.tasks`. The longer tasks are cut
+to what shows the steady state.
+"""
 
 
 def quick(task: str) -> Scenario:
     """The closed loop for a kind of task. Raises ParameterError: there is none of this kind."""
     if task not in QUICK:
-        raise ParameterError.choice("tasks", QUICK, task, why="these have closed loops to be tested in")
+        raise ParameterError.choice(
+            "tasks", QUICK, task, why="these have closed loops to be tested in"
+        )
     name, changes = QUICK[task]
     return load(name, {"detector": {"kind": "oracle"}, **changes})
 
@@ -116,12 +137,13 @@ class _Frames:
 
 
 def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
-    """A law reaches its goal in closed loop, is a function of its state and its observation, and refuses what it cannot do.
+    """A law reaches its goal in closed loop, is a function of its state and its observation, and
+    refuses what it cannot do.
 
     Of the observation it may read the time, the pixels, and the fields that its `inputs` name.
 
-    law: with the parameters to test. scenario: the closed loop to test it in, its own law is replaced; None: a quick one for the first of
-    `law.tasks`.
+    law: with the parameters to test. scenario: the closed loop to test it in, its own law is
+    replaced; None: a quick one for the first of `law.tasks`.
     """
     LAW_CONTRACT.check(type(law))
     loop = scenario or quick(law.tasks[0])
@@ -129,27 +151,52 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
     loop = replace(loop, law=law, camera=replace(loop.camera, latency_s=0.0), timing=Timing())
     frames = _Frames()
     recording = uninterrupted(run(loop, watch=[frames]))
-    words = f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"
-    assert recording.outcome.success, words + (unnamed_in_source(law) if recording.outcome is Outcome.law_failed else "")
+    words = (
+        f"{law.kind} must reach its goal in {loop.name}:"
+        f" {recording.outcome.name}, {recording.reason}"
+    )
+    assert recording.outcome.success, words + (
+        unnamed_in_source(law) if recording.outcome is Outcome.law_failed else ""
+    )
     _check_commands(law, loop, frames.kept)
     # Without a marker in sight the law orders something finite, and says why if it orders rest.
     first = frames.kept[0]
-    gone = {name: np.full_like(value, np.nan) for name, value in _arrays(first.observation).items() if name in ("uv", "xy", "depth", "ray")}
+    gone = {
+        name: np.full_like(value, np.nan)
+        for name, value in _arrays(first.observation).items()
+        if name in ("uv", "xy", "depth", "ray")
+    }
     blind = replace(first.observation, **gone, T_camera_target=None, relative=None)
     _, command = law.step(law.init(loop.goal_views[0]), blind, first.goal, _basis(loop))
-    assert np.isfinite(command.twist).all(), f"{law.kind} without markers in sight: the twist must be finite, got {command.twist}"
-    assert command.twist.any() or command.rest_reason, f"{law.kind} without markers in sight: a rest must have a rest_reason"
+    assert np.isfinite(command.twist).all(), (
+        f"{law.kind} without markers in sight: the twist must be finite, got {command.twist}"
+    )
+    assert command.twist.any() or command.rest_reason, (
+        f"{law.kind} without markers in sight: a rest must have a rest_reason"
+    )
     # A task that it does not take and too few markers are refused before a run.
     if other := next((word for word in QUICK if word not in law.tasks), None):
-        must_refuse(lambda: replace(quick(other), law=law), f"{law.kind} must be refused for a {other}, which it does not take")
+        must_refuse(
+            lambda: replace(quick(other), law=law),
+            f"{law.kind} must be refused for a {other}, which it does not take",
+        )
     needed = law.markers_needed(_basis(loop))
     if needed > 1 and len(loop.target.places):
-        few = Points(at=tuple(map(tuple, loop.target.places[: needed - 1].tolist())), pose=loop.target.pose, marker=loop.target.marker)
-        must_refuse(lambda: replace(loop, target=few), f"{law.kind} needs {needed} markers, and {needed - 1} must be refused")
+        few = Points(
+            at=tuple(map(tuple, loop.target.places[: needed - 1].tolist())),
+            pose=loop.target.pose,
+            marker=loop.target.marker,
+        )
+        must_refuse(
+            lambda: replace(loop, target=few),
+            f"{law.kind} needs {needed} markers, and {needed - 1} must be refused",
+        )
 
 
 def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
-    """Replayed by hand the law gives the same commands: it has no state of its own, and does not write into what it is given."""
+    """Replayed by hand the law gives the same commands: it has no state of its own, and does not
+    write into what it is given.
+    """
     state, mount = law.init(loop.goal_views[0]), Mount.of(loop.believed_camera.mount.T)
     for frame in frames:
         if frame.goal.view and not loop.goal.by_clock:
@@ -159,11 +206,20 @@ def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
         where = f"{law.kind} in frame {frame.timing.number}"
         given, (state, command) = state, law.step(state, frame.observation, frame.goal, basis)
         same = np.array_equal(command.twist, frame.command.twist)
-        assert same, f"{where}: another command for the same state and observation; state is passed, not stored"
+        assert same, (
+            f"{where}: another command for the same state and observation;"
+            " state is passed, not stored"
+        )
         for name, value in _arrays(frame.observation).items():
-            assert np.array_equal(value, before[name], equal_nan=True), f"{where}: it wrote into observation.{name}"
-        assert np.isfinite(command.twist).all(), f"{where}: the twist must be finite, got {command.twist}"
-        np.testing.assert_allclose(basis @ command.u, command.twist, atol=1e-9, err_msg=f"{where}: twist must be basis @ u")
+            assert np.array_equal(value, before[name], equal_nan=True), (
+                f"{where}: it wrote into observation.{name}"
+            )
+        assert np.isfinite(command.twist).all(), (
+            f"{where}: the twist must be finite, got {command.twist}"
+        )
+        np.testing.assert_allclose(
+            basis @ command.u, command.twist, atol=1e-9, err_msg=f"{where}: twist must be basis @ u"
+        )
         within = law.limits.scale(command.twist) > 1 - 1e-9
         assert within, f"{where}: the twist {command.twist} is beyond the law's own limits"
         _check_inputs(law, given, frame, basis, command)
@@ -173,11 +229,18 @@ def _check_inputs(law: Law[Any], state: Any, frame: Frame, basis: Array, command
     """What the law's `inputs` do not name is not read: without it the command is the same."""
     if isinstance(law, Policy):  # whose function may read all that there is without asking
         return
-    unnamed = [name for name in OBSERVATION_FIELDS if name not in (*FREE, *_named(law)) and getattr(frame.observation, name) is not None]
+    unnamed = [
+        name
+        for name in OBSERVATION_FIELDS
+        if name not in (*FREE, *_named(law)) and getattr(frame.observation, name) is not None
+    ]
     if not _differs(law, state, frame, basis, command, unnamed):
         return
     read = [name for name in unnamed if _differs(law, state, frame, basis, command, [name])]
-    words = f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)}, which its `inputs` do not name"
+    words = (
+        f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)},"
+        " which its `inputs` do not name"
+    )
     raise AssertionError(f"{words}; write inputs = {(*law.inputs, *(read or unnamed))}")
 
 
@@ -187,31 +250,55 @@ def _named(law: Law[Any]) -> tuple[str, ...]:
     return (*named, "xy", "depth") if "xyw" in named else named
 
 
-def _differs(law: Law[Any], state: Any, frame: Frame, basis: Array, command: Command, without: list[str]) -> bool:
+def _differs(
+    law: Law[Any], state: Any, frame: Frame, basis: Array, command: Command, without: list[str]
+) -> bool:
     """Whether the command is another one without these fields of the observation."""
     try:
-        _, again = law.step(state, replace(frame.observation, **dict.fromkeys(without)), frame.goal, basis)
+        _, again = law.step(
+            state, replace(frame.observation, **dict.fromkeys(without)), frame.goal, basis
+        )
     except Exception:  # whatever a law raises that computes with a None
         return True
     return not np.array_equal(again.twist, command.twist)
 
 
 def unnamed_in_source(law: Law[Any]) -> str:
-    """Which fields a law that failed reads without naming them in `inputs`, as far as its text tells; "" where it tells nothing."""
+    """Which fields a law that failed reads without naming them in `inputs`, as far as its text
+    tells; "" where it tells nothing.
+    """
     observation = list(inspect.signature(type(law).step).parameters)[2]
-    view = list(inspect.signature(type(law).equations).parameters)[1] if isinstance(law, ErrorLaw) else observation
+    view = (
+        list(inspect.signature(type(law).equations).parameters)[1]
+        if isinstance(law, ErrorLaw)
+        else observation
+    )
     try:
         read = re.findall(rf"\b(?:{observation}|{view})\.(\w+)", inspect.getsource(type(law)))
     except (OSError, TypeError):  # a class that was typed in has no file
         return ""
-    unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *_named(law))]
-    return f"; its `inputs` do not name {', '.join(unnamed)}, which it reads, and which may be None then" if unnamed else ""
+    unnamed = [
+        field
+        for field in OBSERVATION_FIELDS
+        if field in read and field not in (*FREE, *_named(law))
+    ]
+    return (
+        f"; its `inputs` do not name {', '.join(unnamed)}, which it reads,"
+        " and which may be None then"
+        if unnamed
+        else ""
+    )
 
 
 def _basis(loop: Scenario) -> Array:
-    return loop.robot.motion_basis(Mount.of(loop.believed_camera.mount.T), loop.robot.start_joints())
+    return loop.robot.motion_basis(
+        Mount.of(loop.believed_camera.mount.T), loop.robot.start_joints()
+    )
 
 
 def _arrays(seen: Observation) -> dict[str, Array]:
-    named = {name: getattr(seen, name) for name in ("uv", "xy", "depth", "ray", "range", "T_camera_target", "place", "odometry")}
+    named = {
+        name: getattr(seen, name)
+        for name in ("uv", "xy", "depth", "ray", "range", "T_camera_target", "place", "odometry")
+    }
     return {name: value for name, value in named.items() if value is not None}

@@ -12,8 +12,11 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LAWS, Command, Law
 from vstestbed.laws.base import inputs_of
 
-ALIKE = 0.02  # of the commands' size: pbvs and hybrid, the most alike on the course's tasks, differ by 0.085 and more there
-SHARED = "depth", "limits", "visibility", "feedforward"  # settings that a law from elsewhere declares
+# of the commands' size: pbvs and hybrid, the most alike on the course's tasks, differ by 0.085 and
+# more there
+ALIKE = 0.02
+# settings that a law from elsewhere declares
+SHARED = "depth", "limits", "visibility", "feedforward"
 
 
 @spec
@@ -22,10 +25,12 @@ class _Beside:
 
 
 class Likeness:
-    """Bundled laws that fly beside another one, by kind, and how far their commands are from its own.
+    """Bundled laws that fly beside another one, by kind, and how far their commands are from its
+    own.
 
-    Of commands a and b their distance is that of a from the line along b, whatever the gain: sum |a - (a.b / b.b) b|^2 over the runs, as
-    a share of sum |a|^2. Near the goal all laws order nearly the same, but little.
+    Of commands a and b their distance is that of a from the line along b, whatever the gain: sum
+    |a - (a.b / b.b) b|^2 over the runs, as a share of sum |a|^2. Near the goal all laws order
+    nearly the same, but little.
 
     settings: of the law in its task, by name; a kind has those that it knows.
     """
@@ -63,7 +68,11 @@ class Likeness:
 
     def found(self, allowed: tuple[str, ...]) -> str:
         """The bundled kind whose commands are the law's, "" where none, or one that is allowed."""
-        alike = [kind for kind, apart in self.apart.items() if self.size > 0 and apart <= ALIKE**2 * self.size]
+        alike = [
+            kind
+            for kind, apart in self.apart.items()
+            if self.size > 0 and apart <= ALIKE**2 * self.size
+        ]
         if not alike or set(alike) & set(allowed):
             return ""
         return min(alike, key=lambda kind: self.apart[kind])
@@ -75,7 +84,11 @@ class Likeness:
         for kind, made in LAWS.members.items():
             if kind == law.kind:
                 continue  # to make another of these would end its process
-            known = {name: value for name, value in (shared | self.settings).items() if name in made.__dataclass_fields__}
+            known = {
+                name: value
+                for name, value in (shared | self.settings).items()
+                if name in made.__dataclass_fields__
+            }
             with suppress(Exception):  # of settings that it has not, or without its file
                 own = _Beside(law={"kind": kind, **known}).law  # pyright: ignore[reportArgumentType] - a block
                 if set(inputs_of(own)) <= given:

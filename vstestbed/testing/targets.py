@@ -25,26 +25,42 @@ from vstestbed.testing.robots import must_refuse
 
 
 def check_target(target: Target) -> None:
-    """A target has its markers where it says, is seen where it is, and stands so in the compiled scene."""
+    """A target has its markers where it says, is seen where it is, and stands so in the compiled
+    scene.
+    """
     Contract(Target, base=Target).check(type(target))
     points, places = target.points, target.places
-    assert points.ndim == 2 and points.shape[1] == 3, f"points must have shape (N, 3), got {points.shape}"
+    assert points.ndim == 2 and points.shape[1] == 3, (
+        f"points must have shape (N, 3), got {points.shape}"
+    )
     assert np.isfinite(points).all(), "points must be finite"
-    assert len(places) in (0, len(points)), f"places must be all {len(points)} points or none, got {len(places)}"
-    assert len(target.hues_deg) == len(points), f"each of {len(points)} markers needs a hue, got {len(target.hues_deg)}"
+    assert len(places) in (0, len(points)), (
+        f"places must be all {len(points)} points or none, got {len(places)}"
+    )
+    assert len(target.hues_deg) == len(points), (
+        f"each of {len(points)} markers needs a hue, got {len(target.hues_deg)}"
+    )
     if len(places) > 1:  # a kind may forget to refuse markers that overlap
         gaps = np.linalg.norm(places[:, None] - places[None], axis=-1) + np.eye(len(places)) * 1e9
         target.marker.check_spacing(float(gaps.min()), len(places))
     T_target_camera = inverse(Pose(xyz=(0.1, -0.2, 2.0), rpy_deg=(5, -10, 20)).T)
     if len(places):
-        error = np.abs(target.seen_from(T_target_camera) - transform(inverse(T_target_camera), points)).max()
-        assert error < 1e-12, f"seen_from must be points in the camera's frame, it is {error:.2g} m off"
+        error = np.abs(
+            target.seen_from(T_target_camera) - transform(inverse(T_target_camera), points)
+        ).max()
+        assert error < 1e-12, (
+            f"seen_from must be points in the camera's frame, it is {error:.2g} m off"
+        )
     robot = Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -2))))
     floor_z = -50.0 if len(places) else 0.0  # out of the way of markers; lines lie on it
-    with closing(Scene(SceneDescription(robot, Perspective(), target, World(floor_z=floor_z), step=0.002))) as stage:
+    with closing(
+        Scene(SceneDescription(robot, Perspective(), target, World(floor_z=floor_z), step=0.002))
+    ) as stage:
         for i, place in enumerate(places):
             found = stage.model.site(f"target/marker_{i}").pos
-            assert np.allclose(found, place, atol=1e-6), f"marker {i} stands at {found} in the scene and at {place} in the target"
+            assert np.allclose(found, place, atol=1e-6), (
+                f"marker {i} stands at {found} in the scene and at {place} in the target"
+            )
 
 
 # What every motion of a target must do.
@@ -53,48 +69,76 @@ FASTEST_MPS = 50.0  # A path that moves by more than that is taken to jump [m/s]
 
 
 def check_motion(motion: MotionBase) -> None:
-    """The path is rigid, continuous, a function of time alone once its seed is given, and starts in one place whatever the seed.
+    """The path is rigid, continuous, a function of time alone once its seed is given, and starts in
+    one place whatever the seed.
 
-    `draws` says whether another seed gives another path: a motion that draws without saying so is refused more than one seed.
+    `draws` says whether another seed gives another path: a motion that draws without saying so is
+    refused more than one seed.
     """
-    assert isinstance(motion, MotionBase), f"{type(motion).__name__}: a motion must derive from vstestbed.MotionBase"
+    assert isinstance(motion, MotionBase), (
+        f"{type(motion).__name__}: a motion must derive from vstestbed.MotionBase"
+    )
     rest = Pose(xyz=(1, 2, 3), rpy_deg=(10, -20, 30)).T
     start = motion.start(rest)
-    assert start.shape == (4, 4) and np.isfinite(start).all(), f"{motion.kind}: start(pose) must be a pose (4, 4), got {start}"
+    assert start.shape == (4, 4) and np.isfinite(start).all(), (
+        f"{motion.kind}: start(pose) must be a pose (4, 4), got {start}"
+    )
     if motion.moves and not motion.by_itself:
-        words = f"{motion.kind}: a target that is carried has no path; path must raise ParameterError"
+        words = (
+            f"{motion.kind}: a target that is carried has no path; path must raise ParameterError"
+        )
         must_refuse(lambda: motion.path(np.random.default_rng(0)), words)
         return
     times = np.arange(0.0, SPAN_S, STEP_S)
     D = _along(motion, times)
-    assert D.shape[1:] == (4, 4) and np.isfinite(D).all(), f"{motion.kind}: a displacement must be a finite matrix (4, 4)"
+    assert D.shape[1:] == (4, 4) and np.isfinite(D).all(), (
+        f"{motion.kind}: a displacement must be a finite matrix (4, 4)"
+    )
     R = D[:, :3, :3]
     off = float(np.abs(R @ R.mT - np.eye(3)).max())
-    assert off < 1e-9, f"{motion.kind}: the rotation of a displacement must be orthonormal, it is {off:.3g} off"
-    assert (np.linalg.det(R) > 0).all(), f"{motion.kind}: the rotation of a displacement must not mirror"
+    assert off < 1e-9, (
+        f"{motion.kind}: the rotation of a displacement must be orthonormal, it is {off:.3g} off"
+    )
+    assert (np.linalg.det(R) > 0).all(), (
+        f"{motion.kind}: the rotation of a displacement must not mirror"
+    )
     last = np.tile([0.0, 0, 0, 1], (len(D), 1))
-    assert np.array_equal(D[:, 3], last), f"{motion.kind}: the last row of a displacement must be 0 0 0 1"
+    assert np.array_equal(D[:, 3], last), (
+        f"{motion.kind}: the last row of a displacement must be 0 0 0 1"
+    )
     jump = float(np.abs(np.diff(D[:, :3, 3], axis=0)).max())
     when = times[np.abs(np.diff(D[:, :3, 3], axis=0)).max(axis=1).argmax()]
-    assert jump <= FASTEST_MPS * STEP_S, f"{motion.kind}: the path jumps by {jump:.3g} m within {STEP_S:g} s at {when:.3f} s"
+    assert jump <= FASTEST_MPS * STEP_S, (
+        f"{motion.kind}: the path jumps by {jump:.3g} m within {STEP_S:g} s at {when:.3f} s"
+    )
     backwards = _along(motion, times[::-500])[::-1]
-    assert np.array_equal(backwards, D[::-500][::-1]), f"{motion.kind}: another path when the times are asked for backwards"
+    assert np.array_equal(backwards, D[::-500][::-1]), (
+        f"{motion.kind}: another path when the times are asked for backwards"
+    )
     _check_start(motion, rest, D[0])
     drawn = not np.array_equal(_along(motion, times, seed=8), D)
     assert drawn is motion.draws, (
-        f"{motion.kind}: `draws` is {motion.draws}, and another seed gives {'another' if drawn else 'the same'} path"
+        f"{motion.kind}: `draws` is {motion.draws},"
+        f" and another seed gives {'another' if drawn else 'the same'} path"
     )
     still = bool(np.all(D[0] == D))
-    assert still is not motion.moves, f"{motion.kind}: `moves` is {motion.moves}, and the path {'stands still' if still else 'moves'}"
+    assert still is not motion.moves, (
+        f"{motion.kind}: `moves` is {motion.moves},"
+        f" and the path {'stands still' if still else 'moves'}"
+    )
 
 
 def _check_start(motion: MotionBase, rest: Array, D: Array) -> None:
     """The displacement at 0 s (4, 4) is that of every seed, and where `start` says."""
     for seed in range(3):
         off = float(np.abs(motion.path(np.random.default_rng(seed))(0.0) - D).max())
-        assert off < 1e-12, f"{motion.kind}: every seed must start at the same place, one is {off:.3g} off"
+        assert off < 1e-12, (
+            f"{motion.kind}: every seed must start at the same place, one is {off:.3g} off"
+        )
     off = float(np.abs(rest @ D - motion.start(rest)).max())
-    assert off < 1e-9, f"{motion.kind}: start(pose) must be pose @ path(rng)(0), it is {off:.3g} off"
+    assert off < 1e-9, (
+        f"{motion.kind}: start(pose) must be pose @ path(rng)(0), it is {off:.3g} off"
+    )
 
 
 def _along(motion: MotionBase, times: Array, seed: int = 7) -> Array:
@@ -108,21 +152,45 @@ SHORT_FRAMES = 3  # A run of so many frames cannot end a task
 
 
 def check_task(scenario: Scenario) -> None:
-    """A task ends as it should: reached in its scenario, not reached when there is no time; its columns are in the log."""
+    """A task ends as it should: reached in its scenario, not reached when there is no time; its
+    columns are in the log.
+    """
     task = scenario.goal
     Contract(Task, base=Task).check(type(task))
     poses, views = scenario.goal_poses, scenario.goal_views
-    assert len(poses) == len(views), f"{task.kind}: each of {len(views)} goal views needs its pose, there are {len(poses)}"
+    assert len(poses) == len(views), (
+        f"{task.kind}: each of {len(views)} goal views needs its pose, there are {len(poses)}"
+    )
     numbers = [view.view for view in views]
-    assert numbers == list(range(len(views))), f"{task.kind}: goal views must be numbered 0 to {len(views) - 1}, got {numbers}"
-    short = uninterrupted(run(replace(scenario, stop=replace(scenario.stop, duration_s=SHORT_FRAMES * scenario.camera.period))))
-    assert short.outcome is Outcome.timed_out, f"{task.kind}: 3 frames must not be enough, {short.outcome.name}: {short.reason}"
+    assert numbers == list(range(len(views))), (
+        f"{task.kind}: goal views must be numbered 0 to {len(views) - 1}, got {numbers}"
+    )
+    short = uninterrupted(
+        run(
+            replace(
+                scenario,
+                stop=replace(scenario.stop, duration_s=SHORT_FRAMES * scenario.camera.period),
+            )
+        )
+    )
+    assert short.outcome is Outcome.timed_out, (
+        f"{task.kind}: 3 frames must not be enough, {short.outcome.name}: {short.reason}"
+    )
     whole = uninterrupted(run(scenario))
-    assert whole.outcome is task.ends, f"{task.kind}: must end {task.ends.name}, ended {whole.outcome.name}: {whole.reason}"
+    assert whole.outcome is task.ends, (
+        f"{task.kind}: must end {task.ends.name}, ended {whole.outcome.name}: {whole.reason}"
+    )
     own = [name for name in scenario.own_columns if name not in whole.columns]
     assert not own, f"{task.kind}: its log lacks the columns {', '.join(own)}"
-    if task.continuing:  # its logged error was within the tolerance, since the run counts as completed
-        assert "task_error_m" in whole.columns, f"{task.kind}: a continuing task must log its error as task_error_m [m]"
-        assert task.tolerance_m is not None, f"{task.kind}: a continuing task must have a tolerance_m"
+    # its logged error was within the tolerance, since the run counts as completed
+    if task.continuing:
+        assert "task_error_m" in whole.columns, (
+            f"{task.kind}: a continuing task must log its error as task_error_m [m]"
+        )
+        assert task.tolerance_m is not None, (
+            f"{task.kind}: a continuing task must have a tolerance_m"
+        )
         worst = float(np.abs(whole["task_error_m"][whole["t"] >= task.settle_s]).max())
-        assert worst <= task.tolerance_m, f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"
+        assert worst <= task.tolerance_m, (
+            f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"
+        )

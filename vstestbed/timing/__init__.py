@@ -1,1 +1,3 @@
-"""What happens between the exposure and the motor: shutter plan, clocks and stamps, links, latency, setpoints."""
+"""What happens between the exposure and the motor: shutter plan, clocks and stamps, links, latency,
+setpoints.
+"""

@@ -1,4 +1,6 @@
-"""Clocks and what is under way: the physics clock, stamps by wrong clocks, a queue of what is late, a link that loses in bursts."""
+"""Clocks and what is under way: the physics clock, stamps by wrong clocks, a queue of what is late,
+a link that loses in bursts.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from vstestbed.core.quantity import Bounded, PositiveTime, TighterBounds, Time
 from vstestbed.core.spec import spec
 from vstestbed.imaging.exposure import ExposureControl
 
-LARGEST_STEP_S = 0.002  # largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms
+LARGEST_STEP_S = (
+    0.002  # largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms
+)
 
 
 class _Shot(Protocol):
@@ -43,13 +47,16 @@ class Clock:
     """The physics clock, with a whole number of steps between pictures.
 
     Args:
-        step_s: fixed step [s]; without it the largest step that divides the camera's period and is no longer than 2 ms; e.g. `0.001`.
+        step_s: fixed step [s]; without it the largest step that divides the camera's period and is
+            no longer than 2 ms; e.g. `0.001`.
     """
 
     step_s: PositiveTime | None = None
 
     def resolve(self, camera: _Shot, largest: float = LARGEST_STEP_S) -> tuple[float, int]:
-        """(step [s], steps per camera frame). Raises ParameterError: step_s does not divide the camera's period."""
+        """(step [s], steps per camera frame). Raises ParameterError: step_s does not divide the
+        camera's period.
+        """
         if self.step_s is None:
             # The small number keeps a ratio of exactly n from being rounded up to n + 1.
             n = math.ceil(camera.period / largest - 1e-9)
@@ -57,7 +64,10 @@ class Clock:
         n = round(camera.period / self.step_s)
         if n < 1 or abs(n * self.step_s - camera.period) > 1e-9 * camera.period:
             better = camera.period / max(1, math.ceil(camera.period / max(self.step_s, 1e-5)))
-            words = f"must divide the camera's period {camera.period:.9g} s ({camera.rate_hz:g} Hz); {better:.12g} does"
+            words = (
+                f"must divide the camera's period {camera.period:.9g} s"
+                f" ({camera.rate_hz:g} Hz); {better:.12g} does"
+            )
             raise ParameterError("physics.step_s", words, self.step_s)
         return self.step_s, n
 
@@ -66,8 +76,9 @@ T = TypeVar("T")
 
 
 class DelayLine(Generic[T]):
-    """A queue: an item pushed at step k is due at step k + delay, and never before an earlier item, unless items may overtake.
-    delay_steps: whole physics steps between in and out, >= 0. overtakes: an item that is due before an earlier one leaves first.
+    """A queue: an item pushed at step k is due at step k + delay, and never before an earlier item,
+    unless items may overtake. delay_steps: whole physics steps between in and out, >= 0. overtakes:
+    an item that is due before an earlier one leaves first.
     """
 
     def __init__(self, delay_steps: int = 0, overtakes: bool = False):
@@ -99,31 +110,48 @@ class DelayLine(Generic[T]):
         return self._waiting[0][0] if self._waiting else None
 
 
-Offset = Annotated[float, Bounded(-60.0, 60.0, "s", "a minute; clocks that differ by more are not taken for one another")]
+Offset = Annotated[
+    float,
+    Bounded(-60.0, 60.0, "s", "a minute; clocks that differ by more are not taken for one another"),
+]
 """How far a clock is ahead [s]."""
-Drift = Annotated[float, Bounded(-1e5, 1e5, "ppm", "a clock that is wrong by a tenth is broken; a quartz is wrong by 10 to 100 ppm")]
+Drift = Annotated[
+    float,
+    Bounded(
+        -1e5,
+        1e5,
+        "ppm",
+        "a clock that is wrong by a tenth is broken; a quartz is wrong by 10 to 100 ppm",
+    ),
+]
 """By how much a clock is fast [ppm]."""
 PER_MILLION = 1e-6
 
 
 @spec
 class CameraStamps:
-    """The time stamps that the camera's driver gives its pictures: t' = t + offset_s + 1e-6 drift_ppm t + jitter.
+    """The time stamps that the camera's driver gives its pictures: t' = t + offset_s + 1e-6
+    drift_ppm t + jitter.
 
-    t is the true middle of the exposure, or the time of arrival, by the computer's clock, on which the law's commands are given. All that
-    the controller knows of a picture's time is t': its rates (differences of two stamps), its latency compensation (the age of the picture,
-    now less t') and the robot's reading that belongs to the picture (that with the same stamp) are wrong by it. A stamp later than the
-    arrival is taken for the arrival, and a picture whose stamp is not later than that of the last one used is refused. The log has true
-    times, t' as `t_stamp` and the number of pictures refused so far as `refused`.
+    t is the true middle of the exposure, or the time of arrival, by the computer's clock, on which
+    the law's commands are given. All that the controller knows of a picture's time is t': its rates
+    (differences of two stamps), its latency compensation (the age of the picture, now less t') and
+    the robot's reading that belongs to the picture (that with the same stamp) are wrong by it. A
+    stamp later than the arrival is taken for the arrival, and a picture whose stamp is not later
+    than that of the last one used is refused. The log has true times, t' as `t_stamp` and the
+    number of pictures refused so far as `refused`.
 
-    Reference: Furgale, Rehder & Siegwart 2013, doi:10.1109/IROS.2013.6696514 (offset of a camera's clock, and how it is calibrated). The
-    sizes are chosen; a quartz is off by some 10 to 100 ppm, 1 ms in 10 to 100 s.
+    Reference: Furgale, Rehder & Siegwart 2013, doi:10.1109/IROS.2013.6696514 (offset of a camera's
+    clock, and how it is calibrated). The sizes are chosen; a quartz is off by some 10 to 100 ppm, 1
+    ms in 10 to 100 s.
 
     Args:
-        offset_s: how far the stamps are ahead of the true times at the start [s]; negative: old; e.g. `-0.02`.
+        offset_s: how far the stamps are ahead of the true times at the start [s]; negative: old;
+            e.g. `-0.02`.
         drift_ppm: by how much the camera's clock is fast [ppm]; e.g. `50`.
         jitter_s: jitter of the stamps [s], of the distribution `timing.jitter`; e.g. `0.002`.
-        stamped: what is stamped: `middle`, that of the exposure, or `arrival`, by a driver that does not know the time of exposure.
+        stamped: what is stamped: `middle`, that of the exposure, or `arrival`, by a driver that
+            does not know the time of exposure.
     """
 
     offset_s: Offset = 0.0
@@ -138,14 +166,18 @@ class CameraStamps:
 
 @spec
 class RobotStamps:
-    """The time stamps of the robot's sensor readings: t' = t + offset_s + 1e-6 drift_ppm t, by the clock of the robot's controller.
+    """The time stamps of the robot's sensor readings: t' = t + offset_s + 1e-6 drift_ppm t, by the
+    clock of the robot's controller.
 
-    The reading that belongs to a picture is the one with the same stamp. A robot's clock that is ahead of the camera's by d thus makes the
-    controller take a reading that is older by d: at a joint speed w the joints at the exposure are wrong by w d. Readings come with each
-    period of the robot's onboard controller, else every 2 ms; those of the last ten seconds are kept, and none is known before it comes.
+    The reading that belongs to a picture is the one with the same stamp. A robot's clock that is
+    ahead of the camera's by d thus makes the controller take a reading that is older by d: at a
+    joint speed w the joints at the exposure are wrong by w d. Readings come with each period of the
+    robot's onboard controller, else every 2 ms; those of the last ten seconds are kept, and none is
+    known before it comes.
 
     Args:
-        offset_s: how far the robot's clock is ahead of the computer's at the start [s]; e.g. `0.01`.
+        offset_s: how far the robot's clock is ahead of the computer's at the start [s]; e.g.
+            `0.01`.
         drift_ppm: by how much it is fast [ppm]; e.g. `-80`.
     """
 
@@ -159,20 +191,24 @@ class RobotStamps:
 
 @spec
 class BurstLoss:
-    """A link whose losses come in bursts: a Markov chain of a good and a bad state, with a probability of loss in each.
+    """A link whose losses come in bursts: a Markov chain of a good and a bad state, with a
+    probability of loss in each.
 
-    The chain takes one step a camera period, with p = `enter_probability` from good to bad and r = `leave_probability` back; it begins in
-    its steady state. Pictures and commands have a chain each, since interference is that at the receiver. In the mean
+    The chain takes one step a camera period, with p = `enter_probability` from good to bad and r =
+    `leave_probability` back; it begins in its steady state. Pictures and commands have a chain
+    each, since interference is that at the receiver. In the mean
 
         share of the time in the bad state   p / (p + r)
         length of a bad stretch              1 / r  periods, geometric
         share lost                           (r good_loss + p bad_loss) / (p + r)
 
-    A command that is lost does not reach the robot, which keeps the last one until it ends (`timing.command_timeout_s`); the controller
-    does not know of it. The log has such commands in the column `command_lost`.
+    A command that is lost does not reach the robot, which keeps the last one until it ends
+    (`timing.command_timeout_s`); the controller does not know of it. The log has such commands in
+    the column `command_lost`.
 
-    References: Gilbert 1960, doi:10.1002/j.1538-7305.1960.tb03959.x (no loss in the good state); Elliott 1963,
-    doi:10.1002/j.1538-7305.1963.tb00955.x (loss in both). The defaults are chosen: 9 % lost, in bursts of 0.2 s at 25 Hz.
+    References: Gilbert 1960, doi:10.1002/j.1538-7305.1960.tb03959.x (no loss in the good state);
+    Elliott 1963, doi:10.1002/j.1538-7305.1963.tb00955.x (loss in both). The defaults are chosen: 9
+    % lost, in bursts of 0.2 s at 25 Hz.
 
     Args:
         enter_probability: of the step from the good to the bad state, p [1].
@@ -194,7 +230,8 @@ class BurstLoss:
         return self.good_loss > 0 or (self.enter_probability > 0 and self.bad_loss > 0)
 
 
-Loses = Callable[[int], bool]  # whether what is sent in a camera period is lost; periods count from 0, and never go back
+# whether what is sent in a camera period is lost; periods count from 0, and never go back
+Loses = Callable[[int], bool]
 
 
 def bursty_link(loss: BurstLoss, rng: np.random.Generator) -> Loses:
@@ -213,9 +250,16 @@ def bursty_link(loss: BurstLoss, rng: np.random.Generator) -> Loses:
     return loses
 
 
-def directions(loss: BurstLoss | None, rng: np.random.Generator) -> tuple[Loses | None, Loses | None]:
-    """The link for pictures and that for commands; None where nothing is lost. rng: of the link alone."""
+def directions(
+    loss: BurstLoss | None, rng: np.random.Generator
+) -> tuple[Loses | None, Loses | None]:
+    """The link for pictures and that for commands; None where nothing is lost. rng: of the link
+    alone.
+    """
     if loss is None:
         return None, None
     pictures, commands = (bursty_link(loss, stream) for stream in rng.spawn(2))
-    return pictures if loss.carries != "commands" else None, commands if loss.carries != "pictures" else None
+    return (
+        pictures if loss.carries != "commands" else None,
+        commands if loss.carries != "pictures" else None,
+    )

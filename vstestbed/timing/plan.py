@@ -1,4 +1,6 @@
-"""Timing in whole physics steps: exposure, latency, jitter and dropped pictures of the camera, latency of commands."""
+"""Timing in whole physics steps: exposure, latency, jitter and dropped pictures of the camera,
+latency of commands.
+"""
 
 from __future__ import annotations
 
@@ -18,44 +20,59 @@ from vstestbed.timing.clock import BurstLoss, CameraStamps, Loses, RobotStamps, 
 from vstestbed.timing.setpoints import Interpolator, Mode
 
 LEAST_PERIODS = 3  # a command lasts this many camera periods at least
-BLURRED = 0.2  # exposures under this share of a physics step are instants: of three images the outer ones would have weights of 1/600 each
+# exposures under this share of a physics step are instants: of three images the outer ones would
+# have weights of 1/600 each
+BLURRED = 0.2
 
 
 @spec
 class Timing:
-    """Timing of pictures and commands beyond the camera's rate and latency, rounded to whole physics steps.
+    """Timing of pictures and commands beyond the camera's rate and latency, rounded to whole
+    physics steps.
 
-    A picture's time stamp is the true middle of its exposure, with a rolling shutter (`camera.readout_s`) that of its middle row, unless
-    `camera_clock` says otherwise. It arrives `camera.latency_s` after the end of the exposure, with a rolling shutter of the last row's,
-    and not before an earlier one, unless `out_of_order` lets it. The law works at the rate of the pictures, one command for each;
-    `command_hz` is that at which setpoints reach the actuators.
+    A picture's time stamp is the true middle of its exposure, with a rolling shutter
+    (`camera.readout_s`) that of its middle row, unless `camera_clock` says otherwise. It arrives
+    `camera.latency_s` after the end of the exposure, with a rolling shutter of the last row's, and
+    not before an earlier one, unless `out_of_order` lets it. The law works at the rate of the
+    pictures, one command for each; `command_hz` is that at which setpoints reach the actuators.
 
-    Processor time in a frame of an arm at 25 Hz, 1.0 ms with the oracle and all of it off: wrong clocks 0.3 ms, as the robot's sensors are
-    read every 2 ms; interpolated commands 0.6 ms at 500 Hz, 0.3 ms at 100 Hz; the link and pictures out of order none to be measured.
+    Processor time in a frame of an arm at 25 Hz, 1.0 ms with the oracle and all of it off: wrong
+    clocks 0.3 ms, as the robot's sensors are read every 2 ms; interpolated commands 0.6 ms at 500
+    Hz, 0.3 ms at 100 Hz; the link and pictures out of order none to be measured.
     `imaging/shutter.py` tells of the rolling shutter's pictures and what they cost.
 
     Args:
-        exposure_s: exposure time [s], with a rolling shutter of each row; the picture is the mean of images rendered during it (motion
-            blur); e.g. `0.01`. With `camera.exposure.blurs` the camera's exposure has it, and this must be 0.
-        exposure_pictures: number of these images, at most one a physics step; with a rolling shutter it is readout_pictures.
-        readout_pictures: number of images of which a picture with a rolling shutter is composed, from the first row's exposure to the
-            last one's, at most one a physics step.
-        jitter: distribution of the jitters: `uniform` within +- the number given, or `normal` with it as standard deviation.
+        exposure_s: exposure time [s], with a rolling shutter of each row; the picture is the mean
+            of images rendered during it (motion blur); e.g. `0.01`. With `camera.exposure.blurs`
+            the camera's exposure has it, and this must be 0.
+        exposure_pictures: number of these images, at most one a physics step; with a rolling
+            shutter it is readout_pictures.
+        readout_pictures: number of images of which a picture with a rolling shutter is composed,
+            from the first row's exposure to the last one's, at most one a physics step.
+        jitter: distribution of the jitters: `uniform` within +- the number given, or `normal` with
+            it as standard deviation.
         exposure_jitter_s: jitter of the time of exposure [s]; e.g. `0.005`.
         latency_jitter_s: jitter of the latency [s]; e.g. `0.01`.
         drop_probability: probability that a picture never arrives [1]; e.g. `0.1`.
         command_latency_s: time from a law's command to the robot's new setpoint [s]; e.g. `0.02`.
-        command_timeout_s: how long a command lasts [s], three camera periods at least. Then, without a new one, the robot stops
-            within its limits; a picture that arrives so much later than `camera.latency_s` is none.
-        out_of_order: whether jitter of the latency lets a picture overtake an earlier one. The controller refuses a picture that is older
-            than one that it has used; the log counts them in the column `refused`.
-        camera_clock: errors of the pictures' time stamps; null for true ones; e.g. `{offset_s: -0.02, drift_ppm: 50}`.
-        robot_clock: errors of the time stamps of the robot's readings; null for true ones; e.g. `{drift_ppm: 80}`.
-        link: losses of pictures and commands in bursts; null for none; e.g. `{enter_probability: 0.02, leave_probability: 0.2}`.
-        command_hz: rate at which setpoints reach the actuators [Hz], a whole number of physics steps apart; null: with the law's
-            command, or with `interpolation` at each physics step; e.g. `500`.
-        interpolation: between two commands: `hold` the last one; go to the new one within a camera period in a straight line (`ramp`), or
-            with limited jerk (`smooth`), both late by half a period (`timing.setpoints.Profile`).
+        command_timeout_s: how long a command lasts [s], three camera periods at least. Then,
+            without a new one, the robot stops within its limits; a picture that arrives so much
+            later than `camera.latency_s` is none.
+        out_of_order: whether jitter of the latency lets a picture overtake an earlier one. The
+            controller refuses a picture that is older than one that it has used; the log counts
+            them in the column `refused`.
+        camera_clock: errors of the pictures' time stamps; null for true ones; e.g.
+            `{offset_s: -0.02, drift_ppm: 50}`.
+        robot_clock: errors of the time stamps of the robot's readings; null for true ones; e.g.
+            `{drift_ppm: 80}`.
+        link: losses of pictures and commands in bursts; null for none; e.g.
+            `{enter_probability: 0.02, leave_probability: 0.2}`.
+        command_hz: rate at which setpoints reach the actuators [Hz], a whole number of physics
+            steps apart; null: with the law's command, or with `interpolation` at each physics step;
+            e.g. `500`.
+        interpolation: between two commands: `hold` the last one; go to the new one within a camera
+            period in a straight line (`ramp`), or with limited jerk (`smooth`), both late by half a
+            period (`timing.setpoints.Profile`).
     """
 
     exposure_s: Time = 0.0
@@ -88,17 +105,25 @@ class Timing:
 
     @property
     def refuses(self) -> bool:
-        """Whether a picture may come that is older than one before it, by its stamp: the controller refuses it."""
+        """Whether a picture may come that is older than one before it, by its stamp: the controller
+        refuses it.
+        """
         return self.out_of_order or self.camera_clock is not None
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns of the log that only runs with these effects have."""
         stamp, refused = ("t_stamp",) * self.stamps, ("refused",) * self.refuses
-        return (*stamp, *refused, *("command_lost",) * (self.link is not None and self.link.carries != "pictures"))
+        return (
+            *stamp,
+            *refused,
+            *("command_lost",) * (self.link is not None and self.link.carries != "pictures"),
+        )
 
     def interpolator(self, step_s: float, steps_per_frame: int) -> Interpolator | None:
-        """Leads the setpoints of a run from one command to the next; None: each command is the setpoint at once."""
+        """Leads the setpoints of a run from one command to the next; None: each command is the
+        setpoint at once.
+        """
         if self.command_hz is None and self.interpolation == "hold":
             return None
         every = 1 if self.command_hz is None else max(1, round(1 / (self.command_hz * step_s)))
@@ -109,8 +134,14 @@ class Timing:
         return max(self.command_timeout_s, LEAST_PERIODS * camera.period)
 
     def latest_s(self, camera: _Shot) -> float:
-        """The age at which a picture arrives too late to be one, from the middle of its exposure [s]."""
-        return (self.longest_s(camera) + camera.readout_s) / 2 + camera.latency_s + self.order_s(camera)
+        """The age at which a picture arrives too late to be one, from the middle of its exposure
+        [s].
+        """
+        return (
+            (self.longest_s(camera) + camera.readout_s) / 2
+            + camera.latency_s
+            + self.order_s(camera)
+        )
 
     def first_s(self, camera: _Shot) -> float:
         """Exposure time of a picture [s], as far as it is known without a picture."""
@@ -121,55 +152,101 @@ class Timing:
         return self.exposure_s if camera.blurring is None else camera.blurring.most_s
 
     def check(self, camera: _Shot, step_s: float) -> None:
-        """Refuse exposures that are too short for the physics clock, those that would overlap, and rates of setpoints that the physics
-        clock has not got, or that are too low for what they are to do. Raises ParameterError: with the limit.
+        """Refuse exposures that are too short for the physics clock, those that would overlap, and
+        rates of setpoints that the physics clock has not got, or that are too low for what they are
+        to do. Raises ParameterError: with the limit.
         """
         if self.exposure_s and camera.blurring is not None:
             why = "with camera.exposure.blurs the camera's exposure has the time"
             raise ParameterError.fixed("timing.exposure_s", "0", self.exposure_s, why=why)
         if self.exposure_s and round(self.exposure_s / step_s) < 2 and not camera.readout_s:
-            words = f"must be 0 or at least two physics steps, {2 * step_s:g} s, whose pictures are averaged; or give physics.step_s"
+            words = (
+                f"must be 0 or at least two physics steps, {2 * step_s:g} s,"
+                " whose pictures are averaged; or give physics.step_s"
+            )
             raise ParameterError("timing.exposure_s", words, self.exposure_s)
         if self.exposure_s > camera.period:
-            raise ParameterError.bound("timing.exposure_s", "at most", f"the camera's period, {camera.period:g} s", self.exposure_s)
+            raise ParameterError.bound(
+                "timing.exposure_s",
+                "at most",
+                f"the camera's period, {camera.period:g} s",
+                self.exposure_s,
+            )
         room = self._room(camera, step_s)
         if self.exposure_jitter_s > room / 2:
             words = f"{room / 2:g} s, half of what the exposure leaves of the camera's period"
-            raise ParameterError.bound("timing.exposure_jitter_s", "at most", words, self.exposure_jitter_s)
+            raise ParameterError.bound(
+                "timing.exposure_jitter_s", "at most", words, self.exposure_jitter_s
+            )
         if self.out_of_order and self.latency_jitter_s == 0:
-            why = "with one and the same latency no picture overtakes another; or set out_of_order to false"
-            raise ParameterError.needs("timing.out_of_order", "latency_jitter_s", self.out_of_order, why=why)
+            why = (
+                "with one and the same latency no picture overtakes another;"
+                " or set out_of_order to false"
+            )
+            raise ParameterError.needs(
+                "timing.out_of_order", "latency_jitter_s", self.out_of_order, why=why
+            )
         if self.command_hz is None:
             return
         steps = 1 / (self.command_hz * step_s)
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
             whole = max(1, round(steps))
             near = ", ".join(f"{1 / (n * step_s):.10g}" for n in (whole + 1, whole))
-            words = f"must be a whole number of physics steps of {step_s:.6g} s apart: {near}, or give physics.step_s"
+            words = (
+                f"must be a whole number of physics steps of {step_s:.6g} s apart:"
+                f" {near}, or give physics.step_s"
+            )
             raise ParameterError("timing.command_hz", words, self.command_hz)
         held = self.interpolation == "hold"
         least = 1 / self.order_s(camera) if held else 2 * camera.rate_hz
         if self.command_hz < least * (1 - 1e-9):
-            why = "a command would end before it reaches the robot" if held else "two setpoints a camera period"
-            raise ParameterError.bound("timing.command_hz", "at least", f"{least:.6g} Hz here ({why})", self.command_hz)
+            why = (
+                "a command would end before it reaches the robot"
+                if held
+                else "two setpoints a camera period"
+            )
+            raise ParameterError.bound(
+                "timing.command_hz", "at least", f"{least:.6g} Hz here ({why})", self.command_hz
+            )
 
     def _room(self, camera: _Shot, step_s: float) -> float:
-        """What the longest exposure leaves of the camera's period [s]; refuses one that does not fit into it."""
+        """What the longest exposure leaves of the camera's period [s]; refuses one that does not
+        fit into it.
+        """
         whole_steps = camera.readout_s > 0 or camera.blurring is not None
-        room = camera.period - (2 * self.half_steps(camera, step_s) * step_s if whole_steps else self.exposure_s)
+        room = camera.period - (
+            2 * self.half_steps(camera, step_s) * step_s if whole_steps else self.exposure_s
+        )
         if room >= -1e-9:
             return room
-        most, longest = 2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s, self.longest_s(camera)
+        most, longest = (
+            2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s,
+            self.longest_s(camera),
+        )
         if camera.blurring is not None and longest > most - camera.readout_s:
             less = f" less camera.readout_s = {camera.readout_s:g} s" if camera.readout_s else ""
-            words = f"{max(0.0, most - camera.readout_s):g} s, the camera's period in pairs of physics steps{less}"
-            raise ParameterError.bound(f"camera.{camera.blurring.most_field}", "at most", words, longest)
-        why = f"readout and timing.exposure_s, {longest:g} s, must fit into the camera's period, {camera.period:g} s"
-        raise ParameterError.bound("camera.readout_s", "at most", f"{max(most - longest, 0):.6g} s", camera.readout_s, why=why)
+            words = (
+                f"{max(0.0, most - camera.readout_s):g} s,"
+                f" the camera's period in pairs of physics steps{less}"
+            )
+            raise ParameterError.bound(
+                f"camera.{camera.blurring.most_field}", "at most", words, longest
+            )
+        why = (
+            f"readout and timing.exposure_s, {longest:g} s, must fit into the camera's period,"
+            f" {camera.period:g} s"
+        )
+        raise ParameterError.bound(
+            "camera.readout_s",
+            "at most",
+            f"{max(most - longest, 0):.6g} s",
+            camera.readout_s,
+            why=why,
+        )
 
     def half_steps(self, camera: _Shot, step_s: float, exposure_s: float | None = None) -> int:
-        """Half the time from the first row's exposure to the last one's end, in physics steps; 0 for a picture of an instant.
-        exposure_s: of this picture [s]; None: the longest.
+        """Half the time from the first row's exposure to the last one's end, in physics steps; 0
+        for a picture of an instant. exposure_s: of this picture [s]; None: the longest.
         """
         open_s = self.longest_s(camera) if exposure_s is None else exposure_s
         if camera.readout_s:
@@ -182,13 +259,17 @@ class Timing:
         """One random jitter of this size [s]; nothing is drawn for size 0."""
         if size_s == 0:
             return 0.0
-        return float(rng.uniform(-size_s, size_s) if self.jitter == "uniform" else rng.normal(0.0, size_s))
+        return float(
+            rng.uniform(-size_s, size_s) if self.jitter == "uniform" else rng.normal(0.0, size_s)
+        )
 
 
 class Planned(NamedTuple):
-    """A planned picture, in physics steps: its number, middle of the exposure, steps to be rendered with their weights, arrival.
+    """A planned picture, in physics steps: its number, middle of the exposure, steps to be rendered
+    with their weights, arrival.
 
-    A weight is that of a whole image, or, with a rolling shutter or flickering light, what the image contributes to each row.
+    A weight is that of a whole image, or, with a rolling shutter or flickering light, what the
+    image contributes to each row.
     """
 
     frame: int
@@ -199,10 +280,13 @@ class Planned(NamedTuple):
 
 
 class Shutter:
-    """Plans the camera's pictures; those that will be dropped are not rendered at all. opening: of the picture planned last.
+    """Plans the camera's pictures; those that will be dropped are not rendered at all. opening: of
+    the picture planned last.
 
-    timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's period.
-    rng: draws jitters and losses. link: may lose them in bursts; None for one that loses none. flicker: of the light.
+    timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's
+    period.
+    rng: draws jitters and losses. link: may lose them in bursts; None for one that loses none.
+    flicker: of the light.
     """
 
     def __init__(
@@ -215,7 +299,13 @@ class Shutter:
         link: Loses | None = None,
         flicker: Flicker = STEADY,
     ):
-        self._timing, self._step_s, self._per_frame, self._rng, self._link = timing, step_s, steps_per_frame, rng, link
+        self._timing, self._step_s, self._per_frame, self._rng, self._link = (
+            timing,
+            step_s,
+            steps_per_frame,
+            rng,
+            link,
+        )
         self._camera, self._flicker = camera, flicker
         self._rows: Array = camera.row_delay(np.arange(float(camera.height)))
         # Jitter is clipped to it: the exposures of two frames must not overlap.
@@ -225,7 +315,9 @@ class Shutter:
         self._open(timing.first_s(camera))
 
     def _open(self, exposure_s: float) -> None:
-        """Expose for so long [s] from now on. What does not depend on the picture's time is computed once."""
+        """Expose for so long [s] from now on. What does not depend on the picture's time is
+        computed once.
+        """
         timing, camera = self._timing, self._camera
         most = timing.readout_pictures if camera.readout_s else timing.exposure_pictures
         half = timing.half_steps(camera, self._step_s, exposure_s)
@@ -233,7 +325,9 @@ class Shutter:
         self._steady = None if self._flicker.depth else self._contributed(0.0)
 
     def following(self, exposure_s: float | None = None) -> Planned:
-        """The next picture that will not be dropped; exposure_s: its exposure time [s], None: that of the last one."""
+        """The next picture that will not be dropped; exposure_s: its exposure time [s], None: that
+        of the last one.
+        """
         if exposure_s is not None and exposure_s != self.opening.exposure_s:
             self._open(exposure_s)
         timing, rng = self._timing, self._rng
@@ -242,7 +336,9 @@ class Shutter:
             if not self._draws:
                 return self._planned(self._frame * self._per_frame, self._late_steps)
             shift = round(timing.jittered(timing.exposure_jitter_s, rng) / self._step_s)
-            middle = max(0, self._frame * self._per_frame + max(-self._room, min(self._room, shift)))
+            middle = max(
+                0, self._frame * self._per_frame + max(-self._room, min(self._room, shift))
+            )
             late = max(0.0, self._camera.latency_s + timing.jittered(timing.latency_jitter_s, rng))
             arrives = timing.drop_probability == 0 or rng.random() >= timing.drop_probability
             if arrives and (self._link is None or not self._link(self._frame)):
@@ -252,7 +348,11 @@ class Shutter:
         """The frame with the middle of its exposure at this step, `late_steps` under way."""
         opening = self.opening
         # The usual frame first: an instant.
-        opens = (middle,) if opening.half == 0 else tuple(max(0, middle + offset) for offset in opening.offsets)
+        opens = (
+            (middle,)
+            if opening.half == 0
+            else tuple(max(0, middle + offset) for offset in opening.offsets)
+        )
         weights = self._steady or self._contributed(middle * self._step_s)
         return Planned(self._frame, middle, opens, weights, middle + opening.half + late_steps)
 
@@ -260,9 +360,13 @@ class Shutter:
         """What the images of a picture with time stamp t [s] contribute to it."""
         opening, flicker = self.opening, self._flicker
         if self._camera.readout_s:
-            return contributions(*of_rows(t + opening.nodes, t + self._rows, opening.exposure_s, flicker), flicker.depth)
+            return contributions(
+                *of_rows(t + opening.nodes, t + self._rows, opening.exposure_s, flicker),
+                flicker.depth,
+            )
         if not flicker.depth:
             return opening.weights
-        # All rows are exposed at once, under the mean light of the exposure: one image each is enough.
+        # All rows are exposed at once, under the mean light of the exposure: one image each is
+        # enough.
         brightness = float(flicker.mean(t, opening.exposure_s))
         return tuple(((brightness, weight),) for weight in opening.weights)

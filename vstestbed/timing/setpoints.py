@@ -1,4 +1,6 @@
-"""Setpoints between two commands: held, or interpolated, at the rate at which the robot takes setpoints."""
+"""Setpoints between two commands: held, or interpolated, at the rate at which the robot takes
+setpoints.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +11,29 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, all_finite
 
-Mode = Literal["hold", "ramp", "smooth"]  # held until the next command; led to it in a straight line; led to it with limited jerk
+# held until the next command; led to it in a straight line; led to it with limited jerk
+Mode = Literal["hold", "ramp", "smooth"]
 
 
 class Profile:
     """The way from one value to another within a time T: with s = t / T from 0 to 1,
 
         hold    u = u1
-        ramp    u = u0 + (u1 - u0) s                                           (first-order hold, late by a period)
-        smooth  u = u0 + T u0' (s - 2 s^2 + s^3) + (u1 - u0) (3 s^2 - 2 s^3)   (a cubic that ends with slope 0)
+        ramp    u = u0 + (u1 - u0) s
+                (first-order hold, late by a period)
+        smooth  u = u0 + T u0' (s - 2 s^2 + s^3) + (u1 - u0) (3 s^2 - 2 s^3)
+                (a cubic that ends with slope 0)
 
-    and u1 from then on. Of velocities, `smooth` has a continuous acceleration and a jerk of at most 6 |u1 - u0| / T^2 + 4 |u0'| / T. Both
-    cover (u0 + u1) T / 2 in the time T (smooth: from rest, u0' = 0), where a held command covers u1 T: they are late by T / 2.
+    and u1 from then on. Of velocities, `smooth` has a continuous acceleration and a jerk of at most
+    6 |u1 - u0| / T^2 + 4 |u0'| / T. Both cover (u0 + u1) T / 2 in the time T (smooth: from rest,
+    u0' = 0), where a held command covers u1 T: they are late by T / 2.
 
-    References: Franklin, Powell & Workman 1998, Digital Control of Dynamic Systems (holds); Siciliano, Sciavicco, Villani & Oriolo 2009,
-    doi:10.1007/978-1-84628-642-1 (cubic polynomials between two values and their slopes).
+    References: Franklin, Powell & Workman 1998, Digital Control of Dynamic Systems (holds);
+    Siciliano, Sciavicco, Villani & Oriolo 2009, doi:10.1007/978-1-84628-642-1 (cubic polynomials
+    between two values and their slopes).
 
-    mode: see above. before: u0 (n,). slope: u0' (n,), by the unit of time of T. after: u1 (n,). duration: T.
+    mode: see above. before: u0 (n,). slope: u0' (n,), by the unit of time of T. after: u1 (n,).
+    duration: T.
     """
 
     __slots__ = ("_parts", "after", "before", "duration", "start")
@@ -33,11 +41,17 @@ class Profile:
     def __init__(self, mode: Mode, before: Array, slope: Array, after: Array, duration: float):
         self.before, self.start, self.after = before, slope, after
         # From or to infinity, by which a craft's rotors are switched off, there is no way.
-        self.duration = 0.0 if mode == "hold" or not (all_finite(before) and all_finite(after)) else duration
+        self.duration = (
+            0.0 if mode == "hold" or not (all_finite(before) and all_finite(after)) else duration
+        )
         if self.duration:
             rise, at_first = after - before, slope * duration
             smooth = (before, at_first, 3 * rise - 2 * at_first, at_first - 2 * rise)
-            self._parts = smooth if mode == "smooth" else (before, rise, np.zeros_like(rise), np.zeros_like(rise))
+            self._parts = (
+                smooth
+                if mode == "smooth"
+                else (before, rise, np.zeros_like(rise), np.zeros_like(rise))
+            )
 
     def at(self, t: float) -> Array:
         """The value (n,) at a time from the start on; `after` itself at the end."""
@@ -58,17 +72,20 @@ class Profile:
         if self.duration == 0:
             return self.after * t
         s, (a, b, c, d) = min(t / self.duration, 1.0), self._parts
-        return self.duration * s * (a + s * (b / 2 + s * (c / 3 + s * d / 4))) + self.after * max(t - self.duration, 0.0)
+        return self.duration * s * (a + s * (b / 2 + s * (c / 3 + s * d / 4))) + self.after * max(
+            t - self.duration, 0.0
+        )
 
 
 class Interpolator:
     """Setpoints on the way from one command to the next, one every few steps of the physics clock.
 
-    Each is the mean of the profile over the steps for which it is held. The robot thus covers what the profile does, at any rate of
-    setpoints; the value at the first of these steps would be late by half of them.
+    Each is the mean of the profile over the steps for which it is held. The robot thus covers what
+    the profile does, at any rate of setpoints; the value at the first of these steps would be late
+    by half of them.
 
-    mode: of the profile. every: steps from one setpoint to the next. over: steps from one command to the next one, a camera period; of no
-    meaning for `hold`.
+    mode: of the profile. every: steps from one setpoint to the next. over: steps from one command
+    to the next one, a camera period; of no meaning for `hold`.
     """
 
     def __init__(self, mode: Mode, every: int, over: int):
@@ -82,18 +99,28 @@ class Interpolator:
         return -(-step // self._every) * self._every
 
     def toward(self, step: int, setpoint: Array, now: Array | None, lapsed: bool) -> None:
-        """A new command at this step; it begins to act with the next setpoint that the actuators get.
-        now: the setpoint in force; None before the first command, whose profile begins at rest. lapsed: the setpoint in force is the
-        robot's own way to stop, no longer that of a command.
+        """A new command at this step; it begins to act with the next setpoint that the actuators
+        get.
+        now: the setpoint in force; None before the first command, whose profile begins at rest.
+        lapsed: the setpoint in force is the robot's own way to stop, no longer that of a command.
         """
         profile, begins = self.profile, self.next_tick(step)
         held = np.zeros_like(setpoint) if now is None else now
         before, slope = held, np.zeros_like(setpoint)
         if profile is not None and not lapsed:
             t = begins - self._begins
-            # Of two commands before one setpoint the later one counts: both set out from the same value.
-            before, slope = (profile.at(t), profile.slope(t)) if step >= self._begins else (profile.before, profile.start)
-        self.profile, self._begins, self._until_then = Profile(self._mode, before, slope, setpoint, self._over), begins, held
+            # Of two commands before one setpoint the later one counts: both set out from the same
+            # value.
+            before, slope = (
+                (profile.at(t), profile.slope(t))
+                if step >= self._begins
+                else (profile.before, profile.start)
+            )
+        self.profile, self._begins, self._until_then = (
+            Profile(self._mode, before, slope, setpoint, self._over),
+            begins,
+            held,
+        )
 
     def at(self, step: int) -> Array:
         """The setpoint at this step."""
@@ -102,26 +129,38 @@ class Interpolator:
             return self._until_then
         every, profile = self._every, self.profile
         t = step // every * every - self._begins
-        return profile.after if t >= profile.duration else (profile.way(t + every) - profile.way(t)) / every
+        return (
+            profile.after
+            if t >= profile.duration
+            else (profile.way(t + every) - profile.way(t)) / every
+        )
 
     def unchanged(self, step: int) -> float:
         """For how many steps from this one on it stays as it is; infinite at the end of the way."""
-        if self.profile is not None and step < self._begins + self.next_tick(int(self.profile.duration)):
+        if self.profile is not None and step < self._begins + self.next_tick(
+            int(self.profile.duration)
+        ):
             return self.next_tick(step + 1) - step
         return np.inf
 
 
-Stop = Literal["", "stop", "off"]  # no stop; in the robot's own way (`Robot.stopping`); the motors of a craft that stands go off for good
+# no stop; in the robot's own way (`Robot.stopping`); the motors of a craft that stands go off for
+# good
+Stop = Literal["", "stop", "off"]
 
-REFRESH_S = 0.01  # how often the setpoint of a robot that stops is renewed [s], where it has no onboard controller with a period of its own
+# how often the setpoint of a robot that stops is renewed [s], where it has no onboard controller
+# with a period of its own
+REFRESH_S = 0.01
 
 
 class SetpointBuffer:
     """The setpoint in force at each step of the physics clock.
 
     Args:
-        stopping: the robot's own way to stop, `Robot.stopping`. first: the setpoint before the first command; None for none.
-        lasts: how long a command lasts, in steps; infinite: until the next. step_s: duration of a step [s].
+        stopping: the robot's own way to stop, `Robot.stopping`. first: the setpoint before the
+            first command; None for none.
+        lasts: how long a command lasts, in steps; infinite: until the next. step_s: duration of a
+            step [s].
         interpolator: leads from one command to the next; None: a command is the setpoint at once.
     """
 
@@ -150,16 +189,24 @@ class SetpointBuffer:
         self._command, self._until = setpoint, step + self._lasts
 
     def at(self, step: int) -> Array | None:
-        """The setpoint at this step: that of the command, or of the robot's own way to stop from it; None before the first command."""
+        """The setpoint at this step: that of the command, or of the robot's own way to stop from
+        it; None before the first command.
+        """
         if self._command is None:
             return None
         setpoint, interpolator = self._command, self._interpolator
         if interpolator is not None and interpolator.profile is not None:
             setpoint = interpolator.at(int(min(step, self._until)))
-        return setpoint if step <= self._until else self._stopping(setpoint, (step - self._until) * self._step_s)
+        return (
+            setpoint
+            if step <= self._until
+            else self._stopping(setpoint, (step - self._until) * self._step_s)
+        )
 
     def unchanged(self, step: int, ahead: int) -> int:
-        """For how many of the next `ahead` steps (at least one) the setpoint at this step may stay as it is."""
+        """For how many of the next `ahead` steps (at least one) the setpoint at this step may stay
+        as it is.
+        """
         if self._command is None:
             return ahead
         if self._interpolator is not None and step <= self._until:

@@ -1,4 +1,6 @@
-"""Vision: from pixels to what a law may see. The only room with OpenCV, besides the renderer's remap and the video."""
+"""Vision: from pixels to what a law may see. The only room with OpenCV, besides the renderer's
+remap and the video.
+"""
 
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
@@ -14,7 +16,9 @@ from vstestbed.vision.region import RegionDetector
 from vstestbed.vision.tags import Tags
 
 _KINDS = Blobs, Tags, Lines, Keypoints, PatchDetector, RegionDetector, Oracle, NoDetector
-DETECTORS = Registry("detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase))
+DETECTORS = Registry(
+    "detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase)
+)
 
 __all__ = [
     "DETECTORS",

@@ -1,4 +1,6 @@
-"""Coloured markers: blobs segmented by chroma, identified by hue, tracked in windows, corrected for perspective bias."""
+"""Coloured markers: blobs segmented by chroma, identified by hue, tracked in windows, corrected for
+perspective bias.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,22 @@ from vstestbed.core.geometry import Array, inverse, lengths, transform
 from vstestbed.core.quantity import Pixels, PositiveAngle, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
-from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, window_round, windows_round
+from vstestbed.vision.base import (
+    Detection,
+    DetectorBase,
+    Move,
+    TruthView,
+    window_round,
+    windows_round,
+)
 from vstestbed.vision.colour import Blob, Region, Rim, find_blobs, noise_level
 from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
-# Perspective bias: the centroid of a marker's image is not the image of its centre (discs and spheres).
-CORNERS = 32  # corners of the polygon that approximates an outline: its bias and area are then right to 1e-4
+# Perspective bias: the centroid of a marker's image is not the image of its centre (discs and
+# spheres).
+
+# corners of the polygon that approximates an outline: its bias and area are then right to 1e-4
+CORNERS = 32
 # Closed polygon with the area of the unit circle: cosines and sines, shape (CORNERS + 1,) each.
 _ANGLE = np.arange(CORNERS + 1) * (2 * math.pi / CORNERS)
 _SWELL = math.sqrt(2 * math.pi / (CORNERS * math.sin(2 * math.pi / CORNERS)))
@@ -31,7 +43,9 @@ _COS, _SIN = _SWELL * np.cos(_ANGLE), _SWELL * np.sin(_ANGLE)
 
 
 class Outlines(NamedTuple):
-    """Images of N markers: centroids less the images of their centres (N, 2) [px], areas (N,) [px^2], images of the centres (N, 2) [px]."""
+    """Images of N markers: centroids less the images of their centres (N, 2) [px], areas (N,)
+    [px^2], images of the centres (N, 2) [px].
+    """
 
     bias: Array
     area: Array
@@ -39,18 +53,24 @@ class Outlines(NamedTuple):
 
 
 def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outlines:
-    """Centroid of each marker's image relative to the image of its centre, the image's area, and that of the centre.
+    """Centroid of each marker's image relative to the image of its centre, the image's area, and
+    that of the centre.
 
-    The rim (of a disc: across its normal; of a sphere: the circle where the rays touch it, centre p (d^2 - r^2)/d^2,
-    radius r sqrt(1 - r^2/d^2), d = |p|) is projected as a polygon; with its corners q_i relative to the image of the centre,
+    The rim (of a disc: across its normal; of a sphere: the circle where the rays touch it, centre
+    p (d^2 - r^2)/d^2, radius r sqrt(1 - r^2/d^2), d = |p|) is projected as a polygon; with its
+    corners q_i relative to the image of the centre,
+
     a_i = q_i x q_i+1,  area = |sum a_i|/2,  bias = sum (q_i + q_i+1) a_i / (3 sum a_i).
-    This holds for any lens. Where the lens does not see a whole rim the result is NaN. In closed form for a pinhole and a disc:
-    Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468.
+
+    This holds for any lens. Where the lens does not see a whole rim the result is NaN. In closed
+    form for a pinhole and a disc: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468.
     """
     points, radius = target.points, target.marker.radius
     with np.errstate(invalid="ignore", divide="ignore"):
         if not target.marker.height_m:  # flat
-            p = transform(T_camera_target, _disc_rims(points.tobytes(), target.normals.tobytes(), radius)).reshape(len(points), -1, 3)
+            p = transform(
+                T_camera_target, _disc_rims(points.tobytes(), target.normals.tobytes(), radius)
+            ).reshape(len(points), -1, 3)
         else:
             p = _sphere_rims(transform(T_camera_target, points), radius)
         return _of_rims(camera, p)
@@ -67,28 +87,39 @@ def _of_rims(camera: Camera, p: Array) -> Outlines:
 
 
 def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Array:
-    """The bias (N, 2) [px] of balls from centroids (N, 2) [px] and areas (N,) [px^2], which give their distances; NaN stays NaN."""
+    """The bias (N, 2) [px] of balls from centroids (N, 2) [px] and areas (N,) [px^2], which give
+    their distances; NaN stays NaN.
+    """
     bias, reach = np.zeros_like(centroid), np.full(len(area), 10 * radius)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for _ in range(5):  # distance and bias then have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off axis)
+        # distance and bias then have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off
+        # axis)
+        for _ in range(5):
             p = camera.ray(centroid - bias) * reach[:, None]
             bias, expected, _ = _of_rims(camera, _sphere_rims(p, radius))
-            # The area falls with the square of the distance; never closer than the ball's own surface.
+            # The area falls with the square of the distance; never closer than the ball's own
+            # surface.
             reach = np.maximum(reach * np.sqrt(expected / area), 1.01 * radius)
     return bias
 
 
 @lru_cache(maxsize=256)
 def _disc_rims(points: bytes, normals: bytes, radius: float) -> Array:
-    """Each disc's centre and rim in the target's frame, (N (CORNERS + 2), 3), from points and normals (N, 3) as bytes, for the cache."""
+    """Each disc's centre and rim in the target's frame, (N (CORNERS + 2), 3), from points and
+    normals (N, 3) as bytes, for the cache.
+    """
     centre = np.frombuffer(points).reshape(-1, 1, 3)
-    across = np.array([_across(*normal) for normal in np.frombuffer(normals).reshape(-1, 3).tolist()])
+    across = np.array(
+        [_across(*normal) for normal in np.frombuffer(normals).reshape(-1, 3).tolist()]
+    )
     rim = centre + radius * (_COS[:, None] * across[:, :1] - _SIN[:, None] * across[:, 1:])
     return np.concatenate([centre, rim], axis=1).reshape(-1, 3)
 
 
 def _sphere_rims(p: Array, radius: float) -> Array:
-    """Centres of spheres, and the circles of tangency of the camera's rays, shape (N, CORNERS + 2, 3); NaN from inside."""
+    """Centres of spheres, and the circles of tangency of the camera's rays, shape (N, CORNERS + 2,
+    3); NaN from inside.
+    """
     d2 = np.einsum("ni,ni->n", p, p)
     shrink = 1 - radius**2 / d2
     rho = radius * np.sqrt(shrink)
@@ -102,41 +133,57 @@ def _sphere_rims(p: Array, radius: float) -> Array:
     return out
 
 
-def _across(x: float, y: float, z: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Two unit vectors across a ray (Duff et al. 2017, JCGT 6(1)); in plain floats, a quarter of numpy's time for some five markers."""
+def _across(
+    x: float, y: float, z: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Two unit vectors across a ray (Duff et al. 2017, JCGT 6(1)); in plain floats, a quarter of
+    numpy's time for some five markers.
+    """
     sign = math.copysign(1.0, z)  # the branch without a singularity at z = -1
     a = -1 / (sign + z)
     b = x * y * a
     return (1 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
 
 
-# Data association: which blob is which marker where several have its hue, by the pose of the target that explains them.
+# Data association: which blob is which marker where several have its hue, by the pose of the target
+# that explains them.
 Positioned = tuple[int, Blob]  # index of the camera's panel, and a blob in it
 Candidates = list[list[Positioned]]  # for each marker the blobs of its hue
-Hypothesis = tuple[Array, Candidates, int]  # a pose (4, 4), the blobs that it may explain, and how many of them it must explain
+# a pose (4, 4), the blobs that it may explain, and how many of them it must explain
+Hypothesis = tuple[Array, Candidates, int]
 
-MOST_OF_A_HUE, SEEDS = 4, 4  # candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
+# candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
+MOST_OF_A_HUE, SEEDS = 4, 4
 
 
 def allowed_px(uv: Array) -> float:
-    """Distance from the predicted marker beyond which a blob is another object, in an image of markers at uv (N, 2) [px].
+    """Distance from the predicted marker beyond which a blob is another object, in an image of
+    markers at uv (N, 2) [px].
 
-    It is far more than the detection's error, and more than the distortion of a target by a lens some percent out of calibration.
+    It is far more than the detection's error, and more than the distortion of a target by a lens
+    some percent out of calibration.
     """
     seen = [(u, v) for u, v in uv.tolist() if math.isfinite(u)]
     return max([3.0, *(0.03 * (max(side) - min(side)) for side in zip(*seen, strict=True))])
 
 
-def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Positioned | None]:
-    """One blob for each marker, None where none fits, from the blobs of each marker's hue in a camera of one panel.
+def assign_blobs(
+    candidates: Candidates, camera: Camera, target: Target, previous: Array | None
+) -> list[Positioned | None]:
+    """One blob for each marker, None where none fits, from the blobs of each marker's hue in a
+    camera of one panel.
 
-    Hypothesise and verify, as in RANSAC but exhaustively: every combination of blobs (uncut and large ones first) of the markers with the
-    fewest candidates gives a pose. The pose that explains most blobs by position and area wins, each blob weighted by how well it fits.
-    Four blobs must agree with a pose, or three near the previous pose (4, 4): three blobs have a pose wherever they are, so only continuity
-    tells them from others. Fewer than three markers determine no pose: then the first candidate, or the one nearest to the last pose, is
-    taken.
+    Hypothesise and verify, as in RANSAC but exhaustively: every combination of blobs (uncut and
+    large ones first) of the markers with the fewest candidates gives a pose. The pose that explains
+    most blobs by position and area wins, each blob weighted by how well it fits. Four blobs must
+    agree with a pose, or three near the previous pose (4, 4): three blobs have a pose wherever they
+    are, so only continuity tells them from others. Fewer than three markers determine no pose: then
+    the first candidate, or the one nearest to the last pose, is taken.
     """
-    few = [sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE] for c in candidates]
+    few = [
+        sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE]
+        for c in candidates
+    ]
     present = [i for i, c in enumerate(few) if c]
     if len(present) < 3 or max(map(len, few)) < 2:
         if previous is None:
@@ -146,7 +193,8 @@ def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previou
     for hypotheses in (_of_four_or_near, _of_three):
         best, found = 0.0, None
         for T, blobs, least in hypotheses(few, present, camera, target, previous):
-            if target.one_sided and inverse(T)[2, 3] >= 0:  # from behind it shows no markers: it is the mirror image of a right match
+            # from behind it shows no markers: it is the mirror image of a right match
+            if target.one_sided and inverse(T)[2, 3] >= 0:
                 continue
             score, chosen = _explained(blobs, T, camera, target)
             if score > best and sum(f is not None for f in chosen) >= least:
@@ -156,7 +204,9 @@ def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previou
     return [None] * len(few)
 
 
-def _of_four_or_near(few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None) -> Iterator[Hypothesis]:
+def _of_four_or_near(
+    few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None
+) -> Iterator[Hypothesis]:
     seeds = sorted(present, key=lambda i: len(few[i]))[:SEEDS]
     if len(seeds) > 3:
         for T in _poses(seeds, few, camera, target, previous):
@@ -164,21 +214,28 @@ def _of_four_or_near(few: Candidates, present: list[int], camera: Camera, target
     if previous is None:
         return
     uv = camera.project(transform(previous, target.points))
-    radius = max(15.0, 0.15 * float(np.ptp(uv, axis=0).max()))  # round a marker under the last pose [px], by the target's size
+    # round a marker under the last pose [px], by the target's size
+    radius = max(15.0, 0.15 * float(np.ptp(uv, axis=0).max()))
     near = [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(few)]
     for three in combinations([i for i in present if near[i]][:SEEDS], 3):
         for T in _poses(list(three), near, camera, target, previous):
             yield T, near, 3
 
 
-def _of_three(few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None) -> Iterator[Hypothesis]:
-    """Poses of three blobs anywhere: where three markers are all that is seen, and continue a pose or are the whole target."""
+def _of_three(
+    few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None
+) -> Iterator[Hypothesis]:
+    """Poses of three blobs anywhere: where three markers are all that is seen, and continue a pose
+    or are the whole target.
+    """
     if len(present) == 3 and (previous is not None or len(target.points) == 3):
         for T in _poses(present, few, camera, target, previous):
             yield T, few, 3
 
 
-def _poses(which: list[int], few: Candidates, camera: Camera, target: Target, previous: Array | None) -> Iterator[Array]:
+def _poses(
+    which: list[int], few: Candidates, camera: Camera, target: Target, previous: Array | None
+) -> Iterator[Array]:
     points = target.points[which]
     for some in product(*(few[i] for i in which)):
         rays = camera.ray(np.array([(b.u, b.v) for _, b in some]))
@@ -188,8 +245,12 @@ def _poses(which: list[int], few: Candidates, camera: Camera, target: Target, pr
             yield T
 
 
-def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tuple[float, list[Positioned | None]]:
-    """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each marker that it explains."""
+def _explained(
+    few: Candidates, T: Array, camera: Camera, target: Target
+) -> tuple[float, list[Positioned | None]]:
+    """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each
+    marker that it explains.
+    """
     bias, area, centre = centre_bias(camera, target, T)
     uv = centre + bias
     allowed, chosen, score = allowed_px(uv), [], 0.0
@@ -207,9 +268,14 @@ def _away(blob: Blob, uv: Array) -> float:
     return float(np.hypot(blob.u - uv[0], blob.v - uv[1]))
 
 
-# Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between panels.
-MEASURED_PX = 2  # blobs are measured so far beyond their mask's box [px], which may touch the window in which they were searched
-# Two blobs of one hue, in overlapping panels, are one marker seen twice where their rays are under 3 degrees apart.
+# Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between
+# panels.
+
+# blobs are measured so far beyond their mask's box [px], which may touch the window in which they
+# were searched
+MEASURED_PX = 2
+# Two blobs of one hue, in overlapping panels, are one marker seen twice where their rays are under
+# 3 degrees apart.
 SAME_MARKER_COSINE = math.cos(math.radians(3))
 
 
@@ -218,9 +284,12 @@ class BlobsState:
     """State of the blob detector, of N markers.
 
     Attributes:
-        blobs: each marker's blob in the last picture; None for a lost one. moves: last known move of each blob [px]; zero at first.
-        T_camera_target: last known pose of the target (4, 4). bias: perspective bias in the last picture (N, 2) [px].
-        panels: index of the panel in which each marker will be searched; blob and move are in that panel's pixels.
+        blobs: each marker's blob in the last picture; None for a lost one. moves: last known move
+            of each blob [px]; zero at first.
+        T_camera_target: last known pose of the target (4, 4). bias: perspective bias in the last
+            picture (N, 2) [px].
+        panels: index of the panel in which each marker will be searched; blob and move are in that
+            panel's pixels.
     """
 
     blobs: tuple[Blob | None, ...] = ()
@@ -231,8 +300,12 @@ class BlobsState:
 
 
 def windows(state: BlobsState, camera: Camera, margin: int) -> list[Window] | None:
-    """A window around each marker's predicted blob, in its panel; None where one is lost or a whole search is faster."""
-    return windows_round([b.box if b else None for b in state.blobs], state.moves, camera, margin, state.panels)
+    """A window around each marker's predicted blob, in its panel; None where one is lost or a whole
+    search is faster.
+    """
+    return windows_round(
+        [b.box if b else None for b in state.blobs], state.moves, camera, margin, state.panels
+    )
 
 
 def regions_of(state: BlobsState, camera: Camera, margin: int) -> Regions | None:
@@ -247,18 +320,26 @@ def regions_of(state: BlobsState, camera: Camera, margin: int) -> Regions | None
         if blob is None:
             return None
         lens = camera.panels[home].lens
-        wide = margin + 0.1 * lens.width  # so that a marker a little outside of its predicted window is still rendered
+        # so that a marker a little outside of its predicted window is still rendered
+        wide = margin + 0.1 * lens.width
         # In its own panel and, near the border, in every other that sees it.
         for panel in [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels)):
             seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
-            window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide) if seen else None
+            window = (
+                window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide)
+                if seen
+                else None
+            )
             if window is not None:
                 out[panel].append(window)
     return tuple(tuple(some) for some in out)
 
 
-def moves_of(state: BlobsState, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:
-    """Displacement of each blob since the last picture [px]; the last known one of a blob that was not seen then, or is not now.
+def moves_of(
+    state: BlobsState, blobs: list[Blob | None], panels: list[int], camera: Camera
+) -> tuple[Move, ...]:
+    """Displacement of each blob since the last picture [px]; the last known one of a blob that was
+    not seen then, or is not now.
 
     Zero where none is known in the panel in which the blob is now.
     """
@@ -274,9 +355,13 @@ def moves_of(state: BlobsState, blobs: list[Blob | None], panels: list[int], cam
 
 
 def hand_over(state: BlobsState, camera: Camera, margin: int) -> BlobsState:
-    """The same with each blob that nears its panel's border in the panel where it will be farthest from a border."""
+    """The same with each blob that nears its panel's border in the panel where it will be farthest
+    from a border.
+    """
     blobs, moves, panels = list(state.blobs), list(state.moves), list(state.panels)
-    for i, (blob, move, home) in enumerate(zip(state.blobs, state.moves, state.panels, strict=True)):
+    for i, (blob, move, home) in enumerate(
+        zip(state.blobs, state.moves, state.panels, strict=True)
+    ):
         if blob is None:
             continue
         most = _slack(blob, move, camera.panels[home].lens)
@@ -290,39 +375,58 @@ def hand_over(state: BlobsState, camera: Camera, margin: int) -> BlobsState:
     return replace(state, blobs=tuple(blobs), moves=tuple(moves), panels=tuple(panels))
 
 
-def seen_from(blob: Blob, move: Move, panel: int, other: int, camera: Camera) -> tuple[Blob, Move] | None:
-    """A blob and its move in another panel's pixels; None where the blob's prediction lies outside of that panel."""
+def seen_from(
+    blob: Blob, move: Move, panel: int, other: int, camera: Camera
+) -> tuple[Blob, Move] | None:
+    """A blob and its move in another panel's pixels; None where the blob's prediction lies outside
+    of that panel.
+    """
     here, there = camera.panels[panel], camera.panels[other]
     left, top, right, bottom = blob.box
-    corners = [(left - 0.5, top - 0.5), (right - 0.5, top - 0.5), (left - 0.5, bottom - 0.5), (right - 0.5, bottom - 0.5)]
+    corners = [
+        (left - 0.5, top - 0.5),
+        (right - 0.5, top - 0.5),
+        (left - 0.5, bottom - 0.5),
+        (right - 0.5, bottom - 0.5),
+    ]
     px = np.array([(blob.u, blob.v), (blob.u + move[0], blob.v + move[1]), *corners])
     uv = there.lens.project(here.lens.ray(px) @ here.R_camera_panel.T @ there.R_camera_panel)
     if not (np.isfinite(uv).all() and there.lens.inside(uv[1:2]).all()):
         return None
-    low, high = np.floor(uv[2:].min(axis=0) + 0.5).astype(int), np.ceil(uv[2:].max(axis=0) + 0.5).astype(int)
+    low, high = (
+        np.floor(uv[2:].min(axis=0) + 0.5).astype(int),
+        np.ceil(uv[2:].max(axis=0) + 0.5).astype(int),
+    )
     (u, v), (du, dv) = uv[0].tolist(), (uv[1] - uv[0]).tolist()
     box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
     return replace(blob, u=u, v=v, box=box), (du, dv)
 
 
 def _slack(blob: Blob, move: Move, lens: Camera) -> float:
-    """Least distance of the predicted blob's box from the image's border [px]; negative where it reaches beyond."""
+    """Least distance of the predicted blob's box from the image's border [px]; negative where it
+    reaches beyond.
+    """
     (left, top, right, bottom), (du, dv) = blob.box, move
     return min(left + du, top + dv, lens.width - right - du, lens.height - bottom - dv)
 
 
 def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] | None:
-    """Of the blobs of one hue, each with its panel, the largest, blobs that are not cut first; in panels by solid angle.
+    """Of the blobs of one hue, each with its panel, the largest, blobs that are not cut first; in
+    panels by solid angle.
 
-    A pinhole image enlarges the area of what lies at an angle a off the axis by 1 / cos^3 a. Of a marker that is seen in two panels
-    the blob nearer to its panel's axis is taken.
+    A pinhole image enlarges the area of what lies at an angle a off the axis by 1 / cos^3 a. Of a
+    marker that is seen in two panels the blob nearer to its panel's axis is taken.
     """
     if len(camera.panels) == 1 or not found:
         return max(found, key=lambda f: (f[1].whole, f[1].area), default=None)
     rays = [camera.panels[p].lens.ray(np.array([[b.u, b.v]]))[0] for p, b in found]
     cosine = [float(ray[2]) for ray in rays]
-    best = max(range(len(found)), key=lambda i: (found[i][1].whole, found[i][1].area * cosine[i] ** 3))
-    in_camera = [camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)]
+    best = max(
+        range(len(found)), key=lambda i: (found[i][1].whole, found[i][1].area * cosine[i] ** 3)
+    )
+    in_camera = [
+        camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)
+    ]
     panel, blob = found[best]
     others = [i for i, (p, b) in enumerate(found) if p != panel and b.whole == blob.whole]
     same = [i for i in others if in_camera[i] @ in_camera[best] > SAME_MARKER_COSINE]
@@ -330,33 +434,57 @@ def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] |
 
 
 # From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.
-AREA_NOISE_PX = 3.5  # error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)
-SURPRISE = 0.15  # sum over three markers of |log(area / predicted)|: the right pose of rendered discs has under .05, most others over .6
+
+# error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of
+# 2 to 8 px radius)
+AREA_NOISE_PX = 3.5
+# sum over three markers of |log(area / predicted)|: the right pose of rendered discs has under .05,
+# most others over .6
+SURPRISE = 0.15
 
 
 class MarkerFit:
-    """Fits one picture's blobs by a pose of the target; pixels are those of the panel in which each blob was found.
+    """Fits one picture's blobs by a pose of the target; pixels are those of the panel in which each
+    blob was found.
 
     Args:
-        panels: index of the panel of each marker's blob, N of them. edge: error of a blob's border, inwards or outwards [px].
+        panels: index of the panel of each marker's blob, N of them. edge: error of a blob's border,
+            inwards or outwards [px].
         area_tolerance: largest relative difference between a blob's area and the predicted one.
     """
 
-    def __init__(self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float):
-        self._camera, self._target, self._tolerance, self._edge = camera, target, area_tolerance, edge
-        # The panels in which markers are, each with which they are: all (a slice, which is quicker), or (N,) bool.
+    def __init__(
+        self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float
+    ):
+        self._camera, self._target, self._tolerance, self._edge = (
+            camera,
+            target,
+            area_tolerance,
+            edge,
+        )
+        # The panels in which markers are, each with which they are: all (a slice, which is
+        # quicker), or (N,) bool.
         self._of: list[tuple[Panel, slice | NDArray[np.bool_]]] | None = None
         if len(camera.panels) > 1:
             several, of = len(set(panels)) > 1, np.array(panels)
-            self._of = [(camera.panels[panel], of == panel if several else slice(None)) for panel in set(panels)]
+            self._of = [
+                (camera.panels[panel], of == panel if several else slice(None))
+                for panel in set(panels)
+            ]
         self.outliers = np.zeros(len(target.points), dtype=bool)
-        """Which blobs are no markers of this target: they lie far from where the pose of the others predicts them, (N,)."""
+        """Which blobs are no markers of this target: they lie far from where the pose of the others
+        predicts them, (N,).
+        """
 
-    def centres(self, blobs: list[Blob | None], state: BlobsState, correct: bool) -> tuple[Array, Array | None, Array]:
-        """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and the perspective bias (N, 2) in the panels'.
+    def centres(
+        self, blobs: list[Blob | None], state: BlobsState, correct: bool
+    ) -> tuple[Array, Array | None, Array]:
+        """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and the perspective
+        bias (N, 2) in the panels'.
 
         Args:
-            blobs: of each marker; None where none was found. state: the last picture, whose bias and pose start the iteration.
+            blobs: of each marker; None where none was found. state: the last picture, whose bias
+                and pose start the iteration.
             correct: subtract the bias from the centres.
         """
         whole = [b if b and b.whole else None for b in blobs]
@@ -369,11 +497,14 @@ class MarkerFit:
         uv = centroid - bias if correct else centroid
         return (uv if self._of is None else self._camera.project(self._rays(uv))), T, bias
 
-    def _fitted(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> tuple[Array | None, Array]:
-        """The pose (4, 4) that fits the markers, None where there is none, and their bias (N, 2) [px].
+    def _fitted(
+        self, centroid: Array, area: Array, assumed: Array, previous: Array | None
+    ) -> tuple[Array | None, Array]:
+        """The pose (4, 4) that fits the markers, None where there is none, and their bias (N, 2)
+        [px].
 
-        Alternates between the pose from the centroids less the assumed bias and the bias under that pose. Rejected markers become NaN in
-        `centroid` (N, 2) and `area` (N,), in place.
+        Alternates between the pose from the centroids less the assumed bias and the bias under that
+        pose. Rejected markers become NaN in `centroid` (N, 2) and `area` (N,), in place.
         """
         T = self._pose(centroid - assumed, area, previous)
         for _ in range(len(centroid) + 3):  # one pose for each rejected marker, and three
@@ -389,15 +520,20 @@ class MarkerFit:
                 continue
             if misfit > 1:
                 centroid[worst] = area[worst] = np.nan
-            # Under .02 px another round would change it by a tenth of that. "not >", so that the NaN of lost markers ends the loop.
             elif not np.abs(bias - assumed).max() > 0.02:
+                # Under .02 px another round would change it by a tenth of that. "not >", so that
+                # the NaN of lost markers ends the loop.
                 break
             assumed = bias
             T = self._pose(centroid - assumed, area, T if previous is None else previous)
         return T, assumed
 
-    def _bias_without_pose(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> Array:
-        """Bias (N, 2) [px] of markers too few for a pose: of balls by their size, of discs under the last pose."""
+    def _bias_without_pose(
+        self, centroid: Array, area: Array, assumed: Array, previous: Array | None
+    ) -> Array:
+        """Bias (N, 2) [px] of markers too few for a pose: of balls by their size, of discs under
+        the last pose.
+        """
         radius = self._target.marker.radius
         if not self._target.marker.height_m:
             return assumed if previous is None else self._expected(previous).bias
@@ -410,12 +546,19 @@ class MarkerFit:
         return np.where(np.isfinite(bias), bias, 0.0)
 
     def _outlier(
-        self, centroid: Array, expected: Outlines, area: Array, previous: Array | None, misfit: float
+        self,
+        centroid: Array,
+        expected: Outlines,
+        area: Array,
+        previous: Array | None,
+        misfit: float,
     ) -> tuple[int, Array, Array] | None:
-        """The blob that is not this target's, with the pose and bias of the others; None where the pose of all explains them.
+        """The blob that is not this target's, with the pose and bias of the others; None where the
+        pose of all explains them.
 
-        Leave one out: that blob is dropped without which the others fit best, by position and, since three points always have a
-        pose, by area. Four blobs of which one is another object hardly have a pose that fits their areas, too.
+        Leave one out: that blob is dropped without which the others fit best, by position and,
+        since three points always have a pose, by area. Four blobs of which one is another object
+        hardly have a pose that fits their areas, too.
         """
         if self._of is not None:
             return None
@@ -446,7 +589,9 @@ class MarkerFit:
     def _of_others(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
         seen = np.isfinite(uv[:, 0])
         pose = self._pose(uv, area, previous)
-        if np.count_nonzero(seen) > 3 or (pose is not None and self._surprise(pose, area) < SURPRISE):
+        if np.count_nonzero(seen) > 3 or (
+            pose is not None and self._surprise(pose, area) < SURPRISE
+        ):
             return pose
         return self._first_of_three(self._rays(uv[seen]), area)
 
@@ -461,7 +606,9 @@ class MarkerFit:
         for panel, mine in self._of:
             T = T_camera_target.copy()
             T[:3] = panel.R_camera_panel.T @ T[:3]
-            for all_of_them, there in zip(out, centre_bias(panel.lens, self._target, T), strict=True):
+            for all_of_them, there in zip(
+                out, centre_bias(panel.lens, self._target, T), strict=True
+            ):
                 all_of_them[mine] = there[mine]
         return out
 
@@ -474,7 +621,9 @@ class MarkerFit:
         return rays
 
     def _pose(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
-        """The pose (4, 4) from the images of the centres (N, 2) [px]; None with fewer than three."""
+        """The pose (4, 4) from the images of the centres (N, 2) [px];
+        None with fewer than three.
+        """
         seen = np.isfinite(uv[:, 0])
         n = int(np.count_nonzero(seen))
         if n < 3:
@@ -487,13 +636,17 @@ class MarkerFit:
         return solve_pose_from_rays(rays, points, previous)
 
     def _first_of_three(self, rays: Array, area: Array) -> Array | None:
-        """Of the poses that three rays (3, 3) leave, the one that fits the areas (N,) best; None if even that does not fit."""
+        """Of the poses that three rays (3, 3) leave, the one that fits the areas (N,) best; None if
+        even that does not fit.
+        """
         poses = three_ray_poses(rays, self._target.points[np.isfinite(area)])
         best = min(poses, key=lambda T: self._surprise(T, area), default=None)
         return best if best is not None and self._surprise(best, area) < SURPRISE else None
 
     def _worst(self, area: Array, expected: Array) -> tuple[int, float]:
-        """Index of the area (N,) farthest from the predicted one, and that difference over the one allowed; NaN areas are skipped."""
+        """Index of the area (N,) farthest from the predicted one, and that difference over the one
+        allowed; NaN areas are skipped.
+        """
         worst, most = 0, -1.0
         # A loop in Python: on these few numbers it is quicker than NumPy.
         for i, (a, e) in enumerate(zip(area.tolist(), expected.tolist(), strict=True)):
@@ -511,39 +664,48 @@ def _off(centroid: Array, expected: Outlines) -> Array:
 
 
 Place = tuple[int, Window]  # index of the camera's panel, and a window in it
-Found = tuple[int, Blob] | None  # index of the camera's panel and a marker's blob in it; None: not found
+# index of the camera's panel and a marker's blob in it; None: not found
+Found = tuple[int, Blob] | None
 
 
 @spec
 class Blobs(DetectorBase):
     """Markers by colour: chroma mask, contours, moments; identified by the hue at the centroid.
 
-    Tracking: a marker is searched in a window around its predicted position (constant velocity), and where it is not found there, in the
-    whole image of the same exposure. In a camera with panels it is handed over to the next panel before it reaches a border. Of several
-    blobs of one hue, those are taken that one pose of the target explains (`assign_blobs`).
+    Tracking: a marker is searched in a window around its predicted position (constant velocity),
+    and where it is not found there, in the whole image of the same exposure. In a camera with
+    panels it is handed over to the next panel before it reaches a border. Of several blobs of one
+    hue, those are taken that one pose of the target explains (`assign_blobs`).
 
-    Measurement: the image of the marker's centre is the centroid less the perspective bias under the pose that the markers
-    themselves give. A blob is rejected if it touches the image's border, if its shape is no ellipse, if its area differs from
-    what the pose predicts (occlusion), or if it lies far from where the pose of the others predicts it. Of three markers without an earlier
-    pose, the solution whose areas fit best is taken. With fewer than three, border and shape alone decide, and the bias is that of the
-    last pose.
+    Measurement: the image of the marker's centre is the centroid less the perspective bias under
+    the pose that the markers themselves give. A blob is rejected if it touches the image's border,
+    if its shape is no ellipse, if its area differs from what the pose predicts (occlusion), or if
+    it lies far from where the pose of the others predicts it. Of three markers without an earlier
+    pose, the solution whose areas fit best is taken. With fewer than three, border and shape alone
+    decide, and the bias is that of the last pose.
 
-    Noise: its level is estimated from the image (`noise_level`: 0 for a rendered one without noise). From a standard deviation
-    of about 1 grey level, blobs are segmented in the smoothed image, and with `grey` moments edge pixels are weighted by their
-    measured chroma: centroids of 2 cm discs at 1 m scatter by .01, .02 and .05 px for 2, 8 and 20 grey levels. Above 20, markers begin to
-    be missed; from about 30 on, noise itself may be taken for a marker.
+    Noise: its level is estimated from the image (`noise_level`: 0 for a rendered one without
+    noise). From a standard deviation of about 1 grey level, blobs are segmented in the smoothed
+    image, and with `grey` moments edge pixels are weighted by their measured chroma: centroids of 2
+    cm discs at 1 m scatter by .01, .02 and .05 px for 2, 8 and 20 grey levels. Above 20, markers
+    begin to be missed; from about 30 on, noise itself may be taken for a marker.
 
     Args:
-        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker [grey levels]; scenes keep everything else below it.
-        hue_tolerance_deg: largest difference to the marker's hue; never more than half the step between two markers' hues.
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker [grey levels];
+            scenes keep everything else below it.
+        hue_tolerance_deg: largest difference to the marker's hue; never more than half the step
+            between two markers' hues.
         least_area_px: least area of a blob; smaller ones are noise [px^2].
-        moments: `binary` weights each pixel 0 or 1; `grey` by coverage, which is finer in images with multisampling and the
-            same in images with neither multisampling nor noise, whose markers are of one colour up to the edge.
+        moments: `binary` weights each pixel 0 or 1; `grey` by coverage, which is finer in images
+            with multisampling and the same in images with neither multisampling nor noise, whose
+            markers are of one colour up to the edge.
         correct_centre: subtract the perspective bias from the centroid.
         area_tolerance: largest relative difference between a blob's area and the predicted one [1].
-        window_margin_px: margin of a window around the predicted blob, besides half of its last move [px].
+        window_margin_px: margin of a window around the predicted blob, besides half of its last
+            move [px].
 
-    Reference: Corke 2017, Robotics, Vision & Control, sections 13.1 and 15.2 (blobs, moments, visual servoing with them).
+    Reference: Corke 2017, Robotics, Vision & Control, sections 13.1 and 15.2 (blobs, moments,
+    visual servoing with them).
     """
 
     kind: Literal["blobs"] = "blobs"
@@ -561,14 +723,26 @@ class Blobs(DetectorBase):
         """Nothing seen yet."""
         return BlobsState()
 
-    def regions_of_interest(self, state: BlobsState, camera: Camera, target: Target) -> Regions | None:
-        """Windows around the predicted markers, in a camera with panels also across the seams; None where a marker is lost."""
+    def regions_of_interest(
+        self, state: BlobsState, camera: Camera, target: Target
+    ) -> Regions | None:
+        """Windows around the predicted markers, in a camera with panels also across the seams; None
+        where a marker is lost.
+        """
         return regions_of(state, camera, self.window_margin_px) if state.blobs else None
 
     def detect(
-        self, state: BlobsState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self,
+        state: BlobsState,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
     ) -> tuple[BlobsState, Detection]:
-        """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved."""
+        """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where
+        it can be solved.
+        """
         picture = self._given(picture)
         noise = _noise_levels(picture)
         found = self._track(picture, noise, state, camera, target)
@@ -578,44 +752,70 @@ class Blobs(DetectorBase):
             found = self._search(picture, noise, state, camera, target)
         blobs = [f[1] if f else None for f in found]
         # A marker that is not found stays in the panel in which it was seen last, at first 0.
-        panels = [f[0] if f else last for f, last in zip(found, state.panels or (0,) * len(found), strict=True)]
+        panels = [
+            f[0] if f else last
+            for f, last in zip(found, state.panels or (0,) * len(found), strict=True)
+        ]
         noisy = any(noise[f[0]] > 0 for f in found if f)
-        # Error of a smoothed, shaded blob's border [px] (rendered balls of 5 px radius and more); a clean, sharp image has exact colours.
+        # Error of a smoothed, shaded blob's border [px] (rendered balls of 5 px radius and more); a
+        # clean, sharp image has exact colours.
         edge = 0.15 if noisy or _smooth(camera.panels[0].lens) else 0.0
         markers = MarkerFit(camera, target, panels, self.area_tolerance, edge)
         uv, T, bias = markers.centres(blobs, state, self.correct_centre)
         for i in np.flatnonzero(markers.outliers):
             blobs[i] = None  # not tracked: its window would follow the wrong object
         kept = T if T is not None else state.T_camera_target
-        after = BlobsState(tuple(blobs), moves_of(state, blobs, panels, camera), kept, bias, tuple(panels))
+        after = BlobsState(
+            tuple(blobs), moves_of(state, blobs, panels, camera), kept, bias, tuple(panels)
+        )
         if len(camera.panels) > 1:
             after = hand_over(after, camera, self.window_margin_px)
         return after, Detection(uv=uv, T_camera_target=T)
 
-    def _blobs_in(self, places: list[Place], picture: Picture, noise: list[float], camera: Camera) -> list[list[Blob]]:
+    def _blobs_in(
+        self, places: list[Place], picture: Picture, noise: list[float], camera: Camera
+    ) -> list[list[Blob]]:
         regions: list[Region] = []
         for panel, window in places:
             image, lens, level = picture.images[panel], camera.panels[panel].lens, noise[panel]
             assert image is not None
-            rim: Rim = self.moments if _smooth(lens) or (level > 0 and self.moments == "binary") else "sharp"
+            rim: Rim = (
+                self.moments
+                if _smooth(lens) or (level > 0 and self.moments == "binary")
+                else "sharp"
+            )
             regions.append(Region(image, window, rim, level))
         found = find_blobs(regions, self.chroma, self.least_area_px)
         for (panel, _), blobs in zip(places, found, strict=True):
             lens = camera.panels[panel].lens
-            if blobs and not lens.sees_all:  # noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray
+            # noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray
+            if blobs and not lens.sees_all:
                 seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in blobs]))[:, 0])
-                blobs[:] = [blob for blob, is_seen in zip(blobs, seen.tolist(), strict=True) if is_seen]
+                blobs[:] = [
+                    blob for blob, is_seen in zip(blobs, seen.tolist(), strict=True) if is_seen
+                ]
         return found
 
-    def _track(self, picture: Picture, noise: list[float], state: BlobsState, camera: Camera, target: Target) -> list[Found] | None:
-        """Each marker's blob from a window of its own; None where one is lost and the whole image must be searched."""
+    def _track(
+        self,
+        picture: Picture,
+        noise: list[float],
+        state: BlobsState,
+        camera: Camera,
+        target: Target,
+    ) -> list[Found] | None:
+        """Each marker's blob from a window of its own; None where one is lost and the whole image
+        must be searched.
+        """
         own = windows(state, camera, self.window_margin_px)
         if own is None or any(picture.images[panel] is None for panel in state.panels):
             return None
         places = list(zip(state.panels, own, strict=True))
         found: list[Found] = []
         by_marker = self._blobs_in(places, picture, noise, camera)
-        for hue, last, move, (panel, window), blobs in zip(target.hues_deg, state.blobs, state.moves, places, by_marker, strict=True):
+        for hue, last, move, (panel, window), blobs in zip(
+            target.hues_deg, state.blobs, state.moves, places, by_marker, strict=True
+        ):
             lens = camera.panels[panel].lens
             if last is None:
                 return None
@@ -625,19 +825,42 @@ class Blobs(DetectorBase):
             if blob is None:
                 return None
             left, top, right, bottom = blob.box
-            if left <= window[0] > 0 or top <= window[1] > 0 or right >= window[2] < lens.width or bottom >= window[3] < lens.height:
+            if (
+                left <= window[0] > 0
+                or top <= window[1] > 0
+                or right >= window[2] < lens.width
+                or bottom >= window[3] < lens.height
+            ):
                 return None  # it may go on beyond an edge of the window
             if len(camera.panels) > 1 and _slack(blob, (0.0, 0.0), lens) <= 0:
                 return None  # at the image's border: another panel may have the whole of it
             found.append((panel, blob))
         return found
 
-    def _search(self, picture: Picture, noise: list[float], state: BlobsState, camera: Camera, target: Target) -> list[Found]:
-        """Each marker's blob in the whole image: of those of its hue the one that the geometry explains; with panels the largest."""
-        hues, drawn = target.hues_deg, [i for i, image in enumerate(picture.images) if image is not None]
-        whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
+    def _search(
+        self,
+        picture: Picture,
+        noise: list[float],
+        state: BlobsState,
+        camera: Camera,
+        target: Target,
+    ) -> list[Found]:
+        """Each marker's blob in the whole image: of those of its hue the one that the geometry
+        explains; with panels the largest.
+        """
+        hues, drawn = (
+            target.hues_deg,
+            [i for i, image in enumerate(picture.images) if image is not None],
+        )
+        whole = [
+            (i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn
+        ]
         # One by one: a panel is too large for the time of a call to count.
-        everywhere = [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
+        everywhere = [
+            (place[0], blob)
+            for place in whole
+            for blob in self._blobs_in([place], picture, noise, camera)[0]
+        ]
         by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, target)] for hue in hues]
         if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
             return list(assign_blobs(by_marker, camera, target, state.T_camera_target))
@@ -653,5 +876,7 @@ def _noise_levels(picture: Picture) -> list[float]:
 
 
 def _smooth(lens: Camera) -> bool:
-    """Whether pixels at a marker's edge mix colours: several samples a pixel, or an image interpolated for a lens."""
+    """Whether pixels at a marker's edge mix colours: several samples a pixel, or an image
+    interpolated for a lens.
+    """
     return lens.multisampling > 0 or lens.resampled

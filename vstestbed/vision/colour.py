@@ -1,4 +1,6 @@
-"""Segmentation of coloured blobs in a window of an image: chroma mask, contours, moments, hue at the centroid."""
+"""Segmentation of coloured blobs in a window of an image: chroma mask, contours, moments, hue at
+the centroid.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,19 @@ from vstestbed.core.lazy import cv2
 
 Rim = Literal["sharp", "binary", "grey"]
 
-STRIP_PX = 38400  # pixels masked at a time: the intermediate images then stay in the core's cache (640x480: .1 ms instead of 1 ms)
-# A whole ellipse of pixels may seem incomplete by this share of its area (distortion, a ball drawn with facets) and this area [px^2]
-# (rendered discs and balls of 2 to 24 px radius reach .3, .8 and 1.2), more by noise [px^2 per grey level of its standard deviation]
-# (balls of 4 to 30 px). A disc of 8 px of which 7 % are hidden is past all.
+# pixels masked at a time: the intermediate images then stay in the core's cache (640x480: .1 ms
+# instead of 1 ms)
+STRIP_PX = 38400
+# A whole ellipse of pixels may seem incomplete by this share of its area (distortion, a ball drawn
+# with facets) and this area [px^2] (rendered discs and balls of 2 to 24 px radius reach .3, .8 and
+# 1.2), more by noise [px^2 per grey level of its standard deviation] (balls of 4 to 30 px). A disc
+# of 8 px of which 7 % are hidden is past all.
 ROUGHNESS, ROUGHNESS_PX, NOISE_ROUGHNESS_PX = 0.005, {"sharp": 1.0, "binary": 1.5, "grey": 1.5}, 0.1
-NOISE_ROWS = 60  # noise is estimated from one row in so many: 480 rows give 5112 differences, enough for a few percent
-# Median absolute difference of two independent Gaussian numbers of standard deviation 1; .6745 is the normal upper quartile.
+# noise is estimated from one row in so many: 480 rows give 5112 differences, enough for a few
+# percent
+NOISE_ROWS = 60
+# Median absolute difference of two independent Gaussian numbers of standard deviation 1; .6745 is
+# the normal upper quartile.
 MEDIAN_STEP = 0.6745 * math.sqrt(2)
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -34,7 +42,8 @@ class Blob:
     """A connected region of saturated colour.
 
     Attributes:
-        u, v: centroid [px]. area: area [px^2]. hue_deg: hue at the centroid [deg]. box: bounding box [px].
+        u, v: centroid [px]. area: area [px^2]. hue_deg: hue at the centroid [deg]. box: bounding
+            box [px].
         whole: neither cut by the image's border nor, judging by its own shape, partly occluded.
     """
 
@@ -47,22 +56,28 @@ class Blob:
 
 
 def chroma(image: Image) -> Image:
-    """max(r, g, b) - min(r, g, b), shape (H, W), of an RGB image (H, W, 3): zero for every grey, and on grey proportional to coverage."""
+    """max(r, g, b) - min(r, g, b), shape (H, W), of an RGB image (H, W, 3): zero for every grey,
+    and on grey proportional to coverage.
+    """
     r, g, b = cv2.split(image)
     high = cv2.max(cv2.max(r, g), b)
     return np.asarray(cv2.subtract(high, cv2.min(cv2.min(r, g), b)), np.uint8)
 
 
 def noise_rows(height: int) -> range:
-    """The rows, of an image of that height [px], from which the level of its noise is estimated; of a low one the middle row."""
+    """The rows, of an image of that height [px], from which the level of its noise is estimated; of
+    a low one the middle row.
+    """
     return range(min(NOISE_ROWS, height) // 2, height, NOISE_ROWS)
 
 
 def noise_level(image: Image) -> float:
-    """Standard deviation of an image's noise [grey levels], estimated from the image alone: 0 for a clean one.
+    """Standard deviation of an image's noise [grey levels], estimated from the image alone: 0 for a
+    clean one.
 
-    From the median step between neighbours in a row: most pixels of a rendered surface equal their neighbours, so that it is
-    exactly 0 without noise. Noise below about .7 is lost in the rounding to grey levels. A textured background counts as noise.
+    From the median step between neighbours in a row: most pixels of a rendered surface equal their
+    neighbours, so that it is exactly 0 without noise. Noise below about .7 is lost in the rounding
+    to grey levels. A textured background counts as noise.
     """
     of = noise_rows(len(image))
     rows = cv2.extractChannel(image[of.start :: of.step], 1)
@@ -73,13 +88,18 @@ def noise_level(image: Image) -> float:
 
 
 def chroma_mask(image: Image, threshold: int) -> Image:
-    """255 where the chroma exceeds the threshold, else 0, shape (H, W), of an RGB image (H, W, 3)."""
+    """255 where the chroma exceeds the threshold, else 0, shape (H, W),
+    of an RGB image (H, W, 3).
+    """
     height, width = image.shape[:2]
     if height * width <= STRIP_PX:
-        return np.asarray(cv2.threshold(chroma(image), threshold, 255, cv2.THRESH_BINARY)[1], np.uint8)
+        return np.asarray(
+            cv2.threshold(chroma(image), threshold, 255, cv2.THRESH_BINARY)[1], np.uint8
+        )
     mask = np.empty((height, width), np.uint8)
     rows = max(1, STRIP_PX // width)
-    buffers = np.empty((4, rows, width), np.uint8)  # reused for each strip; `chroma` would allocate six images
+    # reused for each strip; `chroma` would allocate six images
+    buffers = np.empty((4, rows, width), np.uint8)
     for top in range(0, height, rows):
         strip = image[top : top + rows]
         r, g, b, high = buffers[:, : len(strip)]
@@ -97,10 +117,12 @@ class Region(NamedTuple):
     """A part of an image in which blobs are searched.
 
     Attributes:
-        image: the whole image, shape (H, W, 3). window: the part of it [px]. noise: standard deviation of its noise [grey levels]; if
-            positive, blobs are segmented in the smoothed image, which has three eighths of it, and measured as in `_noisy_coverage`.
-        rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where there is noise), for images
-            of one sample a pixel; for images with smooth edges `binary` (in or out at half coverage) or `grey` (by coverage).
+        image: the whole image, shape (H, W, 3). window: the part of it [px]. noise: standard
+            deviation of its noise [grey levels]; if positive, blobs are segmented in the smoothed
+            image, which has three eighths of it, and measured as in `_noisy_coverage`.
+        rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where
+            there is noise), for images of one sample a pixel; for images with smooth edges `binary`
+            (in or out at half coverage) or `grey` (by coverage).
     """
 
     image: Image
@@ -117,16 +139,23 @@ class Region(NamedTuple):
 
 
 def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> list[list[Blob]]:
-    """All blobs of at least `least_area` [px^2] whose chroma exceeds the threshold (0..255), in each of the regions (one or more)."""
+    """All blobs of at least `least_area` [px^2] whose chroma exceeds the threshold (0..255), in
+    each of the regions (one or more).
+    """
     parts = [region.searched for region in regions]
     lefts = list(accumulate((part.shape[1] + 1 for part in parts), initial=0))
     canvas = parts[0]
-    if len(parts) > 1:  # side by side, a pixel apart: one call of OpenCV takes longer to make than to run on a window of some 40 pixels
+    # side by side, a pixel apart: one call of OpenCV takes longer to make than to run on a window
+    # of some 40 pixels
+    if len(parts) > 1:
         canvas = np.zeros((max(map(len, parts)), lefts[-1], 3), np.uint8)
         for part, left in zip(parts, lefts[:-1], strict=True):
             canvas[: len(part), left : left + part.shape[1]] = part
     mask = chroma_mask(canvas, threshold)
-    boxed = [(contour, cv2.boundingRect(contour)) for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]]
+    boxed = [
+        (contour, cv2.boundingRect(contour))
+        for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+    ]
     where = [bisect_right(lefts, box[0]) - 1 for _, box in boxed]
     out: list[list[Blob]] = [[] for _ in regions]
     crowd = [where.count(i) for i in range(len(regions))]
@@ -135,7 +164,9 @@ def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> 
             continue
         alone = mask[y : y + h, x : x + w]
         if crowd[i] > 1:  # remove the parts of other blobs from this one's box
-            filled = cv2.drawContours(np.zeros((h, w), np.uint8), [contour], 0, 255, cv2.FILLED, offset=(-x, -y))
+            filled = cv2.drawContours(
+                np.zeros((h, w), np.uint8), [contour], 0, 255, cv2.FILLED, offset=(-x, -y)
+            )
             alone = np.asarray(cv2.bitwise_and(alone, filled), np.uint8)
         left, top = regions[i].window[0] + x - lefts[i], regions[i].window[1] + y
         blob = _blob(regions[i], alone, (left, top, left + w, top + h))
@@ -147,10 +178,12 @@ def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> 
 def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     """One blob from its own pixels in its box, 255 in `alone`; None without mass.
 
-    Moments are computed within the blob's own box (two pixels larger on each side where edge pixels are weighted by coverage),
-    so that they are the same to the last bit whatever window the blob was found in.
-    An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is smaller
-    is partly occluded. (Coverage is an ellipse convolved with a pixel, which adds its variance 1/12 to mu_xx and mu_yy.)
+    Moments are computed within the blob's own box (two pixels larger on each side where edge pixels
+    are weighted by coverage), so that they are the same to the last bit whatever window the blob
+    was found in.
+    An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is
+    smaller is partly occluded. (Coverage is an ellipse convolved with a pixel, which adds its
+    variance 1/12 to mu_xx and mu_yy.)
     """
     image, _, rim, noise = region
     height, width = image.shape[:2]
@@ -160,7 +193,9 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
         part = image[top : box[3] + 2, left : box[2] + 2]
         found = np.zeros(part.shape[:2], np.uint8)
         found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
-        m = cv2.moments(_noisy_coverage(part, found, rim) if noise > 0 else _coverage(chroma(part), found, rim))
+        m = cv2.moments(
+            _noisy_coverage(part, found, rim) if noise > 0 else _coverage(chroma(part), found, rim)
+        )
     else:
         m = cv2.moments(alone)
     mass = m["m00"]
@@ -173,7 +208,10 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     xx, yy, xy = m["mu20"] / mass - spread, m["mu02"] / mass - spread, m["mu11"] / mass
     ellipse = 4 * math.pi * math.sqrt(max(xx * yy - xy * xy, 0.0))
     inside = box[0] > 0 and box[1] > 0 and box[2] < width and box[3] < height
-    whole = inside and ellipse - area <= ROUGHNESS * area + ROUGHNESS_PX[rim] + NOISE_ROUGHNESS_PX * noise
+    whole = (
+        inside
+        and ellipse - area <= ROUGHNESS * area + ROUGHNESS_PX[rim] + NOISE_ROUGHNESS_PX * noise
+    )
     u, v = left + round(x), top + round(y)
     r, g, b, _ = cv2.mean(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2])
     hue_deg = 360 * colorsys.rgb_to_hsv(r, g, b)[0]  # mixing in white or grey does not change a hue
@@ -183,16 +221,20 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
 def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
     """Coverage of each pixel by a blob, 0..255, one pixel farther out than the thresholded mask.
 
-    The coverage of an edge pixel is its chroma over the mean chroma of the blob's own pixels next to it, which follows shading:
-    a fixed threshold would shift the centroid of a smoothed, shaded ball by .3 px towards the light. The chroma of the
-    background (a blue sky has 15) is subtracted: as coverage it would add a halo one pixel wide.
+    The coverage of an edge pixel is its chroma over the mean chroma of the blob's own pixels next
+    to it, which follows shading: a fixed threshold would shift the centroid of a smoothed, shaded
+    ball by .3 px towards the light. The chroma of the background (a blue sky has 15) is subtracted:
+    as coverage it would add a halo one pixel wide.
     """
     chroma = chroma - chroma.min()
     own = cv2.bitwise_and(chroma, alone)
     total = cv2.boxFilter(own, cv2.CV_32F, (3, 3), normalize=False)
     count = cv2.boxFilter(alone, cv2.CV_32F, (3, 3), normalize=False)
-    # chroma / (total / count); the small number keeps pixels without neighbours of the blob from dividing 0 by 0.
-    share = cv2.convertScaleAbs(cv2.divide(cv2.multiply(chroma, count, dtype=cv2.CV_32F), total + 1e-3))
+    # chroma / (total / count); the small number keeps pixels without neighbours of the blob from
+    # dividing 0 by 0.
+    share = cv2.convertScaleAbs(
+        cv2.divide(cv2.multiply(chroma, count, dtype=cv2.CV_32F), total + 1e-3)
+    )
     edge = share if rim == "grey" else cv2.threshold(share, 127, 255, cv2.THRESH_BINARY)[1]
     edge = cv2.bitwise_and(edge, cv2.dilate(alone, _NEIGHBOURS))
     # Inside, away from the edge, coverage is full whatever the shading.
@@ -200,11 +242,13 @@ def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
 
 
 def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
-    """Noisy coverage of each pixel by a blob in a noisy image, in units of 1/255; `found` is the blob's approximate mask.
+    """Noisy coverage of each pixel by a blob in a noisy image, in units of 1/255; `found` is the
+    blob's approximate mask.
 
-    The border is where the smoothed image has half of the local chroma; `binary` takes that alone. Otherwise the coverage of a
-    pixel next to the border is its own, unsmoothed chroma over the mean chroma of the blob's pixels next to it, both less the
-    background's. It may be below 0 or above 255: clipping would bias the mean.
+    The border is where the smoothed image has half of the local chroma; `binary` takes that alone.
+    Otherwise the coverage of a pixel next to the border is its own, unsmoothed chroma over the mean
+    chroma of the blob's pixels next to it, both less the background's. It may be below 0 or above
+    255: clipping would bias the mean.
     """
     smooth, raw = chroma(_smoothed(part)).astype(np.float32), chroma(part).astype(np.float32)
     near = cv2.dilate(found, _NEIGHBOURS)
@@ -223,5 +267,7 @@ def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
 
 
 def _smoothed(image: Image) -> Image:
-    """The image filtered by the binomial kernel (1, 2, 1)/4 in both directions, which leaves 3/8 of white noise."""
+    """The image filtered by the binomial kernel (1, 2, 1)/4 in both directions, which leaves 3/8 of
+    white noise.
+    """
     return np.asarray(cv2.GaussianBlur(image, (3, 3), 0), np.uint8)

@@ -1,17 +1,22 @@
-"""Derotation: image features of a tilted craft rotated into its level frame, by the roll and pitch of its IMU.
+"""Derotation: image features of a tilted craft rotated into its level frame, by the roll and pitch
+of its IMU.
 
-A multirotor tilts to accelerate; its camera then sees the world rotate, which a law of (vx, vy, vz, wz) takes for an error and
-answers with more acceleration. So goals, poses and interaction matrices are in the level frame, which shares the craft's position and
-heading, and rays are rotated into it. With phi = R_camera_base (roll, pitch, 0):
+A multirotor tilts to accelerate; its camera then sees the world rotate, which a law of (vx, vy, vz,
+wz) takes for an error and answers with more acceleration. So goals, poses and interaction matrices
+are in the level frame, which shares the craft's position and heading, and rays are rotated into it.
+With phi = R_camera_base (roll, pitch, 0):
 
-  exact        ray_level = R_level_camera ray, R_level_camera = R_camera_base Ry(pitch) Rx(roll) R_base_camera.
-  first_order  s_level = s - L_w phi, L_w the rotational columns of the interaction matrix at the measured s: those of the angles
-               (theta, phi) on the sphere, or of (x, y) for a pinhole. Good for small tilts away from the axis.
-  as_printed   the same with the matrix as printed (Corke 2017, section 16.4.3): its two rows are swapped, and that of phi
-               lacks 1/sin theta. For comparison only.
+  exact        ray_level = R_level_camera ray,
+               R_level_camera = R_camera_base Ry(pitch) Rx(roll) R_base_camera.
+  first_order  s_level = s - L_w phi, L_w the rotational columns of the interaction matrix at the
+               measured s: those of the angles (theta, phi) on the sphere, or of (x, y) for a
+               pinhole. Good for small tilts away from the axis.
+  as_printed   the same with the matrix as printed (Corke 2017, section 16.4.3): its two rows are
+               swapped, and that of phi lacks 1/sin theta. For comparison only.
 
-References: Hamel & Mahony 2002, doi:10.1109/TRA.2002.999647 (visual servoing of an underactuated craft, on the sphere); Lee, Ryan &
-Kim 2012, doi:10.1109/ICRA.2012.6225103 (virtual image plane); Corke 2017, doi:10.1007/978-3-319-54413-7.
+References: Hamel & Mahony 2002, doi:10.1109/TRA.2002.999647 (visual servoing of an underactuated
+craft, on the sphere); Lee, Ryan & Kim 2012, doi:10.1109/ICRA.2012.6225103 (virtual image plane);
+Corke 2017, doi:10.1007/978-3-319-54413-7.
 """
 
 from __future__ import annotations
@@ -30,16 +35,20 @@ _ANGLES, _PLANE = Spherical(), Point()
 
 
 def level_from_tilt(tilt: Array, R_base_camera: Array) -> Array:
-    """R_level_camera (3, 3): rotation from the camera's frame to that of the level craft's camera, for (roll, pitch) (2,) [rad]."""
+    """R_level_camera (3, 3): rotation from the camera's frame to that of the level craft's camera,
+    for (roll, pitch) (2,) [rad].
+    """
     (cr, cp), (sr, sp) = np.cos(tilt).tolist(), np.sin(tilt).tolist()
     R_level_base = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
     return R_base_camera.T @ R_level_base @ R_base_camera
 
 
 def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
-    """Twist (6,) of the level camera in its own frame, from the camera's (6,): same velocity, rotation by the heading's rate alone.
+    """Twist (6,) of the level camera in its own frame, from the camera's (6,): same velocity,
+    rotation by the heading's rate alone.
 
-    The heading's rate is w_z + w_x tan(pitch), with w the craft's angular velocity in level axes; tilt: roll and pitch (2,) [rad].
+    The heading's rate is w_z + w_x tan(pitch), with w the craft's angular velocity in level axes;
+    tilt: roll and pitch (2,) [rad].
     """
     R = level_from_tilt(tilt, R_base_camera)
     wx, _, wz = (R_base_camera @ R @ twist[3:]).tolist()
@@ -48,18 +57,32 @@ def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
     return np.concatenate([R @ twist[:3], heading * R_base_camera[2]])
 
 
-Trim = tuple[Array, int]  # estimated correction of the IMU's roll and pitch (2,) [rad], and the number of pictures that it is from
+# estimated correction of the IMU's roll and pitch (2,) [rad], and the number of pictures that it is
+# from
+Trim = tuple[Array, int]
 NO_TRIM: Trim = np.zeros(2), 0
 
 
-def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Array, R_base_camera: Array, gain: float) -> Trim:
-    """The trim after one more picture: it removes the steady tilt error of a biased accelerometer and averages image noise.
+def trimmed(
+    trim: Trim,
+    tilt: Array,
+    T_camera_target: Array,
+    T_goal_target: Array,
+    R_base_camera: Array,
+    gain: float,
+) -> Trim:
+    """The trim after one more picture: it removes the steady tilt error of a biased accelerometer
+    and averages image noise.
 
-    The goal view is that of a level craft, so it gives the direction of gravity in the target's frame, R_goal_target^T R_camera_base
-    (0, 0, -1), and the measured pose takes it to the camera's frame.   trim <- trim + k (tilt by the pose - tilt - trim).
+    The goal view is that of a level craft, so it gives the direction of gravity in the target's
+    frame, R_goal_target^T R_camera_base (0, 0, -1), and the measured pose takes it to the camera's
+    frame.
+
+    trim <- trim + k (tilt by the pose - tilt - trim).
 
     Args:
-        tilt: roll and pitch by the IMU, shape (2,) [rad]. R_base_camera: the mount's rotation (3, 3).
+        tilt: roll and pitch by the IMU, shape (2,) [rad]. R_base_camera: the mount's rotation (3,
+            3).
         gain: k of later pictures; the first ones are averaged.
     """
     down = R_base_camera.T @ np.array([0.0, 0.0, -1.0])
@@ -71,7 +94,9 @@ def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Arra
 
 
 def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Array:
-    """Unit rays (N, 3) in the level camera's frame from those in the camera's, for roll and pitch (2,) [rad]; NaN stays NaN."""
+    """Unit rays (N, 3) in the level camera's frame from those in the camera's, for roll and pitch
+    (2,) [rad]; NaN stays NaN.
+    """
     R = camera.mount.T[:3, :3]
     if how == "none":
         return ray
@@ -89,11 +114,19 @@ def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Arra
         level = np.column_stack([xy, one])
         out[seen] = level / np.linalg.norm(level, axis=1, keepdims=True)
         return out
-    s, L = _ANGLES.measure(rays).reshape(-1, 2), _ANGLES.interaction(rays, one).reshape(-1, 2, 6)[..., 3:]
+    s, L = (
+        _ANGLES.measure(rays).reshape(-1, 2),
+        _ANGLES.interaction(rays, one).reshape(-1, 2, 6)[..., 3:],
+    )
     if how == "as_printed":  # wrong, see the module's docstring
         (theta, phi), turn = s.T, turn[:2]
-        rows = [[np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)], [np.sin(phi), -np.cos(phi)]]
+        rows = [
+            [np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)],
+            [np.sin(phi), -np.cos(phi)],
+        ]
         L = np.ascontiguousarray(np.moveaxis(np.array(rows), -1, 0))
     theta, phi = (s - L @ turn).T
-    out[seen] = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    out[seen] = np.column_stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]
+    )
     return out

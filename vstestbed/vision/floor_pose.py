@@ -1,4 +1,6 @@
-"""Planar pose of a vehicle from the rays to landmarks of known height: its camera is upright over the floor."""
+"""Planar pose of a vehicle from the rays to landmarks of known height: its camera is upright over
+the floor.
+"""
 
 from __future__ import annotations
 
@@ -12,37 +14,51 @@ from vstestbed.vision.pnp import AT_THE_LENS
 
 ROUNDS = 12  # most Gauss-Newton steps; three or four suffice from the pose a frame ago
 SETTLED = 1e-10  # converged when a step is smaller than this [m, rad]
-LEVEL = 0.03  # least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance
+# least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance
+LEVEL = 0.03
 ALIKE = 1e-9  # errors below this [rad] are rounding
-FITS = 0.1  # a solution whose angular errors have a larger root mean square than this [rad] is rejected
+# a solution whose angular errors have a larger root mean square than this [rad] is rejected
+FITS = 0.1
 
 
-def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Array | None = None) -> Array | None:
-    """Planar pose (x, y, heading) of a base on the floor from N >= 1 rays; None where they leave it open.
+def solve_place(
+    rays: Array, points: Array, T_base_camera: Array, previous: Array | None = None
+) -> Array | None:
+    """Planar pose (x, y, heading) of a base on the floor from N >= 1 rays; None where they leave it
+    open.
 
-    Minimises the angles between the rays and the landmarks by Gauss-Newton, with two equations a landmark for three unknowns. With one
-    landmark the heading stays as it was (0 without a previous pose).
+    Minimises the angles between the rays and the landmarks by Gauss-Newton, with two equations a
+    landmark for three unknowns. With one landmark the heading stays as it was (0 without a previous
+    pose).
 
     Args:
-        rays: unit rays in the camera frame, shape (N, 3). points: the landmarks in the map's frame, z up from the floor (N, 3) [m].
-        T_base_camera: the camera's mount (4, 4); the base's origin is on the floor. previous: the planar pose a frame ago (3,) [m, rad].
-    Reference: virtual visual servoing (there with six unknowns): Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408.
+        rays: unit rays in the camera frame, shape (N, 3). points: the landmarks in the map's frame,
+            z up from the floor (N, 3) [m].
+        T_base_camera: the camera's mount (4, 4); the base's origin is on the floor. previous: the
+            planar pose a frame ago (3,) [m, rad].
+    Reference: virtual visual servoing (there with six unknowns): Marchand, Uchiyama & Spindler
+    2016, doi:10.1109/TVCG.2015.2513408.
     """
     d, origin = rays @ T_base_camera[:3, :3].T, T_base_camera[:3, 3]
-    # The previous pose may be a local minimum: the closed form competes with it, unless it leads to the same one.
+    # The previous pose may be a local minimum: the closed form competes with it, unless it leads to
+    # the same one.
     solved = [] if previous is None else [_refined(d, points, origin, previous)]
     guess = _by_height(d, points, origin)
-    if guess is not None and not (solved and np.abs(guess - solved[0][0]).max() < 0.05):  # within which it leads there, too [m, rad]
+    # within which it leads there, too [m, rad]
+    if guess is not None and not (solved and np.abs(guess - solved[0][0]).max() < 0.05):
         solved.append(_refined(d, points, origin, guess))
     if not solved:
         return None
-    # Of two that fit alike the first, which continues the previous pose: of two landmarks on one vertical every heading fits.
+    # Of two that fit alike the first, which continues the previous pose: of two landmarks on one
+    # vertical every heading fits.
     place, error = min(solved, key=lambda s: max(s[1], ALIKE))
     return place if error < FITS else None
 
 
 def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
-    """Initial guess: the points where rays reach their landmark's height, registered to the map by a planar rigid motion."""
+    """Initial guess: the points where rays reach their landmark's height, registered to the map by
+    a planar rigid motion.
+    """
     height = points[:, 2] - origin[2]
     usable = (np.abs(d[:, 2]) > LEVEL) & (height * d[:, 2] > 0)
     if not usable.any():
@@ -53,13 +69,16 @@ def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
     there = points[usable, :2]
     middle, goal = np.add.reduce(here) / len(here), np.add.reduce(there) / len(there)
     a, b = here - middle, there - goal
-    heading = math.atan2(np.add.reduce(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.add.reduce(a * b, axis=None))
+    heading = math.atan2(
+        np.add.reduce(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.add.reduce(a * b, axis=None)
+    )
     c, s = math.cos(heading), math.sin(heading)
     return np.array([*(goal - np.array([[c, -s], [s, c]]) @ middle), heading])
 
 
 def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Array, float]:
-    """Gauss-Newton from an initial planar pose: the pose, and the root mean square of its angular errors [rad].
+    """Gauss-Newton from an initial planar pose: the pose, and the root mean square of its angular
+    errors [rad].
 
     p = R(heading)^T (m - (x, y)) - o is a landmark m relative to the lens at o;  dp/d(x, y) = -R^T,
     dp/dheading = R'^T (m - (x, y)), and the error is the component of p/|p| orthogonal to the ray.
@@ -71,14 +90,17 @@ def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Arra
     for _ in range(ROUNDS):
         e, J = _errors(d, across, points, origin, place)
         error = math.sqrt(float(e @ e) / len(points))
-        step = np.linalg.lstsq(J[:, :unknowns], -e, rcond=1e-4)[0]  # two landmarks on one vertical leave the heading open
+        # two landmarks on one vertical leave the heading open
+        step = np.linalg.lstsq(J[:, :unknowns], -e, rcond=1e-4)[0]
         place[:unknowns] += step
         if np.abs(step).max() < SETTLED:
             break
     return place, error
 
 
-def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array) -> tuple[Array, Array]:
+def _errors(
+    d: Array, across: Array, points: Array, origin: Array, place: Array
+) -> tuple[Array, Array]:
     """Errors (3 N,) [1] and their Jacobian (3 N, 3) by (x, y, heading)."""
     c, s = math.cos(place[2]), math.sin(place[2])
     x, y = (points[:, :2] - place[:2]).T
@@ -98,17 +120,26 @@ def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array)
     return e.ravel(), (across @ dunit).reshape(-1, 3)
 
 
-def pose_on_floor(rays: Array, points: Array, T_base_camera: Array, T_world_target: Array, predicted: Array | None) -> Array | None:
-    """The pose T_camera_target (4, 4) for a base that stands upright on the floor; None where the rays do not determine it.
+def pose_on_floor(
+    rays: Array, points: Array, T_base_camera: Array, T_world_target: Array, predicted: Array | None
+) -> Array | None:
+    """The pose T_camera_target (4, 4) for a base that stands upright on the floor; None where the
+    rays do not determine it.
 
-    As `solve_place`, with points (n, 3) in the target's frame [m], and T_camera_target predicted (4, 4) or None.
+    As `solve_place`, with points (n, 3) in the target's frame [m], and T_camera_target predicted
+    (4, 4) or None.
     """
-    before = None if predicted is None else place_of(T_world_target @ inverse(T_base_camera @ predicted))
+    before = (
+        None if predicted is None else place_of(T_world_target @ inverse(T_base_camera @ predicted))
+    )
     place = solve_place(rays, transform(T_world_target, points), T_base_camera, before)
-    return None if place is None else inverse(pose_on_ground(place) @ T_base_camera) @ T_world_target
+    return (
+        None if place is None else inverse(pose_on_ground(place) @ T_base_camera) @ T_world_target
+    )
 
 
-# Planar pose of a ground vehicle: odometry, corrected by a compass and by landmarks (complementary filter).
+# Planar pose of a ground vehicle: odometry, corrected by a compass and by landmarks (complementary
+# filter).
 COMPASS_S = 0.5  # time constant with which the heading by odometry follows the compass [s]
 LANDMARKS_S = 0.25  # time constant with which the position by odometry follows the landmarks [s]
 
@@ -119,18 +150,26 @@ def corrections(dt: float) -> Array:
 
 
 def fused_place(
-    predicted: Array | None, T_map_camera: Array | None, T_base_camera: Array, compass: float | None, gains: Array
+    predicted: Array | None,
+    T_map_camera: Array | None,
+    T_base_camera: Array,
+    compass: float | None,
+    gains: Array,
 ) -> Array | None:
     """Planar pose (x, y, heading) of a vehicle; None where it has never been known.
 
-    heading <- heading + k_c wrap(compass - heading),   (x, y) <- (x, y) + k_l ((x, y) by landmarks - (x, y))
+    heading <- heading + k_c wrap(compass - heading),
+    (x, y)  <- (x, y) + k_l ((x, y) by landmarks - (x, y))
 
-    The landmarks give the position of the lens whatever the heading is; that of the base follows from it by the mount's lever
-    arm at the filtered heading. Noise is averaged by the filter; biases of compass and landmarks remain.
+    The landmarks give the position of the lens whatever the heading is; that of the base follows
+    from it by the mount's lever arm at the filtered heading. Noise is averaged by the filter;
+    biases of compass and landmarks remain.
 
     Args:
-        predicted: by odometry from the last frame (3,) [m, rad]; None where it was not known then. gains: k_c, k_l of this frame (2,).
-        T_map_camera: camera pose by the landmarks (4, 4); None where they are not seen. T_base_camera: the mount (4, 4).
+        predicted: by odometry from the last frame (3,) [m, rad]; None where it was not known then.
+            gains: k_c, k_l of this frame (2,).
+        T_map_camera: camera pose by the landmarks (4, 4); None where they are not seen.
+            T_base_camera: the mount (4, 4).
         compass: measured heading [rad]; None without a compass.
     """
     known = predicted if T_map_camera is None else place_of(T_map_camera @ inverse(T_base_camera))
@@ -138,7 +177,11 @@ def fused_place(
         return None
     heading = float(known[2])
     if compass is not None:
-        heading = compass if predicted is None else float(predicted[2] + gains[0] * wrapped(compass - predicted[2]))
+        heading = (
+            compass
+            if predicted is None
+            else float(predicted[2] + gains[0] * wrapped(compass - predicted[2]))
+        )
     if T_map_camera is None:
         return np.array([known[0], known[1], heading])
     lever = pose_on_ground(np.array([0.0, 0.0, heading])) @ T_base_camera[:, 3]

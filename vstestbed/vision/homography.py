@@ -1,4 +1,6 @@
-"""Homography between two views of a plane, and the rotation between the cameras from its decomposition."""
+"""Homography between two views of a plane, and the rotation between the cameras from its
+decomposition.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +11,28 @@ from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Relative
 
 OPEN = 0.01
-"""Share of the largest singular value below which one counts as zero: with three of four points collinear, .3 px of noise makes
-.004; a square has .35, tilted by 70 degrees .1."""
+"""Share of the largest singular value below which one counts as zero: with three of four points
+collinear, .3 px of noise makes .004; a square has .35, tilted by 70 degrees .1.
+"""
 
 
 def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | None:
-    """The Euclidean homography H = R + t n^T / d from the goal's view to this one, and R; None where the points leave it open.
+    """The Euclidean homography H = R + t n^T / d from the goal's view to this one, and R; None
+    where the points leave it open.
 
-    H maps m* (goal, normalised, third coordinate 1) to (Z/Z*) m: its scale is the one that makes the middle singular value 1, its sign the
-    one that keeps the points in front of the camera. (OpenCV's own decomposition gives NaN at some half turns and loses half of the digits
-    near the goal.) Points of which all but one are collinear in one of the views, such as a plane seen edge-on, leave it open.
+    H maps m* (goal, normalised, third coordinate 1) to (Z/Z*) m: its scale is the one that makes
+    the middle singular value 1, its sign the one that keeps the points in front of the camera.
+    (OpenCV's own decomposition gives NaN at some half turns and loses half of the digits near the
+    goal.) Points of which all but one are collinear in one of the views, such as a plane seen
+    edge-on, leave it open.
 
     Args:
-        goal_xy, xy: normalised coordinates of N >= 4 points of one plane in either view (N, 2); NaN where not seen.
-        goal_normal: unit normal (3,) of the plane in the goal's frame, pointing away from the camera.
-    Reference: Ma, Soatto, Kosecka & Sastry 2004, An Invitation to 3-D Vision, section 5.3.3, doi:10.1007/978-0-387-21779-6.
+        goal_xy, xy: normalised coordinates of N >= 4 points of one plane in either view (N, 2); NaN
+            where not seen.
+        goal_normal: unit normal (3,) of the plane in the goal's frame, pointing away from the
+            camera.
+    Reference: Ma, Soatto, Kosecka & Sastry 2004, An Invitation to 3-D Vision, section 5.3.3,
+    doi:10.1007/978-0-387-21779-6.
     """
     seen = np.isfinite(xy[:, 0]) & np.isfinite(goal_xy[:, 0])
     if np.count_nonzero(seen) < 4:
@@ -41,11 +50,13 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
 
 
 def homography(a: Array, b: Array, least: float) -> Array | None:
-    """The homography (3, 3) from points a to points b (N, 2), N >= 4, up to its factor; None where they leave it open.
+    """The homography (3, 3) from points a to points b (N, 2), N >= 4, up to its factor; None where
+    they leave it open.
 
-    The normalised direct linear transformation: the right singular vector of the smallest singular value of b_i x H a_i = 0. (OpenCV
-    takes the points in single precision, which costs half of the digits.) H is open if two of the nine singular values are below the
-    share `least` of the largest.
+    The normalised direct linear transformation: the right singular vector of the smallest singular
+    value of b_i x H a_i = 0. (OpenCV takes the points in single precision, which costs half of the
+    digits.) H is open if two of the nine singular values are below the share `least` of the
+    largest.
     Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
     """
     (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)
@@ -60,9 +71,14 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
 
 
 def left_open(a: Array, b: Array) -> NDArray[np.bool_]:
-    """Whether points a, b (..., N, 2) of two views leave their homography open: two of nine singular values are (nearly) zero."""
+    """Whether points a, b (..., N, 2) of two views leave their homography open: two of nine
+    singular values are (nearly) zero.
+    """
     (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)
-    s = np.linalg.svd(_equations(*np.broadcast_arrays((a - a_mean) / a_size, (b - b_mean) / b_size)), compute_uv=False)
+    s = np.linalg.svd(
+        _equations(*np.broadcast_arrays((a - a_mean) / a_size, (b - b_mean) / b_size)),
+        compute_uv=False,
+    )
     return np.asarray(s[..., 7] <= OPEN * s[..., 0])
 
 
@@ -77,18 +93,24 @@ def _equations(a: Array, b: Array) -> Array:
 
 
 def _scaling(xy: Array) -> tuple[Array, Array]:
-    """Mean (..., 1, 2) and root mean square distance from it (..., 1, 1) of points (..., N, 2): Hartley's normalisation."""
+    """Mean (..., 1, 2) and root mean square distance from it (..., 1, 1) of points (..., N, 2):
+    Hartley's normalisation.
+    """
     mean = np.add.reduce(xy, axis=-2, keepdims=True) / xy.shape[-2]
     size2 = np.add.reduce((xy - mean) ** 2, axis=(-2, -1), keepdims=True) / xy.shape[-2]
     return mean, np.maximum(np.sqrt(size2), 1e-12)
 
 
 def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
-    """R of H = R + t n^T/d: with v1, v2, v3 the right singular vectors of H and 1 the middle singular value,
+    """R of H = R + t n^T/d: with v1, v2, v3 the right singular vectors of H and 1 the middle
+    singular value,
 
-    n = v2 x u,  R = [H v2, H u, H v2 x H u] [v2, u, v2 x u]^T,  u = (a v1 +- b v3)/sqrt(a^2 + b^2),  a^2 = 1 - s3^2, b^2 = s1^2 - 1.
-    H preserves the lengths of v2 and u, which lie in the plane. Of the two solutions that one is taken which has all points before the
-    camera and its normal nearest to the goal's. A pure rotation has no normal, and any u gives R.
+    n = v2 x u,  R = [H v2, H u, H v2 x H u] [v2, u, v2 x u]^T,
+    u = (a v1 +- b v3)/sqrt(a^2 + b^2),  a^2 = 1 - s3^2, b^2 = s1^2 - 1.
+
+    H preserves the lengths of v2 and u, which lie in the plane. Of the two solutions that one is
+    taken which has all points before the camera and its normal nearest to the goal's. A pure
+    rotation has no normal, and any u gives R.
     """
     (s1, _, s3), Vt = np.linalg.svd(H)[1:]
     v1, v2, v3 = Vt
@@ -98,14 +120,20 @@ def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
     solutions = []
     for u in (a * v1 + b * v3, a * v1 - b * v3):
         n = np.cross(v2, u)
-        # n . m > 0 of a point m of the plane: n points away from the camera. Far off the axis its z may be negative.
+        # n . m > 0 of a point m of the plane: n points away from the camera. Far off the axis its z
+        # may be negative.
         sides = goal_xy @ n[:2] + n[2]
         n = n if sides.sum() > 0 else -n
         visible = sides.min() > 0 or sides.max() < 0
-        # n . n* lies in -1..1, so a penalty of 2 ranks every invisible plane behind every visible one.
+        # n . n* lies in -1..1, so a penalty of 2 ranks every invisible plane behind every visible
+        # one.
         solutions.append((float(n @ goal_normal) - (0.0 if visible else 2.0), u))
     u = max(solutions, key=lambda solution: solution[0])[1]
-    plane, seen = np.stack([v2, u, np.cross(v2, u)]), np.stack([H @ v2, H @ u, np.cross(H @ v2, H @ u)])
-    # The nearest rotation to the product: rounding in v2 and u would leave it slightly off orthogonal.
+    plane, seen = (
+        np.stack([v2, u, np.cross(v2, u)]),
+        np.stack([H @ v2, H @ u, np.cross(H @ v2, H @ u)]),
+    )
+    # The nearest rotation to the product: rounding in v2 and u would leave it slightly off
+    # orthogonal.
     U, _, Wt = np.linalg.svd(seen.T @ plane)
     return U @ Wt

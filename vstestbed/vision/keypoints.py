@@ -1,4 +1,6 @@
-"""Natural features: key points matched between the goal's picture and this one, in place of markers."""
+"""Natural features: key points matched between the goal's picture and this one, in place of
+markers.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,17 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView, goal_of_points, points_of
-from vstestbed.vision.local_features import KEYPOINTS, Extractor, Features, Matcher, Sift, extracted, grey, matched, mutual_matches
+from vstestbed.vision.local_features import (
+    KEYPOINTS,
+    Extractor,
+    Features,
+    Matcher,
+    Sift,
+    extracted,
+    grey,
+    matched,
+    mutual_matches,
+)
 
 
 @spec
@@ -33,18 +45,20 @@ class NoTracking:
 class Klt:
     """Points are followed from picture to picture by pyramidal Lucas-Kanade, there and back again.
 
-    Of every `redetect_every`-th picture, and where fewer than `keep` points are left, key points are matched with the goal's
-    again: points that were followed stay, and empty rows are filled.
+    Of every `redetect_every`-th picture, and where fewer than `keep` points are left, key points
+    are matched with the goal's again: points that were followed stay, and empty rows are filled.
 
     Args:
         redetect_every: pictures from one matching with the goal's picture to the next [1].
-        keep: points below which they are matched again at once [1]; none: half of the detector's `best`, but not under `least`;
-            e.g. `12`.
+        keep: points below which they are matched again at once [1]; none: half of the detector's
+            `best`, but not under `least`; e.g. `12`.
         window_px: side of the window round each point [px].
-        astray_px: largest distance of a point, followed there and back again, from where it was [px].
+        astray_px: largest distance of a point, followed there and back again, from where it was
+            [px].
 
-    References: Lucas & Kanade 1981; Bouguet 2000, Pyramidal implementation of the Lucas Kanade feature tracker; Kalal, Mikolajczyk &
-    Matas 2010, doi:10.1109/ICPR.2010.675 (there and back again).
+    References: Lucas & Kanade 1981; Bouguet 2000, Pyramidal implementation of the Lucas Kanade
+    feature tracker; Kalal, Mikolajczyk & Matas 2010, doi:10.1109/ICPR.2010.675 (there and back
+    again).
     """
 
     kind: Literal["klt"] = "klt"
@@ -59,17 +73,27 @@ Tracking = Annotated[NoTracking | Klt, TRACKS]
 
 
 def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Array) -> Array:
-    """Where points uv (K, 2) are in the picture now, by the brightness (H, W) before and now; NaN where they are lost, or were."""
+    """Where points uv (K, 2) are in the picture now, by the brightness (H, W) before and now; NaN
+    where they are lost, or were.
+    """
     known = np.isfinite(uv).all(axis=1)
     out = np.full(uv.shape, np.nan)
     if not known.any():
         return out
     size, start = (klt.window_px, klt.window_px), uv[known].astype(np.float32)[:, None]
     # Three levels of the pyramid besides the picture itself: a window reaches 2^3 times as far.
-    there, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=size, maxLevel=3)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, now, start, start.copy(), winSize=size, maxLevel=3
+    )
     # Back from where it began: a point that is another now does not stay there.
     back, returned, _ = cv2.calcOpticalFlowPyrLK(
-        now, before, there, start.copy(), winSize=size, maxLevel=1, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+        now,
+        before,
+        there,
+        start.copy(),
+        winSize=size,
+        maxLevel=1,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
     aside = np.linalg.norm((back - start)[:, 0], axis=1)
     height, width = now.shape
@@ -91,30 +115,52 @@ def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, in
 HALF = 10  # half the side of a patch, without its middle [px of the goal's picture]
 ROUNDS, SETTLED_PX = 8, 0.005  # most Gauss-Newton steps, and the step under which none follows [px]
 ALIKE = 0.8  # least correlation of a patch with the goal's [1]
-TEXTURE = 1e-3  # least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an edge alone is no place
+# least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an
+# edge alone is no place
+TEXTURE = 1e-3
 
 
 def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """A picture (H, W) as `refined` takes it: not filtered, interpolation between pixels would add a bias."""
+    """A picture (H, W) as `refined` takes it: not filtered, interpolation between pixels would add
+    a bias.
+    """
     return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8), np.float32)
 
 
-def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Array, uv: Array, A: Array) -> Array:
-    """Places (K, 2) at which the patches round uv_goal (K, 2) of the goal's picture are found; NaN where not alike, or cut by a border.
+def refined(
+    goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Array, uv: Array, A: Array
+) -> Array:
+    """Places (K, 2) at which the patches round uv_goal (K, 2) of the goal's picture are found; NaN
+    where not alike, or cut by a border.
 
-    Minimises over d the squared difference of I(uv + A (x + d)) and I*(uv_goal + x) over the patch's pixels x, both less their mean and
-    over their standard deviation, so that brightness and contrast may differ: Gauss-Newton with the goal's gradient (inverse
-    compositional Lucas-Kanade). Pictures (H, W) as of `smooth`; A: d uv / d uv_goal (K, 2, 2) of the map between them at each point.
+    Minimises over d the squared difference of I(uv + A (x + d)) and I*(uv_goal + x) over the
+    patch's pixels x, both less their mean and over their standard deviation, so that brightness and
+    contrast may differ: Gauss-Newton with the goal's gradient (inverse compositional Lucas-Kanade).
+    Pictures (H, W) as of `smooth`; A: d uv / d uv_goal (K, 2, 2) of the map between them at each
+    point.
     Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     """
-    x = np.stack(np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0)), axis=-1).reshape(-1, 2)
+    x = np.stack(
+        np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0)), axis=-1
+    ).reshape(-1, 2)
     template, contrast = _normalised(_sampled(goal, uv_goal[:, None] + x))
-    gradient = np.stack([(_sampled(goal, uv_goal[:, None] + x + s) - _sampled(goal, uv_goal[:, None] + x - s)) / 2 for s in np.eye(2)], -1)
+    gradient = np.stack(
+        [
+            (_sampled(goal, uv_goal[:, None] + x + s) - _sampled(goal, uv_goal[:, None] + x - s))
+            / 2
+            for s in np.eye(2)
+        ],
+        -1,
+    )
     gradient = gradient - gradient.mean(axis=1, keepdims=True)
     normal = gradient.mT @ gradient
     least, most = np.linalg.eigvalsh(normal).T
     # textured: with structure in both directions
-    usable = (least > np.maximum(TEXTURE * most, 1e-3)) & np.isfinite(A).all(axis=(1, 2)) & np.isfinite(uv).all(axis=1)
+    usable = (
+        (least > np.maximum(TEXTURE * most, 1e-3))
+        & np.isfinite(A).all(axis=(1, 2))
+        & np.isfinite(uv).all(axis=1)
+    )
     normal[~usable] = np.eye(2)
     over = np.einsum("kij,pj->kpi", np.where(usable[:, None, None], A, np.eye(2)), x)
     start, A = np.where(usable[:, None], uv, 0.0), np.where(usable[:, None, None], A, 0.0)
@@ -123,24 +169,34 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
     for _ in range(ROUNDS):
         patch, _ = _normalised(_sampled(image, at[:, None] + over))
         alike = np.mean(patch * template, axis=1)
-        d = np.linalg.solve(normal, np.einsum("kpi,kp->ki", gradient, (patch - template) * contrast[:, None])[..., None])
+        d = np.linalg.solve(
+            normal,
+            np.einsum("kpi,kp->ki", gradient, (patch - template) * contrast[:, None])[..., None],
+        )
         step = (A @ d)[..., 0]
         at = at - step
         if np.abs(step).max(initial=0.0) < SETTLED_PX:
             break
     usable &= _inside(goal, uv_goal[:, None] + x) & _inside(image, at[:, None] + over)
-    found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < 3.0)  # farther away it has found something else
+    # farther away it has found something else
+    found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < 3.0)
     return np.where(found[:, None], at, np.nan)
 
 
 def whole(image: NDArray[Any], uv_goal: Array, uv: Array, A: Array) -> NDArray[np.bool_]:
-    """Which patches (K,) lie wholly in both pictures, of the size (H, W) of `image`; uv_goal, uv and A as of `refined`."""
+    """Which patches (K,) lie wholly in both pictures, of the size (H, W) of `image`; uv_goal, uv
+    and A as of `refined`.
+    """
     corners = HALF * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return _inside(image, uv_goal[:, None] + corners) & _inside(image, uv[:, None] + np.einsum("kij,pj->kpi", A, corners))
+    return _inside(image, uv_goal[:, None] + corners) & _inside(
+        image, uv[:, None] + np.einsum("kij,pj->kpi", A, corners)
+    )
 
 
 def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
-    """Brightness (K, P) at uv (K, P, 2), linear between pixels (OpenCV rounds to a 32nd of one); outside, that of the border."""
+    """Brightness (K, P) at uv (K, P, 2), linear between pixels (OpenCV rounds to a 32nd of one);
+    outside, that of the border.
+    """
     height, width = image.shape
     u, v = np.clip(uv[..., 0], 0, width - 1.001), np.clip(uv[..., 1], 0, height - 1.001)
     i, j = u.astype(np.intp), v.astype(np.intp)
@@ -156,31 +212,46 @@ def _inside(image: NDArray[Any], uv: Array) -> NDArray[np.bool_]:
 
 
 def _normalised(patches: Array) -> tuple[Array, Array]:
-    """Patches (K, P) less their mean and over their standard deviation (K,), and that; a flat one stays zero."""
+    """Patches (K, P) less their mean and over their standard deviation (K,), and that; a flat one
+    stays zero.
+    """
     off = patches - patches.mean(axis=1, keepdims=True)
     contrast = np.sqrt(np.mean(off**2, axis=1))
     return off / np.maximum(contrast, 1e-6)[:, None], contrast
 
 
-# The homography between two views of one plane, robust against wrong matches, for any lens with one image.
-LEAST_INLIERS = 8  # a homography has eight unknowns; one that fewer pairs agree with may be a chance
+# The homography between two views of one plane, robust against wrong matches, for any lens with one
+# image.
+LEAST_INLIERS = (
+    8  # a homography has eight unknowns; one that fewer pairs agree with may be a chance
+)
 
 
 def map_derivatives(camera: Camera, H: Array, uv_goal: Array) -> Array:
-    """How the homography H of rays, r ~ H r*, turns, stretches and shears the picture at uv_goal (K, 2): d uv / d uv_goal (K, 2, 2)."""
+    """How the homography H of rays, r ~ H r*, turns, stretches and shears the picture at uv_goal
+    (K, 2): d uv / d uv_goal (K, 2, 2).
+    """
     steps = 0.5 * np.eye(2)  # [px]
-    ahead, back = (camera.project(camera.ray(uv_goal[:, None] + sign * steps) @ H.T) for sign in (1, -1))  # (K, 2 directions, 2)
+    # (K, 2 directions, 2)
+    ahead, back = (
+        camera.project(camera.ray(uv_goal[:, None] + sign * steps) @ H.T) for sign in (1, -1)
+    )
     return (ahead - back).mT
 
 
-def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> tuple[Array, NDArray[np.bool_]] | None:
-    """The homography H (3, 3) of rays with which the most pairs uv_goal (M, 2), uv (M, 2) agree, and which do (M,); None where too few do.
+def planar_map(
+    camera: Camera, uv_goal: Array, uv: Array, within_px: float
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """The homography H (3, 3) of rays with which the most pairs uv_goal (M, 2), uv (M, 2) agree,
+    and which do (M,); None where too few do.
 
     It maps the rays of a plane's points in the goal's picture to those in another, r ~ H r*.
 
-    By random samples and a local optimisation of the best (LO-RANSAC with truncated squares), in the picture of a camera without
-    distortion. Pairs agree if they are within `within_px` of the map there, at the scale of the picture's middle [px].
-    Reference: Chum, Matas & Kittler 2003, doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000, doi:10.1006/cviu.1999.0832.
+    By random samples and a local optimisation of the best (LO-RANSAC with truncated squares), in
+    the picture of a camera without distortion. Pairs agree if they are within `within_px` of the
+    map there, at the scale of the picture's middle [px].
+    Reference: Chum, Matas & Kittler 2003, doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000,
+    doi:10.1006/cviu.1999.0832.
     """
     f = _px_per_unit(camera)
     a, b = camera.normalise(uv_goal), camera.normalise(uv)
@@ -190,7 +261,8 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     method = cv2.UsacParams()
     method.threshold, method.confidence, method.maxIterations = within_px, 0.9999, 5000
     method.randomGeneratorState = 1  # a seed, so that a run repeats
-    H, mask = cv2.findHomography(f * a[usable], f * b[usable], method)  # in pixels: of smaller numbers it loses its way
+    # in pixels: of smaller numbers it loses its way
+    H, mask = cv2.findHomography(f * a[usable], f * b[usable], method)
     if H is None or mask is None or np.count_nonzero(mask) < LEAST_INLIERS:
         return None
     agree = np.zeros(len(a), dtype=bool)
@@ -201,16 +273,21 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     return H * np.sign(np.median(ahead)), agree
 
 
-def of_one_motion(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> NDArray[np.bool_] | None:
-    """Which pairs uv_goal (M, 2), uv (M, 2) obey r' E r* = 0 for one essential matrix E, to within_px of its lines; None with under five.
-    OpenCV's RANSAC over the five-point algorithm (Nister 2004, doi:10.1109/TPAMI.2004.17), confidence 0.999.
+def of_one_motion(
+    camera: Camera, uv_goal: Array, uv: Array, within_px: float
+) -> NDArray[np.bool_] | None:
+    """Which pairs uv_goal (M, 2), uv (M, 2) obey r' E r* = 0 for one essential matrix E, to
+    within_px of its lines; None with under five. OpenCV's RANSAC over the five-point algorithm
+    (Nister 2004, doi:10.1109/TPAMI.2004.17), confidence 0.999.
     """
     a, b = camera.normalise(uv_goal), camera.normalise(uv)
     usable = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     if np.count_nonzero(usable) < 5:
         return None
     f = _px_per_unit(camera)
-    _, mask = cv2.findEssentialMat(f * a[usable], f * b[usable], np.diag([f, f, 1.0]), cv2.RANSAC, 0.999, within_px)
+    _, mask = cv2.findEssentialMat(
+        f * a[usable], f * b[usable], np.diag([f, f, 1.0]), cv2.RANSAC, 0.999, within_px
+    )
     agree = np.zeros(len(a), dtype=bool)
     agree[usable] = False if mask is None else mask.ravel() > 0
     return agree
@@ -223,7 +300,9 @@ def _px_per_unit(camera: Camera) -> float:
 
 
 def spread_out(uv: Array, most: int, first: int = 0) -> NDArray[np.intp]:
-    """Indices of at most `most` of the points uv (M, 2): the `first` ones, then always the farthest from all chosen, in this order."""
+    """Indices of at most `most` of the points uv (M, 2): the `first` ones, then always the farthest
+    from all chosen, in this order.
+    """
     chosen = list(range(min(first, most)))
     far = np.full(len(uv), np.inf)
     for k in chosen:
@@ -242,8 +321,10 @@ class Slots:
     """K rows of points that are matched with the goal's picture.
 
     Attributes:
-        uv_goal, uv: where each is in the goal's picture and in this one (K, 2) [px]; NaN in an empty row.
-        ids: number of the point in each row (K,), -1 in an empty row; a point that comes to a row gets a new one, `next_id`.
+        uv_goal, uv: where each is in the goal's picture and in this one (K, 2) [px]; NaN in an
+            empty row.
+        ids: number of the point in each row (K,), -1 in an empty row; a point that comes to a row
+            gets a new one, `next_id`.
     """
 
     uv_goal: Array
@@ -264,9 +345,12 @@ class Slots:
     def placed(self, uv_goal: Array, uv: Array) -> Slots:
         """The rows with these M <= K points (M, 2) in place of the present ones.
 
-        Those that are there already, by their place in the goal's picture, keep their row and number; the others come into free rows.
+        Those that are there already, by their place in the goal's picture, keep their row and
+        number; the others come into free rows.
         """
-        rows = {tuple(place): k for k, place in enumerate(self.uv_goal.tolist()) if self.ids[k] >= 0}
+        rows = {
+            tuple(place): k for k, place in enumerate(self.uv_goal.tolist()) if self.ids[k] >= 0
+        }
         made = Slots.empty(len(self.ids))
         at = np.array([rows.get(tuple(place), -1) for place in uv_goal.tolist()], dtype=np.intp)
         ids = np.where(at >= 0, self.ids[at], -1)
@@ -281,7 +365,9 @@ class Slots:
         """The same points at uv (K, 2); those with NaN leave their rows."""
         stays = self.taken & np.isfinite(uv).all(axis=1)
         goal = np.where(stays[:, None], self.uv_goal, np.nan)
-        return Slots(goal, np.where(stays[:, None], uv, np.nan), np.where(stays, self.ids, -1), self.next_id)
+        return Slots(
+            goal, np.where(stays[:, None], uv, np.nan), np.where(stays, self.ids, -1), self.next_id
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,9 +375,12 @@ class KeypointsState:
     """State of the detector in a run to one goal.
 
     Attributes:
-        goal: the goal view, with its picture. smooth: its brightness, as the patches are taken from it. slots: the reported points.
-        learned: the goal picture's key points uv (R, 2) and descriptors (R, D); None of features that match pictures themselves.
-        last: brightness of the last picture, where points are followed from there; since: pictures since the last matching.
+        goal: the goal view, with its picture. smooth: its brightness, as the patches are taken from
+            it. slots: the reported points.
+        learned: the goal picture's key points uv (R, 2) and descriptors (R, D); None of features
+            that match pictures themselves.
+        last: brightness of the last picture, where points are followed from there; since: pictures
+            since the last matching.
     """
 
     goal: Goal
@@ -304,35 +393,46 @@ class KeypointsState:
 
 @spec
 class Keypoints(DetectorBase):
-    """Points of the scene itself, found again by their surroundings: no markers are needed, and the target's are not looked for.
+    """Points of the scene itself, found again by their surroundings: no markers are needed, and the
+    target's are not looked for.
 
-    The points are others in every picture, so the detection holds the goal's view of the points in its `best` rows; empty rows are NaN.
-    Where fewer than `least` are found, nothing is reported, and the law rests, or coasts where it can.
+    The points are others in every picture, so the detection holds the goal's view of the points in
+    its `best` rows; empty rows are NaN. Where fewer than `least` are found, nothing is reported,
+    and the law rests, or coasts where it can.
 
-    - Key points of both pictures (`features`) are matched by their descriptors, if each is the other's nearest.
-    - With `ransac: homography` those pairs count that agree with one plane, with `essential` those that agree with one motion of the
-    camera before a still scene.
+    - Key points of both pictures (`features`) are matched by their descriptors, if each is the
+      other's nearest.
+    - With `ransac: homography` those pairs count that agree with one plane, with `essential` those
+    that agree with one motion of the camera before a still scene.
     - The best of them, or well spread ones, are chosen.
-    - With `subpixel` the patch round each point of the goal's picture is laid over this one, with its scale, turn and perspective from
-    the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). Patches that are not alike, or cut by a border, are replaced.
+    - With `subpixel` the patch round each point of the goal's picture is laid over this one, with
+    its scale, turn and perspective from the homography: 0.02 px in place of 0.1 (SIFT) to 1 px
+    (ORB). Patches that are not alike, or cut by a border, are replaced.
 
-    Depths in the goal's view are those of the target's plane, or of a depth camera. Of points beyond the target, such as the floor's,
-    the plane's are wrong, hence `within: board`.
+    Depths in the goal's view are those of the target's plane, or of a depth camera. Of points
+    beyond the target, such as the floor's, the plane's are wrong, hence `within: board`.
 
     Args:
-        features: what finds, describes and matches key points: `sift`, `orb`, `akaze`, or a plugin's.
+        features: what finds, describes and matches key points: `sift`, `orb`, `akaze`, or a
+            plugin's.
         best: most points that are reported, the number of rows [1].
-        least: fewest points that are reported; with fewer nothing is seen [1]. With `ransac: homography` eight must agree with one plane
-            besides, of which `best` are reported.
-        choose: which of the matched points: the `distance` of whose descriptors is least, or those that are `spread` over the picture.
-        ratio: a match counts only if its distance is under this share of the distance to the second nearest [1]; none: all
-            mutual matches count; e.g. `0.8`.
-        ransac: which matches count: those on one plane (`homography`), those that obey the epipolar constraint of one motion
-            (`essential`), or all (`none`).
-        ransac_px: how far a match may be from where the homography maps it, or from its epipolar line [px].
-        subpixel: measure places below a pixel by patches; needs eight matches on one plane, without which places stay as they are.
-        within: which part of the goal's picture is used: all of it (`picture`), or that which shows the target's board (`board`).
-        track: whether points are followed from picture to picture, and matched again now and then: `none` or `klt`.
+        least: fewest points that are reported; with fewer nothing is seen [1]. With
+            `ransac: homography` eight must agree with one plane besides, of which `best` are
+            reported.
+        choose: which of the matched points: the `distance` of whose descriptors is least, or those
+            that are `spread` over the picture.
+        ratio: a match counts only if its distance is under this share of the distance to the second
+            nearest [1]; none: all mutual matches count; e.g. `0.8`.
+        ransac: which matches count: those on one plane (`homography`), those that obey the epipolar
+            constraint of one motion (`essential`), or all (`none`).
+        ransac_px: how far a match may be from where the homography maps it, or from its epipolar
+            line [px].
+        subpixel: measure places below a pixel by patches; needs eight matches on one plane, without
+            which places stay as they are.
+        within: which part of the goal's picture is used: all of it (`picture`), or that which shows
+            the target's board (`board`).
+        track: whether points are followed from picture to picture, and matched again now and then:
+            `none` or `klt`.
     """
 
     kind: Literal["keypoints"] = "keypoints"
@@ -353,14 +453,21 @@ class Keypoints(DetectorBase):
     def __post_init__(self) -> None:
         check_ordered(self, "least", "best")
         if isinstance(self.track, Klt) and (self.track.keep or 0) > self.best:
-            raise ParameterError.bound("track.keep", "at most", f"best = {self.best}", self.track.keep)
+            raise ParameterError.bound(
+                "track.keep", "at most", f"best = {self.best}", self.track.keep
+            )
         if self.ratio is not None and self._extractor is None:
-            words = f"compares descriptors, and features {self.features.kind} match pictures by themselves; leave it out"
+            words = (
+                "compares descriptors,"
+                f" and features {self.features.kind} match pictures by themselves; leave it out"
+            )
             raise ParameterError("ratio", words, self.ratio)
 
     @property
     def _extractor(self) -> Extractor | None:
-        """The features, if they describe key points; None of those that match pictures by themselves."""
+        """The features, if they describe key points; None of those that match pictures by
+        themselves.
+        """
         return None if hasattr(self.features, "match") else cast(Extractor, self.features)
 
     @property
@@ -374,9 +481,13 @@ class Keypoints(DetectorBase):
         return isinstance(self.track, NoTracking)
 
     def begin(self, goal: Goal, camera: Camera, target: Target) -> KeypointsState:
-        """The goal picture's key points. Raises ParameterError: it has no picture, or too few key points; or the target has no board."""
+        """The goal picture's key points. Raises ParameterError: it has no picture, or too few key
+        points; or the target has no board.
+        """
         if goal.image is None:
-            raise ParameterError.missing("goal.image", "detector keypoints compares with the picture taken at the goal")
+            raise ParameterError.missing(
+                "goal.image", "detector keypoints compares with the picture taken at the goal"
+            )
         if self.within == "board" and target.board_half_m is None:
             words = f"board with target {kind_of(type(target))}, which has none"
             raise ParameterError.excluded("detector.within", words, works="picture")
@@ -385,27 +496,46 @@ class Keypoints(DetectorBase):
             uv, descriptors = extracted(self._extractor, goal.image.image)
             there = self._usable(goal, target, uv)
             if np.count_nonzero(there) < self._matching:
-                raise ParameterError("detector.features", self._too_few(len(uv), int(np.count_nonzero(there))))
+                raise ParameterError(
+                    "detector.features", self._too_few(len(uv), int(np.count_nonzero(there)))
+                )
             learned = uv[there], descriptors[there]
         return KeypointsState(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
 
     @property
     def _matching(self) -> int:
-        """Fewest key points of the goal's picture that must match: `least`, and as many as tell a plane where one is asked for."""
+        """Fewest key points of the goal's picture that must match: `least`, and as many as tell a
+        plane where one is asked for.
+        """
         return max(self.least, LEAST_INLIERS) if self.ransac == "homography" else self.least
 
     def _too_few(self, found: int, usable: int) -> str:
         plane = self._matching > self.least
-        wanted = f"{self._matching} key points or more, as many as tell a plane," if plane else f"least = {self.least} key points or more"
+        wanted = (
+            f"{self._matching} key points or more, as many as tell a plane,"
+            if plane
+            else f"least = {self.least} key points or more"
+        )
         words = f"must find {wanted} in the goal's picture: {self.features.kind} finds {found}"
         if found < self._matching:
-            return f"{words}; use a target with more texture{', or ransac: none' if plane and found >= self.least else ''}"
+            return (
+                f"{words}; use a target with more"
+                f" texture{', or ransac: none' if plane and found >= self.least else ''}"
+            )
         if self.within == "board":
-            return f"{words}, of which {usable} lie on the target's board; use a goal that shows it larger, or within: picture"
-        return f"{words}, of which {usable} have a depth there; use a goal that shows more of the target's plane, or a depth camera"
+            return (
+                f"{words}, of which {usable} lie on the target's board;"
+                " use a goal that shows it larger, or within: picture"
+            )
+        return (
+            f"{words}, of which {usable} have a depth there;"
+            " use a goal that shows more of the target's plane, or a depth camera"
+        )
 
     def _usable(self, goal: Goal, target: Target, uv: Array) -> NDArray[np.bool_]:
-        """Which points uv (M, 2) of the goal's picture have a depth, and lie on the target's board where only those are asked for."""
+        """Which points uv (M, 2) of the goal's picture have a depth, and lie on the target's board
+        where only those are asked for.
+        """
         if len(uv) == 0:
             return np.zeros(0, dtype=bool)
         p = points_of(goal_of_points(goal, uv))
@@ -435,26 +565,50 @@ class Keypoints(DetectorBase):
         slots = self._followed(state, dim, camera)
         since, why = state.since + 1, ""
         if slots is None or self._due(slots, since):
-            kept = (slots.uv_goal[slots.taken], slots.uv[slots.taken]) if slots is not None else None
+            kept = (
+                (slots.uv_goal[slots.taken], slots.uv[slots.taken]) if slots is not None else None
+            )
             pairs = self._matches(state, image, target)
             found, agreeing = self._chosen(state, pairs, kept, dim, camera)
-            slots, since, why = state.slots.placed(*found), 0, self._why(len(pairs[0]), agreeing, len(found[0]))
+            slots, since, why = (
+                state.slots.placed(*found),
+                0,
+                self._why(len(pairs[0]), agreeing, len(found[0])),
+            )
         if np.count_nonzero(slots.taken) < self.least:
             last = state.slots  # its points: a law that coasts knows what it saw there
             slots = Slots(last.uv_goal, np.full(last.uv.shape, np.nan), last.ids, last.next_id)
-        state = replace(state, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since)
-        return state, Detection(slots.uv, goal=goal_of_points(state.goal, slots.uv_goal), ids=slots.ids, why=why)
+        state = replace(
+            state, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since
+        )
+        return state, Detection(
+            slots.uv, goal=goal_of_points(state.goal, slots.uv_goal), ids=slots.ids, why=why
+        )
 
     def _why(self, matching: int, agreeing: int, measured: int) -> str:
-        """Why nothing is reported though points match; "" where too few do, or enough are measured."""
+        """Why nothing is reported though points match;
+        "" where too few do, or enough are measured.
+        """
         plane = "motion" if self.ransac == "essential" else "plane"
-        words = f"detector keypoints: {matching} points match the goal's picture, of which {agreeing} agree with one {plane}"
+        words = (
+            f"detector keypoints: {matching} points match the goal's picture,"
+            f" of which {agreeing} agree with one {plane}"
+        )
         if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
             return ""
         if agreeing < self.least:
-            return f"{words}: the target may have too little texture, or parts that look alike, or show too little of itself"
-        words = f"{words}; of those tried the patches of {measured} are found, fewer than least = {self.least}"
-        return f"{words}: the others are cut by the border or not alike; subpixel: false does without patches"
+            return (
+                f"{words}: the target may have too little texture, or parts that look alike,"
+                " or show too little of itself"
+            )
+        words = (
+            f"{words}; of those tried the patches of {measured} are found,"
+            f" fewer than least = {self.least}"
+        )
+        return (
+            f"{words}: the others are cut by the border or not alike;"
+            " subpixel: false does without patches"
+        )
 
     def _due(self, slots: Slots, since: int) -> bool:
         assert isinstance(self.track, Klt)
@@ -477,10 +631,18 @@ class Keypoints(DetectorBase):
         return slots.moved(uv)
 
     def _plane(self, camera: Camera, pairs: Pairs) -> tuple[Array, NDArray[np.bool_]] | None:
-        """The homography of the pairs and which agree with it, where `ransac` or `subpixel` need one."""
-        return planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
+        """The homography of the pairs and which agree with it, where `ransac` or `subpixel` need
+        one.
+        """
+        return (
+            planar_map(camera, *pairs, self.ransac_px)
+            if self.ransac == "homography" or self.subpixel
+            else None
+        )
 
-    def _agreeing(self, camera: Camera, pairs: Pairs, plane: tuple[Array, NDArray[np.bool_]] | None) -> NDArray[np.bool_] | None:
+    def _agreeing(
+        self, camera: Camera, pairs: Pairs, plane: tuple[Array, NDArray[np.bool_]] | None
+    ) -> NDArray[np.bool_] | None:
         """Which of the pairs `ransac` keeps (M,); None where they are too few to tell."""
         if self.ransac == "none":
             return np.ones(len(pairs[0]), dtype=bool)
@@ -499,15 +661,24 @@ class Keypoints(DetectorBase):
         order = order[self._usable(state.goal, target, uv_goal)[order]]
         return uv_goal[order], uv[order]
 
-    def _chosen(self, state: KeypointsState, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera) -> tuple[Pairs, int]:
-        """The pairs that are reported: those that were followed, then others by distance or spread; and how many there were to choose."""
+    def _chosen(
+        self, state: KeypointsState, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera
+    ) -> tuple[Pairs, int]:
+        """The pairs that are reported: those that were followed, then others by distance or spread;
+        and how many there were to choose.
+        """
         first = 0 if kept is None else len(kept[0])
         if kept is not None:
             new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1)
-            pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
+            pairs = (
+                np.concatenate([kept[0], pairs[0][new]]),
+                np.concatenate([kept[1], pairs[1][new]]),
+            )
         found = self._plane(camera, pairs)
         agree = self._agreeing(camera, pairs, found)
-        pairs, first = those(pairs, np.zeros(len(pairs[0]), dtype=bool) if agree is None else agree, first)
+        pairs, first = those(
+            pairs, np.zeros(len(pairs[0]), dtype=bool) if agree is None else agree, first
+        )
         agreeing = len(pairs[0])
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing
@@ -515,9 +686,14 @@ class Keypoints(DetectorBase):
         pairs, first = those(pairs, whole(dim, *pairs, map_derivatives(camera, H, pairs[0])), first)
         return self._measured(state, pairs, first, dim, camera, H), agreeing
 
-    def _measured(self, state: KeypointsState, pairs: Pairs, first: int, dim: Image, camera: Camera, H: Array) -> Pairs:
-        """The best pairs whose patches are found; where some are not, the next ones are tried in their place, up to a limit."""
-        tried = max(round(1.5 * self.best), 16)  # more than are reported, since some are not found; a plane needs eight that agree
+    def _measured(
+        self, state: KeypointsState, pairs: Pairs, first: int, dim: Image, camera: Camera, H: Array
+    ) -> Pairs:
+        """The best pairs whose patches are found; where some are not, the next ones are tried in
+        their place, up to a limit.
+        """
+        # more than are reported, since some are not found; a plane needs eight that agree
+        tried = max(round(1.5 * self.best), 16)
         most = 4 * tried
         while True:
             some = self._best(pairs, first, tried)
@@ -528,12 +704,26 @@ class Keypoints(DetectorBase):
             tried *= 2
 
     def _best(self, pairs: Pairs, first: int, most: int) -> Pairs:
-        """At most `most` of the pairs, which are in the order of their distance; the `first` ones are among them."""
-        index = spread_out(pairs[0], most, first) if self.choose == "spread" else np.arange(min(most, len(pairs[0])))
+        """At most `most` of the pairs, which are in the order of their distance; the `first` ones
+        are among them.
+        """
+        index = (
+            spread_out(pairs[0], most, first)
+            if self.choose == "spread"
+            else np.arange(min(most, len(pairs[0])))
+        )
         return pairs[0][index], pairs[1][index]
 
-    def _refined(self, state: KeypointsState, uv_goal: Array, uv: Array, dim: Image, camera: Camera, H: Array) -> Array:
-        """Places (M, 2) below a pixel; NaN where the pictures are not alike, or a patch has slipped off the plane."""
+    def _refined(
+        self, state: KeypointsState, uv_goal: Array, uv: Array, dim: Image, camera: Camera, H: Array
+    ) -> Array:
+        """Places (M, 2) below a pixel; NaN where the pictures are not alike, or a patch has slipped
+        off the plane.
+        """
         found = refined(state.smooth, smooth(dim), uv_goal, uv, map_derivatives(camera, H, uv_goal))
-        better = planar_map(camera, uv_goal, found, within_px=0.25) if self.ransac == "homography" else None
+        better = (
+            planar_map(camera, uv_goal, found, within_px=0.25)
+            if self.ransac == "homography"
+            else None
+        )
         return found if better is None else np.where(better[1][:, None], found, np.nan)

@@ -1,4 +1,6 @@
-"""Lines on the floor: bird's-eye strips of the floor around the look-ahead distances, in which stripes are found by hue."""
+"""Lines on the floor: bird's-eye strips of the floor around the look-ahead distances, in which
+stripes are found by hue.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +23,26 @@ from vstestbed.targets.ground_lines import GroundLines, on_foot
 from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.colour import chroma
 
-ROWS = 9  # rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of 2 m radius to be straight
-OUTSIDE = np.float32(-9)  # coordinate for a cell that the camera does not see [px]: too far outside for interpolation to reach the image
+# rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of
+# 2 m radius to be straight
+ROWS = 9
+# coordinate for a cell that the camera does not see [px]: too far outside for interpolation to
+# reach the image
+OUTSIDE = np.float32(-9)
 BACKDROP = (128, 128, 128)  # grey for cells outside of the image: without hue
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A strip of floor as a raster of ROWS x K cells, in the vehicle's frame (x ahead, y left), and its pixels.
+    """A strip of floor as a raster of ROWS x K cells, in the vehicle's frame (x ahead, y left), and
+    its pixels.
 
     Attributes:
-        ahead: x of its middle row, the look-ahead distance [m]. row_m, column_m: size of a cell [m].
+        ahead: x of its middle row, the look-ahead distance [m]. row_m, column_m: size of a cell
+            [m].
         lefts: y of the columns, shape (K,) [m], from left to right.
-        maps: for each panel the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is not seen.
+        maps: for each panel the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is
+            not seen.
     """
 
     ahead: float
@@ -43,38 +52,54 @@ class Strip:
     maps: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
 
     def window(self, panel: int, lens: Camera) -> Window | None:
-        """The window of a panel's image that holds the strip; None where the panel does not see it."""
+        """The window of a panel's image that holds the strip;
+        None where the panel does not see it.
+        """
         uv = np.stack(self.maps[panel], axis=-1).reshape(-1, 2)
         uv = uv[uv[:, 0] != OUTSIDE]
         if not len(uv):
             return None
-        (left, top), (right, bottom) = (np.floor(uv.min(axis=0)) - 1).astype(int), (np.ceil(uv.max(axis=0)) + 2).astype(int)
-        return max(0, int(left)), max(0, int(top)), min(lens.width, int(right)), min(lens.height, int(bottom))
+        (left, top), (right, bottom) = (
+            (np.floor(uv.min(axis=0)) - 1).astype(int),
+            (np.ceil(uv.max(axis=0)) + 2).astype(int),
+        )
+        return (
+            max(0, int(left)),
+            max(0, int(top)),
+            min(lens.width, int(right)),
+            min(lens.height, int(bottom)),
+        )
 
 
 LinesState = tuple[tuple[Strip, ...], Array | None]
-"""The strips, built with the first picture, and the last y of each point, shape (N,) [m], NaN where never seen."""
+"""The strips, built with the first picture, and the last y of each point, shape (N,) [m], NaN where
+never seen.
+"""
 
 
 @spec
 class Lines(DetectorBase):
     """Lines on the floor by colour, where they cross the target's look distances.
 
-    The camera's mount and lens are calibrated and the vehicle is upright on a level floor, so each pixel is a point of the floor
-    (inverse perspective mapping). A strip of floor across each look-ahead distance is resampled from the image, at about one
-    pixel a cell. Of the connected regions of a line's hue the largest is taken or, where two are of one size, as at a crossing, the one
-    nearest to the last picture's. The centroids by chroma of the nine rows are fitted by a straight line (robustly, Huber), and its
-    intersection with the look-ahead distance is the point. It is rejected where the region is cut by the strip's end or is not as wide as
-    a stripe (occlusion). The pitch of a vehicle on its suspension displaces the floor, as on a real one.
+    The camera's mount and lens are calibrated and the vehicle is upright on a level floor, so each
+    pixel is a point of the floor (inverse perspective mapping). A strip of floor across each
+    look-ahead distance is resampled from the image, at about one pixel a cell. Of the connected
+    regions of a line's hue the largest is taken or, where two are of one size, as at a crossing,
+    the one nearest to the last picture's. The centroids by chroma of the nine rows are fitted by a
+    straight line (robustly, Huber), and its intersection with the look-ahead distance is the point.
+    It is rejected where the region is cut by the strip's end or is not as wide as a stripe
+    (occlusion). The pitch of a vehicle on its suspension displaces the floor, as on a real one.
 
     Args:
         chroma: max - min of r, g, b (0..255) above which a pixel belongs to a line [grey levels].
-        hue_tolerance_deg: largest difference to the line's hue; never more than half the step between two lines' hues.
+        hue_tolerance_deg: largest difference to the line's hue; never more than half the step
+            between two lines' hues.
         reach_m: half width of the strips, to each side of the vehicle [m].
-        width_tolerance: largest relative difference between the measured width and the stripe's [1].
+        width_tolerance: largest relative difference between the measured width and the stripe's
+            [1].
 
-    Reference: view of a plane from above: Corke 2017, Robotics, Vision & Control, section 14.2 (planar homography); robust fit:
-    Huber 1981, Robust Statistics.
+    Reference: view of a plane from above: Corke 2017, Robotics, Vision & Control, section 14.2
+    (planar homography); robust fit: Huber 1981, Robust Statistics.
     """
 
     kind: Literal["lines"] = "lines"
@@ -89,15 +114,26 @@ class Lines(DetectorBase):
         """Nothing seen yet."""
         return (), None
 
-    def regions_of_interest(self, state: LinesState, camera: Camera, target: Target) -> Regions | None:
+    def regions_of_interest(
+        self, state: LinesState, camera: Camera, target: Target
+    ) -> Regions | None:
         """The windows that hold the strips; None before the first picture."""
         if not state[0]:
             return None
         panels = enumerate(camera.panels)
-        return tuple(tuple(w for s in state[0] if (w := s.window(i, panel.lens)) is not None) for i, panel in panels)
+        return tuple(
+            tuple(w for s in state[0] if (w := s.window(i, panel.lens)) is not None)
+            for i, panel in panels
+        )
 
     def detect(
-        self, state: LinesState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self,
+        state: LinesState,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
     ) -> tuple[LinesState, Detection]:
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen."""
         picture, (strips, last), n = self._given(picture), state, len(target.points)
@@ -107,10 +143,15 @@ class Lines(DetectorBase):
         hues, lefts = target.hues_deg, np.full(n, np.nan)
         for k, strip in enumerate(strips):
             floor = _from_above(picture, strip)
-            colour, hue = chroma(floor), np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
-            # Points are commanded line by line, each at all look-ahead distances: every len(strips)-th is in this strip.
+            colour, hue = (
+                chroma(floor),
+                np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8),
+            )
+            # Points are commanded line by line, each at all look-ahead distances: every
+            # len(strips)-th is in this strip.
             for i in range(k, n, len(strips)):
-                # One comparison for each of OpenCV's 256 hues (of 2 degrees), then a lookup for each cell.
+                # One comparison for each of OpenCV's 256 hues (of 2 degrees), then a lookup for
+                # each cell.
                 apart = np.abs((2.0 * np.arange(256) - hues[i] + 180) % 360 - 180)
                 near = (apart <= min(self.hue_tolerance_deg, 180 / (n // len(strips))))[hue]
                 mask = ((colour > self.chroma) & near).astype(np.uint8)
@@ -119,45 +160,71 @@ class Lines(DetectorBase):
         uv = camera.project(on_foot(camera.mount.T, np.column_stack([aheads, lefts])))
         return (strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
 
-    def _cross(self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float) -> float:
-        """Y at which a line crosses the middle row of its strip [m]; NaN where it is not seen well enough.
+    def _cross(
+        self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float
+    ) -> float:
+        """Y at which a line crosses the middle row of its strip [m]; NaN where it is not seen well
+        enough.
 
-        colour: chroma (ROWS, K); mask: 1 in the line's cells (ROWS, K); width_m: of the stripe; last: y in the last picture [m], or NaN.
+        colour: chroma (ROWS, K); mask: 1 in the line's cells (ROWS, K); width_m: of the stripe;
+            last: y in the last picture [m], or NaN.
         """
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         if count < 2:
             return math.nan
         areas = stats[1:, cv2.CC_STAT_AREA]
         able = 1 + np.flatnonzero(2 * areas >= areas.max())
-        far = np.abs(strip.lefts[np.rint(centres[able, 0]).astype(int)] - last) if math.isfinite(last) else -areas[able - 1]
+        far = (
+            np.abs(strip.lefts[np.rint(centres[able, 0]).astype(int)] - last)
+            if math.isfinite(last)
+            else -areas[able - 1]
+        )
         one = int(able[np.argmin(far)])
-        weight = np.where(cv2.dilate((labels == one).astype(np.uint8), np.ones((1, 3), np.uint8)) > 0, colour, 0).astype(float)
-        rows = np.flatnonzero((weight[:, 0] == 0) & (weight[:, -1] == 0) & ((labels == one).any(axis=1)))
+        weight = np.where(
+            cv2.dilate((labels == one).astype(np.uint8), np.ones((1, 3), np.uint8)) > 0, colour, 0
+        ).astype(float)
+        rows = np.flatnonzero(
+            (weight[:, 0] == 0) & (weight[:, -1] == 0) & ((labels == one).any(axis=1))
+        )
         if len(rows) < 5:
             return math.nan
         mass = weight[rows].sum(axis=1)
         columns = weight[rows] @ np.arange(weight.shape[1]) / mass
-        points = np.column_stack([(rows - ROWS // 2) * strip.row_m / strip.column_m, columns]).astype(np.float32)
+        points = np.column_stack(
+            [(rows - ROWS // 2) * strip.row_m / strip.column_m, columns]
+        ).astype(np.float32)
         # With Huber's loss, outliers beyond a unit or so weigh little.
         vx, vy, x0, y0 = cv2.fitLine(points, cv2.DIST_HUBER, 0, 1e-3, 1e-3).ravel().tolist()
         slope = vy / vx if abs(vx) > 1e-6 else math.copysign(1e6, vy)
         crossing = y0 - slope * x0
-        width = float(np.median(mass)) / float(weight.max()) * strip.column_m / math.hypot(1.0, slope)
+        width = (
+            float(np.median(mass)) / float(weight.max()) * strip.column_m / math.hypot(1.0, slope)
+        )
         if abs(width - width_m) > self.width_tolerance * width_m:
             return math.nan
         return float(strip.lefts[0] + crossing * (strip.lefts[1] - strip.lefts[0]))
 
 
 def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
-    """The strip of floor at a look-ahead distance [m], `reach` [m] to each side; ParameterError where the camera does not see the floor."""
+    """The strip of floor at a look-ahead distance [m], `reach` [m] to each side; ParameterError
+    where the camera does not see the floor.
+    """
     # Pixels per metre by finite differences of 2 mm, which hold for any lens.
     mount, step = camera.mount.T, 0.002
-    here, on, left = camera.project(on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]])))
-    row_m, column_m = (float(np.clip(step / np.linalg.norm(uv - here), 5e-4, 0.02)) for uv in (on, left))  # a cell is a pixel, if neither
+    here, on, left = camera.project(
+        on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]]))
+    )
+    # a cell is a pixel, if neither
+    row_m, column_m = (
+        float(np.clip(step / np.linalg.norm(uv - here), 5e-4, 0.02)) for uv in (on, left)
+    )
     if not math.isfinite(row_m + column_m):
-        raise ParameterError.bound("target.look_m", "within", "the floor that the camera sees", ahead)
+        raise ParameterError.bound(
+            "target.look_m", "within", "the floor that the camera sees", ahead
+        )
     half = math.ceil(reach / column_m)
-    lefts: Array = np.arange(half, -half - 1, -1, dtype=np.float64) * column_m  # left is left, as in the image
+    # left is left, as in the image
+    lefts: Array = np.arange(half, -half - 1, -1, dtype=np.float64) * column_m
     aheads: Array = ahead + (np.arange(ROWS, dtype=np.float64) - ROWS // 2) * row_m
     floor = np.stack(np.meshgrid(aheads, lefts, indexing="ij"), axis=-1)
     p = on_foot(mount, floor.astype(np.float64))
@@ -175,6 +242,12 @@ def _from_above(picture: Picture, strip: Strip) -> Image:
     for image, maps in zip(picture.images, strip.maps, strict=True):
         if image is None or (maps[0] == OUTSIDE).all():
             continue
-        seen = np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP), np.uint8)
-        out = seen if out is None else np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
+        seen = np.asarray(
+            cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP), np.uint8
+        )
+        out = (
+            seen
+            if out is None
+            else np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
+        )
     return np.full((*strip.maps[0][0].shape, 3), BACKDROP[0], np.uint8) if out is None else out

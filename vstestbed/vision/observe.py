@@ -1,4 +1,6 @@
-"""The observer: from detected pixels to an Observation, with undistorted coordinates, depths, pose (of several cameras, too), odometry."""
+"""The observer: from detected pixels to an Observation, with undistorted coordinates, depths, pose
+(of several cameras, too), odometry.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,29 @@ from vstestbed.features.depth import Depth, DepthCues, Estimate, triangulated
 from vstestbed.features.observation import EgoMotion, Goal, Observation
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, points_of
-from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
+from vstestbed.vision.derotate import (
+    NO_TRIM,
+    Derotation,
+    Trim,
+    level_from_tilt,
+    level_rays,
+    level_twist,
+    trimmed,
+)
 from vstestbed.vision.floor_pose import corrections, fused_place, pose_on_floor
 from vstestbed.vision.homography import relative_view
 from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pnp import solve_pose_from_rays, unit_for
 
-# Depth from motion: recursive least squares for each marker's inverse range from the flow of its ray, for any lens.
-FLOW_NOISE = 3e-4  # standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
+# Depth from motion: recursive least squares for each marker's inverse range from the flow of its
+# ray, for any lens.
+
+# standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
+FLOW_NOISE = 3e-4
 RANGE = 50.0  # the estimate is limited to the initial depth divided and multiplied by this
-# Evidence, in units of that of the noise, at which a frame (it gives the range to 18 %) forgets at half the full rate. Weaker frames
-# forget less: information fades as new information arrives, not as the motion fades.
+# Evidence, in units of that of the noise, at which a frame (it gives the range to 18 %) forgets at
+# half the full rate. Weaker frames forget less: information fades as new information arrives, not
+# as the motion fades.
 CLEAR = 30.0
 
 
@@ -39,9 +53,12 @@ class FlowState:
     """State of the estimator, of N markers.
 
     Attributes:
-        inverse_range: estimates theta, shape (N,) [1/m], NaN until the marker is first seen. t: time of the last frame [s].
-        information: sum of phi.phi with forgetting, shape (N,) [(m/s)^2]. ray: unit rays at the last frame, shape (N, 3).
-        ids: number of the point in each row, shape (N,), where they are not always the same markers.
+        inverse_range: estimates theta, shape (N,) [1/m], NaN until the marker is first seen. t:
+            time of the last frame [s].
+        information: sum of phi.phi with forgetting, shape (N,) [(m/s)^2]. ray: unit rays at the
+            last frame, shape (N, 3).
+        ids: number of the point in each row, shape (N,), where they are not always the same
+            markers.
     """
 
     inverse_range: Array
@@ -51,11 +68,16 @@ class FlowState:
     ids: NDArray[np.intp] | None = None
 
     def of(self, ids: NDArray[np.intp] | None) -> FlowState:
-        """The state for rows with points `ids` (N,): of a point that was not in its row nothing is known."""
+        """The state for rows with points `ids` (N,): of a point that was not in its row nothing is
+        known.
+        """
         if ids is None or self.ids is None:
             return self if ids is None else replace(self, ids=ids)
         same = ids == self.ids
-        theta, ray = np.where(same, self.inverse_range, np.nan), np.where(same[:, None], self.ray, np.nan)
+        theta, ray = (
+            np.where(same, self.inverse_range, np.nan),
+            np.where(same[:, None], self.ray, np.nan),
+        )
         return FlowState(theta, np.where(same, self.information, 0.0), ray, self.t, ids)
 
 
@@ -64,26 +86,37 @@ def init_flow(n: int) -> FlowState:
     return FlowState(np.full(n, np.nan), np.zeros(n), np.full((n, 3), np.nan), np.nan)
 
 
-def update_flow(estimate: Estimate, state: FlowState, t: float, ray: Array, twist: Array) -> FlowState:
-    """One frame of recursive least squares on theta = 1/R of each marker, under the camera's twist (6,) in force since the last frame.
+def update_flow(
+    estimate: Estimate, state: FlowState, t: float, ray: Array, twist: Array
+) -> FlowState:
+    """One frame of recursive least squares on theta = 1/R of each marker, under the camera's twist
+    (6,) in force since the last frame.
 
     The flow of a unit ray r to a point at the range R:   r_dot = -(v - r (r.v)) / R - w x r
     at mid-interval:   y = r_dot + w x r = phi theta + noise,   phi = r (r.v) - v
     gain:        I <- I exp(-c dt/forget) + phi.phi,   theta <- theta + phi.(y - phi theta) / I
-                 c = phi.phi / (phi.phi + CLEAR least), so that I settles no lower than CLEAR least forget / dt
+                 c = phi.phi / (phi.phi + CLEAR least),
+                 so that I settles no lower than CLEAR least forget / dt
     prediction:  theta_dot = theta^2 r.v,   since R_dot = -r.v (half before, half after)
-    A marker starts at the initial depth. I starts at and never falls below least = (sqrt(2) FLOW_NOISE / (dt theta))^2, which
-    is a prior of 100 % uncertainty. A frame with less evidence than that is skipped, without forgetting. Rays (N, 3) are those of
-    the time t [s], NaN where not seen.
-    Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from flow and known motion);
-    Ljung 1999, System Identification, section 11.2 (least squares with forgetting).
+
+    A marker starts at the initial depth. I starts at and never falls below
+    least = (sqrt(2) FLOW_NOISE / (dt theta))^2, which is a prior of 100 % uncertainty. A frame with
+    less evidence than that is skipped, without forgetting. Rays (N, 3) are those of the time t [s],
+    NaN where not seen.
+    Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from
+    flow and known motion); Ljung 1999, System Identification, section 11.2 (least squares with
+    forgetting).
     """
     dt = t - state.t
     # Of a marker at the side depth is a small share of the range, which then is the initial depth.
     begin = np.where(ray[:, 2] > 0.2, ray[:, 2], 1.0) / estimate.initial_m
-    theta = np.where(np.isnan(state.inverse_range) & np.isfinite(ray[:, 0]), begin, state.inverse_range)
+    theta = np.where(
+        np.isnan(state.inverse_range) & np.isfinite(ray[:, 0]), begin, state.inverse_range
+    )
     if not dt > 0:  # also the first frame, whose dt is NaN
-        return FlowState(theta, state.information, np.where(np.isfinite(ray), ray, state.ray), t, state.ids)
+        return FlowState(
+            theta, state.information, np.where(np.isfinite(ray), ray, state.ray), t, state.ids
+        )
     known = np.isfinite(ray[:, 0]) & np.isfinite(state.ray[:, 0])
     # Lost markers get any unit ray, so that no NaN spreads; `known` masks the result.
     middle = np.where(known[:, None], ray + state.ray, [0.0, 0.0, 1.0])
@@ -107,18 +140,22 @@ def update_flow(estimate: Estimate, state: FlowState, t: float, ray: Array, twis
 
 
 def _advance(theta: Array, nearing: Array, dt: float) -> Array:
-    """Inverse ranges (N,) a short time later: one midpoint step of theta_dot = theta^2 (r.v), nearing = r.v (N,) [m/s]."""
+    """Inverse ranges (N,) a short time later: one midpoint step of theta_dot = theta^2 (r.v),
+    nearing = r.v (N,) [m/s].
+    """
     half = theta + theta**2 * nearing * dt / 2
     return theta + half**2 * nearing * dt
 
 
-# Effects of calibration errors: the goal view as shown to a miscalibrated camera, and poses with wrong depths.
+# Effects of calibration errors: the goal view as shown to a miscalibrated camera, and poses with
+# wrong depths.
 def shown_goal(true: Camera, believed: Camera, target: Target, T_camera_target: Array) -> Goal:
-    """The goal view recorded by the true camera and interpreted with the believed calibration (teach by showing).
+    """The goal view recorded by the true camera and interpreted with the believed calibration
+    (teach by showing).
 
-    The pixels are those of the true camera at T_camera_target (4, 4); the pose, and with it every depth, is solved from them and the
-    target's dimensions with the believed calibration. Where the pixels leave it open, the true pose is kept. (Of a ball the depths follow
-    from its size.)
+    The pixels are those of the true camera at T_camera_target (4, 4); the pose, and with it every
+    depth, is solved from them and the target's dimensions with the believed calibration. Where the
+    pixels leave it open, the true pose is kept. (Of a ball the depths follow from its size.)
     """
     points = target.points
     uv = true.project(target.points_at(T_camera_target))
@@ -132,15 +169,19 @@ def shown_goal(true: Camera, believed: Camera, target: Target, T_camera_target: 
 
 
 def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
-    """The pose (4, 4) that fits markers whose depths along their rays are multiplied by `scale` (N,).
+    """The pose (4, 4) that fits markers whose depths along their rays are multiplied by `scale`
+    (N,).
 
-    Rigid registration of the points P_i to scale_i T P_i: R from the singular vectors of the covariance, t = mean(scale_i T P_i)
-    - R mean(P_i) (Umeyama 1991, eqs 40-42 without scale, doi:10.1109/34.88573). A common factor leaves the rotation.
+    Rigid registration of the points P_i to scale_i T P_i: R from the singular vectors of the
+    covariance, t = mean(scale_i T P_i)
+    - R mean(P_i) (Umeyama 1991, eqs 40-42 without scale, doi:10.1109/34.88573). A common factor
+      leaves the rotation.
     """
     q = scale[:, None] * transform(T, points)
     at, to = points.mean(axis=0), q.mean(axis=0)
     U, s, Vt = np.linalg.svd((q - to).T @ (points - at))
-    line = s[1] < 1e-9 * s[0]  # collinear: the registration leaves the rotation about the line open, the old one is kept
+    # collinear: the registration leaves the rotation about the line open, the old one is kept
+    line = s[1] < 1e-9 * s[0]
     R = T[:3, :3] if line else U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = R, to - R @ at
@@ -151,11 +192,16 @@ class ObserverState(NamedTuple):
     """What an observer keeps from one frame to the next.
 
     Attributes:
-        t: exposure of the last frame [s]. T_camera_target: pose then (4, 4); None where it has never been known.
-        flow: state of the depth estimator; None without one. trim: correction of a craft's measured tilt.
-        place: a vehicle's planar pose (x, y, heading) in the world [m, rad]; None where it is not known.
-        odometry: a vehicle's planar pose by odometry alone, from where it started; None for other robots.
-        uv: the last picture's own markers (N, 2) [px], where a fused pose has put others beside them; None else.
+        t: exposure of the last frame [s]. T_camera_target: pose then (4, 4); None where it has
+            never been known.
+        flow: state of the depth estimator; None without one. trim: correction of a craft's measured
+            tilt.
+        place: a vehicle's planar pose (x, y, heading) in the world [m, rad]; None where it is not
+            known.
+        odometry: a vehicle's planar pose by odometry alone, from where it started; None for other
+            robots.
+        uv: the last picture's own markers (N, 2) [px], where a fused pose has put others beside
+            them; None else.
     """
 
     t: float = np.nan
@@ -172,15 +218,21 @@ class Observer:
     """Turns detections into observations.
 
     Attributes:
-        camera: as calibrated. pixel_sigma_px: standard deviation of the noise added to every measured coordinate [px].
+        camera: as calibrated. pixel_sigma_px: standard deviation of the noise added to every
+            measured coordinate [px].
         dropout: probability that a marker is not reported, for each marker and picture.
-        required_fields: fields of the observation that the law reads; `ray`, `relative` and a pose that the detector has not solved are
-            computed only where they are required.
-        grounded: the robot is a ground vehicle; its planar pose is estimated where the target stands still.
-        derotation: how the measurements of a tilted craft are rotated into its level frame (`derotate`).
-        trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
-        depth_scale: factor on each marker's reported depth (N,), a calibration error. The state stays unscaled.
-        perturbed: perturbs the measured coordinates further. rows: number of points that the detector reports, where not the markers.
+        required_fields: fields of the observation that the law reads; `ray`, `relative` and a pose
+            that the detector has not solved are computed only where they are required.
+        grounded: the robot is a ground vehicle; its planar pose is estimated where the target
+            stands still.
+        derotation: how the measurements of a tilted craft are rotated into its level frame
+            (`derotate`).
+        trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0
+            leaves it uncorrected.
+        depth_scale: factor on each marker's reported depth (N,), a calibration error. The state
+            stays unscaled.
+        perturbed: perturbs the measured coordinates further. rows: number of points that the
+            detector reports, where not the markers.
         points: what is measured (N, 3), in the target's frame [m]; None: the target's markers.
     """
 
@@ -205,19 +257,39 @@ class Observer:
 
     def init(self) -> ObserverState:
         """The state before the first frame."""
-        flow = None if self.depth.estimator is None else init_flow(len(self.target.points) if self.rows is None else self.rows)
+        flow = (
+            None
+            if self.depth.estimator is None
+            else init_flow(len(self.target.points) if self.rows is None else self.rows)
+        )
         return ObserverState(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     @cached_property
     def needs_pose(self) -> bool:
-        """Whether a pose is needed, which is predicted by the twist where the detector does not solve it."""
-        return self.depth.needs_pose or not {"T_camera_target", "place"}.isdisjoint(self.required_fields)
+        """Whether a pose is needed, which is predicted by the twist where the detector does not
+        solve it.
+        """
+        return self.depth.needs_pose or not {"T_camera_target", "place"}.isdisjoint(
+            self.required_fields
+        )
 
     @cached_property
     def _direct(self) -> bool:
-        """Whether the points are reported as they are detected, and nothing is kept from frame to frame: the ideal loop, at its speed."""
-        changed = self.dropout > 0 or self.pixel_sigma_px > 0 or self.perturbed is not None or self.depth_scale is not None
-        kept = self.needs_pose or self.depth.estimator is not None or self.grounded or self.derotation != "none"
+        """Whether the points are reported as they are detected, and nothing is kept from frame to
+        frame: the ideal loop, at its speed.
+        """
+        changed = (
+            self.dropout > 0
+            or self.pixel_sigma_px > 0
+            or self.perturbed is not None
+            or self.depth_scale is not None
+        )
+        kept = (
+            self.needs_pose
+            or self.depth.estimator is not None
+            or self.grounded
+            or self.derotation != "none"
+        )
         read = (
             self.depth.measured
             or self.depth.needs_size
@@ -227,10 +299,14 @@ class Observer:
         return not (changed or kept or read)
 
     def uses_motion(self, detection: Detection) -> bool:
-        """Whether `observe` reads the measured twist: for depth from motion, odometry, or a pose propagated over missing markers."""
+        """Whether `observe` reads the measured twist: for depth from motion, odometry, or a pose
+        propagated over missing markers.
+        """
         if self.grounded or self.depth.estimator is not None or "motion" in self.required_fields:
             return True
-        return self.needs_pose and (self.dropout > 0 or self.perturbed is not None or not all_finite(detection.uv))
+        return self.needs_pose and (
+            self.dropout > 0 or self.perturbed is not None or not all_finite(detection.uv)
+        )
 
     def observe(
         self,
@@ -248,22 +324,31 @@ class Observer:
     ) -> tuple[ObserverState, Observation]:
         """What a law may know of one frame.
 
-        The pose is the detector's where it solved one (and no noise is added), else it is solved from the pixels; with too few
-        markers the last one is propagated by the camera's own motion, T <- exp(-twist dt) T, which holds for a target at rest.
+        The pose is the detector's where it solved one (and no noise is added), else it is solved
+        from the pixels; with too few markers the last one is propagated by the camera's own motion,
+        T <- exp(-twist dt) T, which holds for a target at rest.
 
         Args:
-            t: time of exposure [s]. twist: of the camera (6,) since the last frame, in its frame, as the robot measures it [m/s, rad/s].
-            rng: source of the pixel noise and of the dropout. compass: a vehicle's measured heading [rad]; None without a compass.
-            tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots that do not tilt.
-            own: the camera's own motion, passed on to a law that requires it. depth_image: (H, W) [m], NaN in its holes; None without one.
-            pair: rays (N, 3) of the second camera of a pair, and its pose (4, 4) in this one's frame; None without one.
-            others: what further cameras see. The pose is then that of all pictures, and markers that this one lacks are where it puts them.
+            t: time of exposure [s]. twist: of the camera (6,) since the last frame, in its frame,
+                as the robot measures it [m/s, rad/s].
+            rng: source of the pixel noise and of the dropout. compass: a vehicle's measured heading
+                [rad]; None without a compass.
+            tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots
+                that do not tilt.
+            own: the camera's own motion, passed on to a law that requires it. depth_image: (H, W)
+                [m], NaN in its holes; None without one.
+            pair: rays (N, 3) of the second camera of a pair, and its pose (4, 4) in this one's
+                frame; None without one.
+            others: what further cameras see. The pose is then that of all pictures, and markers
+                that this one lacks are where it puts them.
 
         Raises ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
-            state, seen = own_points.observe(state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
+            state, seen = own_points.observe(
+                state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image
+            )
             return state, replace(seen, ids=detection.ids)
         if self._direct:
             xy = self.camera.normalise(detection.uv)
@@ -272,51 +357,87 @@ class Observer:
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
-        ray = self.camera.ray(uv) if self._solves(T) or self._reads_rays or pair is not None or tilt is not None else None
+        ray = (
+            self.camera.ray(uv)
+            if self._solves(T) or self._reads_rays or pair is not None or tilt is not None
+            else None
+        )
         T, solved = self._pose(ray, t, state, T, twist)
         flow, estimator = state.flow, self.depth.estimator
         if estimator is not None and flow is not None and ray is not None:
             flow = update_flow(estimator, flow.of(detection.ids), t, ray, twist)
-        measured_uv, fused = None, pose_of_all(T, self._points, CameraPixels(self.camera, uv, np.eye(4)), others) if others else None
+        measured_uv, fused = (
+            None,
+            pose_of_all(T, self._points, CameraPixels(self.camera, uv, np.eye(4)), others)
+            if others
+            else None,
+        )
         if fused is not None:
             T, solved, measured_uv = fused, True, uv
             uv = np.where(np.isfinite(uv), uv, self.camera.project(transform(T, self._points)))
             xy, ray = self.camera.normalise(uv), None if ray is None else self.camera.ray(uv)
-        cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
+        cues = DepthCues(
+            self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv)
+        )
         if pair is not None and ray is not None:
             cues = cues._replace(p_by_pair=triangulated(ray, *pair))
         view, trim = self._view(t, uv, ray, T, flow, cues, own), state.trim
         if tilt is not None:
             trim = self._trimmed(state, t, tilt, T) if solved and T is not None else trim
             view = self._leveled(view, tilt + trim[0])
-        odometry, place = self._driven(state, t, twist, view.T_camera_target if solved else None, compass)
+        odometry, place = self._driven(
+            state, t, twist, view.T_camera_target if solved else None, compass
+        )
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
-        return ObserverState(t, T, flow, place, odometry, trim, measured_uv), self._observation(view, solved, odometry, place)
+        return ObserverState(t, T, flow, place, odometry, trim, measured_uv), self._observation(
+            view, solved, odometry, place
+        )
 
     @cached_property
     def _reads_rays(self) -> bool:
-        return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
+        return (
+            "ray" in self.required_fields
+            or self.depth.estimator is not None
+            or self.depth.needs_size
+        )
 
     def _trimmed(self, state: ObserverState, t: float, tilt: Array, T: Array) -> Trim:
         """The trim of the tilt, corrected by a pose of the target."""
         if not self.trim_s:
             return state.trim
         gain = 0.0 if math.isnan(state.t) else 1 - math.exp(-(t - state.t) / self.trim_s)
-        return trimmed(state.trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
+        return trimmed(
+            state.trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain
+        )
 
     def _view(
-        self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowState | None, cues: DepthCues, own: EgoMotion | None
+        self,
+        t: float,
+        uv: Array,
+        ray: Array | None,
+        T: Array | None,
+        flow: FlowState | None,
+        cues: DepthCues,
+        own: EgoMotion | None,
     ) -> Observation:
         """What is measured in the camera's frame."""
         p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
         sized = self.target.by_size(ray) if ray is not None and self.depth.needs_size else None
-        cues = cues._replace(p_estimated=p, p_by_size=sized, by_flow=None if flow is None else (flow.ray, 1 / flow.inverse_range))
+        cues = cues._replace(
+            p_estimated=p,
+            p_by_size=sized,
+            by_flow=None if flow is None else (flow.ray, 1 / flow.inverse_range),
+        )
         needs_ranges = "ray" in self.required_fields or self.derotation != "none"
         ranges = self.depth.ranges(cues) if needs_ranges else None
         return Observation(t, uv, cues.xy, self.depth.depths(cues), T, ray, ranges, motion=own)
 
-    def _reported(self, detection: Detection, t: float, rng: np.random.Generator) -> tuple[Array, Array | None]:
-        """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout took a marker from under it."""
+    def _reported(
+        self, detection: Detection, t: float, rng: np.random.Generator
+    ) -> tuple[Array, Array | None]:
+        """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout
+        took a marker from under it.
+        """
         uv, T = detection.uv, detection.T_camera_target
         if self.dropout > 0:
             dropped = rng.random(len(uv)) < self.dropout
@@ -328,15 +449,21 @@ class Observer:
         return uv, T
 
     def prepare(self, needs_image: bool) -> None:
-        """Import OpenCV where the first frame needs it, for pictures or a pose: a robot does not wait for it between two pictures."""
+        """Import OpenCV where the first frame needs it, for pictures or a pose: a robot does not
+        wait for it between two pictures.
+        """
         if needs_image or self.needs_pose:
             cv2.setNumThreads(1)
 
     def _solves(self, T: Array | None) -> bool:
         return self.needs_pose and (T is None or self.pixel_sigma_px > 0)
 
-    def _pose(self, ray: Array | None, t: float, state: ObserverState, T: Array | None, twist: Array) -> tuple[Array | None, bool]:
-        """The pose (4, 4) in this frame, from rays (N, 3) or the detector's pose T, and whether it was measured rather than propagated."""
+    def _pose(
+        self, ray: Array | None, t: float, state: ObserverState, T: Array | None, twist: Array
+    ) -> tuple[Array | None, bool]:
+        """The pose (4, 4) in this frame, from rays (N, 3) or the detector's pose T, and whether it
+        was measured rather than propagated.
+        """
         if ray is None or not self._solves(T):
             return T, T is not None
         last = state.T_camera_target
@@ -344,21 +471,34 @@ class Observer:
         seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's image circle
         if np.count_nonzero(seen) < (1 if self.depth.on_floor else 3):
             return predicted, False
-        rays, points, mount, place = ray[seen], self._points[seen], self.camera.mount.T, self.target.pose.T
+        rays, points, mount, place = (
+            ray[seen],
+            self._points[seen],
+            self.camera.mount.T,
+            self.target.pose.T,
+        )
         if self.depth.on_floor:
             found = pose_on_floor(rays, points, mount, place, predicted)
         else:
             found = solve_pose_from_rays(rays, points, predicted)
             if found is None and predicted is None and self.grounded:
-                # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
-                found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
+                # Three markers leave up to four poses; of a vehicle's, one has the base upright on
+                # the floor.
+                found = solve_pose_from_rays(
+                    rays, points, pose_on_floor(rays, points, mount, place, None)
+                )
         return (predicted, False) if found is None else (found, True)
 
     def _leveled(self, view: Observation, tilt: Array) -> Observation:
         """The same in the level camera's frame."""
         assert view.ray is not None
         mount = self.camera.mount.T[:3, :3]
-        ray, T, depth, own = level_rays(view.ray, tilt, self.camera, self.derotation), view.T_camera_target, view.depth, view.motion
+        ray, T, depth, own = (
+            level_rays(view.ray, tilt, self.camera, self.derotation),
+            view.T_camera_target,
+            view.depth,
+            view.motion,
+        )
         ahead = ray[:, 2:]
         xy = ray[:, :2] / np.where(ahead > FORWARD_COSINE, ahead, np.nan)
         if T is not None:
@@ -368,7 +508,11 @@ class Observer:
         if view.range is not None and not self.depth.preset:
             depth = view.range * ray[:, 2]  # the rotation leaves ranges alone
         if own is not None:
-            own = replace(own, twist=level_twist(own.twist, tilt, mount), moved=level_twist(own.moved, tilt, mount))
+            own = replace(
+                own,
+                twist=level_twist(own.twist, tilt, mount),
+                moved=level_twist(own.moved, tilt, mount),
+            )
         return replace(view, ray=ray, xy=xy, depth=depth, T_camera_target=T, motion=own)
 
     def _driven(
@@ -377,47 +521,68 @@ class Observer:
         if state.odometry is None:
             return None, state.place
         dt = t - state.t
-        step = np.zeros(3) if np.isnan(state.t) else arc(adjoint(self.camera.mount.T)[[0, 1, 5]] @ twist, dt)
+        step = (
+            np.zeros(3)
+            if np.isnan(state.t)
+            else arc(adjoint(self.camera.mount.T)[[0, 1, 5]] @ twist, dt)
+        )
         odometry = composed(state.odometry, step)
         if self.target.moves:  # no landmark
             return odometry, None
         predicted = None if state.place is None else composed(state.place, step)
-        T_map_camera = None if T is None else self.target.pose.T @ inverse(T)  # by the landmarks, whose places are known
-        return odometry, fused_place(predicted, T_map_camera, self.camera.mount.T, compass, corrections(dt))
+        # by the landmarks, whose places are known
+        T_map_camera = None if T is None else self.target.pose.T @ inverse(T)
+        return odometry, fused_place(
+            predicted, T_map_camera, self.camera.mount.T, compass, corrections(dt)
+        )
 
-    def _observation(self, view: Observation, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
+    def _observation(
+        self, view: Observation, solved: bool, odometry: Array | None, place: Array | None
+    ) -> Observation:
         """What the law requires of a view, with the errors of the calibration in its depths."""
         required = self.required_fields
-        predictable = not self.target.moves or self.target.on_gripper  # else the target's pose is known only while it is seen
+        # else the target's pose is known only while it is seen
+        predictable = not self.target.moves or self.target.on_gripper
         pose = view.T_camera_target if solved or predictable else None
         depth, reach, scale = view.depth, view.range, self.depth_scale
         if scale is not None:
             depth, reach = depth * scale, None if reach is None else reach * scale
             pose = None if pose is None else pose_by_depth(pose, self._points, scale)
         rays = (view.ray, reach) if "ray" in required else (None, None)
-        relative = relative_view(self.goal.xy, view.xy, self.goal.normal) if "relative" in required else None
+        relative = (
+            relative_view(self.goal.xy, view.xy, self.goal.normal)
+            if "relative" in required
+            else None
+        )
         motion = view.motion if "motion" in required else None
         radius = None
-        if "radius_px" in required:  # the larger of half width and half height; without ranges by the depths
+        # the larger of half width and half height; without ranges by the depths
+        if "radius_px" in required:
             ray = self.camera.ray(view.uv)
             p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
             radius = self.camera.half_size(p, self.target.marker.radius).max(axis=1)
-        return Observation(view.t, view.uv, view.xy, depth, pose, *rays, relative, odometry, place, motion, radius)
+        return Observation(
+            view.t, view.uv, view.xy, depth, pose, *rays, relative, odometry, place, motion, radius
+        )
 
 
 # The target's pose by the pictures of several cameras at once.
 ROUNDS, SETTLED = 10, 1e-9
-"""Most steps of Gauss and Newton, and the step [unit, rad] at which they end: from a pose of one picture it takes three or four."""
+"""Most steps of Gauss and Newton, and the step [unit, rad] at which they end: from a pose of one
+picture it takes three or four.
+"""
 LEAST_MARKERS, LEAST_SHARE = 3, 1e-6
-"""Fewest markers in all pictures together that tell a pose, and the least singular value of L, as a share of the largest, with which they
-do."""
+"""Fewest markers in all pictures together that tell a pose, and the least singular value of L, as a
+share of the largest, with which they do.
+"""
 
 
 class CameraPixels(NamedTuple):
     """What one camera sees of a target.
 
-    camera: the lens as calibrated. uv: its markers (N, 2) [px], NaN where one is not seen. T_this_reference: pose (4, 4) of the reference
-    camera in this one's frame. weight: of its squared errors. T_this_target: the target's pose (4, 4) by this camera alone, if any.
+    camera: the lens as calibrated. uv: its markers (N, 2) [px], NaN where one is not seen.
+    T_this_reference: pose (4, 4) of the reference camera in this one's frame. weight: of its
+    squared errors. T_this_target: the target's pose (4, 4) by this camera alone, if any.
     """
 
     camera: Camera
@@ -428,15 +593,17 @@ class CameraPixels(NamedTuple):
 
 
 def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[Array, Array] | None:
-    """T_reference_target (4, 4) that minimises sum of w |uv - project(T_this_reference T P)|^2 over all cameras and markers, by
-    Gauss-Newton steps from a pose T (4, 4); and its information (6, 6), sum of w L^T L: with w = 1 / sigma^2 the inverse of its
-    covariance, of a displacement of the reference camera in its own frame. None where too little is seen, or the steps do not settle.
+    """T_reference_target (4, 4) that minimises sum of w |uv - project(T_this_reference T P)|^2 over
+    all cameras and markers, by Gauss-Newton steps from a pose T (4, 4); and its information (6, 6),
+    sum of w L^T L: with w = 1 / sigma^2 the inverse of its covariance, of a displacement of the
+    reference camera in its own frame. None where too little is seen, or the steps do not settle.
 
-    To first order this is the mean of the poses by each camera alone, weighted by the inverses of their covariances; a camera that sees too
-    few markers for a pose of its own still adds what it sees. points: the markers (N, 3) in the target's frame [m].
+    To first order this is the mean of the poses by each camera alone, weighted by the inverses of
+    their covariances; a camera that sees too few markers for a pose of its own still adds what it
+    sees. points: the markers (N, 3) in the target's frame [m].
 
-    Reference: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 3.4 (least squares and
-    its covariance).
+    Reference: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and
+    Navigation, section 3.4 (least squares and its covariance).
     """
     rows = [np.isfinite(one.uv[:, 0]) for one in seen]
     if sum(int(np.count_nonzero(of_one)) for of_one in rows) < LEAST_MARKERS:
@@ -447,9 +614,12 @@ def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[A
         for one, known in zip(seen, rows, strict=True):
             p = transform(one.T_this_reference @ T, points[known])
             error = one.uv[known] - one.camera.project(p)
-            if not np.isfinite(error).all():  # beside the lens: the pose to begin with was a wrong one
+            # beside the lens: the pose to begin with was a wrong one
+            if not np.isfinite(error).all():
                 return None
-            L = (pixel_interaction(one.camera, p) @ adjoint(one.T_this_reference)).reshape(-1, 6) * units
+            L = (pixel_interaction(one.camera, p) @ adjoint(one.T_this_reference)).reshape(
+                -1, 6
+            ) * units
             information += one.weight * L.T @ L
             gradient += one.weight * L.T @ error.ravel()
         values = np.linalg.eigvalsh(information)
@@ -462,10 +632,14 @@ def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[A
     return None
 
 
-def pose_of_all(T: Array | None, points: Array, own: CameraPixels, others: Sequence[CameraPixels]) -> Array | None:
-    """The pose (4, 4) by the pictures of a reference camera and others, from that of the camera that sees most; None where they tell none.
+def pose_of_all(
+    T: Array | None, points: Array, own: CameraPixels, others: Sequence[CameraPixels]
+) -> Array | None:
+    """The pose (4, 4) by the pictures of a reference camera and others, from that of the camera
+    that sees most; None where they tell none.
 
-    T: the pose (4, 4) in the reference camera's frame by its own picture, or as it was; None where it has never been known.
+    T: the pose (4, 4) in the reference camera's frame by its own picture, or as it was; None where
+    it has never been known.
     """
     most = np.count_nonzero(np.isfinite(own.uv[:, 0]))
     for other in others:

@@ -1,4 +1,6 @@
-"""The oracle: a detector that reads the ground truth. A baseline for comparison with vision, never a default."""
+"""The oracle: a detector that reads the ground truth. A baseline for comparison with vision, never
+a default.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +19,20 @@ from vstestbed.vision.base import Detection, DetectorBase, TruthView
 
 @spec
 class Oracle(DetectorBase):
-    """True projections and true depths; pixel noise is the scenario's `noise.pixel_sigma_px`, added by the `Observer`.
+    """True projections and true depths; pixel noise is the scenario's `noise.pixel_sigma_px`, added
+    by the `Observer`.
 
-    Directions that the lens cannot project are never seen: with a perspective lens, all behind the camera. With a limited
-    field of view a marker is also lost when it is occluded, outside the image or cut by its border (`Camera.whole`).
+    Directions that the lens cannot project are never seen: with a perspective lens, all behind the
+    camera. With a limited field of view a marker is also lost when it is occluded, outside the
+    image or cut by its border (`Camera.whole`).
 
-    Latency, jitter, lost and late pictures, a rolling shutter (`camera.readout_s`) and dropout act on it as on every detector; of an
-    exposure it sees the middle. What changes grey levels alone does not act on it, and a run says so.
+    Latency, jitter, lost and late pictures, a rolling shutter (`camera.readout_s`) and dropout act
+    on it as on every detector; of an exposure it sees the middle. What changes grey levels alone
+    does not act on it, and a run says so.
 
     Args:
-        field_of_view: `limited` by the image's borders and by occlusion, or `unlimited`: all that the lens can project.
+        field_of_view: `limited` by the image's borders and by occlusion, or `unlimited`: all that
+            the lens can project.
     """
 
     kind: Literal["oracle"] = "oracle"
@@ -35,11 +41,23 @@ class Oracle(DetectorBase):
     needs_truth: ClassVar[bool] = True
 
     def detect(
-        self, state: None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self,
+        state: None,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
     ) -> tuple[None, Detection]:
         """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others."""
         if view is None:
-            raise ParameterError.missing("view", "the oracle needs the true view of the target; use detector blobs where there is none")
+            raise ParameterError.missing(
+                "view",
+                (
+                    "the oracle needs the true view of the target;"
+                    " use detector blobs where there is none"
+                ),
+            )
         p = view.p_camera
         uv = camera.project(p)
         if self.field_of_view == "unlimited" and all_finite(uv):
@@ -53,7 +71,9 @@ class Oracle(DetectorBase):
 
 @spec
 class NoDetector(DetectorBase):
-    """Nothing is detected: a law that works on grey levels (`photometric`) needs neither markers nor an oracle."""
+    """Nothing is detected: a law that works on grey levels (`photometric`) needs neither markers
+    nor an oracle.
+    """
 
     kind: Literal["none"] = "none"
     needs_image: ClassVar[bool] = False
@@ -64,7 +84,13 @@ class NoDetector(DetectorBase):
         return goal.rows(np.zeros(0, np.intp))
 
     def detect(
-        self, state: Goal | None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self,
+        state: Goal | None,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
     ) -> tuple[Goal | None, Detection]:
         """No point."""
         return state, Detection(uv=np.empty((0, 2)), goal=state)

@@ -26,14 +26,23 @@ from vstestbed.vision.base import Detection, DetectorBase, TruthView, windows_ro
 from vstestbed.vision.local_features import Descriptors, Sift, mutual_matches
 from vstestbed.vision.pnp import looking_along
 
-# A picture on a plane as a template to track: its grey levels in several sizes, each with all that its alignment needs of it.
+# A picture on a plane as a template to track: its grey levels in several sizes, each with all that
+# its alignment needs of it.
 GreyImage = NDArray[np.float32]
 
 LEAST_SIDE = 20  # shortest side of the smallest copy of a template [texel]
-BLOCKS = 6  # blocks along a template's longer side, each of which is compared with the picture by itself
-FLAT = 6.0  # standard deviation of a block's grey levels below which its correlation would be one of noise alone
-BLUR = 0.8  # sigma of the filter over template and picture [texel, px], without which sampling between pixels shifts fine detail
-EDGE = 2  # outermost texels that are left out: what the picture shows there mixes with what is behind the template
+BLOCKS = (
+    6  # blocks along a template's longer side, each of which is compared with the picture by itself
+)
+# standard deviation of a block's grey levels below which its correlation would be one of noise
+# alone
+FLAT = 6.0
+# sigma of the filter over template and picture [texel, px], without which sampling between pixels
+# shifts fine detail
+BLUR = 0.8
+# outermost texels that are left out: what the picture shows there mixes with what is behind the
+# template
+EDGE = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,10 +51,14 @@ class TemplateSize:
 
     Attributes:
         grey: grey levels (h, w). slopes: derivatives of the grey levels by x and y, (2, n).
-        x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
-        to_plane: (3, 3), from (column, row, 1) to (x, y, 1). texel: width and height of a texel, in the same units.
-        inner: which texels count, (n,); those at the border do not. spread: by which a residual is measured, (n,) [grey levels].
-        block: number of each texel's block, (n,). textured: which blocks are not flat, (B,). blocks: how many along x and y.
+        x, y: texel centres in units of half the template's longer side, from its middle, right and
+            down, (n,).
+        to_plane: (3, 3), from (column, row, 1) to (x, y, 1). texel: width and height of a texel, in
+            the same units.
+        inner: which texels count, (n,); those at the border do not. spread: by which a residual is
+            measured, (n,) [grey levels].
+        block: number of each texel's block, (n,). textured: which blocks are not flat, (B,).
+            blocks: how many along x and y.
     """
 
     grey: GreyImage
@@ -62,12 +75,16 @@ class TemplateSize:
 
     def by_block(self, values: GreyImage) -> GreyImage:
         """Means of values (n,) over each block, (B,)."""
-        return np.asarray(cv2.resize(values.reshape(self.grey.shape), self.blocks, interpolation=cv2.INTER_AREA), np.float32).ravel()
+        return np.asarray(
+            cv2.resize(values.reshape(self.grey.shape), self.blocks, interpolation=cv2.INTER_AREA),
+            np.float32,
+        ).ravel()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Template:
-    """A picture file as a template: from its largest copy to its smallest, each about half as large as the one before.
+    """A picture file as a template: from its largest copy to its smallest, each about half as large
+    as the one before.
 
     Attributes:
         unit_m: half the longer side of the picture [m]. half: half its sides in that unit.
@@ -88,7 +105,9 @@ class Template:
 
 @lru_cache(maxsize=8)
 def template_of(path: Path, written_ns: int, width_m: float, most_texels: int) -> Template:
-    """The template of a picture file, last written at a time [ns], printed `width_m` wide; the largest copy has about `most_texels`."""
+    """The template of a picture file, last written at a time [ns], printed `width_m` wide; the
+    largest copy has about `most_texels`.
+    """
     image = decoded(path)
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
     height, width = grey.shape
@@ -97,14 +116,22 @@ def template_of(path: Path, written_ns: int, width_m: float, most_texels: int) -
     share = min(1.0, (most_texels / grey.size) ** 0.5)
     levels: list[TemplateSize] = []
     while min(height, width) * share >= LEAST_SIDE or not levels:
-        levels.append(_level(grey, (max(4, round(width * share)), max(4, round(height * share))), half))
+        levels.append(
+            _level(grey, (max(4, round(width * share)), max(4, round(height * share))), half)
+        )
         share /= 2
     return Template(tuple(levels), width_m / 2 / half[0], half, _features(image, half))
 
 
 def _level(grey: GreyImage, size: tuple[int, int], half: tuple[float, float]) -> TemplateSize:
-    """The template reduced to a size (w, h) by averaging, so that its texels' places stay where they are."""
-    small = grey if size == grey.shape[::-1] else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
+    """The template reduced to a size (w, h) by averaging, so that its texels' places stay where
+    they are.
+    """
+    small = (
+        grey
+        if size == grey.shape[::-1]
+        else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
+    )
     small = np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.float32)
     w, h = size
     texel = 2 * half[0] / w, 2 * half[1] / h
@@ -118,14 +145,21 @@ def _level(grey: GreyImage, size: tuple[int, int], half: tuple[float, float]) ->
     spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
     to_plane = np.array([[texel[0], 0, x[0]], [0, texel[1], y[0]], [0, 0, 1]])
     slope = slopes(small, texel)
-    # A flat texel may differ by four grey levels from the picture, and an edge may seem to be shifted by .3 texels in it.
-    sampled = np.hypot(4.0, 0.3 * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(np.float32)
+    # A flat texel may differ by four grey levels from the picture, and an edge may seem to be
+    # shifted by .3 texels in it.
+    sampled = np.hypot(4.0, 0.3 * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(
+        np.float32
+    )
     x, y = x.astype(np.float32), y.astype(np.float32)
-    return TemplateSize(small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down))
+    return TemplateSize(
+        small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down)
+    )
 
 
 def slopes(grey: GreyImage, texel: tuple[float, float]) -> GreyImage:
-    """Derivatives of grey levels (h, w) by the template's x and y, by central differences, (2, n)."""
+    """Derivatives of grey levels (h, w) by the template's x and y,
+    by central differences, (2, n).
+    """
     out = np.empty((2, *grey.shape), np.float32)
     cv2.Sobel(grey, cv2.CV_32F, 1, 0, dst=out[0], ksize=1, scale=0.5 / texel[0])
     cv2.Sobel(grey, cv2.CV_32F, 0, 1, dst=out[1], ksize=1, scale=0.5 / texel[1])
@@ -134,12 +168,16 @@ def slopes(grey: GreyImage, texel: tuple[float, float]) -> GreyImage:
 
 @functools.cache
 def _sift() -> Sift:
-    """Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
+    """Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are
+    found out.
+    """
     return Sift(most=800, contrast=0.01)
 
 
 def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descriptors]:
-    """Places (K, 2) in the template's unit and SIFT descriptors (K, 128) of a picture (H, W, 3), blue first."""
+    """Places (K, 2) in the template's unit and SIFT descriptors (K, 128) of a picture (H, W, 3),
+    blue first.
+    """
     height, width = image.shape[:2]
     share = min(1.0, 640 / max(height, width))  # a picture shows no finer ones
     w, h = round(width * share), round(height * share)
@@ -150,7 +188,8 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
 
 # Grey pictures in several sizes, sampled where a plane is projected by any lens.
 OUTSIDE = -1e4  # a pixel far outside of every picture
-GRID = np.linspace(-1, 1, 9)  # places along a template's sides at which its size in the picture is measured
+# places along a template's sides at which its size in the picture is measured
+GRID = np.linspace(-1, 1, 9)
 
 
 class GreyPicture:
@@ -158,7 +197,8 @@ class GreyPicture:
 
     def __init__(self, picture: Picture, camera: Camera, window: Window | None = None):
         self.camera = camera
-        # Of each panel with an image: its grey levels, and those halved again and again (`cv2.pyrDown`); where they begin [px].
+        # Of each panel with an image: its grey levels, and those halved again and again
+        # (`cv2.pyrDown`); where they begin [px].
         self._sizes: dict[int, list[GreyImage]] = {}
         self._begin: dict[int, Array] = {}
         self._smooth: dict[tuple[int, int], GreyImage] = {}
@@ -166,13 +206,20 @@ class GreyPicture:
             if image is None:
                 continue
             left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
-            grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY), np.uint8)
+            grey = np.asarray(
+                cv2.cvtColor(
+                    np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY
+                ),
+                np.uint8,
+            )
             self._sizes[k], self._begin[k] = [grey.astype(np.float32)], np.array([left, top], float)
 
     def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
-        """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where it shows nothing.
+        """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where
+        it shows nothing.
 
-        rays: (3, 3), from a grid's place (column, row, 1) to its direction in the camera's frame. shape: h and w of the grid.
+        rays: (3, 3), from a grid's place (column, row, 1) to its direction in the camera's frame.
+            shape: h and w of the grid.
         """
         parts = [self._sampled(k, rays, shape, halvings) for k in self._sizes]
         out = parts[0]
@@ -185,19 +232,36 @@ class GreyPicture:
             sizes = self._sizes[k]
             while len(sizes) <= halvings:
                 sizes.append(np.asarray(cv2.pyrDown(sizes[-1]), np.float32))
-            self._smooth[k, halvings] = np.asarray(cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR), np.float32)
+            self._smooth[k, halvings] = np.asarray(
+                cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR), np.float32
+            )
         panel, image, begin = self.camera.panels[k], self._smooth[k, halvings], self._begin[k]
         turned, lens = panel.R_camera_panel.T @ rays, panel.lens
         h, w = shape
         ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
         if isinstance(lens, Perspective) and not lens.resampled and ahead.min() > 0:
-            to_part = np.array([[1, 0, -begin[0]], [0, 1, -begin[1]], [0, 0, 2**halvings]]) @ lens.K @ turned
+            to_part = (
+                np.array([[1, 0, -begin[0]], [0, 1, -begin[1]], [0, 0, 2**halvings]])
+                @ lens.K
+                @ turned
+            )
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-            found = cv2.warpPerspective(image, to_part, (w, h), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+            found = cv2.warpPerspective(
+                image,
+                to_part,
+                (w, h),
+                flags=flags,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=np.nan,
+            )
             return np.asarray(found, np.float32)
         at = (lens.project(_grid(shape) @ turned.T) - begin) / 2**halvings
-        u, v = np.ascontiguousarray(np.moveaxis(np.nan_to_num(at.astype(np.float32), nan=OUTSIDE), -1, 0))
-        found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+        u, v = np.ascontiguousarray(
+            np.moveaxis(np.nan_to_num(at.astype(np.float32), nan=OUTSIDE), -1, 0)
+        )
+        found = cv2.remap(
+            image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan
+        )
         return np.asarray(found, np.float32)
 
 
@@ -210,7 +274,9 @@ def _grid(shape: tuple[int, int]) -> Array:
 
 
 def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> float:
-    """Pixels of a camera's image (of its panels) along the unit of a template: the root of the ratio of areas; NaN where it is not seen."""
+    """Pixels of a camera's image (of its panels) along the unit of a template: the root of the
+    ratio of areas; NaN where it is not seen.
+    """
     x, y = np.meshgrid(GRID * half[0], GRID * half[1])
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ G.T
     areas: list[float] = []
@@ -224,19 +290,30 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
     return float(np.sqrt(np.median(areas) / cell)) if areas else float("nan")
 
 
-# Alignment of a plane's template with a picture by efficient second-order minimisation (ESM), under any lens.
+# Alignment of a plane's template with a picture by efficient second-order minimisation (ESM), under
+# any lens.
 #
-# The plane's homography G (3, 3), det G > 0, maps a template's point (x, y, 1) to the direction of its image in the camera's frame.
-TUKEY = 4.685  # residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)
-LEAST_SIGMA = 0.5  # least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`
-LIGHT = 64.0  # grey levels that count as one in the normal equations, so that their columns are of similar size
+# The plane's homography G (3, 3), det G > 0, maps a template's point (x, y, 1) to the direction of
+# its image in the camera's frame.
+
+# residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)
+TUKEY = 4.685
+# least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`
+LEAST_SIGMA = 0.5
+# grey levels that count as one in the normal equations, so that their columns are of similar size
+LIGHT = 64.0
 PART = 2000  # texels in one product of matrices
 INSIDE = 0.5  # share of a block that must be in the picture for it to count
-ENOUGH = 0.15  # share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance
-FAINT = 1.0  # least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise
+# share of the textured blocks that must be alike before the others are left out; fewer may be alike
+# by chance
+ENOUGH = 0.15
+# least standard deviation of a block that correlates, in grey levels: that of a plain surface is
+# noise
+FAINT = 1.0
 BlockFits = tuple[NDArray[np.bool_], float, float]
-"""Which blocks (B,) of a template count; zero-mean normalised cross-correlation of the picture with those that are alike, and their share
-of the textured ones."""
+"""Which blocks (B,) of a template count; zero-mean normalised cross-correlation of the picture with
+those that are alike, and their share of the textured ones.
+"""
 
 
 def normalised(G: Array) -> Array:
@@ -245,46 +322,71 @@ def normalised(G: Array) -> Array:
     return G / np.cbrt(det) if abs(det) > 1e-12 * np.abs(G).max() ** 3 else np.zeros((3, 3))
 
 
-def align(template: Template, picture: GreyPicture, G: Array, least_correlation: float, least_visible: float) -> Array | None:
-    """The homography near G that aligns a template with a picture; None where the plane leaves the picture.
+def align(
+    template: Template,
+    picture: GreyPicture,
+    G: Array,
+    least_correlation: float,
+    least_visible: float,
+) -> Array | None:
+    """The homography near G that aligns a template with a picture; None where the plane leaves the
+    picture.
 
-    It is None, too, where less than `least_visible` of the textured blocks are inside the picture and alike.
+    It is None, too, where less than `least_visible` of the textured blocks are inside the picture
+    and alike.
 
-    From the template's small copies to a large one, each against the picture in a similar size, the residuals
-    r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are minimised over z in sl(3) and the light's gain and
-    offset, which change linearly over the plane. ESM takes the mean of the derivatives in the picture and in the template, which makes the
-    convergence quadratic. Weights of Tukey, and zero for blocks that do not correlate, leave out what hides the plane.
-    References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006, doi:10.1109/IROS.2006.281831 (weights).
+    From the template's small copies to a large one, each against the picture in a similar size, the
+    residuals
+    r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are minimised
+    over z in sl(3) and the light's gain and offset, which change linearly over the plane. ESM takes
+    the mean of the derivatives in the picture and in the template, which makes the
+    convergence quadratic. Weights of Tukey, and zero for blocks that do not correlate, leave out
+    what hides the plane.
+    References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006,
+    doi:10.1109/IROS.2006.281831 (weights).
     """
     visible = 0.0
     sizes = _sizes(template, picture, G)
-    for (level, halvings), rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):  # most iterations, on the smallest copy first
-        # They end when no corner moves by more than this in the picture [px]; in the smaller copies earlier.
+    # most iterations, on the smallest copy first
+    for (level, halvings), rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):
+        # They end when no corner moves by more than this in the picture [px]; in the smaller copies
+        # earlier.
         still = 0.03 * (1 if level is sizes[-1][0] else 8.0)
-        found = _aligned(level, picture, halvings, G, rounds, still, least_correlation, template.corners)
+        found = _aligned(
+            level, picture, halvings, G, rounds, still, least_correlation, template.corners
+        )
         if found is None:
             return None
         G, visible = found[0], found[1][2]
     return G if sizes and visible >= least_visible else None
 
 
-def similarity(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> tuple[float, float]:
-    """How well a template fits a picture at G as it is, in its smallest copy that `align` would use: share visible, correlation."""
+def similarity(
+    template: Template, picture: GreyPicture, G: Array, least_correlation: float
+) -> tuple[float, float]:
+    """How well a template fits a picture at G as it is, in its smallest copy that `align` would
+    use: share visible, correlation.
+    """
     sizes = _sizes(template, picture, G)
     if not sizes:
         return 0.0, 0.0
     level, halvings = sizes[0]
-    _, correlation, share = _compared(level, _sampled(level, picture, halvings, G), least_correlation)
+    _, correlation, share = _compared(
+        level, _sampled(level, picture, halvings, G), least_correlation
+    )
     return share, correlation
 
 
 def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[TemplateSize, int]]:
-    """The template's copies to align with, smallest first, each with how often the picture is halved for it; empty where not seen."""
+    """The template's copies to align with, smallest first, each with how often the picture is
+    halved for it; empty where not seen.
+    """
     scale = pixels_per_unit(picture.camera, G, template.half)
     if not scale > 0:
         return []
     px = [scale * np.sqrt(level.texel[0] * level.texel[1]) for level in template.levels]
-    # Texels from .7 px on, since finer ones show nothing that the picture holds, to about four times those.
+    # Texels from .7 px on, since finer ones show nothing that the picture holds, to about four
+    # times those.
     first = next((k for k, size in enumerate(px) if size >= 0.7), len(px) - 1)
     used = [k for k in range(first, len(px)) if px[k] <= 4.0 * 1.2 * px[first]]
     return [(template.levels[k], max(0, round(float(np.log2(px[k]))))) for k in reversed(used)]
@@ -295,9 +397,18 @@ def _sampled(level: TemplateSize, picture: GreyPicture, halvings: int, G: Array)
 
 
 def _aligned(
-    level: TemplateSize, picture: GreyPicture, halvings: int, G: Array, rounds: int, still: float, least: float, corners: Array
+    level: TemplateSize,
+    picture: GreyPicture,
+    halvings: int,
+    G: Array,
+    rounds: int,
+    still: float,
+    least: float,
+    corners: Array,
 ) -> tuple[Array, BlockFits] | None:
-    """G aligned in one size, and how well each block fits there; None where too little of the plane is in the picture."""
+    """G aligned in one size, and how well each block fits there; None where too little of the plane
+    is in the picture.
+    """
     before = picture.camera.project(corners @ G.T)
     counted = light = None
     for _ in range(rounds):
@@ -321,8 +432,12 @@ def _aligned(
     return G, _compared(level, _sampled(level, picture, halvings, G), least)
 
 
-def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: Array | None) -> tuple[Array, Array]:
-    """The warp exp(A(z)) (3, 3) of the template's plane in one iteration, and the light (6,) after it: gain and offset, each (1, x, y)."""
+def _step(
+    level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: Array | None
+) -> tuple[Array, Array]:
+    """The warp exp(A(z)) (3, 3) of the template's plane in one iteration, and the light (6,) after
+    it: gain and offset, each (1, x, y).
+    """
     template, x, y = level.grey.ravel(), level.x, level.y
     known = np.where(seen, grey, 0)
     if light is None:  # that by which the grey levels have the template's mean and spread
@@ -333,14 +448,33 @@ def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: 
     gain = (a[0] + a[1] * x + a[2] * y).astype(np.float32)
     residual = gain * known + (a[3] + a[4] * x + a[5] * y).astype(np.float32) - template
     shape = level.grey.shape
-    gx, gy = 0.5 * (gain * slopes(np.where(np.isfinite(grey), grey, 0).reshape(shape), level.texel) + level.slopes)
+    gx, gy = 0.5 * (
+        gain * slopes(np.where(np.isfinite(grey), grey, 0).reshape(shape), level.texel)
+        + level.slopes
+    )
     along = gx * x + gy * y
     scaled = known / LIGHT
     lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
-    rows = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, *lit, residual])
+    rows = np.stack(
+        [
+            gx,
+            gy,
+            gx * y,
+            gy * x,
+            gx * x - gy * y,
+            -along - gy * y,
+            -x * along,
+            -y * along,
+            *lit,
+            residual,
+        ]
+    )
     rows = np.asarray(rows * np.sqrt(_weights(residual, level, seen)), np.float32)
-    # rows rows^T in parts so small that a linear algebra library does not share them out among threads
-    N = np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
+    # rows rows^T in parts so small that a linear algebra library does not share them out among
+    # threads
+    N = np.add.reduce(
+        [(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]
+    ).astype(float)
     n = len(N) - 1
     # The ridge leaves where it is what the template leaves open.
     z = -np.linalg.solve(N[:n, :n] + 1e-6 * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
@@ -348,7 +482,9 @@ def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: 
 
 
 def _weights(residual: GreyImage, level: TemplateSize, seen: NDArray[np.bool_]) -> GreyImage:
-    """Tukey's weights of residuals (n,), zero where not seen; their scale by the median of their sizes."""
+    """Tukey's weights of residuals (n,), zero where not seen; their scale by the median of their
+    sizes.
+    """
     size = np.abs(residual) / level.spread
     sigma = max(1.4826 * float(np.median(size[seen])), LEAST_SIGMA)
     part = np.minimum(size / (TUKEY * sigma), 1.0)
@@ -356,7 +492,9 @@ def _weights(residual: GreyImage, level: TemplateSize, seen: NDArray[np.bool_]) 
 
 
 def _exponential(z: Array) -> Array:
-    """The exponential of the matrix of sl(3) with coordinates z (8,), by its series: it is small."""
+    """The exponential of the matrix of sl(3) with coordinates z (8,), by its series:
+    it is small.
+    """
     A = np.array([[z[4], z[2], z[0]], [z[3], -z[4] - z[5], z[1]], [z[6], z[7], z[5]]])
     A *= min(1.0, 1.0 / max(np.abs(A).max(), 1e-12))
     out, term = np.eye(3), np.eye(3)
@@ -367,36 +505,54 @@ def _exponential(z: Array) -> Array:
 
 
 def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
-    """How well each textured block of a template fits the grey levels (n,): by its zero-mean normalised correlation with them."""
+    """How well each textured block of a template fits the grey levels (n,): by its zero-mean
+    normalised correlation with them.
+    """
     seen = level.inner & np.isfinite(grey)
     # About their means, which single precision would otherwise keep too few digits beside.
-    i, t = (np.where(seen, of - of[seen].mean(), 0) if seen.any() else np.zeros_like(of) for of in (grey, level.grey.ravel()))
-    s, si, st, sii, stt, sit = (level.by_block(values) for values in (seen.astype(np.float32), i, t, i * i, t * t, i * t))
+    i, t = (
+        np.where(seen, of - of[seen].mean(), 0) if seen.any() else np.zeros_like(of)
+        for of in (grey, level.grey.ravel())
+    )
+    s, si, st, sii, stt, sit = (
+        level.by_block(values) for values in (seen.astype(np.float32), i, t, i * i, t * t, i * t)
+    )
     some = np.maximum(s, 1e-3)
-    cov, vi, vt = sit - si * st / some, np.maximum(sii - si * si / some, 0), np.maximum(stt - st * st / some, 0)
+    cov, vi, vt = (
+        sit - si * st / some,
+        np.maximum(sii - si * si / some, 0),
+        np.maximum(stt - st * st / some, 0),
+    )
     inside = level.textured & (s >= INSIDE * level.by_block(level.inner.astype(np.float32)))
     each = cov / np.sqrt(np.maximum(vi, FAINT**2) * np.maximum(vt, FAINT**2))
     alike = inside & (each >= least)
     total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6))
     share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))
-    # A block that is hidden in part lets its alignment slip, and has less correlation than the others.
+    # A block that is hidden in part lets its alignment slip, and has less correlation than the
+    # others.
     counted = alike & (each >= 0.8 * np.median(each[alike])) if share >= ENOUGH else inside
     return counted, total, share
 
 
-# A plane's template found anywhere in a picture: keypoints matched, and the homography on which most of them agree.
+# A plane's template found anywhere in a picture: keypoints matched, and the homography on which
+# most of them agree.
 LEAST_MATCHES = 10  # fewest matches that must agree
 STEP = 1e-3  # tangent by which the picture's scale in its middle is measured
 
 
 def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
-    """The homography (3, 3) from a template's plane to the directions of its image, as `align` takes it; None where it is not found.
+    """The homography (3, 3) from a template's plane to the directions of its image, as `align`
+    takes it; None where it is not found.
 
-    SIFT keypoints of all panels are matched with the template's. Their directions are turned to a virtual pinhole camera which looks at
-    their middle, so that any lens will do.
+    SIFT keypoints of all panels are matched with the template's. Their directions are turned to a
+    virtual pinhole camera which looks at their middle, so that any lens will do.
     """
     places, _ = template.features
-    pairs = [_matched(image, panel, template) for image, panel in zip(picture.images, camera.panels, strict=True) if image is not None]
+    pairs = [
+        _matched(image, panel, template)
+        for image, panel in zip(picture.images, camera.panels, strict=True)
+        if image is not None
+    ]
     rays, index = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
     if len(rays) < LEAST_MATCHES:
         return None
@@ -409,7 +565,10 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
     # Pixels per unit of tangent in the middle of the camera's (first) image.
     middle = camera.panels[0].lens.project(np.array([[0.0, 0.0, 1.0], [STEP, 0.0, 1.0]]))
     f = float(np.linalg.norm(middle[1] - middle[0])) / STEP
-    H, inliers = cv2.findHomography(places[index[ahead]], f * xy, cv2.RANSAC, 3.0, maxIters=2000, confidence=0.999)  # within 3 px
+    # within 3 px
+    H, inliers = cv2.findHomography(
+        places[index[ahead]], f * xy, cv2.RANSAC, 3.0, maxIters=2000, confidence=0.999
+    )
     if H is None or np.count_nonzero(inliers) < LEAST_MATCHES:
         return None
     G = normalised(R @ np.diag([1 / f, 1 / f, 1]) @ H)
@@ -418,7 +577,9 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
 
 
 def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDArray[np.intp]]:
-    """Unit rays (M, 3) in the camera's frame of a panel's keypoints that match one of the template's, and its number (M,)."""
+    """Unit rays (M, 3) in the camera's frame of a panel's keypoints that match one of the
+    template's, and its number (M,).
+    """
     px, descriptors = _sift().extract(image)
     mine, number, _ = mutual_matches(descriptors, template.features[1], ratio=0.8)
     rays = panel.lens.ray(px[mine]) @ panel.R_camera_panel.T
@@ -428,7 +589,9 @@ def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDA
 
 @dataclass(frozen=True, slots=True)
 class PatchState:
-    """The plane's homography (3, 3) when last seen and in the picture before; whether the last one showed it; when it was searched [s]."""
+    """The plane's homography (3, 3) when last seen and in the picture before; whether the last one
+    showed it; when it was searched [s].
+    """
 
     G: Array | None = None
     before: Array | None = None
@@ -440,22 +603,27 @@ class PatchState:
 class PatchDetector(DetectorBase):
     """The target's own picture, tracked whole; its corners, or the points `at_px`, are the markers.
 
-    Its homography to the camera's picture is aligned by efficient second-order minimisation (ESM) from the last one, predicted at constant
-    velocity, with a gain and an offset of the light and the robust weights of an M-estimator. At first, and every `search_s` while it is
-    lost, SIFT keypoints find it. The plane is projected by the camera's own model, with any lens.
+    Its homography to the camera's picture is aligned by efficient second-order minimisation (ESM)
+    from the last one, predicted at constant velocity, with a gain and an offset of the light and
+    the robust weights of an M-estimator. At first, and every `search_s` while it is lost, SIFT
+    keypoints find it. The plane is projected by the camera's own model, with any lens.
 
-    All points of the plane are known by the homography: also those that are hidden or beyond the border of the picture. When less than
-    `least_visible` of the template is in the picture, and alike, all markers are lost.
+    All points of the plane are known by the homography: also those that are hidden or beyond the
+    border of the picture. When less than `least_visible` of the template is in the picture, and
+    alike, all markers are lost.
 
     Args:
-        least_correlation: a block of the template (a sixth of its longer side) is taken to be visible if its zero-mean normalised
-            correlation with the picture is at least this [1].
+        least_correlation: a block of the template (a sixth of its longer side) is taken to be
+            visible if its zero-mean normalised correlation with the picture is at least this [1].
         least_visible: share of the blocks with texture that must be visible [1].
         search_s: time between two searches while it is lost [s].
-        texels: largest number of the template's pixels that are compared with the picture; more are slower and a little more exact.
-        window_margin_px: margin of the window around the predicted picture, besides half of its last move [px].
+        texels: largest number of the template's pixels that are compared with the picture; more are
+            slower and a little more exact.
+        window_margin_px: margin of the window around the predicted picture, besides half of its
+            last move [px].
 
-    References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Lowe 2004, doi:10.1023/B:VISI.0000029664.99615.94.
+    References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Lowe 2004,
+    doi:10.1023/B:VISI.0000029664.99615.94.
     """
 
     kind: Literal["patch"] = "patch"
@@ -472,39 +640,72 @@ class PatchDetector(DetectorBase):
         return PatchState()
 
     def begin(self, goal: Goal, camera: Camera, target: Target) -> PatchState:
-        """Nothing seen yet; the target's picture and its keypoints are read now, not while a robot waits for the first picture."""
+        """Nothing seen yet; the target's picture and its keypoints are read now, not while a robot
+        waits for the first picture.
+        """
         if target.sheet is not None:
             self._template(target)
         return self.init()
 
-    def regions_of_interest(self, state: PatchState, camera: Camera, target: Target) -> Regions | None:
-        """The window of the next picture; None for everything, always so in a camera with panels."""
+    def regions_of_interest(
+        self, state: PatchState, camera: Camera, target: Target
+    ) -> Regions | None:
+        """The window of the next picture; None for everything,
+        always so in a camera with panels.
+        """
         window = self._window(state, camera, target)
         return None if window is None else ((window,),)
 
     def detect(
-        self, state: PatchState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self,
+        state: PatchState,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
     ) -> tuple[PatchState, Detection]:
-        """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not found."""
+        """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not
+        found.
+        """
         picture, template = self._given(picture), self._template(target)
         G, searched_s = self._tracked(state, picture, template, camera, target), state.searched_s
         if G is None and picture.t - searched_s >= self.search_s:
             whole, searched_s = picture.completed(), picture.t
             if (rough := found(template, whole, camera)) is not None:
-                G = align(template, GreyPicture(whole, camera), rough, self.least_correlation, self.least_visible)
+                G = align(
+                    template,
+                    GreyPicture(whole, camera),
+                    rough,
+                    self.least_correlation,
+                    self.least_visible,
+                )
         if G is None:
             lost = replace(state, before=None, tracked=False, searched_s=searched_s)
             return lost, Detection(uv=np.full((len(target.points), 2), np.nan))
-        points = np.column_stack([target.points[:, :2] / template.unit_m, np.ones(len(target.points))])
+        points = np.column_stack(
+            [target.points[:, :2] / template.unit_m, np.ones(len(target.points))]
+        )
         after = PatchState(G, state.G if state.tracked else None, True, searched_s)
         return after, Detection(uv=camera.project(points @ G.T))
 
     def _template(self, target: Target) -> Template:
         if target.sheet is None or target.source is None:
-            raise ParameterError.fixed("target", "a picture", where="for detector patch, which tracks it")
-        return template_of(target.source, target.source.stat().st_mtime_ns, target.sheet.width, self.texels)
+            raise ParameterError.fixed(
+                "target", "a picture", where="for detector patch, which tracks it"
+            )
+        return template_of(
+            target.source, target.source.stat().st_mtime_ns, target.sheet.width, self.texels
+        )
 
-    def _tracked(self, state: PatchState, picture: Picture, template: Template, camera: Camera, target: Target) -> Array | None:
+    def _tracked(
+        self,
+        state: PatchState,
+        picture: Picture,
+        template: Template,
+        camera: Camera,
+        target: Target,
+    ) -> Array | None:
         if state.G is None:
             return None
         window = self._window(state, camera, target)
@@ -514,7 +715,9 @@ class PatchDetector(DetectorBase):
         return G
 
     def _aligned(self, state: PatchState, grey: GreyPicture, template: Template) -> Array | None:
-        """Aligned from the last homography and the one predicted at constant velocity, from the more similar one first."""
+        """Aligned from the last homography and the one predicted at constant velocity, from the
+        more similar one first.
+        """
         if state.G is None:
             return None
         starts = [state.G]
@@ -539,7 +742,12 @@ class PatchDetector(DetectorBase):
         if not (np.isfinite(uv).all() and np.isfinite(before).all()):
             return None
         (left, top), (right, bottom) = uv.min(axis=0).tolist(), uv.max(axis=0).tolist()
-        box = max(-camera.width, int(left)), max(-camera.height, int(top)), math.ceil(right) + 1, math.ceil(bottom) + 1
+        box = (
+            max(-camera.width, int(left)),
+            max(-camera.height, int(top)),
+            math.ceil(right) + 1,
+            math.ceil(bottom) + 1,
+        )
         du, dv = (uv - before).mean(axis=0).tolist()
         windows = windows_round([box], [(du, dv)], camera, self.window_margin_px)
         return None if windows is None else windows[0]

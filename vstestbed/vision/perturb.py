@@ -1,4 +1,6 @@
-"""Perturbations (`noise.perturb: [...]`) of pictures as the camera delivers them, or of measured pixels, each from streams of its own."""
+"""Perturbations (`noise.perturb: [...]`) of pictures as the camera delivers them, or of measured
+pixels, each from streams of its own.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +17,20 @@ from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import GREY
 
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # weights of red, green and blue in the grey of a colour (ITU-R BT.601)
+# weights of red, green and blue in the grey of a colour (ITU-R BT.601)
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 Share = Annotated[float, Ge(0), Le(1)]
 Probability = Annotated[float, Ge(0), Lt(1)]
 
 
 class PerturbationBase:
-    """A nuisance: its parameters are frozen in the object. By default nothing is drawn once a run, and nothing changed.
+    """A nuisance: its parameters are frozen in the object. By default nothing is drawn once a run,
+    and nothing changed.
 
     Attributes:
-        changes: `picture`, `pixels` (measured marker coordinates), or both. Where pictures are changed they are always rendered whole, so
-            that no number depends on where the detector looks.
+        changes: `picture`, `pixels` (measured marker coordinates), or both. Where pictures are
+            changed they are always rendered whole, so that no number depends on where the detector
+            looks.
     """
 
     kind: Any  # the word in a scenario: a field of each
@@ -36,31 +41,39 @@ class PerturbationBase:
         return None
 
     def picture(self, state: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
-        """The picture (H, W, 3) uint8 RGB of time t [s], changed; `image` is a copy that may be written to.
+        """The picture (H, W, 3) uint8 RGB of time t [s], changed; `image` is a copy that may be
+        written to.
 
-        rng: of this picture. Of a camera with panels each is changed by itself, with the same random numbers.
+        rng: of this picture. Of a camera with panels each is changed by itself, with the same
+            random numbers.
         """
         return image
 
     def pixels(self, state: Any, uv: Array, t: float, rng: np.random.Generator) -> Array:
-        """Measured coordinates uv (N, 2) [px] of time t [s], changed; NaN for a marker that is not seen."""
+        """Measured coordinates uv (N, 2) [px] of time t [s], changed; NaN for a marker that is not
+        seen.
+        """
         return uv
 
 
 @spec
 class Erasing(PerturbationBase):
-    """Random erasing: with a probability, a rectangle of each picture is replaced; a marker in it is lost or wrongly measured.
+    """Random erasing: with a probability, a rectangle of each picture is replaced; a marker in it
+    is lost or wrongly measured.
 
-    Its area is S = U(area) W H, its ratio of height to width r = U(aspect, 1/aspect), its place uniform; a rectangle that does not
-    fit is drawn again.
+    Its area is S = U(area) W H, its ratio of height to width r = U(aspect, 1/aspect), its place
+    uniform; a rectangle that does not fit is drawn again.
 
     Args:
         probability: probability that a picture is changed [1].
         area: smallest and largest share of the picture that is replaced [1].
-        aspect: smallest ratio of the rectangle's height to its width, the largest is its inverse [1].
-        fill: one `grey` level, drawn for each rectangle, or a `random` level for each channel of each pixel.
+        aspect: smallest ratio of the rectangle's height to its width, the largest is its inverse
+            [1].
+        fill: one `grey` level, drawn for each rectangle, or a `random` level for each channel of
+            each pixel.
 
-    Reference: Zhong, Zheng, Kang, Li & Yang 2020, doi:10.1609/aaai.v34i07.7000 (there the area is .02 to .4, and aspect .3).
+    Reference: Zhong, Zheng, Kang, Li & Yang 2020, doi:10.1609/aaai.v34i07.7000 (there the area is
+    .02 to .4, and aspect .3).
     """
 
     kind: Literal["erasing"] = "erasing"
@@ -91,9 +104,12 @@ class Erasing(PerturbationBase):
 
 @spec
 class ColorJitter(PerturbationBase):
-    """Colour jitter: random brightness b, contrast c and saturation s, each U(1 - x, 1 + x) of its x.
+    """Colour jitter: random brightness b, contrast c and saturation s, each U(1 - x, 1 + x) of its
+    x.
 
-    I' = b (s (I_c - Y_c) + Y_c),  I_c = c (I - 128) + 128,  with the grey Y of a colour by ITU-R BT.601; clipped to 0 to 255.
+    I' = b (s (I_c - Y_c) + Y_c),  I_c = c (I - 128) + 128,
+
+    with the grey Y of a colour by ITU-R BT.601; clipped to 0 to 255.
 
     Args:
         brightness, contrast, saturation: largest relative change x of it [1].
@@ -114,7 +130,9 @@ class ColorJitter(PerturbationBase):
         b, c, s = (state if self.each == "run" else self._factors(rng)).astype(np.float32)
         contrasted = c * (image.astype(np.float32) - np.float32(GREY)) + np.float32(GREY)
         grey = (contrasted @ LUMA)[..., None]
-        return np.clip(b * (s * (contrasted - grey) + grey) + np.float32(0.5), 0, 255).astype(np.uint8)
+        return np.clip(b * (s * (contrasted - grey) + grey) + np.float32(0.5), 0, 255).astype(
+            np.uint8
+        )
 
     def _factors(self, rng: np.random.Generator) -> Array:
         return 1.0 + rng.uniform(-1, 1, 3) * (self.brightness, self.contrast, self.saturation)
@@ -124,10 +142,12 @@ class ColorJitter(PerturbationBase):
 class Shadow(PerturbationBase):
     """A soft shadow that moves over the picture, again and again: of a band, or of a blob.
 
-    I' = I (1 - darkness s(d)), with d the distance from the band's middle line or the blob's centre in widths W of the picture:
-    s falls from 1 to 0 between d = (width - edge)/2 and (width + edge)/2, as 3x^2 - 2x^3. In `period_s` the shadow moves once from
-    beyond one side of the picture to beyond the other. Its direction, its place at t = 0 and a blob's distance from the picture's
-    middle, at most W/4, are drawn once a run. (`world.plates` with `camera.shadows` cast shadows on things.)
+    I' = I (1 - darkness s(d)), with d the distance from the band's middle line or the blob's centre
+    in widths W of the picture: s falls from 1 to 0 between d = (width - edge)/2 and (width +
+    edge)/2, as 3x^2 - 2x^3. In `period_s` the shadow moves once from beyond one side of the picture
+    to beyond the other. Its direction, its place at t = 0 and a blob's distance from the picture's
+    middle, at most W/4, are drawn once a run. (`world.plates` with `camera.shadows` cast shadows on
+    things.)
 
     Args:
         shape: `band` or `blob`.
@@ -145,7 +165,9 @@ class Shadow(PerturbationBase):
     period_s: PositiveTime = 4.0
 
     def begin(self, rng: np.random.Generator) -> Array:
-        """Direction [rad], place at the start as a share of the way, and distance from the middle, (3,)."""
+        """Direction [rad], place at the start as a share of the way, and distance from the middle,
+        (3,).
+        """
         return rng.random(3) * [2 * np.pi, 1, 0.5] - [0, 0, 0.25]
 
     def picture(self, state: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
@@ -157,7 +179,11 @@ class Shadow(PerturbationBase):
         y = ((np.arange(height, dtype=np.float32) - (height - 1) / 2) / width)[:, None]
         c, s = np.float32(np.cos(angle)), np.float32(np.sin(angle))
         along = c * x + s * y - np.float32(at)
-        far = np.abs(along) if self.shape == "band" else np.hypot(along, c * y - s * x - np.float32(beside))
+        far = (
+            np.abs(along)
+            if self.shape == "band"
+            else np.hypot(along, c * y - s * x - np.float32(beside))
+        )
         inside = np.clip(((self.width + self.edge) / 2 - far) / self.edge, 0, 1)
         light = 1 - self.darkness * inside * inside * (3 - 2 * inside)
         return (image * light[..., None].astype(np.float32) + np.float32(0.5)).astype(np.uint8)
@@ -165,13 +191,15 @@ class Shadow(PerturbationBase):
 
 @spec
 class Outliers(PerturbationBase):
-    """Gross errors of measured coordinates, as of a marker taken for another thing: displaced uniformly within a disc.
+    """Gross errors of measured coordinates, as of a marker taken for another thing: displaced
+    uniformly within a disc.
 
     Args:
         probability: probability of such an error, of each marker in each picture [1].
         radius_px: radius of the disc [px].
 
-    Reference: Comport, Marchand & Chaumette 2006, doi:10.1109/TRO.2006.870666 (servoing that is robust to outliers).
+    Reference: Comport, Marchand & Chaumette 2006, doi:10.1109/TRO.2006.870666 (servoing that is
+    robust to outliers).
     """
 
     kind: Literal["outliers"] = "outliers"
@@ -185,19 +213,32 @@ class Outliers(PerturbationBase):
         return uv + np.where(hit[:, None], np.column_stack([r * np.cos(a), r * np.sin(a)]), 0.0)
 
 
-CONTRACT = Contract(PerturbationBase, base=PerturbationBase, words={"changes": ("picture", "pixels")})
+CONTRACT = Contract(
+    PerturbationBase, base=PerturbationBase, words={"changes": ("picture", "pixels")}
+)
 PERTURBATIONS = Registry("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
 
 
 class Perturbed:
-    """The perturbations of one run, in the order in which they act, with what was drawn for it from the scenario's stream."""
+    """The perturbations of one run, in the order in which they act, with what was drawn for it from
+    the scenario's stream.
+    """
 
     def __init__(self, kinds: Sequence[PerturbationBase], rng: np.random.Generator):
         n = len(kinds)
-        streams = rng.spawn(3 * n)  # independent: what is drawn once a run, for pictures, for pixels
+        # independent: what is drawn once a run, for pictures, for pixels
+        streams = rng.spawn(3 * n)
         begun = [(kind, kind.begin(stream)) for kind, stream in zip(kinds, streams, strict=False)]
-        self._pictures = [(*one, s) for one, s in zip(begun, streams[n : 2 * n], strict=True) if "picture" in one[0].changes]
-        self._pixels = [(*one, s) for one, s in zip(begun, streams[2 * n :], strict=True) if "pixels" in one[0].changes]
+        self._pictures = [
+            (*one, s)
+            for one, s in zip(begun, streams[n : 2 * n], strict=True)
+            if "picture" in one[0].changes
+        ]
+        self._pixels = [
+            (*one, s)
+            for one, s in zip(begun, streams[2 * n :], strict=True)
+            if "pixels" in one[0].changes
+        ]
 
     @property
     def on_pixels(self) -> bool:
@@ -205,12 +246,19 @@ class Perturbed:
         return bool(self._pixels)
 
     def next_picture(self) -> Callable[[float, Images], Images]:
-        """What changes the next picture: a function of its time [s] and its panels' images, the same however often it is called."""
+        """What changes the next picture: a function of its time [s] and its panels' images, the
+        same however often it is called.
+        """
         drawn = [(kind, state, int(rng.integers(2**63))) for kind, state, rng in self._pictures]
 
         def changed(t: float, images: Images) -> Images:
             for kind, state, seed in drawn:
-                images = tuple(None if i is None else _picture(kind, state, i.copy(), t, np.random.default_rng(seed)) for i in images)
+                images = tuple(
+                    None
+                    if i is None
+                    else _picture(kind, state, i.copy(), t, np.random.default_rng(seed))
+                    for i in images
+                )
             return images
 
         return changed
@@ -220,14 +268,24 @@ class Perturbed:
         for kind, state, rng in self._pixels:
             after = np.asarray(kind.pixels(state, uv.copy(), t, rng), dtype=float)
             if after.shape != uv.shape:
-                raise ParameterError.returned(f"noise.perturb: {kind.kind}", "pixels", f"an array {uv.shape}", after.shape)
+                raise ParameterError.returned(
+                    f"noise.perturb: {kind.kind}", "pixels", f"an array {uv.shape}", after.shape
+                )
             uv = after
         return uv
 
 
-def _picture(kind: PerturbationBase, state: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
+def _picture(
+    kind: PerturbationBase, state: Any, image: Image, t: float, rng: np.random.Generator
+) -> Image:
     shape, after = image.shape, kind.picture(state, image, t, rng)
     if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
-        found = f"{after.shape} {after.dtype}" if isinstance(after, np.ndarray) else type(after).__name__
-        raise ParameterError.returned(f"noise.perturb: {kind.kind}", "picture", f"an image {shape} uint8", found)
+        found = (
+            f"{after.shape} {after.dtype}"
+            if isinstance(after, np.ndarray)
+            else type(after).__name__
+        )
+        raise ParameterError.returned(
+            f"noise.perturb: {kind.kind}", "picture", f"an image {shape} uint8", found
+        )
     return after

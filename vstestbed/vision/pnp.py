@@ -1,4 +1,6 @@
-"""The target's pose from its marker pixels: perspective-n-point, with the mirror pose of planar targets considered."""
+"""The target's pose from its marker pixels: perspective-n-point, with the mirror pose of planar
+targets considered.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +19,26 @@ from vstestbed.vision.homography import homography
 if TYPE_CHECKING:
     from cv2.typing import MatLike
 
-# The two poses of a planar target: infinitesimal plane-based pose estimation (IPPE), which has no degenerate frontal view.
+# The two poses of a planar target: infinitesimal plane-based pose estimation (IPPE), which has no
+# degenerate frontal view.
 PLANE_ROUNDING = 1e-12  # elements and singular values below this share of the largest are rounding
 
 
 def planar_poses(xy: Array, points: Array) -> list[Array]:
-    """Both poses T_camera_target (4, 4) of N >= 4 coplanar points (N, 3) [m]; none where they determine no homography.
+    """Both poses T_camera_target (4, 4) of N >= 4 coplanar points (N, 3) [m]; none where they
+    determine no homography.
 
-    H ~ [J | v] maps the plane to the image near the points' middle: v is the image of the middle, J (2, 2) the derivative there. With
-    R_v the shortest rotation from the optical axis to v's ray, and B = [1 | -v] R_v its derivative in the image (first two columns),
+    H ~ [J | v] maps the plane to the image near the points' middle: v is the image of the middle, J
+    (2, 2) the derivative there. With R_v the shortest rotation from the optical axis to v's ray,
+    and B = [1 | -v] R_v its derivative in the image (first two columns),
 
     B^-1 J = s1 u1 v1^T + s2 u2 v2^T   (singular values),   1/s1 = depth along the ray,
-    R = R_v [[B^-1 J / s1], [+-sqrt(1 - (s2/s1)^2) v2^T]]   (first two columns; the third is their cross product).
+    R = R_v [[B^-1 J / s1], [+-sqrt(1 - (s2/s1)^2) v2^T]]
+    (first two columns; the third is their cross product).
 
-    The two signs are the mirror poses, which become one where the plane is orthogonal to the ray. (OpenCV's IPPE takes the root
-    of 1 minus a squared column, which rounding makes negative in such a view: NaN at one roll in seven. It also loses poses near a half
-    turn.)
+    The two signs are the mirror poses, which become one where the plane is orthogonal to the ray.
+    (OpenCV's IPPE takes the root of 1 minus a squared column, which rounding makes negative in such
+    a view: NaN at one roll in seven. It also loses poses near a half turn.)
     Reference: Collins & Bartoli 2014, section 4, doi:10.1007/s11263-014-0725-5.
     """
     flat, R_target_plane = _plane(np.ascontiguousarray(points, dtype=float).tobytes())
@@ -42,7 +48,13 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     H = H / H[2, 2]
     v = H[:2, 2]
     x, y, z = np.array([*v, 1.0]) / np.sqrt(1 + v @ v)
-    R_v = np.array([[1 - x * x / (1 + z), -x * y / (1 + z), x], [-x * y / (1 + z), 1 - y * y / (1 + z), y], [-x, -y, z]])
+    R_v = np.array(
+        [
+            [1 - x * x / (1 + z), -x * y / (1 + z), x],
+            [-x * y / (1 + z), 1 - y * y / (1 + z), y],
+            [-x, -y, z],
+        ]
+    )
     A = np.linalg.solve(R_v[:2, :2] - v[:, None] * R_v[2, :2], H[:2, :2] - v[:, None] * H[2, :2])
     (s1, s2), Vt = np.linalg.svd(A)[1:]
     if not s1 > 0:
@@ -70,7 +82,9 @@ def _rotation_of(columns: Array) -> list[list[float]]:
 
 @lru_cache(maxsize=4096)
 def _plane(points: bytes) -> tuple[Array, Array]:
-    """Coplanar points (N, 3), as bytes for the cache, in their plane (N, 2) about their middle [m], and R_target_plane (3, 3)."""
+    """Coplanar points (N, 3), as bytes for the cache, in their plane (N, 2) about their middle [m],
+    and R_target_plane (3, 3).
+    """
     p = np.frombuffer(points).reshape(-1, 3)
     p = p - p.mean(axis=0)
     axes = np.linalg.svd(p)[2]
@@ -78,15 +92,21 @@ def _plane(points: bytes) -> tuple[Array, Array]:
     return p @ axes[:2].T, axes.T
 
 
-# Pose of markers in all directions around the camera, which no pinhole image holds: from rays alone.
+# Pose of markers in all directions around the camera, which no pinhole image holds: from rays
+# alone.
 ROUNDS = 20  # most Gauss-Newton steps; five suffice from the pose a frame ago
 SETTLED = 1e-11  # converged when a step is smaller than this [unit, rad]
-AT_THE_LENS = 1e-9  # least distance of a marker from the camera [unit]: a guess may put one at its centre, where it has no direction
-RAYS_FIT = 0.05  # a pose whose angular errors have a larger root mean square than this [rad] is no solution
+# least distance of a marker from the camera [unit]: a guess may put one at its centre, where it has
+# no direction
+AT_THE_LENS = 1e-9
+# a pose whose angular errors have a larger root mean square than this [rad] is no solution
+RAYS_FIT = 0.05
 
 
 def unit_for(points: Array) -> float:
-    """The unit of length [m] for points (N, 3) [m] (`unit_of`): OpenCV's solvers have tolerances of their own."""
+    """The unit of length [m] for points (N, 3) [m] (`unit_of`): OpenCV's solvers have tolerances of
+    their own.
+    """
     return unit_of(float(lengths(points - points.mean(axis=0)).max()))
 
 
@@ -97,7 +117,13 @@ def resized(T: Array, factor: float) -> Array:
     return T
 
 
-def _in_unit(unit: float, solve: Callable[..., Array | None], seen: Array, points: Array, previous: Array | None) -> Array | None:
+def _in_unit(
+    unit: float,
+    solve: Callable[..., Array | None],
+    seen: Array,
+    points: Array,
+    previous: Array | None,
+) -> Array | None:
     """What a solver finds with lengths in a unit [m]."""
     before = None if previous is None else resized(previous, 1 / unit)
     found = solve(seen, points / unit, before)
@@ -105,10 +131,12 @@ def _in_unit(unit: float, solve: Callable[..., Array | None], seen: Array, point
 
 
 def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
-    """Pose T_camera_target (4, 4) that minimises the angles between unit rays d (N, 3) and points p (N, 3) [m]; None where none fits.
+    """Pose T_camera_target (4, 4) that minimises the angles between unit rays d (N, 3) and points p
+    (N, 3) [m]; None where none fits.
 
-    Iterated from the previous pose; without one (N >= 4), from each of the 24 rotations R of a cube, with the translation that
-    solves sum (I - d d^T) (R p + t) = 0 (Lu, Hager & Mjolsness 2000, doi:10.1109/34.862199).
+    Iterated from the previous pose; without one (N >= 4), from each of the 24 rotations R of a
+    cube, with the translation that solves sum (I - d d^T) (R p + t) = 0 (Lu, Hager & Mjolsness
+    2000, doi:10.1109/34.862199).
     """
     if (unit := unit_for(points)) != 1.0:
         return _in_unit(unit, solve_pose_all_round, rays, points, previous)
@@ -135,12 +163,16 @@ def _placed(rays: Array, points: Array, R: Array) -> Array:
     T = np.eye(4)
     T[:3, :3] = R
     turned = points @ R.T
-    T[:3, 3] = np.linalg.lstsq(across.sum(axis=0), -(across @ turned[:, :, None])[..., 0].sum(axis=0), rcond=1e-9)[0]
+    T[:3, 3] = np.linalg.lstsq(
+        across.sum(axis=0), -(across @ turned[:, :, None])[..., 0].sum(axis=0), rcond=1e-9
+    )[0]
     return T
 
 
 def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
-    """The pose after Gauss-Newton on SE(3) from T, T <- exp(x) T, and the root mean square of its angles [rad]."""
+    """The pose after Gauss-Newton on SE(3) from T, T <- exp(x) T, and the root mean square of its
+    angles [rad].
+    """
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     error = math.inf
     for _ in range(ROUNDS):
@@ -155,51 +187,72 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
         # Least squares of minimum norm: directions that the markers leave open do not move.
         x = np.linalg.lstsq((across @ dunit).reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
         size = float(np.abs(x).max())
-        T = exp(x / max(1.0, size)) @ T  # steps are limited to a unit and 1 rad, beyond which the linearisation is void
+        # steps are limited to a unit and 1 rad, beyond which the linearisation is void
+        T = exp(x / max(1.0, size)) @ T
         if size < SETTLED:
             break
     return T, error
 
 
 _K, _EYE = np.eye(3), np.eye(4)
-# A refined previous pose is accepted if its reprojection error is below STANDS times the image points' spread (a mirror pose that fits as
-# well is indistinguishable from the right one) and below MIRRORED times its cube: a mirror pose is a local minimum only if the plane's tilt
-# is larger than about the spread, with an error of some spread^2 x tilt; 1.5 spread^3 was the least of 3000 views nearly frontal.
+# A refined previous pose is accepted if its reprojection error is below STANDS times the image
+# points' spread (a mirror pose that fits as well is indistinguishable from the right one) and below
+# MIRRORED times its cube: a mirror pose is a local minimum only if the plane's tilt is larger than
+# about the spread, with an error of some spread^2 x tilt; 1.5 spread^3 was the least of 3000 views
+# nearly frontal.
 STANDS, MIRRORED = 1e-3, 0.4
-CONTINUES = 0.2  # ... and nearer to the previous pose (radians plus share of the distance), from where few iterations converge to rounding
-CLEARLY_WORSE = 6.0  # a mirror pose whose reprojection error is larger by this factor is rejected, whatever the previous pose
-SAME_SCENE = 0.5  # of the up to four poses of three markers, one farther than this from the last (as of CONTINUES) is rejected
+# ... and nearer to the previous pose (radians plus share of the distance), from where few
+# iterations converge to rounding
+CONTINUES = 0.2
+# a mirror pose whose reprojection error is larger by this factor is rejected, whatever the previous
+# pose
+CLEARLY_WORSE = 6.0
+# of the up to four poses of three markers, one farther than this from the last (as of CONTINUES) is
+# rejected
+SAME_SCENE = 0.5
 WIDE = 0.2  # least z of a unit ray (78 degrees off axis) for which the solvers are given x/z, y/z
-FITS = 0.5  # a pose whose reprojection error exceeds this share of the image points' spread is no solution
+# a pose whose reprojection error exceeds this share of the image points' spread is no solution
+FITS = 0.5
 ROUNDING = 1e-12  # reprojection errors (normalised) that differ by this are equal
 _SETTLED = (3, 30, 1e-14)  # EPS + COUNT
-"""The refinement ends after as many steps or with one this small. OpenCV's default, single precision, would stop on the way from a
-tilted previous pose to a far frontal view, where each step only halves the tilt."""
-Layout = Literal["line", "line and one", "plane", "space"]  # collinear; collinear but for one point; coplanar; in space
+"""The refinement ends after as many steps or with one this small. OpenCV's default, single
+precision, would stop on the way from a tilted previous pose to a far frontal view, where each step
+only halves the tilt.
+"""
+# collinear; collinear but for one point; coplanar; in space
+Layout = Literal["line", "line and one", "plane", "space"]
 _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
-_Candidate = tuple[float, Array]  # reprojection error [rms of one coordinate] of a pose (4, 4) that a solver found, and the pose
+# reprojection error [rms of one coordinate] of a pose (4, 4) that a solver found, and the pose
+_Candidate = tuple[float, Array]
 
 
 def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array | None:
-    """Pose T_camera_target (4, 4) from N >= 3 points and their normalised image coordinates; None where they leave it open.
+    """Pose T_camera_target (4, 4) from N >= 3 points and their normalised image coordinates; None
+    where they leave it open.
 
-    Minimises sum |xy_i - project(T p_i)|^2, starting from the previous pose and, where that leads to no good fit, from
-    - IPPE for coplanar points (N >= 4), with both of its poses: the better fit where it is clearly better, else the one nearer
-      to `previous`;
-    - SQPnP for points in space (N >= 4), and P3P where its pose is behind the camera, as in one near view of a hundred;
-    - P3P for points of which all but one are collinear: they determine no homography, which IPPE starts from, and SQPnP finds a
-      local minimum in one view of fourteen. Of the poses of three of the points, the one that all fit best;
+    Minimises sum |xy_i - project(T p_i)|^2, starting from the previous pose and, where that leads
+    to no good fit, from
+    - IPPE for coplanar points (N >= 4), with both of its poses: the better fit where it is clearly
+      better, else the one nearer to `previous`;
+    - SQPnP for points in space (N >= 4), and P3P where its pose is behind the camera, as in one
+      near view of a hundred;
+    - P3P for points of which all but one are collinear: they determine no homography, which IPPE
+      starts from, and SQPnP finds a local minimum in one view of fourteen. Of the poses of three of
+      the points, the one that all fit best;
     - P3P for three points: the pose nearest to `previous`, None without one.
-    A pose with a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
+    A pose with a point behind the camera is no solution, nor is one that leaves half of the image's
+    spread unexplained.
     Collinear points have none. The refinement is kept where it fits better.
 
     Args:
-        xy: normalised, undistorted coordinates (N, 2). points: the same markers in the target frame (N, 3) [m].
+        xy: normalised, undistorted coordinates (N, 2). points: the same markers in the target frame
+            (N, 3) [m].
         previous: the pose a frame ago (4, 4).
-    References: Collins & Bartoli 2014, doi:10.1007/s11263-014-0725-5 (IPPE); Terzakis & Lourakis 2020,
-    doi:10.1007/978-3-030-58452-8_28 (SQPnP); Ke & Roumeliotis 2017, doi:10.1109/CVPR.2017.491 (AP3P); refinement as
-    virtual visual servoing: Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408.
+    References: Collins & Bartoli 2014, doi:10.1007/s11263-014-0725-5 (IPPE); Terzakis & Lourakis
+    2020, doi:10.1007/978-3-030-58452-8_28 (SQPnP); Ke & Roumeliotis 2017, doi:10.1109/CVPR.2017.491
+    (AP3P); refinement as virtual visual servoing: Marchand, Uchiyama & Spindler 2016,
+    doi:10.1109/TVCG.2015.2513408.
     """
     if len(points) < 3:
         return None
@@ -219,11 +272,16 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
 
 
 def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) -> Array | None:
-    """`solve_pose` for four points and more: track the previous pose; where it does not fit, search."""
+    """`solve_pose` for four points and more: track the previous pose; where it does not fit,
+    search.
+    """
     spread = _spread(xy)
     if previous is not None:
         T, error = _refine(xy, points, previous)
-        if error < min(STANDS * spread, MIRRORED * spread**3) and _step(T, previous, points) < CONTINUES:
+        if (
+            error < min(STANDS * spread, MIRRORED * spread**3)
+            and _step(T, previous, points) < CONTINUES
+        ):
             return T
     solutions = [c for c in _candidates(xy, points, shape) if c[0] < FITS * spread]
     if not solutions:
@@ -239,20 +297,28 @@ def _preferred(solutions: list[_Candidate], previous: Array | None, points: Arra
     if previous is None:
         return best
     rivals = [c for c in solutions if c[0] <= CLEARLY_WORSE * best[0]]
-    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c[1], previous, points))
+    return (
+        rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c[1], previous, points))
+    )
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
-    """`solve_pose` for any lens: from unit rays (N, 3) in the camera frame, which may point sideways or backwards.
+    """`solve_pose` for any lens: from unit rays (N, 3) in the camera frame, which may point
+    sideways or backwards.
 
     Rays too far off axis for x/z, y/z are rotated to a virtual camera that looks along their mean:
-    T_camera_target = R_camera_virtual T_virtual_target. Where no such view holds them all: `solve_pose_all_round`.
+    T_camera_target = R_camera_virtual T_virtual_target. Where no such view holds them all:
+    `solve_pose_all_round`.
     """
     if len(rays) < 3:
         return None
     view = _pinhole(rays)
     if view is None:
-        return None if _layout(np.ascontiguousarray(points).tobytes()) == "line" else solve_pose_all_round(rays, points, previous)
+        return (
+            None
+            if _layout(np.ascontiguousarray(points).tobytes()) == "line"
+            else solve_pose_all_round(rays, points, previous)
+        )
     xy, T = view
     if T is None:
         return solve_pose(xy, points, previous)
@@ -261,7 +327,9 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
 
 
 def three_ray_poses(rays: Array, points: Array) -> list[Array]:
-    """All poses (4, 4), at most four, of three points (3, 3) [m] on three rays (3, 3); none unless a virtual camera sees them."""
+    """All poses (4, 4), at most four, of three points (3, 3) [m] on three rays (3, 3); none unless
+    a virtual camera sees them.
+    """
     view = None if _layout(np.ascontiguousarray(points).tobytes()) == "line" else _pinhole(rays)
     if view is None:
         return []
@@ -270,9 +338,11 @@ def three_ray_poses(rays: Array, points: Array) -> list[Array]:
 
 
 def _pinhole(rays: Array) -> tuple[Array, Array | None] | None:
-    """Normalised coordinates (N, 2) of rays (N, 3) in a pinhole camera that sees them all; None where there is none.
+    """Normalised coordinates (N, 2) of rays (N, 3) in a pinhole camera that sees them all; None
+    where there is none.
 
-    It is the camera itself, or a virtual one at the same position that looks along the rays' mean: then with T_camera_virtual (4, 4).
+    It is the camera itself, or a virtual one at the same position that looks along the rays' mean:
+    then with T_camera_virtual (4, 4).
     """
     if rays[:, 2].min() > WIDE:
         return rays[:, :2] / rays[:, 2:], None
@@ -286,7 +356,11 @@ def _pinhole(rays: Array) -> tuple[Array, Array | None] | None:
 
 
 def _candidates(xy: Array, points: Array, shape: Layout) -> list[_Candidate]:
-    solvers = {"line and one": (_from_three,), "plane": (planar_poses,), "space": (_from_space, _from_three)}[shape]
+    solvers = {
+        "line and one": (_from_three,),
+        "plane": (planar_poses,),
+        "space": (_from_space, _from_three),
+    }[shape]
     for solver in solvers:
         found = [(_misfit(T, xy, points), T) for T in solver(xy, points)]
         if any(math.isfinite(error) for error, _ in found):
@@ -295,7 +369,9 @@ def _candidates(xy: Array, points: Array, shape: Layout) -> list[_Candidate]:
 
 
 def _from_space(xy: Array, points: Array) -> list[Array]:
-    found, rotations, translations, _ = cv2.solvePnPGeneric(points, xy, _K, None, flags=cv2.SOLVEPNP_SQPNP)
+    found, rotations, translations, _ = cv2.solvePnPGeneric(
+        points, xy, _K, None, flags=cv2.SOLVEPNP_SQPNP
+    )
     return [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)] if found else []
 
 
@@ -308,21 +384,29 @@ def _from_three(xy: Array, points: Array) -> list[Array]:
 
 
 def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
-    """The pose refined by virtual visual servoing, and its reprojection error; infinite with a point behind the camera.
+    """The pose refined by virtual visual servoing, and its reprojection error; infinite with a
+    point behind the camera.
 
-    A rotation vector is exact to rounding only away from 0 and from a half turn (OpenCV's is 0 below 1e-5 rad), hence the
-    points are rotated first such that the refinement starts at one radian.
+    A rotation vector is exact to rounding only away from 0 and from a half turn (OpenCV's is 0
+    below 1e-5 rad), hence the points are rotated first such that the refinement starts at one
+    radian.
     """
     turn = _START.T @ T[:3, :3]
     turned = points @ turn.T
-    refined = _matrix(*cv2.solvePnPRefineVVS(turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy(), _SETTLED))
+    refined = _matrix(
+        *cv2.solvePnPRefineVVS(
+            turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy(), _SETTLED
+        )
+    )
     error = _misfit(refined, xy, turned)
     refined[:3, :3] = refined[:3, :3] @ turn
     return refined, error
 
 
 def _misfit(T: Array, xy: Array, points: Array) -> float:
-    """Reprojection error of a pose, rms of one coordinate; infinite with a point behind the camera."""
+    """Reprojection error of a pose, rms of one coordinate;
+    infinite with a point behind the camera.
+    """
     p = points @ T[:3, :3].T
     p += T[:3, 3]
     z = p[:, 2:]
@@ -345,7 +429,9 @@ def _three(xy: Array, points: Array) -> list[Array]:
 
 
 def _step(T: Array, previous: Array, points: Array) -> float:
-    """Distance between two poses: the angle [rad] plus the way of the points' middle as a share of its distance from the camera."""
+    """Distance between two poses: the angle [rad] plus the way of the points' middle as a share of
+    its distance from the camera.
+    """
     middle = _middle(points.tobytes())
     now, before = (T @ middle).tolist(), (previous @ middle).tolist()
     return turn_between(T, previous) + math.dist(now, before) / math.hypot(*now[:3])
@@ -373,18 +459,26 @@ def _middle(points: bytes) -> Array:
 
 @lru_cache(maxsize=4096)
 def _layout(points: bytes) -> Layout:
-    """The layout of points (N, 3), given as bytes, which can be hashed: the same few subsets of markers recur at every frame."""
+    """The layout of points (N, 3), given as bytes, which can be hashed: the same few subsets of
+    markers recur at every frame.
+    """
     p = np.frombuffer(points).reshape(-1, 3)
     s = _extent(p)
     if _flat(s, 1):
         return "line"
     if len(p) > 3 and not _flat(s, 2):
         return "space"
-    return "line and one" if any(_flat(_extent(np.delete(p, i, axis=0)), 1) for i in range(len(p))) else "plane"
+    return (
+        "line and one"
+        if any(_flat(_extent(np.delete(p, i, axis=0)), 1) for i in range(len(p)))
+        else "plane"
+    )
 
 
 def _extent(points: Array) -> Array:
-    """Singular values (3,) [m] of points (N, 3) about their mean: their extent along their principal axes."""
+    """Singular values (3,) [m] of points (N, 3) about their mean: their extent along their
+    principal axes.
+    """
     return np.linalg.svd(points - points.mean(axis=0), compute_uv=False).astype(float)
 
 

@@ -1,4 +1,6 @@
-"""One region of colour: segmented by chroma and hue, its border measured to a fraction of a pixel, the target's outline fitted to it."""
+"""One region of colour: segmented by chroma and hue, its border measured to a fraction of a pixel,
+the target's outline fitted to it.
+"""
 
 from __future__ import annotations
 
@@ -28,29 +30,53 @@ if TYPE_CHECKING:
 
 REACH = 2  # pixels to each side of the border that are added up
 NEIGHBOURS = np.ones((3, 3), np.uint8)
-NEAR = (7, 7)  # a pixel's neighbours whose mean colours, of those wholly covered and of those not covered at all, meet at a border
+# a pixel's neighbours whose mean colours, of those wholly covered and of those not covered at all,
+# meet at a border
+NEAR = (
+    7,
+    7,
+)
 
 
 def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """How much of each pixel a region covers, (H, W), 0 to 1 but for noise, in the RGB of its box and a few pixels round it (H, W, 3).
+    """How much of each pixel a region covers, (H, W), 0 to 1 but for noise, in the RGB of its box
+    and a few pixels round it (H, W, 3).
 
-    A pixel at the border has the colour c = f F + (1 - f) B of what meets there, so that f = (c - B) . (F - B) / |F - B|^2. F and B are
-    the mean colours of the pixels near it that are wholly inside (`alone` 255) and wholly outside, which follow shading and background.
-    Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a border).
+    A pixel at the border has the colour c = f F + (1 - f) B of what meets there, so that f = (c -
+    B) . (F - B) / |F - B|^2. F and B are the mean colours of the pixels near it that are wholly
+    inside (`alone` 255) and wholly outside, which follow shading and background.
+    Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a
+    border).
     """
     near, inner = cv2.dilate(alone, NEIGHBOURS), cv2.erode(alone, NEIGHBOURS)
     out = (inner > 0).astype(np.float32)
-    border = (near > 0) & (inner == 0)  # the colours are worked out there alone: most of a region is its inside
+    # the colours are worked out there alone: most of a region is its inside
+    border = (near > 0) & (inner == 0)
     F, B = _mean_near(part, inner, border), _mean_near(part, cv2.bitwise_not(near), border)
     span = F - B
-    out[border] = ((part[border] - B) * span).sum(axis=1) / np.maximum((span * span).sum(axis=1), 1.0)
+    out[border] = ((part[border] - B) * span).sum(axis=1) / np.maximum(
+        (span * span).sum(axis=1), 1.0
+    )
     return out
 
 
 def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Mean colours (K, 3) of the pixels of `which` (255 there) near each of K pixels `at`; where there are none, of all of them."""
-    total = cv2.boxFilter(cv2.bitwise_and(part, part, mask=which), cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    count = cv2.boxFilter(which, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)[at][:, None] / 255
+    """Mean colours (K, 3) of the pixels of `which` (255 there) near each of K pixels `at`; where
+    there are none, of all of them.
+    """
+    total = cv2.boxFilter(
+        cv2.bitwise_and(part, part, mask=which),
+        cv2.CV_32F,
+        NEAR,
+        normalize=False,
+        borderType=cv2.BORDER_CONSTANT,
+    )
+    count = (
+        cv2.boxFilter(which, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)[at][
+            :, None
+        ]
+        / 255
+    )
     overall = np.array(cv2.mean(part, which)[:3], np.float32)
     return np.where(count > 0, total[at] / np.maximum(count, 1), overall).astype(np.float32)
 
@@ -58,9 +84,10 @@ def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np
 def edge_points(cover: NDArray[np.floating]) -> Array:
     """Points (K, 2) [px] on the border of a region, from the coverage (H, W) of each pixel, 0 to 1.
 
-    Along a row, between two pixels of which one is covered by more than half and the other is not, the coverages of four pixels, from
-    inside to outside, add up to the way from the beginning of the first to the border. That is exact for straight borders that are
-    steeper than 45 degrees, since a pixel's coverage is the mean over its height; flatter ones are measured along columns.
+    Along a row, between two pixels of which one is covered by more than half and the other is not,
+    the coverages of four pixels, from inside to outside, add up to the way from the beginning of
+    the first to the border. That is exact for straight borders that are steeper than 45 degrees,
+    since a pixel's coverage is the mean over its height; flatter ones are measured along columns.
     """
     c = np.pad(cover.astype(np.float32), REACH)
     du, dv = (np.abs(cv2.Sobel(c, cv2.CV_32F, *order, ksize=3)) for order in ((1, 0), (0, 1)))
@@ -70,14 +97,18 @@ def edge_points(cover: NDArray[np.floating]) -> Array:
 
 
 def bare_share(uv: Array, alone: NDArray[np.uint8], reach_px: float) -> float:
-    """Share of points uv (S, 2) [px] that no pixel at a region's border is within `reach_px` of; NaN counts as such a point.
+    """Share of points uv (S, 2) [px] that no pixel at a region's border is within `reach_px` of;
+    NaN counts as such a point.
 
-    Pixels are at the border whether or not it is sharp enough there to be measured (`edge_points`). `alone` (H, W) is 255 in the region.
+    Pixels are at the border whether or not it is sharp enough there to be measured (`edge_points`).
+    `alone` (H, W) is 255 in the region.
     """
     pad = math.ceil(reach_px) + 1  # beyond it nothing is within reach
     region = cv2.copyMakeBorder(alone, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
     inner = cv2.erode(region, NEIGHBOURS)
-    away = cv2.distanceTransform(cv2.bitwise_not(region - inner), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    away = cv2.distanceTransform(
+        cv2.bitwise_not(region - inner), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+    )
     height, width = away.shape
     with np.errstate(invalid="ignore"):
         at = np.rint(uv + pad)
@@ -86,44 +117,67 @@ def bare_share(uv: Array, alone: NDArray[np.uint8], reach_px: float) -> float:
 
 
 def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
-    """Borders (K, 2) [px] (u, v) along the rows of a coverage (H, W), where `steep` (H, W) says that the border runs across them."""
+    """Borders (K, 2) [px] (u, v) along the rows of a coverage (H, W), where `steep` (H, W) says
+    that the border runs across them.
+    """
     inside = c > 0.5
     v, u = np.nonzero((inside[:, 1:-2] != inside[:, 2:-1]) & (steep[:, 1:-2] | steep[:, 2:-1]))
-    four = np.stack([c[v, u + k] for k in range(4)], axis=1)  # pixels u .. u + 3; the border is between the middle two
+    # pixels u .. u + 3; the border is between the middle two
+    four = np.stack([c[v, u + k] for k in range(4)], axis=1)
     leaves = inside[v, u + 1]
     four = np.where(leaves[:, None], four, four[:, ::-1])
-    clear = (four[:, 0] > 0.85) & (four[:, 3] < 0.15)  # no border is measured at corners and in slots
+    # no border is measured at corners and in slots
+    clear = (four[:, 0] > 0.85) & (four[:, 3] < 0.15)
     way = four.sum(axis=1)
     at = np.where(leaves, u - 0.5 + way, u + 3.5 - way)
     return np.column_stack([at, v])[clear].astype(float)
 
 
-# Fit of a polygon in a plane to the points of a region's border in a picture: the homography between them.
+# Fit of a polygon in a plane to the points of a region's border in a picture: the homography
+# between them.
 TURNS = 36  # rotations that are tried where none is known: every 10 degrees
 ROUNDS = 12  # most Gauss-Newton steps: from the affine guess three to six are enough
-SETTLED = 1e-5  # a step that moves no point by more than this share of the region's size ends the fit
-OUTLIER = 4.0  # points farther than so many times the usual distance from the polygon (but at least FAINT) have no weight
+SETTLED = (
+    1e-5  # a step that moves no point by more than this share of the region's size ends the fit
+)
+# points farther than so many times the usual distance from the polygon (but at least FAINT) have no
+# weight
+OUTLIER = 4.0
 FAINT = 2e-3  # share of the region's size under which no distance is unusual
-PREFERRED = 1.02  # of fits that differ by less than this factor, as of a square's four, the one that is turned least is taken
+# of fits that differ by less than this factor, as of a square's four, the one that is turned least
+# is taken
+PREFERRED = 1.02
 
 
 PolygonFit = tuple[Array, float, Array]
-"""How an image of a polygon's plane fits points of a border: the homography (3, 3) from the plane to the picture, the rotation in it after
-both were made round [rad], and the distance of each point (K,) from the polygon, in standard deviations of the region."""
+"""How an image of a polygon's plane fits points of a border: the homography (3, 3) from the plane
+to the picture, the rotation in it after both were made round [rad], and the distance of each point
+(K,) from the polygon, in standard deviations of the region.
+"""
 
 
 def fit_polygon(
-    edge: Array, middle: Array, spread: Array, corners: Array, plane: tuple[Array, Array], turns: tuple[float, ...], expected: float
+    edge: Array,
+    middle: Array,
+    spread: Array,
+    corners: Array,
+    plane: tuple[Array, Array],
+    turns: tuple[float, ...],
+    expected: float,
 ) -> PolygonFit | None:
-    """The fit of a polygon with `corners` (E, 2) to points `edge` (K, 2) on the border of a region; None where none is found.
+    """The fit of a polygon with `corners` (E, 2) to points `edge` (K, 2) on the border of a region;
+    None where none is found.
 
-    Region and polygon are made round by their second moments, after which an affine image of the polygon differs by a rotation alone.
-    From there Gauss-Newton steps change the homography G from picture to plane so that sum n_k . (G e_k - q_k)^2 is least, with q_k the
-    point of the polygon next to G e_k and n_k the normal of its side.
+    Region and polygon are made round by their second moments, after which an affine image of the
+    polygon differs by a rotation alone. From there Gauss-Newton steps change the homography G from
+    picture to plane so that sum n_k . (G e_k - q_k)^2 is least, with q_k the point of the polygon
+    next to G e_k and n_k the normal of its side.
 
     Args:
-        middle, spread: centroid (2,) and covariance (2, 2) of the region's area; plane: those of the polygon's.
-        turns: rotations to begin with [rad]; empty: all round. expected: the rotation that is taken where several fit alike.
+        middle, spread: centroid (2,) and covariance (2, 2) of the region's area; plane: those of
+            the polygon's.
+        turns: rotations to begin with [rad]; empty: all round. expected: the rotation that is taken
+            where several fit alike.
     """
     whiten, colour = roundness(spread), _root(plane[1])
     e, q = (edge - middle) @ whiten, (corners - plane[0]) @ inverted(colour)
@@ -141,18 +195,25 @@ def fit_polygon(
 
 
 def _better(off: Array, turn: float, best: PolygonFit, expected: float) -> bool:
-    size, before = (float(np.sqrt(np.mean(np.minimum(distance, 0.5) ** 2))) for distance in (off, best[2]))
+    size, before = (
+        float(np.sqrt(np.mean(np.minimum(distance, 0.5) ** 2))) for distance in (off, best[2])
+    )
     if max(size, before) > PREFERRED * min(size, before) + FAINT:
         return size < before
-    return abs(math.remainder(turn - expected, 2 * math.pi)) < abs(math.remainder(best[1] - expected, 2 * math.pi))
+    return abs(math.remainder(turn - expected, 2 * math.pi)) < abs(
+        math.remainder(best[1] - expected, 2 * math.pi)
+    )
 
 
 def _likely(e: Array, q: Array, expected: float) -> list[float]:
-    """The rotations for which round points e (K, 2) are nearest to a round polygon q (E, 2), the best first."""
+    """The rotations for which round points e (K, 2) are nearest to a round polygon q (E, 2), the
+    best first.
+    """
     few = e[:: max(1, len(e) // 40)]
     turns = expected + np.arange(TURNS) * (2 * math.pi / TURNS)
     c, s = np.cos(turns), np.sin(turns)
-    turned = few @ np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -1)  # rotated back by each, (TURNS, K, 2)
+    # rotated back by each, (TURNS, K, 2)
+    turned = few @ np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -1)
     distance = _foot(turned.reshape(-1, 2), q)[2].reshape(TURNS, -1)
     cost = np.minimum(distance, 0.5).mean(axis=1)
     lowest = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
@@ -162,7 +223,9 @@ def _likely(e: Array, q: Array, expected: float) -> list[float]:
 
 
 def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | None:
-    """G (3, 3) from round points e (K, 2) to a round polygon q (E, 2), the points' distances (K,), and the rotation in it."""
+    """G (3, 3) from round points e (K, 2) to a round polygon q (E, 2), the points' distances (K,),
+    and the rotation in it.
+    """
     c, s = math.cos(turn), math.sin(turn)
     G = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # back by the rotation
     m = np.column_stack([e, np.ones(len(e))])
@@ -179,7 +242,9 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
             return None
         rows = m[used] / x[used, 2:]
         n, along = normal[used], (normal[used] * p[used]).sum(axis=1)
-        J = np.concatenate([n[:, :1] * rows, n[:, 1:] * rows, -along[:, None] * rows[:, :2]], axis=1)
+        J = np.concatenate(
+            [n[:, :1] * rows, n[:, 1:] * rows, -along[:, None] * rows[:, :2]], axis=1
+        )
         step = np.linalg.lstsq(J, -height[used], rcond=None)[0]
         G = G + np.append(step, 0.0).reshape(3, 3)
         if np.abs(step).max() < SETTLED:
@@ -192,7 +257,8 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
 def _foot(p: Array, q: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """The side of a polygon q (E, 2) that is next to each point p (K, 2).
 
-    Its normal (K, 2), the point's height over its line (K,), its distance (K,), and whether its foot lies within the side.
+    Its normal (K, 2), the point's height over its line (K,), its distance (K,), and whether its
+    foot lies within the side.
     """
     way = np.roll(q, -1, axis=0) - q
     length = np.hypot(way[:, 0], way[:, 1])
@@ -214,7 +280,9 @@ def inverted(A: Array) -> Array:
 
 
 def roundness(S: Array) -> Array:
-    """The matrix (2, 2) that makes a region with covariance S (2, 2) round, of unit variance: S^-1/2."""
+    """The matrix (2, 2) that makes a region with covariance S (2, 2) round, of unit variance:
+    S^-1/2.
+    """
     return _root(inverted(S))
 
 
@@ -231,7 +299,9 @@ def _affine(A: Array, shift: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """The border of a region in one panel of a camera: points (K, 2) [px], the region's centroid (2,) [px] and covariance (2, 2) [px^2]."""
+    """The border of a region in one panel of a camera: points (K, 2) [px], the region's centroid
+    (2,) [px] and covariance (2, 2) [px^2].
+    """
 
     edge: Array
     middle: Array
@@ -248,7 +318,9 @@ class Border:
         return self.panel.lens.ray(uv) @ self.panel.R_camera_panel.T
 
     def project(self, p: Array) -> Array:
-        """Pixels (K, 2) of the panel of directions (K, 3) in the camera's frame; NaN where its lens does not see one."""
+        """Pixels (K, 2) of the panel of directions (K, 3) in the camera's frame; NaN where its lens
+        does not see one.
+        """
         return self.panel.lens.project(p @ self.panel.R_camera_panel)
 
 
@@ -257,8 +329,10 @@ class OutlineFit:
     """The outline that fits a border best.
 
     Attributes:
-        p: its points as directions in the camera's frame (M, 3), in the target's order. off_px: distance of each border point (K,) [px].
-        close: directions along it (S, 3), evenly: of a polygon closer together than its points, of what is round the points.
+        p: its points as directions in the camera's frame (M, 3), in the target's order. off_px:
+            distance of each border point (K,) [px].
+        close: directions along it (S, 3), evenly: of a polygon closer together than its points, of
+            what is round the points.
         turn: how the target is turned in the picture (`PolygonFit`) [rad]; 0 for what is round.
     """
 
@@ -268,7 +342,9 @@ class OutlineFit:
     turn: float = 0.0
 
 
-def fit_outline(border: Border, target: Target, turn: float | None, expected: float) -> OutlineFit | None:
+def fit_outline(
+    border: Border, target: Target, turn: float | None, expected: float
+) -> OutlineFit | None:
     """The fit of the target's outline to the border; None where there is none.
 
     Args:
@@ -279,7 +355,9 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
     if corners is None:
         # A round region of pixels with standard deviation s has the radius 2 s.
         found = target.round_outline(rays)
-        return None if found is None else OutlineFit(found[0], found[1] * 2 * border.size_px, found[0])
+        return (
+            None if found is None else OutlineFit(found[0], found[1] * 2 * border.size_px, found[0])
+        )
     if not (rays[:, 2] > LEAST_AHEAD).all():
         return None
     xy = rays[:, :2] / rays[:, 2:]
@@ -293,13 +371,21 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
         return None
     H, turned, off = fit
     # of the outline 200 points, by which it is compared with the border in the picture
-    p, close = (np.column_stack([xy, np.ones(len(xy))]) @ H.T for xy in (target.points[:, :2], evenly_along(corners, 200)))
+    p, close = (
+        np.column_stack([xy, np.ones(len(xy))]) @ H.T
+        for xy in (target.points[:, :2], evenly_along(corners, 200))
+    )
     # directions, turned to lie before the camera
-    return OutlineFit(p * np.sign(p[:, 2:]), off * border.size_px, close * np.sign(close[:, 2:]), turned)
+    return OutlineFit(
+        p * np.sign(p[:, 2:]), off * border.size_px, close * np.sign(close[:, 2:]), turned
+    )
 
 
-BESIDE_PX = 3  # a region is measured so far beyond its box [px], which may touch the window in which it was searched
-Found = tuple[Window, Array, OutlineFit]  # a region: its box [px], its centroid (2,) [px], and the outline fitted to it
+# a region is measured so far beyond its box [px], which may touch the window in which it was
+# searched
+BESIDE_PX = 3
+# a region: its box [px], its centroid (2,) [px], and the outline fitted to it
+Found = tuple[Window, Array, OutlineFit]
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,8 +393,10 @@ class RegionState:
     """State of the region detector.
 
     Attributes:
-        expected: how a shape is turned in the goal view [rad]: the first guess, which decides for a shape with symmetry; 0 if round.
-        box, middle, turn: of the region in the last picture [px, rad]. move: its displacement since the picture before [px].
+        expected: how a shape is turned in the goal view [rad]: the first guess, which decides for a
+            shape with symmetry; 0 if round.
+        box, middle, turn: of the region in the last picture [px, rad]. move: its displacement since
+            the picture before [px].
     """
 
     expected: float = 0.0
@@ -322,27 +410,35 @@ class RegionState:
 class RegionDetector(DetectorBase):
     """The outline of the target's region, as points in the target's order: of a shape or a ball.
 
-    Segmentation: connected pixels with more than `chroma` and the target's hue; of several regions the largest to which the outline
-    fits. In later pictures it is searched in a window around its predicted place, and where it is not whole there, in the whole image.
+    Segmentation: connected pixels with more than `chroma` and the target's hue; of several regions
+    the largest to which the outline fits. In later pictures it is searched in a window around its
+    predicted place, and where it is not whole there, in the whole image.
 
-    Measurement: the border is measured at every pixel along it by coverage (`edge_points`), and the target's outline is fitted to it
-    by least squares, in undistorted coordinates: of a polygon the homography of its plane, which needs no calibrated depth and no pose;
-    of a disc the ellipse; of a ball the cone of rays that touch it. With `camera.multisampling: 0` borders are off by up to half a pixel;
-    with 4 samples the points of a shape 200 px long are exact to some hundredths of a pixel.
+    Measurement: the border is measured at every pixel along it by coverage (`edge_points`), and the
+    target's outline is fitted to it by least squares, in undistorted coordinates: of a polygon the
+    homography of its plane, which needs no calibrated depth and no pose; of a disc the ellipse; of
+    a ball the cone of rays that touch it. With `camera.multisampling: 0` borders are off by up to
+    half a pixel; with 4 samples the points of a shape 200 px long are exact to some hundredths of a
+    pixel.
 
-    Lost: a region that reaches the image's border, or of which another thing hides a part: more than `hidden_share` of its border is
-    farther than `tolerance_px` from the fitted outline, or of the outline from its border. A part with the outline of the whole as seen
-    from elsewhere, such as half of a square, is not told from it.
+    Lost: a region that reaches the image's border, or of which another thing hides a part: more
+    than `hidden_share` of its border is farther than `tolerance_px` from the fitted outline, or of
+    the outline from its border. A part with the outline of the whole as seen from elsewhere, such
+    as half of a square, is not told from it.
 
     Args:
-        chroma: max - min of r, g, b (0..255) above which a pixel belongs to the region [grey levels]; scenes keep everything else below it.
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to the region [grey
+            levels]; scenes keep everything else below it.
         hue_tolerance_deg: largest difference to the target's hue.
         least_area_px: least area of the region [px^2].
         tolerance_px: largest distance of the border from the fitted outline [px].
-        hidden_share: share of the border, and of the fitted outline, that may be farther from the other [1].
-        window_margin_px: margin of the window around the predicted region, besides half of its last move [px].
+        hidden_share: share of the border, and of the fitted outline, that may be farther from the
+            other [1].
+        window_margin_px: margin of the window around the predicted region, besides half of its last
+            move [px].
 
-    Reference: coverage as the mean over a pixel: Corke 2017, Robotics, Vision & Control, section 13.1 (regions, moments).
+    Reference: coverage as the mean over a pixel: Corke 2017, Robotics, Vision & Control, section
+    13.1 (regions, moments).
     """
 
     kind: Literal["region"] = "region"
@@ -369,8 +465,12 @@ class RegionDetector(DetectorBase):
         R = roundness(covariance(seen)) @ to[:2].T @ inverted(roundness(covariance(flat)))
         return RegionState(expected=math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
 
-    def regions_of_interest(self, state: RegionState, camera: Camera, target: Target) -> Regions | None:
-        """A window around the predicted region; None where it is lost or large, and in a camera with panels."""
+    def regions_of_interest(
+        self, state: RegionState, camera: Camera, target: Target
+    ) -> Regions | None:
+        """A window around the predicted region; None where it is lost or large, and in a camera
+        with panels.
+        """
         own = self._window(state, camera, self.window_margin_px + BESIDE_PX)
         return None if own is None else ((own,),)
 
@@ -379,27 +479,60 @@ class RegionDetector(DetectorBase):
         return own[0] if own else None
 
     def detect(
-        self, state: RegionState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self,
+        state: RegionState,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
     ) -> tuple[RegionState, Detection]:
-        """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole."""
+        """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found
+        whole.
+        """
         picture = self._given(picture)
         if not target.outlined:
             raise ParameterError.fixed("target", "a shape or a ball", where="for detector region")
         window, image = self._window(state, camera, self.window_margin_px), picture.images[0]
-        found = None if window is None or image is None else self._largest(image, 0, window, state, camera, target)
+        found = (
+            None
+            if window is None or image is None
+            else self._largest(image, 0, window, state, camera, target)
+        )
         for panel, whole in enumerate(picture.completed().images if found is None else ()):
             if whole is not None and found is None:
-                found = self._largest(whole, panel, (0, 0, whole.shape[1], whole.shape[0]), state, camera, target)
+                found = self._largest(
+                    whole, panel, (0, 0, whole.shape[1], whole.shape[0]), state, camera, target
+                )
         if found is None:
-            return RegionState(state.expected), Detection(uv=np.full((len(target.points), 2), np.nan))
+            return RegionState(state.expected), Detection(
+                uv=np.full((len(target.points), 2), np.nan)
+            )
         box, middle, fit = found
         du, dv = (0.0, 0.0) if state.middle is None else (middle - state.middle).tolist()
-        return RegionState(state.expected, box, middle, (du, dv), fit.turn), Detection(uv=camera.project(fit.p))
+        return RegionState(state.expected, box, middle, (du, dv), fit.turn), Detection(
+            uv=camera.project(fit.p)
+        )
 
-    def _largest(self, image: Image, panel: int, window: Window, state: RegionState, camera: Camera, target: Target) -> Found | None:
-        """The largest region of the target's hue in a window that is whole and to which the outline fits; None without one."""
+    def _largest(
+        self,
+        image: Image,
+        panel: int,
+        window: Window,
+        state: RegionState,
+        camera: Camera,
+        target: Target,
+    ) -> Found | None:
+        """The largest region of the target's hue in a window that is whole and to which the outline
+        fits; None without one.
+        """
         lens = camera.panels[panel].lens
-        region = Region(image, window, "grey" if lens.multisampling > 0 or lens.resampled else "sharp", noise_level(image))
+        region = Region(
+            image,
+            window,
+            "grey" if lens.multisampling > 0 or lens.resampled else "sharp",
+            noise_level(image),
+        )
         mask = chroma_mask(region.searched, self.chroma)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         order = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")
@@ -411,21 +544,42 @@ class RegionDetector(DetectorBase):
             left, top = window[0] + x, window[1] + y
             box = (left, top, left + w, top + h)
             # Beyond an edge of the window, or the image's border, it may go on.
-            inside = left > window[0] and top > window[1] and left + w < window[2] and top + h < window[3]
-            if not inside or not self._has_hue(image[top : top + h, left : left + w], alone, target.hues_deg[0]):
+            inside = (
+                left > window[0]
+                and top > window[1]
+                and left + w < window[2]
+                and top + h < window[3]
+            )
+            if not inside or not self._has_hue(
+                image[top : top + h, left : left + w], alone, target.hues_deg[0]
+            ):
                 continue
-            if (found := self._fitted(region, alone, box, panel, state, camera, target)) is not None:
+            if (
+                found := self._fitted(region, alone, box, panel, state, camera, target)
+            ) is not None:
                 return found
         return None
 
     def _has_hue(self, part: Image, alone: Image, wanted_deg: float) -> bool:
         r, g, b, _ = cv2.mean(part, mask=alone)
-        return abs(math.remainder(360 * colorsys.rgb_to_hsv(r, g, b)[0] - wanted_deg, 360)) <= self.hue_tolerance_deg
+        return (
+            abs(math.remainder(360 * colorsys.rgb_to_hsv(r, g, b)[0] - wanted_deg, 360))
+            <= self.hue_tolerance_deg
+        )
 
     def _fitted(
-        self, region: Region, alone: Image, box: Window, panel: int, state: RegionState, camera: Camera, target: Target
+        self,
+        region: Region,
+        alone: Image,
+        box: Window,
+        panel: int,
+        state: RegionState,
+        camera: Camera,
+        target: Target,
     ) -> Found | None:
-        """The outline fitted to a region, by `alone` (255 in its pixels in its box); None where it does not fit."""
+        """The outline fitted to a region, by `alone` (255 in its pixels in its box); None where it
+        does not fit.
+        """
         left, top = max(box[0] - BESIDE_PX, 0), max(box[1] - BESIDE_PX, 0)
         part = region.image[top : box[3] + BESIDE_PX, left : box[2] + BESIDE_PX]
         found = np.zeros(part.shape[:2], np.uint8)
@@ -434,21 +588,28 @@ class RegionDetector(DetectorBase):
         edge = edge_points(cover) + [left, top]
         if len(edge) < 24:
             return None
-        # Of a long border evenly spread points: with more than 400 the outline hardly becomes better.
+        # Of a long border evenly spread points: with more than 400 the outline hardly becomes
+        # better.
         edge = edge[np.linspace(0, len(edge) - 1, min(len(edge), 400)).astype(int)]
         m = cv2.moments(cover)
         mass = m["m00"]
         middle = np.array([left + m["m10"] / mass, top + m["m01"] / mass])
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / mass
         border = Border(edge, middle, spread, camera.panels[panel])
-        tolerance = self.tolerance_px + 0.05 * region.noise  # [px], and [px per grey level of its standard deviation]
-        for turn in [None] if state.box is None else [state.turn, None]:  # as in the last picture, or else all round
+        # [px], and [px per grey level of its standard deviation]
+        tolerance = self.tolerance_px + 0.05 * region.noise
+        # as in the last picture, or else all round
+        for turn in [None] if state.box is None else [state.turn, None]:
             fit = fit_outline(border, target, turn, state.expected)
             if fit is None:
                 continue
-            # One more against whole pixels: outlines that were right, sharp, blurred over up to 8 px or under noise, then had under
-            # 0.015 of their length farther from the region's pixels.
+            # One more against whole pixels: outlines that were right, sharp, blurred over up to 8
+            # px or under noise, then had under 0.015 of their length farther from the region's
+            # pixels.
             bare = bare_share(border.project(fit.close) - (left, top), found, tolerance + 1.0)
-            if float(np.mean(fit.off_px > tolerance)) <= self.hidden_share and bare <= self.hidden_share:
+            if (
+                float(np.mean(fit.off_px > tolerance)) <= self.hidden_share
+                and bare <= self.hidden_share
+            ):
                 return box, middle, fit
         return None

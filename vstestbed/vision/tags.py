@@ -1,4 +1,6 @@
-"""Square fiducial tags (AprilTag, ArUco): found and decoded by OpenCV, refined along their edges, tracked in windows."""
+"""Square fiducial tags (AprilTag, ArUco): found and decoded by OpenCV, refined along their edges,
+tracked in windows.
+"""
 
 from __future__ import annotations
 
@@ -22,30 +24,40 @@ from vstestbed.vision.base import Detection, DetectorBase, TruthView, windows_ro
 from vstestbed.vision.colour import Image
 from vstestbed.vision.pnp import solve_pose_from_rays
 
-# Subpixel corners of tags: the four edges measured in the grey image and intersected, good to hundredths of a pixel.
-ALONG = np.linspace(0.1, 0.9, 16)  # positions along an edge at which it is measured, shares of its length, without the blurred corners
+# Subpixel corners of tags: the four edges measured in the grey image and intersected, good to
+# hundredths of a pixel.
+
+# positions along an edge at which it is measured, shares of its length, without the blurred corners
+ALONG = np.linspace(0.1, 0.9, 16)
 ACROSS = np.linspace(-1, 1, 25)  # samples of one profile across an edge, in units of its reach
 ENDS = 3  # samples at each end of a profile whose mean is its black or white level
-REACH = 0.65  # half length of a profile in modules: it ends within the black border and within the white quiet zone ...
+# half length of a profile in modules: it ends within the black border and within the white quiet
+# zone ...
+REACH = 0.65
 MOST_REACH_PX = 4.0  # ... and its limit [px], beyond any blur of the order of a pixel
 Edges = tuple[Array, Array, Array, Array]
-"""The measured edges of N tags: corners (N, 4, 2) [px]; largest distance of a measured point from its line (N,) [px]; least step from
-black to white as a share of the tag's median step (N,); least distance of a profile's ends from the picture's border (N,) [px], negative
-outside."""
+"""The measured edges of N tags: corners (N, 4, 2) [px]; largest distance of a measured point from
+its line (N,) [px]; least step from black to white as a share of the tag's median step (N,); least
+distance of a profile's ends from the picture's border (N,) [px], negative outside.
+"""
 
 
 def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
-    """The edges of tags of so many modules a side; their corners (N, 4, 2) [px], clockwise from the upper left, are known to half a module.
+    """The edges of tags of so many modules a side; their corners (N, 4, 2) [px], clockwise from the
+    upper left, are known to half a module.
 
-    Profiles of intensity I are sampled across an edge along the tag's own rows and columns, mapped into the image by the
-    corners' homography, so that they end within one module also on a tilted tag. Along a profile of length 2 r from black b to
-    white w the edge lies at r (1 - 2 mean(I - b)/(w - b)), which no symmetrical blur shifts. Lines are fitted to these points
-    by total least squares; their intersections are the corners.
+    Profiles of intensity I are sampled across an edge along the tag's own rows and columns, mapped
+    into the image by the corners' homography, so that they end within one module also on a tilted
+    tag. Along a profile of length 2 r from black b to white w the edge lies at r (1 - 2 mean(I -
+    b)/(w - b)), which no symmetrical blur shifts. Lines are fitted to these points by total least
+    squares; their intersections are the corners.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):  # parallel lines give NaN, which fails every check of a tag
+    # parallel lines give NaN, which fails every check of a tag
+    with np.errstate(divide="ignore", invalid="ignore"):
         edges = _measured_once(grey, corners, modules)
         for _ in range(3):
-            if np.abs(edges[0] - corners).max() < 0.02:  # another round would move them by a fraction of that
+            # another round would move them by a fraction of that
+            if np.abs(edges[0] - corners).max() < 0.02:
                 break
             corners, edges = edges[0], _measured_once(grey, edges[0], modules)
     return edges
@@ -58,7 +70,8 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
     u, v = where.reshape(1, -1, 2)[..., 0], where.reshape(1, -1, 2)[..., 1]
     profile = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     profile = np.asarray(profile, float).reshape(where.shape[:-1])
-    # The edge's place in each profile, from -1 at its inner to 1 at its outer end, and the step's height.
+    # The edge's place in each profile, from -1 at its inner to 1 at its outer end, and the step's
+    # height.
     black, white = profile[..., :ENDS].mean(axis=-1), profile[..., -ENDS:].mean(axis=-1)
     step, mean = white - black, np.trapezoid(profile, axis=-1) / (len(ACROSS) - 1)
     share = np.clip(1 - 2 * (mean - black) / np.maximum(step, 1.0), -1, 1)
@@ -70,9 +83,11 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
 
 
 def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
-    """Midpoints of the profiles and the vectors from there to their outer ends, both (N, 4, S, 2) [px].
+    """Midpoints of the profiles and the vectors from there to their outer ends, both (N, 4, S, 2)
+    [px].
 
-    Homography of the unit square from its corners: Heckbert 1989, Fundamentals of Texture Mapping and Image Warping, section 2.2.3.
+    Homography of the unit square from its corners: Heckbert 1989, Fundamentals of Texture Mapping
+    and Image Warping, section 2.2.3.
     """
     a, b, c, d = (corners[:, k] for k in range(4))
     e, f, s = b - c, d - c, a - b + c - d
@@ -83,7 +98,14 @@ def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
     H[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
     out = REACH / modules
     s, zero = ALONG, np.zeros_like(ALONG)
-    on = np.stack([np.stack([s, zero]), np.stack([zero + 1, s]), np.stack([1 - s, zero + 1]), np.stack([zero, 1 - s])])
+    on = np.stack(
+        [
+            np.stack([s, zero]),
+            np.stack([zero + 1, s]),
+            np.stack([1 - s, zero + 1]),
+            np.stack([zero, 1 - s]),
+        ]
+    )
     normal = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])[:, :, None]
     inner, outer = (_mapped(H, on + sign * out * normal) for sign in (-1, 1))
     reach = (outer - inner) / 2
@@ -92,17 +114,22 @@ def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
 
 
 def _mapped(H: Array, p: Array) -> Array:
-    """Points (4, 2, S) of the unit square mapped into the image by homographies (N, 3, 3), shape (N, 4, S, 2)."""
+    """Points (4, 2, S) of the unit square mapped into the image by homographies (N, 3, 3), shape
+    (N, 4, S, 2).
+    """
     q = np.einsum("nij,ejs->nesi", H[:, :, :2], p) + H[:, None, None, :, 2]
     return q[..., :2] / q[..., 2:]
 
 
 def _cross(points: Array) -> tuple[Array, Array]:
-    """Intersections (N, 4, 2) of the lines through points (N, 4, S, 2), and the points' distances from their lines (N, 4, S)."""
+    """Intersections (N, 4, 2) of the lines through points (N, 4, S, 2), and the points' distances
+    from their lines (N, 4, S).
+    """
     mean = points.mean(axis=2)
     d = points - mean[:, :, None]
     xx, yy, xy = (d[..., 0] ** 2).sum(-1), (d[..., 1] ** 2).sum(-1), (d[..., 0] * d[..., 1]).sum(-1)
-    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2  # the scatter matrix's minor axis, in closed form
+    # the scatter matrix's minor axis, in closed form
+    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     lines = np.concatenate([normal, -(normal * mean).sum(-1, keepdims=True)], axis=-1)
     # Homogeneous lines: their cross product is the point of intersection.
@@ -111,37 +138,56 @@ def _cross(points: Array) -> tuple[Array, Array]:
 
 
 # Printed tags: images of each family's tags, for the textures of the scene.
-PX_PER_MODULE = 16  # texels along a module: a power of two, so that the edges stay between texels at every level of OpenGL's mipmap
+
+# texels along a module: a power of two, so that the edges stay between texels at every level of
+# OpenGL's mipmap
+PX_PER_MODULE = 16
 
 
 @lru_cache
 def dictionary(family: str) -> cv2.aruco.Dictionary:
     """OpenCV's dictionary of a family of tags."""
     kind, _, name = family.partition("_")
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{name}" if kind == "apriltag" else f"DICT_{name.upper()}"))
+    return cv2.aruco.getPredefinedDictionary(
+        getattr(
+            cv2.aruco, f"DICT_APRILTAG_{name}" if kind == "apriltag" else f"DICT_{name.upper()}"
+        )
+    )
 
 
 def tag_picture(tag: Tag, number: int, px: int = PX_PER_MODULE) -> NDArray[np.uint8]:
-    """A tag with its quiet zone of one module, `px` pixels a module: 0 and 255, shape (px (modules + 2),) * 2."""
+    """A tag with its quiet zone of one module, `px` pixels a module: 0 and 255, shape (px
+    (modules + 2),) * 2.
+    """
     black = cv2.aruco.generateImageMarker(dictionary(tag.family), number, tag.modules * px)
     return np.pad(np.asarray(black, np.uint8), px, constant_values=255)
 
 
 def printed(marker: Marker, i: int) -> tuple[str, bytes]:
-    """Name and PNG file of what is printed on marker i of a target. Raises TypeError: nothing is."""
-    if not isinstance(marker, Tag):  # the one marker with a print; the picture comes from OpenCV, which targets do without
+    """Name and PNG file of what is printed on marker i of a target.
+    Raises TypeError: nothing is.
+    """
+    # the one marker with a print; the picture comes from OpenCV, which targets do without
+    if not isinstance(marker, Tag):
         raise TypeError(f"nothing is printed on a {marker.kind}")
     number = marker.first_id + i
-    return f"{marker.family}_{number}", cv2.imencode(".png", tag_picture(marker, number))[1].tobytes()
+    return f"{marker.family}_{number}", cv2.imencode(".png", tag_picture(marker, number))[
+        1
+    ].tobytes()
 
 
-Found = tuple[int, Array]  # index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]
-QUIET = 0.25  # margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs; besides the margin in pixels
+# index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]
+Found = tuple[int, Array]
+# margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs;
+# besides the margin in pixels
+QUIET = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class TagsState:
-    """Each tag's corners (4, 2) in the last picture [px] (None for a lost one), their last known moves [px], the last known pose."""
+    """Each tag's corners (4, 2) in the last picture [px] (None for a lost one), their last known
+    moves [px], the last known pose.
+    """
 
     corners: tuple[Array | None, ...] = ()
     moves: tuple[tuple[float, float], ...] = ()
@@ -150,25 +196,31 @@ class TagsState:
 
 @spec
 class Tags(DetectorBase):
-    """Markers that are fiducial tags, identified by their number; a marker's pixel is the image of its tag's centre.
+    """Markers that are fiducial tags, identified by their number; a marker's pixel is the image of
+    its tag's centre.
 
-    OpenCV finds and decodes the tags, with corners good to a pixel. From there each edge is measured in the grey image and the
-    four lines are intersected (`measure_edges`): corners to .01 px, without a constant offset. (OpenCV's own refinements leave .4 to .7 px
-    on rendered tags of 20 to 75 px.) The diagonals of the corners' rays intersect in the centre's ray, whatever the perspective and the
-    lens. The pose is solved from all corners; one tag suffices.
+    OpenCV finds and decodes the tags, with corners good to a pixel. From there each edge is
+    measured in the grey image and the four lines are intersected (`measure_edges`): corners to .01
+    px, without a constant offset. (OpenCV's own refinements leave .4 to .7 px on rendered tags of
+    20 to 75 px.) The diagonals of the corners' rays intersect in the centre's ray, whatever the
+    perspective and the lens. The pose is solved from all corners; one tag suffices.
 
-    A tracked tag is searched in a window around its predicted position; when one is not found there, the whole image of the same exposure
-    is searched. A tag is rejected if it touches the image's border, if it is misread, or if a point of its edges is off its line or
-    without contrast (occlusion). Tags need about 2 px a module.
+    A tracked tag is searched in a window around its predicted position; when one is not found
+    there, the whole image of the same exposure is searched. A tag is rejected if it touches the
+    image's border, if it is misread, or if a point of its edges is off its line or without contrast
+    (occlusion). Tags need about 2 px a module.
 
     Args:
         astray_px: largest distance of an edge's point from the edge's line [px].
-        misread: how many of a tag's modules may be read wrongly; 3 finds more of the tags under 2 px a module, and also tags
-            whose inner modules are occluded.
-        contrast: least step from black to white at an edge's point, as a share of the tag's median step [1].
-        window_margin_px: margin of a window around the predicted tag and its quiet zone, besides half of its last move [px].
+        misread: how many of a tag's modules may be read wrongly; 3 finds more of the tags under 2
+            px a module, and also tags whose inner modules are occluded.
+        contrast: least step from black to white at an edge's point, as a share of the tag's median
+            step [1].
+        window_margin_px: margin of a window around the predicted tag and its quiet zone, besides
+            half of its last move [px].
 
-    Reference: Garrido-Jurado et al. 2014, doi:10.1016/j.patcog.2014.01.005 (finding and reading square tags).
+    Reference: Garrido-Jurado et al. 2014, doi:10.1016/j.patcog.2014.01.005 (finding and reading
+    square tags).
     """
 
     kind: Literal["tags"] = "tags"
@@ -183,47 +235,80 @@ class Tags(DetectorBase):
         """Nothing seen yet."""
         return TagsState()
 
-    def regions_of_interest(self, state: TagsState, camera: Camera, target: Target) -> Regions | None:
-        """The windows of the next picture; None for everything, always so in a camera with panels."""
+    def regions_of_interest(
+        self, state: TagsState, camera: Camera, target: Target
+    ) -> Regions | None:
+        """The windows of the next picture; None for everything,
+        always so in a camera with panels.
+        """
         windows = self._windows(state, camera)
         return None if windows is None else (tuple(windows),)
 
     def detect(
-        self, state: TagsState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self,
+        state: TagsState,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
     ) -> tuple[TagsState, Detection]:
-        """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved."""
+        """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it
+        can be solved.
+        """
         picture, tag, n = self._given(picture), target.marker, len(target.points)
         assert isinstance(tag, Tag)  # a scenario refuses others
-        found = self._track(_greys(picture), state, camera, tag, n) or self._search(_greys(picture.completed()), camera, tag, n)
+        found = self._track(_greys(picture), state, camera, tag, n) or self._search(
+            _greys(picture.completed()), camera, tag, n
+        )
         uv, T = _measure(found, state.T_camera_target, camera, target, tag)
         corners = tuple(found[i][1] if i in found else None for i in range(n))
         kept = T if T is not None else state.T_camera_target
-        last = zip(state.corners or (None,) * n, corners, state.moves or ((0.0, 0.0),) * n, strict=True)
+        last = zip(
+            state.corners or (None,) * n, corners, state.moves or ((0.0, 0.0),) * n, strict=True
+        )
         # The last known move of a tag that was not seen then, or is not now.
         moves = [move if a is None or b is None else (b - a).mean(axis=0) for a, b, move in last]
-        return TagsState(corners, tuple((float(du), float(dv)) for du, dv in moves), kept), Detection(uv=uv, T_camera_target=T)
+        return TagsState(
+            corners, tuple((float(du), float(dv)) for du, dv in moves), kept
+        ), Detection(uv=uv, T_camera_target=T)
 
     def _windows(self, state: TagsState, camera: Camera) -> list[Window] | None:
         boxes = [None if c is None else _box(c) for c in state.corners]
         return windows_round(boxes, state.moves, camera, self.window_margin_px)
 
-    def _track(self, greys: list[Image | None], state: TagsState, camera: Camera, tag: Tag, n: int) -> dict[int, Found] | None:
-        """All tags, each from a window of its own; None where one is lost and the whole image must be searched."""
+    def _track(
+        self, greys: list[Image | None], state: TagsState, camera: Camera, tag: Tag, n: int
+    ) -> dict[int, Found] | None:
+        """All tags, each from a window of its own; None where one is lost and the whole image must
+        be searched.
+        """
         windows, grey = self._windows(state, camera), greys[0]
         if windows is None or grey is None:
             return None
-        rough = {i: quad for i, w in enumerate(windows) for k, quad in _read(grey, w, tag, n, self.misread).items() if k == i}
+        rough = {
+            i: quad
+            for i, w in enumerate(windows)
+            for k, quad in _read(grey, w, tag, n, self.misread).items()
+            if k == i
+        }
         whole = self._whole(grey, rough, tag) if len(rough) == n else {}
         return {i: (0, corners) for i, corners in whole.items()} if len(whole) == n else None
 
-    def _search(self, greys: list[Image | None], camera: Camera, tag: Tag, n: int) -> dict[int, Found]:
-        """The tags found in whole images; where panels overlap, in the panel whose axis is nearer."""
+    def _search(
+        self, greys: list[Image | None], camera: Camera, tag: Tag, n: int
+    ) -> dict[int, Found]:
+        """The tags found in whole images; where panels overlap,
+        in the panel whose axis is nearer.
+        """
         found: dict[int, Found] = {}
         cosines: dict[int, float] = {}
         for panel, grey in enumerate(greys):
             if grey is None:
                 continue
-            whole = self._whole(grey, _read(grey, (0, 0, grey.shape[1], grey.shape[0]), tag, n, self.misread), tag)
+            whole = self._whole(
+                grey, _read(grey, (0, 0, grey.shape[1], grey.shape[0]), tag, n, self.misread), tag
+            )
             for i, corners in whole.items():
                 cosine = float(camera.panels[panel].lens.ray(corners.mean(axis=0))[2])
                 if cosine > cosines.get(i, -2.0):
@@ -233,31 +318,53 @@ class Tags(DetectorBase):
     def _whole(self, grey: Image, rough: dict[int, Array], tag: Tag) -> dict[int, Array]:
         if not rough:
             return {}
-        measured, astray, contrast, border = measure_edges(grey, np.stack(list(rough.values())), tag.modules)
+        measured, astray, contrast, border = measure_edges(
+            grey, np.stack(list(rough.values())), tag.modules
+        )
         good = (astray <= self.astray_px) & (contrast >= self.contrast) & (border >= 0)
-        return {i: corners for i, corners, whole in zip(rough, measured, good.tolist(), strict=True) if whole}
+        return {
+            i: corners
+            for i, corners, whole in zip(rough, measured, good.tolist(), strict=True)
+            if whole
+        }
 
 
 def _greys(picture: Picture) -> list[Image | None]:
-    return [None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in picture.images]
+    return [
+        None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+        for image in picture.images
+    ]
 
 
 def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[int, Array]:
-    """OpenCV's corners (4, 2) [px], by marker, of the target's tags that it decodes in a window of the image."""
+    """OpenCV's corners (4, 2) [px], by marker, of the target's tags that it decodes in a window of
+    the image.
+    """
     left, top, right, bottom = window
-    quads, markers, _ = _reader(tag.family, tag.first_id, n, misread).detectMarkers(grey[top:bottom, left:right])
+    quads, markers, _ = _reader(tag.family, tag.first_id, n, misread).detectMarkers(
+        grey[top:bottom, left:right]
+    )
     rough: dict[int, Array] = {}
-    for quad, marker in zip(quads, [] if markers is None else np.asarray(markers, int).ravel(), strict=True):
+    for quad, marker in zip(
+        quads, [] if markers is None else np.asarray(markers, int).ravel(), strict=True
+    ):
         corners = np.asarray(quad, float).reshape(4, 2)
         out = corners - corners.mean(axis=0)
-        # OpenCV's corners are centres of the outermost black pixels, and lie so far inside the black square.
-        rough[int(marker)] = corners + (left, top) + math.sqrt(0.5) * out / np.linalg.norm(out, axis=1, keepdims=True)
+        # OpenCV's corners are centres of the outermost black pixels, and lie so far inside the
+        # black square.
+        rough[int(marker)] = (
+            corners
+            + (left, top)
+            + math.sqrt(0.5) * out / np.linalg.norm(out, axis=1, keepdims=True)
+        )
     return rough
 
 
 @lru_cache
 def _reader(family: str, first: int, n: int, misread: int) -> cv2.aruco.ArucoDetector:
-    """OpenCV's detector for n tags of a family, numbered from 0: searched ten times as fast as the whole family of 587."""
+    """OpenCV's detector for n tags of a family, numbered from 0: searched ten times as fast as the
+    whole family of 587.
+    """
     whole = dictionary(family)
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
@@ -266,17 +373,23 @@ def _reader(family: str, first: int, n: int, misread: int) -> cv2.aruco.ArucoDet
     return cv2.aruco.ArucoDetector(own, how)
 
 
-def _measure(found: dict[int, Found], previous: Array | None, camera: Camera, target: Target, tag: Tag) -> tuple[Array, Array | None]:
-    """Images of all centres (N, 2) [px] in the camera's own image, and the pose, from the corners (4, 2) of the tags found."""
+def _measure(
+    found: dict[int, Found], previous: Array | None, camera: Camera, target: Target, tag: Tag
+) -> tuple[Array, Array | None]:
+    """Images of all centres (N, 2) [px] in the camera's own image, and the pose, from the corners
+    (4, 2) of the tags found.
+    """
     uv = np.full((len(target.points), 2), np.nan)
     if not found:
         return uv, None
     seen = list(found)
     panels = [(camera.panels[panel], corners) for panel, corners in found.values()]
     rays = np.stack([panel.lens.ray(corners) @ panel.R_camera_panel.T for panel, corners in panels])
-    diagonals = np.cross(rays[:, :2], rays[:, 2:])  # normals of the planes through the camera and each diagonal
+    # normals of the planes through the camera and each diagonal
+    diagonals = np.cross(rays[:, :2], rays[:, 2:])
     centre = np.cross(diagonals[:, 0], diagonals[:, 1])
-    # The planes intersect in a line through the camera; of its two directions take the one towards the corners.
+    # The planes intersect in a line through the camera; of its two directions take the one towards
+    # the corners.
     centre *= np.sign((centre * rays.sum(axis=1)).sum(axis=-1, keepdims=True))
     uv[seen] = camera.project(centre)
     points = target.points[seen][:, None] + tag.corners

@@ -10,11 +10,12 @@ HEIGHT, WIDTH = 1200, 900
 MARGIN, GUTTER, SIZE, LEADING = 60, 36, 11.0, 25
 INK = "22201e"
 TEXT = """
-the of and in a to is that which with by for as on are from at this it be one has not or its where each all two image
-camera point line motion robot error velocity frame feature depth plane axis angle light surface matrix gain goal view
-sensor lens pixel picture marker measure follow estimate converge rotate translate observe control align move turn reach
-compute project match track mean small large same other first last between near far left right under over through
-without before after while time distance place order noise number
+the of and in a to is that which with by for as on are from at this it be one has not or its where
+each all two image camera point line motion robot error velocity frame feature depth plane axis
+angle light surface matrix gain goal view sensor lens pixel picture marker measure follow estimate
+converge rotate translate observe control align move turn reach compute project match track mean
+small large same other first last between near far left right under over through without before
+after while time distance place order noise number
 """
 WORDS = TEXT.split()
 
@@ -35,10 +36,16 @@ def draw(rng: np.random.Generator) -> Image:
     return np.clip(image, 0, 1)
 
 
-def _paragraph(rng: np.random.Generator, image: Image, left: float, base: float, column: float) -> float:
-    """A heading now and then, and 4 to 9 lines of words set to the column's width; the next line's base."""
+def _paragraph(
+    rng: np.random.Generator, image: Image, left: float, base: float, column: float
+) -> float:
+    """A heading now and then, and 4 to 9 lines of words set to the column's width; the next line's
+    base.
+    """
     if rng.random() < 0.35:
-        letters(image, " ".join(rng.choice(WORDS, 3)).capitalize(), left, base + 4, 15, rgb(INK), 0.13)
+        letters(
+            image, " ".join(rng.choice(WORDS, 3)).capitalize(), left, base + 4, 15, rgb(INK), 0.13
+        )
         base += LEADING * 1.3
     lines = int(rng.integers(4, 10))
     for k in range(lines):
@@ -49,8 +56,18 @@ def _paragraph(rng: np.random.Generator, image: Image, left: float, base: float,
     return base
 
 
-def _line(rng: np.random.Generator, image: Image, left: float, base: float, column: float, first: bool, last: bool) -> None:
-    """One line of words, the spaces between them stretched so that it is full; the last of a paragraph ends with a stop."""
+def _line(
+    rng: np.random.Generator,
+    image: Image,
+    left: float,
+    base: float,
+    column: float,
+    first: bool,
+    last: bool,
+) -> None:
+    """One line of words, the spaces between them stretched so that it is full; the last of a
+    paragraph ends with a stop.
+    """
     start = left + (24 if first else 0)
     room = column - (start - left)
     words = _words(rng, room, first, room * (0.6 if last else 1))
@@ -65,7 +82,9 @@ def _line(rng: np.random.Generator, image: Image, left: float, base: float, colu
 
 
 def _words(rng: np.random.Generator, room: float, first: bool, enough: float) -> list[str]:
-    """Words that fit into a line [px], until there are enough [px]; the first of a paragraph begins with a capital."""
+    """Words that fit into a line [px], until there are enough [px]; the first of a paragraph begins
+    with a capital.
+    """
     words, used = [], 0.0
     while used < enough:
         word = str(rng.choice(WORDS)) + ("," if rng.random() < 0.1 else "")

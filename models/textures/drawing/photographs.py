@@ -1,4 +1,6 @@
-"""The poster's pictures, shaded like photographs: a bay in the mountains, a town at night, a flower, pebbles, a map."""
+"""The poster's pictures, shaded like photographs: a bay in the mountains, a town at night, a
+flower, pebbles, a map.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,12 @@ def bay(rng: np.random.Generator, height: int, width: int) -> Image:
         _ridge(rng, image[:shore], top * shore, rough * shore, near, far, snow=i < 2)
     _woods(rng, image[:shore], shore)
     image[shore:] = _water(rng, image[:shore], height - shore)
-    for x, y, size in ((0.2, 0.74, 0.1), (0.47, 0.70, 0.06), (0.69, 0.83, 0.17), (0.86, 0.71, 0.05)):
+    for x, y, size in (
+        (0.2, 0.74, 0.1),
+        (0.47, 0.70, 0.06),
+        (0.69, 0.83, 0.17),
+        (0.86, 0.71, 0.05),
+    ):
         _boat(image, x * width, y * height, size * height)
     return image * (1 + 0.012 * noise(rng, height, width, 2, 1)[..., None])
 
@@ -36,7 +43,13 @@ def _sky(rng: np.random.Generator, height: int, width: int) -> Image:
     v, u = np.mgrid[:height, :width].astype(np.float32)
     far = np.hypot(u - sun[0], v - sun[1])
     blend(sky, rgb("fff3cf"), 0.8 * np.exp(-((far / (0.22 * height)) ** 2)))
-    cloud = np.asarray(cv2.resize(noise(rng, height, width // 3, 70, 2, 0.62), (width, height), interpolation=cv2.INTER_LINEAR))
+    cloud = np.asarray(
+        cv2.resize(
+            noise(rng, height, width // 3, 70, 2, 0.62),
+            (width, height),
+            interpolation=cv2.INTER_LINEAR,
+        )
+    )
     thick = np.clip((cloud - 0.1) * 0.75, 0, 1) * np.clip(1.35 - 1.2 * down, 0, 1)
     light = ramp([(0.4, "9c98a8"), (1.15, "fff4e4")], relief(cloud * 9, 0.9, 300))
     blend(sky, light, 0.92 * thick)
@@ -44,8 +57,18 @@ def _sky(rng: np.random.Generator, height: int, width: int) -> Image:
     return sky
 
 
-def _ridge(rng: np.random.Generator, image: Image, top: float, rough: float, near: str, far: str, snow: bool) -> None:
-    """A range of mountains in place, its crest about `top`, with slopes and gullies lit from the right."""
+def _ridge(
+    rng: np.random.Generator,
+    image: Image,
+    top: float,
+    rough: float,
+    near: str,
+    far: str,
+    snow: bool,
+) -> None:
+    """A range of mountains in place, its crest about `top`, with slopes and gullies lit from the
+    right.
+    """
     height, width = image.shape[:2]
     crest = top + rough * noise(rng, 1, width, width / 5, 3, 0.52)[0] * 0.6
     v = np.arange(height, dtype=np.float32)[:, None]
@@ -71,15 +94,23 @@ def _woods(rng: np.random.Generator, image: Image, shore: int) -> None:
             tone = rgb("6f9a72") * np.float32(dark * rng.uniform(1.0, 2.0))
             for k in range(6):  # tiers of branches
                 y, half = shore - tall * (1 - k / 6.5), tall * (0.03 + 0.036 * k)
-                corners = np.array([[x, y - tall * 0.09], [x + half, y + tall * 0.16], [x - half, y + tall * 0.16]])
+                corners = np.array(
+                    [[x, y - tall * 0.09], [x + half, y + tall * 0.16], [x - half, y + tall * 0.16]]
+                )
                 _paint(image, corners, tone * (0.8 + 0.14 * k))
-                _paint(image, np.array([corners[0], corners[1], [x, y + tall * 0.13]]), tone * (1.25 + 0.14 * k))
+                _paint(
+                    image,
+                    np.array([corners[0], corners[1], [x, y + tall * 0.13]]),
+                    tone * (1.25 + 0.14 * k),
+                )
 
 
 def _paint(image: Image, corners: np.ndarray, colour: Image) -> None:
     """A polygon with corners (N, 2) [px] in place."""
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, [image.shape[1], image.shape[0]])
+    high = np.minimum(
+        np.ceil(corners.max(axis=0)).astype(int) + 2, [image.shape[1], image.shape[0]]
+    )
     if (high > low).all():
         part = image[low[1] : high[1], low[0] : high[0]]
         blend(part, np.clip(colour, 0, 1), polygon(*part.shape[:2], corners - low))
@@ -90,13 +121,24 @@ def _water(rng: np.random.Generator, above: Image, height: int) -> Image:
     width = above.shape[1]
     down = np.arange(height, dtype=np.float32)[:, None]
     grow = (0.04 + down / height) ** 1.2
-    waves = np.asarray(cv2.resize(noise(rng, height, width // 6, 34, 1.5, 0.72), (width, height), interpolation=cv2.INTER_CUBIC))
+    waves = np.asarray(
+        cv2.resize(
+            noise(rng, height, width // 6, 34, 1.5, 0.72),
+            (width, height),
+            interpolation=cv2.INTER_CUBIC,
+        )
+    )
     u = np.arange(width, dtype=np.float32)[None] + 10 * grow * waves
     v = above.shape[0] - 1 - down * 1.25 + 34 * grow * waves
-    mirrored = np.asarray(cv2.remap(above, u, np.clip(v, 0, None), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), np.float32)
+    mirrored = np.asarray(
+        cv2.remap(above, u, np.clip(v, 0, None), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT),
+        np.float32,
+    )
     depth = ramp([(0, "5f8294"), (1, "16364a")], (down / height).repeat(width, 1))
     blend(mirrored, depth, 0.28 + 0.3 * (down / height).repeat(width, 1))
-    glitter = np.clip(waves - 1.1, 0, 1) * np.exp(-(((np.arange(width) / width - 0.72) / 0.12) ** 2)).astype(np.float32)
+    glitter = np.clip(waves - 1.1, 0, 1) * np.exp(
+        -(((np.arange(width) / width - 0.72) / 0.12) ** 2)
+    ).astype(np.float32)
     blend(mirrored, rgb("fff0cc"), 0.9 * np.clip(glitter, 0, 1))
     return mirrored * (1 + 0.08 * np.clip(waves, -2, 2)[..., None])
 
@@ -113,7 +155,10 @@ def _boat(image: Image, x: float, y: float, size: float) -> None:
     for flip, share in ((-0.62, 0.45), (1.0, 1.0)):
         for tone, corners in shape.values():
             at = np.array(corners) * [1, flip] * size + [x, y + (0.05 - 0.05 * flip) * size]
-            low, high = np.floor(at.min(axis=0)).astype(int) - 1, np.ceil(at.max(axis=0)).astype(int) + 2
+            low, high = (
+                np.floor(at.min(axis=0)).astype(int) - 1,
+                np.ceil(at.max(axis=0)).astype(int) + 2,
+            )
             low, high = np.maximum(low, 0), np.minimum(high, [image.shape[1], image.shape[0]])
             part = image[low[1] : high[1], low[0] : high[0]]
             if part.size:
@@ -133,15 +178,32 @@ def town(rng: np.random.Generator, height: int, width: int) -> Image:
         x = -10.0
         while x < width:
             wide, high = rng.uniform(0.045, 0.11) * width, bank * (top + rng.uniform(-0.18, 0.2))
-            _tower(rng, image[:bank], (int(max(x, 0)), int(high)), int(min(x + wide, width)), rgb(tone), 3 + row)
+            _tower(
+                rng,
+                image[:bank],
+                (int(max(x, 0)), int(high)),
+                int(min(x + wide, width)),
+                rgb(tone),
+                3 + row,
+            )
             x += wide * rng.uniform(0.9, 1.3)
     mirrored = image[:bank][::-1][: height - bank]
     shift = (3 * noise(rng, height - bank, 1, 6, 1.5)[:, 0]).astype(int)
-    image[bank:] = [0.62 * cv2.blur(np.roll(row, s, 0)[None], (9, 1))[0] for row, s in zip(mirrored, shift, strict=True)]
+    image[bank:] = [
+        0.62 * cv2.blur(np.roll(row, s, 0)[None], (9, 1))[0]
+        for row, s in zip(mirrored, shift, strict=True)
+    ]
     return image
 
 
-def _tower(rng: np.random.Generator, image: Image, corner: tuple[int, int], right: int, tone: Image, pitch: int) -> None:
+def _tower(
+    rng: np.random.Generator,
+    image: Image,
+    corner: tuple[int, int],
+    right: int,
+    tone: Image,
+    pitch: int,
+) -> None:
     left, top = corner
     bottom = image.shape[0]
     if right - left < 4 or bottom - top < 4:
@@ -152,9 +214,9 @@ def _tower(rng: np.random.Generator, image: Image, corner: tuple[int, int], righ
     for v in range(top + 4, bottom - gap, gap):
         for u in range(left + 3, right - gap, gap):
             if rng.random() < 0.5:
-                image[v : v + pitch, u : u + pitch - 1] = rgb("ffd98a" if rng.random() < 0.75 else "cfe6ff") * np.float32(
-                    rng.uniform(0.55, 1)
-                )
+                image[v : v + pitch, u : u + pitch - 1] = rgb(
+                    "ffd98a" if rng.random() < 0.75 else "cfe6ff"
+                ) * np.float32(rng.uniform(0.55, 1))
 
 
 def flower(rng: np.random.Generator, height: int, width: int) -> Image:
@@ -172,7 +234,9 @@ def flower(rng: np.random.Generator, height: int, width: int) -> Image:
         inside = np.clip((edge - radius) * 60, 0, 1)
         along = np.clip(radius / reach, 0, 1)
         vein = 0.06 * np.cos(petal * 22) * along
-        tone = ramp([(0, "5a0f2e"), (0.55, "b92b58"), (1, "f7b9a9")], along - 0.35 * petal**3 + vein)
+        tone = ramp(
+            [(0, "5a0f2e"), (0.55, "b92b58"), (1, "f7b9a9")], along - 0.35 * petal**3 + vein
+        )
         shadow = np.exp(-np.clip(radius - edge, 0, None) * 22) * (radius > edge)
         image *= (1 - 0.55 * shadow)[..., None]
         blend(image, tone, inside.astype(np.float32))
@@ -195,11 +259,13 @@ def pebbles(rng: np.random.Generator, height: int, width: int) -> Image:
         far[0], owner = np.where(nearer, d, far[0]), np.where(nearer, i, owner)
     gap = far[1] - far[0]
     dome = np.sqrt(np.clip(gap / 26, 0, 1)) * 16
-    tones = np.array([rgb(c) for c in ("8c8378", "b9ab98", "5d6166", "a98a72", "d8d0c2", "6f7f86", "93614f")])[
-        rng.integers(0, 7, len(seeds))
-    ]
+    tones = np.array(
+        [rgb(c) for c in ("8c8378", "b9ab98", "5d6166", "a98a72", "d8d0c2", "6f7f86", "93614f")]
+    )[rng.integers(0, 7, len(seeds))]
     grain = noise(rng, height, width, 12, 1.5, 0.7)
-    bright = relief(cv2.GaussianBlur(dome, (0, 0), 1.5) + 0.3 * grain, 1.3, 225) * (0.85 + 0.1 * grain)
+    bright = relief(cv2.GaussianBlur(dome, (0, 0), 1.5) + 0.3 * grain, 1.3, 225) * (
+        0.85 + 0.1 * grain
+    )
     image = tones[owner] * bright[..., None]
     blend(image, rgb("14110f"), np.clip(1 - gap / 5, 0, 1) * 0.85)
     return np.clip(image, 0, 1).astype(np.float32)
@@ -221,7 +287,9 @@ def plan(rng: np.random.Generator, height: int, width: int) -> Image:
     river = np.abs(v - 0.62 * height - 0.14 * height * np.sin(u / (0.16 * width)))
     blend(image, rgb("7fb0cf"), np.clip(0.085 * height - river, 0, 1))
     blend(image, rgb("3d6f93"), np.clip(1.5 - np.abs(river - 0.085 * height), 0, 1))
-    park = np.clip((0.17 * height - np.hypot(u - 0.76 * width, 0.8 * (v - 0.25 * height))) / 1.5, 0, 1)
+    park = np.clip(
+        (0.17 * height - np.hypot(u - 0.76 * width, 0.8 * (v - 0.25 * height))) / 1.5, 0, 1
+    )
     blend(image, ramp([(-2, "6f9d5c"), (2, "b4d18f")], noise(rng, height, width, 9, 2)), park)
     rail = np.abs(u * 0.35 + v - 0.46 * height)
     blend(image, rgb("333333"), np.clip(2.6 - rail, 0, 1))

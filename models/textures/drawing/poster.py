@@ -1,4 +1,6 @@
-"""The poster: a collage of pictures with a title, small print and a code, with structure at all scales."""
+"""The poster: a collage of pictures with a title, small print and a code, with structure at all
+scales.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,26 @@ from drawing.photographs import bay, flower, pebbles, plan, town
 HEIGHT, WIDTH = 1200, 1600
 PAPER, INK, RED = "efe7d6", "1d2a3a", "c4452f"
 SMALL = (
-    "A journey of nine days by boat, by train and on foot, from the quay below the old town to the huts under the glacier.",
-    "Boats leave at 7.30, 9.15, 11.40 and 16.05 from pier 4; the last one back calls at the lighthouse when the sea is calm.",
-    "Bring boots, a coat against the wind, and bread for two days. Dogs travel free. Bicycles: 3.50 a day, helmets included.",
+    (
+        "A journey of nine days by boat, by train and on foot,"
+        " from the quay below the old town to the huts under the glacier."
+    ),
+    (
+        "Boats leave at 7.30, 9.15, 11.40 and 16.05 from pier 4;"
+        " the last one back calls at the lighthouse when the sea is calm."
+    ),
+    (
+        "Bring boots, a coat against the wind, and bread for two days. Dogs travel free. Bicycles:"
+        " 3.50 a day, helmets included."
+    ),
 )
-DAYS = (("1", "Quay, old town"), ("2", "Lighthouse"), ("4", "Pebble beach"), ("6", "Gardens"), ("9", "Glacier huts"))
+DAYS = (
+    ("1", "Quay, old town"),
+    ("2", "Lighthouse"),
+    ("4", "Pebble beach"),
+    ("6", "Gardens"),
+    ("9", "Glacier huts"),
+)
 
 
 def draw(rng: np.random.Generator) -> Image:
@@ -36,7 +53,8 @@ def _framed(image: Image, picture: Image, left: int, top: int) -> None:
     height, width = picture.shape[:2]
     v, u = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
     out = np.hypot(
-        np.clip(np.maximum(left - u, u - left - width), 0, None), np.clip(np.maximum(top + 6 - v, v - top - height - 6), 0, None)
+        np.clip(np.maximum(left - u, u - left - width), 0, None),
+        np.clip(np.maximum(top + 6 - v, v - top - height - 6), 0, None),
     )
     image *= (1 - 0.4 * np.exp(-out / 7))[..., None]
     image[top - 6 : top + height + 6, left - 6 : left + width + 6] = rgb("fbf8f1")
@@ -67,7 +85,11 @@ def _foot(rng: np.random.Generator, image: Image) -> None:
     for i, line in enumerate(SMALL):
         letters(image, line, 44, 1076 + 25 * i, 9, rgb(INK), 0.1, PLAIN)
     for i in range(12):
-        blend(image[1152:1178, 44 + 34 * i : 76 + 34 * i], np.float32(i / 11) * np.ones(3, np.float32), 1.0)
+        blend(
+            image[1152:1178, 44 + 34 * i : 76 + 34 * i],
+            np.float32(i / 11) * np.ones(3, np.float32),
+            1.0,
+        )
     x = 480.0
     while x < 720:
         wide = int(rng.integers(1, 5)) * 2

@@ -1,4 +1,6 @@
-"""Folders of comparisons that never happened: errors that fall exponentially, some of whose runs fail."""
+"""Folders of comparisons that never happened: errors that fall exponentially, some of whose runs
+fail.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +23,25 @@ goal: {T_camera_target: {xyz: [0, 0, 1]}}
 """
 
 
-def build(folder: Path, gains: dict[str, float], seeds: int, failing: dict[tuple[str, int], str] | None = None) -> pl.DataFrame:
+def build(
+    folder: Path,
+    gains: dict[str, float],
+    seeds: int,
+    failing: dict[tuple[str, int], str] | None = None,
+) -> pl.DataFrame:
     """A comparison's folder of scenarios with a gain each, and its table.
 
     Args:
         folder: where to. gains: gain of each scenario [1/s]. seeds: runs of each.
-        failing: outcome of the runs (scenario, seed) that fail; `crashed` leaves no log, `target_lost` ends blind at 2 s.
+        failing: outcome of the runs (scenario, seed) that fail; `crashed` leaves no log,
+            `target_lost` ends blind at 2 s.
     """
     failing = failing or {}
-    rows = [_run(folder, name, gain, seed, failing.get((name, seed), "converged")) for name, gain in gains.items() for seed in range(seeds)]
+    rows = [
+        _run(folder, name, gain, seed, failing.get((name, seed), "converged"))
+        for name, gain in gains.items()
+        for seed in range(seeds)
+    ]
     return pl.DataFrame(rows, infer_schema_length=None)
 
 
@@ -48,7 +60,13 @@ def _run(folder: Path, name: str, gain: float, seed: int, outcome: str) -> dict[
     (folder / place).mkdir(parents=True)
     for document in ("scenario.yaml", "resolved.yaml"):
         (folder / place / document).write_text(SCENARIO)
-    row = {"scenario": name, "seed": seed, "folder": place, "outcome": outcome, "success": outcome == "converged"}
+    row = {
+        "scenario": name,
+        "seed": seed,
+        "folder": place,
+        "outcome": outcome,
+        "success": outcome == "converged",
+    }
     if outcome == "crashed":
         (folder / place / "error.txt").write_text("Traceback: <ValueError>: the law broke\n")
         return row | {"reason": "ValueError: the law broke", "attempts": 1}
@@ -60,7 +78,10 @@ def _run(folder: Path, name: str, gain: float, seed: int, outcome: str) -> dict[
     log = pl.DataFrame({"t": t, "lost": ~np.isfinite(error), "error_px": error, "u_0": error})
     log.write_parquet(folder / place / "log.parquet")
     time = math.log(start_px(seed) / THRESHOLD_PX) / gain if outcome == "converged" else None
-    reasons = {"converged": "RMS error under 0.2 px for 0.5 s", "timed_out": f"10 s were not enough at {error[-1]:.6g} px"}
+    reasons = {
+        "converged": "RMS error under 0.2 px for 0.5 s",
+        "timed_out": f"10 s were not enough at {error[-1]:.6g} px",
+    }
     return row | {
         "reason": reasons.get(outcome, "too few markers for 1 s"),
         "sim_time_s": float(t[-1]),

@@ -11,12 +11,22 @@ import polars as pl
 
 from tests.report.comparison.comparisons import build
 from vstestbed.report.canvas import publish, save, style
-from vstestbed.report.comparison.figures import Data, differences, distributions, each_run, medians, read_series
+from vstestbed.report.comparison.figures import (
+    Data,
+    differences,
+    distributions,
+    each_run,
+    medians,
+    read_series,
+)
 from vstestbed.report.comparison.page import _measured
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.results import ComparisonResults
 
-PICTURE = "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]}, draw_markers: false}"
+PICTURE = (
+    "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]},"
+    " draw_markers: false}"
+)
 GREY = {
     "target: {kind: square, side: 0.4, pose: {xyz: [0, 0, 1.2]}}": PICTURE,
     "detector: oracle": "detector: none",
@@ -25,7 +35,9 @@ GREY = {
 
 
 def of_pictures(folder: Path, name: str, limit: float) -> None:
-    """Turn the runs of a scenario into those of a law that compares pictures: 10 grey levels for each pixel."""
+    """Turn the runs of a scenario into those of a law that compares pictures: 10 grey levels for
+    each pixel.
+    """
     for run in (folder / "runs" / name / "base").iterdir():
         text = (run / "resolved.yaml").read_text()
         for old, new in GREY.items():
@@ -33,7 +45,9 @@ def of_pictures(folder: Path, name: str, limit: float) -> None:
             text = text.replace(old, new)
         (run / "resolved.yaml").write_text(f"{text}stop: {{converged: {{error_grey: {limit}}}}}\n")
         log = pl.read_parquet(run / "log.parquet")
-        log.with_columns(error_grey=10 * pl.col("error_px"), error_px=pl.lit(np.nan)).write_parquet(run / "log.parquet")
+        log.with_columns(error_grey=10 * pl.col("error_px"), error_px=pl.lit(np.nan)).write_parquet(
+            run / "log.parquet"
+        )
 
 
 def read(folder: Path, frame: pl.DataFrame) -> Data:
@@ -46,14 +60,24 @@ def test_pixels_and_grey_levels_have_panels_of_their_own(tmp_path: Path) -> None
     of_pictures(tmp_path, "grey", 0.4)
     data = read(tmp_path, frame)
     upper, lower = medians(data, 6.0).axes
-    assert [axes.get_ylabel() for axes in (upper, lower)] == ["RMS error [px]", "RMS difference\n[grey levels]"]
-    assert [[words.get_text() for words in axes.texts] for axes in (upper, lower)] == [["0.2 px"], ["0.4 grey levels"]]
+    assert [axes.get_ylabel() for axes in (upper, lower)] == [
+        "RMS error [px]",
+        "RMS difference\n[grey levels]",
+    ]
+    assert [[words.get_text() for words in axes.texts] for axes in (upper, lower)] == [
+        ["0.2 px"],
+        ["0.4 grey levels"],
+    ]
     assert upper.get_ylim()[1] < 300 < lower.get_ylim()[1]
     with style():
         a, grey, b = each_run(data, 7.0).axes[:3]
     assert a.get_ylim() == b.get_ylim() != grey.get_ylim()
-    assert [axes.get_ylabel() for axes in (a, grey)] == ["RMS error [px]", "RMS difference\n[grey levels]"]
-    assert len(grey.lines) == len(a.lines) - 1  # the median of b is in the panel of a, and none in that of the grey levels
+    assert [axes.get_ylabel() for axes in (a, grey)] == [
+        "RMS error [px]",
+        "RMS difference\n[grey levels]",
+    ]
+    # the median of b is in the panel of a, and none in that of the grey levels
+    assert len(grey.lines) == len(a.lines) - 1
 
 
 def test_laws_of_pictures_alone_share_the_axis_of_grey_levels(tmp_path: Path) -> None:
@@ -89,15 +113,21 @@ def test_names_that_no_font_has_are_drawn_without_a_warning(tmp_path: Path) -> N
 
 def test_a_metric_that_no_run_has_makes_no_panel(tmp_path: Path) -> None:
     frame = build(tmp_path, {"slow": 0.8, "fast": 1.6}, 6)
-    data = read_series(tmp_path, ComparisonResults(frame, (), ("path_ratio", "tracking_rms_px", "peak_speed_mps")))
+    data = read_series(
+        tmp_path, ComparisonResults(frame, (), ("path_ratio", "tracking_rms_px", "peak_speed_mps"))
+    )
     assert [m.name for m in data.shown] == ["path_ratio", "peak_speed_mps"]
     with style():
         assert sum(axes.get_visible() for axes in distributions(data, 5.0).axes) == 2
 
 
 def test_metrics_without_a_pair_make_no_figure_of_differences(tmp_path: Path) -> None:
-    """Nobody reaches the goal: of the pairs the time to the goal alone has numbers, and it is not among the metrics that are shown."""
-    frame = build(tmp_path, {"slow": 0.8, "fast": 1.6}, 6, {("slow", seed): "timed_out" for seed in range(6)})
+    """Nobody reaches the goal: of the pairs the time to the goal alone has numbers, and it is not
+    among the metrics that are shown.
+    """
+    frame = build(
+        tmp_path, {"slow": 0.8, "fast": 1.6}, 6, {("slow", seed): "timed_out" for seed in range(6)}
+    )
     comparison = ComparisonResults(frame, (), ("path_ratio",))
     found = pairs(comparison)
     assert found[0].differences["time_to_goal_s"].n == 6
@@ -106,8 +136,13 @@ def test_metrics_without_a_pair_make_no_figure_of_differences(tmp_path: Path) ->
 
 
 def test_long_names_are_inside_the_figure(tmp_path: Path) -> None:
-    data = read(tmp_path, build(tmp_path, {"ibvs, interaction=desired": 0.8, "ibvs, interaction=current": 1.0}, 6))
+    data = read(
+        tmp_path,
+        build(tmp_path, {"ibvs, interaction=desired": 0.8, "ibvs, interaction=current": 1.0}, 6),
+    )
     with style():
         text = publish(distributions(data, 3.4), "d", "names")
-    left = [float(x) for x in re.findall(r'translate\((-?[\d.]+) [\d.]+\)">(?:ibvs|interaction)', text)]
+    left = [
+        float(x) for x in re.findall(r'translate\((-?[\d.]+) [\d.]+\)">(?:ibvs|interaction)', text)
+    ]
     assert len(left) > 1 and min(left) >= 0, left

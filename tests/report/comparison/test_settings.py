@@ -33,7 +33,9 @@ def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:
         (("law: {", "law: {{"), ()),  # cannot be read
     ],
 )
-def test_the_fields_that_differ(tmp_path: Path, change: tuple[str, str], fields: tuple[str, ...]) -> None:
+def test_the_fields_that_differ(
+    tmp_path: Path, change: tuple[str, str], fields: tuple[str, ...]
+) -> None:
     two = comparison(tmp_path, SCENARIO.replace(*change))
     assert differing([tmp_path / str(c.runs["folder"][0]) for c in two.controllers]) == fields
 
@@ -41,9 +43,14 @@ def test_the_fields_that_differ(tmp_path: Path, change: tuple[str, str], fields:
 SETTINGS = "These are settings, not laws: one and two fly with gain 0.5, for which none was tuned."
 
 
-def test_a_page_of_settings_says_so_first_and_is_never_green(tmp_path: Path, one_figure: None) -> None:
+def test_a_page_of_settings_says_so_first_and_is_never_green(
+    tmp_path: Path, one_figure: None
+) -> None:
     two = comparison(tmp_path, SCENARIO.replace("gain: 1", "gain: 2"), seeds=40)
-    of_laws, of_settings = ComparisonResults(two.table), ComparisonResults(two.table, settings=SETTINGS)
+    of_laws, of_settings = (
+        ComparisonResults(two.table),
+        ComparisonResults(two.table, settings=SETTINGS),
+    )
     for shown, overall, look in (
         (of_laws, "two is better than one.", "good"),
         (of_settings, f"{SETTINGS} two is better than one.", "open"),

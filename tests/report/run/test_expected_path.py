@@ -20,7 +20,8 @@ UP = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]])
 def test_distances_are_to_the_line_between_the_points():
     line = np.array([[0, 0], [10.0, 0], [10, 10]])
     assert largest_deviation(np.array([[5, 0.2], [9.9, 0.1]]), line) == pytest.approx(0.2)
-    assert largest_deviation(np.array([[-3, 4.0]]), line) == pytest.approx(5)  # beyond its end: to the end
+    # beyond its end: to the end
+    assert largest_deviation(np.array([[-3, 4.0]]), line) == pytest.approx(5)
     assert largest_deviation(line, line) == 0
 
 
@@ -37,7 +38,10 @@ def test_a_camera_that_looks_ahead_sees_a_wedge_at_its_own_height():
     bearing = np.arctan2(y, x)
     half = np.arctan(320 / camera.f)
     # Half a pixel is .1 degrees, a step between directions .7.
-    assert inside[np.abs(bearing) < half - 0.02].all() and not inside[np.abs(bearing) > half + 0.02].any()
+    assert (
+        inside[np.abs(bearing) < half - 0.02].all()
+        and not inside[np.abs(bearing) > half + 0.02].any()
+    )
 
 
 def test_a_camera_that_looks_up_sees_a_rectangle_of_the_plane_above():
@@ -55,10 +59,21 @@ def test_a_camera_that_sees_everything_sees_all_of_a_plane():
 def test_only_what_drives_has_a_ride():
     assert not Setting.of(vs.load("arm_ibvs")).planar
     setting = Setting.of(vs.load("omni_via_points"))
-    assert setting.planar and len(setting.goals) == 4 and setting.band_m is None and setting.expected_path is None
+    assert (
+        setting.planar
+        and len(setting.goals) == 4
+        and setting.band_m is None
+        and setting.expected_path is None
+    )
     setting = Setting.of(vs.load("car_pursuit"))
-    assert setting.planar and setting.band_m == pytest.approx(0.25) and setting.settle_s == 8 and not len(setting.goals)
-    assert np.ptp(setting.reference_path, axis=0) == pytest.approx([14, 14], abs=4)  # a figure of eight of 14 by 8 m, turned
+    assert (
+        setting.planar
+        and setting.band_m == pytest.approx(0.25)
+        and setting.settle_s == 8
+        and not len(setting.goals)
+    )
+    # a figure of eight of 14 by 8 m, turned
+    assert np.ptp(setting.reference_path, axis=0) == pytest.approx([14, 14], abs=4)
 
 
 def test_lines_on_the_floor_are_the_route():
@@ -77,7 +92,9 @@ def test_the_ideal_way_leads_from_the_start_to_the_goal(name: str):
     ideal, goal = ideal_bicycle_path(s), s.goal_view.place
     assert ideal is not None and goal is not None
     np.testing.assert_array_equal(ideal[0], s.robot.configuration()[:2])
-    assert np.linalg.norm(ideal[-1] - goal[:2]) < 2 * 0.01  # within the law's rest_m, by steps of 4 cm and less
+    # within the law's rest_m, by steps of 4 cm and less
+    assert np.linalg.norm(ideal[-1] - goal[:2]) < 2 * 0.01
     last = ideal[-1] - ideal[-10]
     facing = np.array([np.cos(goal[2]), np.sin(goal[2])])
-    assert abs(last @ facing) > 0.99 * np.linalg.norm(last)  # along the goal's heading: forward, or in reverse
+    # along the goal's heading: forward, or in reverse
+    assert abs(last @ facing) > 0.99 * np.linalg.norm(last)

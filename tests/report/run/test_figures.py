@@ -1,4 +1,6 @@
-"""Figures over time: noise does not fill their height; errors in the image are shown in the unit that they are measured in."""
+"""Figures over time: noise does not fill their height; errors in the image are shown in the unit
+that they are measured in.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,15 @@ TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
 def tracks(depth: Array, twist: Array) -> LogArrays:
-    """One marker's depth (T,) [m], and all components of the commanded and the true twist (T,) [m/s or rad/s]."""
+    """One marker's depth (T,) [m], and all components of the commanded and the true twist (T,) [m/s
+    or rad/s].
+    """
     t = np.arange(T) / 10
     columns = {"t": t, "t_cmd": t, "u_0": 0 * t, "v_0": 0 * t, "depth_0": depth}
-    return LogArrays(pl.DataFrame(columns | {f"{kind}_{a}": twist for kind in ("cmd", "act") for a in TWIST}), Setting())
+    return LogArrays(
+        pl.DataFrame(columns | {f"{kind}_{a}": twist for kind in ("cmd", "act") for a in TWIST}),
+        Setting(),
+    )
 
 
 @pytest.mark.parametrize("depth", [1.0, -3.0])
@@ -48,20 +55,44 @@ def test_of_a_region_the_outlines_at_start_end_and_goal_are_drawn() -> None:
     columns = {"t": np.arange(T) / 10}
     for i, corner in enumerate(corners):
         for name, x, way in zip("uv", corner, (s, 0 * s), strict=True):
-            columns |= {f"{name}_{i}": x + way, f"{name}_true_{i}": x + way, f"{name}_goal_{i}": x + 0 * s}
+            columns |= {
+                f"{name}_{i}": x + way,
+                f"{name}_true_{i}": x + way,
+                f"{name}_goal_{i}": x + 0 * s,
+            }
     chart = space.features(LogArrays(pl.DataFrame(columns), Setting(outlined=True)))
     assert chart is not None
-    lines = {line.label: line for line in chart.panels[0].curves if line.label in ("start", "end", "goal")}
+    lines = {
+        line.label: line
+        for line in chart.panels[0].curves
+        if line.label in ("start", "end", "goal")
+    }
     for label, way in (("start", 0.0), ("end", 40.0), ("goal", 0.0)):
-        np.testing.assert_allclose(np.column_stack([lines[label].x, lines[label].y]), np.array([*corners, corners[0]]) + [way, 0])
+        np.testing.assert_allclose(
+            np.column_stack([lines[label].x, lines[label].y]),
+            np.array([*corners, corners[0]]) + [way, 0],
+        )
 
 
-@pytest.mark.parametrize(("measured", "labels"), [(("grey",), ["grey levels"]), (("px",), ["px"]), (("px", "grey"), ["grey levels", "px"])])
-def test_the_error_in_the_image_is_in_the_unit_that_is_measured(measured: tuple[str, ...], labels: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("measured", "labels"),
+    [(("grey",), ["grey levels"]), (("px",), ["px"]), (("px", "grey"), ["grey levels", "px"])],
+)
+def test_the_error_in_the_image_is_in_the_unit_that_is_measured(
+    measured: tuple[str, ...], labels: list[str]
+) -> None:
     t = np.arange(T) / 10
-    columns = {"t": t} | {f"error_{unit}": (100 if unit in measured else np.nan) * np.exp(-t) for unit in ("px", "grey")}
+    columns = {"t": t} | {
+        f"error_{unit}": (100 if unit in measured else np.nan) * np.exp(-t)
+        for unit in ("px", "grey")
+    }
     panels = figures.error(LogArrays(pl.DataFrame(columns), Setting(threshold_grey=0.4))).panels
-    assert [panel.labels[1].partition("[")[2].rstrip("]") for panel in panels] == labels  # first the one that decides
+    # first the one that decides
+    assert [panel.labels[1].partition("[")[2].rstrip("]") for panel in panels] == labels
     for panel, unit in zip(panels, measured[::-1], strict=True):
-        assert not panel.title and any(np.array_equal(curve.y, columns[f"error_{unit}"]) for curve in panel.curves)
-        assert [c.label for c in panel.curves if c.label] == ["threshold 0.4 grey levels"] * (unit == "grey")
+        assert not panel.title and any(
+            np.array_equal(curve.y, columns[f"error_{unit}"]) for curve in panel.curves
+        )
+        assert [c.label for c in panel.curves if c.label] == ["threshold 0.4 grey levels"] * (
+            unit == "grey"
+        )

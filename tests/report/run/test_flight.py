@@ -17,12 +17,20 @@ from vstestbed.report.run.tracks import LogArrays
 @pytest.fixture(scope="module")
 def step() -> Recording:
     """A second and a half of a large step: the craft leans and turns."""
-    return vs.run(vs.load("quadrotor_aggressive", {"detector": "oracle", "stop.duration_s": 1.5, "world.wind.mean_mps": [2, 0, 0]}))
+    return vs.run(
+        vs.load(
+            "quadrotor_aggressive",
+            {"detector": "oracle", "stop.duration_s": 1.5, "world.wind.mean_mps": [2, 0, 0]},
+        )
+    )
 
 
 @pytest.fixture(scope="module")
 def tracks(step: Recording) -> LogArrays:
-    return LogArrays(pl.DataFrame({name: step[name] for name in step.columns}), Setting(camera=step.scenario.camera))
+    return LogArrays(
+        pl.DataFrame({name: step[name] for name in step.columns}),
+        Setting(camera=step.scenario.camera),
+    )
 
 
 def lines(panel: ChartPanel) -> list[np.ndarray]:
@@ -33,7 +41,9 @@ def lines(panel: ChartPanel) -> list[np.ndarray]:
 def test_velocity_follows_what_is_ordered(tracks: LogArrays):
     chart = figures.velocity(tracks)
     assert chart is not None and len(chart.panels) == 3
-    flown, commanded = max((lines(panel) for panel in chart.panels[:2]), key=lambda pair: np.abs(pair[1]).max())
+    flown, commanded = max(
+        (lines(panel) for panel in chart.panels[:2]), key=lambda pair: np.abs(pair[1]).max()
+    )
     assert np.abs(commanded).max() > 1.0 and abs(flown[0]) < 0.1  # a step from rest
     assert abs(flown[12]) < 0.7 * abs(commanded[12])  # .5 s later it is on its way
     assert flown[-1] == pytest.approx(commanded[-1], rel=0.25)
@@ -46,13 +56,18 @@ def test_attitude_follows_what_the_velocity_loop_asks(tracks: LogArrays, step: R
     assert np.abs(true - told).max() < 1.5  # degrees; the estimate under noise and bias
     assert np.abs(asked).max() > 10
     delayed = [np.abs(true[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
-    assert 2 <= int(np.argmin(delayed)) <= 9  # .2 s of attitude loop and rotors at 25 Hz, never ahead of its order
+    # .2 s of attitude loop and rotors at 25 Hz, never ahead of its order
+    assert 2 <= int(np.argmin(delayed)) <= 9
     assert np.degrees(step["ref_roll"]) == pytest.approx(asked)
 
 
 def test_rates_follow_what_the_attitude_loop_asks(tracks: LogArrays):
     chart = figures.rates(tracks)
-    assert chart is not None and [panel.labels[1] for panel in chart.panels] == ["roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]"]
+    assert chart is not None and [panel.labels[1] for panel in chart.panels] == [
+        "roll [deg/s]",
+        "pitch [deg/s]",
+        "yaw [deg/s]",
+    ]
     flown, asked = lines(chart.panels[0])
     delayed = [np.abs(flown[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
     assert 1 <= int(np.argmin(delayed)) <= 5  # .11 s
@@ -78,4 +93,6 @@ def test_the_error_that_counts_is_that_of_the_level_picture(tracks: LogArrays, s
 
 def test_what_does_not_fly_has_none(tracks: LogArrays):
     bare = LogArrays(pl.DataFrame({"t": np.arange(3.0)}), tracks.setting)
-    assert [make(bare) for make in (figures.velocity, figures.tilt, figures.rates, figures.rotors)] == [None] * 4
+    assert [
+        make(bare) for make in (figures.velocity, figures.tilt, figures.rates, figures.rotors)
+    ] == [None] * 4

@@ -20,21 +20,33 @@ PLACES = np.stack([3 * np.sin(ARC), 3 - 3 * np.cos(ARC), ARC], axis=1)
 """A quarter turn to the left on a circle of 3 m, from the origin along x."""
 MOUNT = np.array([[0, 0, 1.0, 0.2], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
 POINTS = np.array([[5, 4, 2], [-1, 4.5, 1.5]])
-VEHICLE = Setting(points=POINTS, camera=Perspective(), planar=True, goals=np.array([[3, 3, np.pi / 2]]))
+VEHICLE = Setting(
+    points=POINTS, camera=Perspective(), planar=True, goals=np.array([[3, 3, np.pi / 2]])
+)
 
 
 def tracks(setting: Setting = VEHICLE, places: Array = PLACES, moving: bool = False) -> LogArrays:
-    """A vehicle at these places, whose odometry drifts by 1 cm along x, landmarks standing or carried along."""
+    """A vehicle at these places, whose odometry drifts by 1 cm along x, landmarks standing or
+    carried along.
+    """
     n = len(places)
     T = pose_on_ground(places) @ MOUNT
     columns = {"t": np.arange(n) / 25}
     shift = np.linspace(0, 0.01, n)
     for stem, more in (("base", 0.0), ("est", 0.0), ("odo", shift)):
-        columns |= {f"{stem}_x": places[:, 0] + more, f"{stem}_y": places[:, 1], f"{stem}_heading": places[:, 2]}
+        columns |= {
+            f"{stem}_x": places[:, 0] + more,
+            f"{stem}_y": places[:, 1],
+            f"{stem}_heading": places[:, 2],
+        }
     columns |= dict(zip(("cam_x", "cam_y", "cam_z"), T[:, :3, 3].T, strict=True))
-    columns |= dict(zip(("cam_qw", "cam_qx", "cam_qy", "cam_qz"), quaternion_wxyz(T[:, :3, :3]).T, strict=True))
+    columns |= dict(
+        zip(("cam_qw", "cam_qx", "cam_qy", "cam_qz"), quaternion_wxyz(T[:, :3, :3]).T, strict=True)
+    )
     target = np.c_[places[:, :2] + 1, np.zeros(n)] if moving else np.zeros((n, 3))
-    columns |= dict(zip(("tgt_x", "tgt_y", "tgt_z"), target.T, strict=True)) | {"tgt_qw": np.ones(n)}
+    columns |= dict(zip(("tgt_x", "tgt_y", "tgt_z"), target.T, strict=True)) | {
+        "tgt_qw": np.ones(n)
+    }
     columns |= {f"tgt_q{a}": np.zeros(n) for a in "xyz"}
     return LogArrays(pl.DataFrame(columns), setting)
 
@@ -48,13 +60,25 @@ def test_a_metre_is_as_long_both_ways_and_everything_is_inside():
     points = np.concatenate([PLACES[:, :2], POINTS[:, :2]])
     assert (points > [x0, y0]).all() and (points < [x1, y1]).all()
     words = list(chart.legend())
-    assert {"start", "end", "goal", "landmarks", "true way", "as estimated", "by odometry alone"} == set(words)
+    assert {
+        "start",
+        "end",
+        "goal",
+        "landmarks",
+        "true way",
+        "as estimated",
+        "by odometry alone",
+    } == set(words)
 
 
 def test_headings_point_where_the_vehicle_did():
     chart = space.plane(tracks())
     assert chart is not None
-    darts = [np.stack([c.x, c.y], axis=1) for c in chart.panels[0].curves if len(c.x) == len(space.DART) + 1]
+    darts = [
+        np.stack([c.x, c.y], axis=1)
+        for c in chart.panels[0].curves
+        if len(c.x) == len(space.DART) + 1
+    ]
     assert len(darts) > 8
     for xy in darts:
         tip, notch = xy[0], xy[2]
@@ -73,7 +97,11 @@ def test_the_difference_from_the_ideal_is_told_in_words():
 
 
 def test_a_route_and_a_target_that_moves_are_drawn():
-    chart = space.plane(tracks(replace(VEHICLE, goals=np.empty((0, 3)), reference_path=PLACES[:, :2] + 1), moving=True))
+    chart = space.plane(
+        tracks(
+            replace(VEHICLE, goals=np.empty((0, 3)), reference_path=PLACES[:, :2] + 1), moving=True
+        )
+    )
     assert chart is not None
     words = list(chart.legend())
     assert {"route", "target"} <= set(words) and "goal" not in words

@@ -23,7 +23,12 @@ def tracks(setting: Setting = VEHICLE, **columns: Array) -> LogArrays:
 
 def test_wheels_are_shown_by_speed_and_steering_by_angle():
     run = tracks(
-        qd_left=3 + 0 * T, q_left=3 * T, ctrl_drive=3.1 + 0 * T, q_steering=0.1 * T, qd_steering=0.1 + 0 * T, ctrl_steering=0.11 * T
+        qd_left=3 + 0 * T,
+        q_left=3 * T,
+        ctrl_drive=3.1 + 0 * T,
+        q_steering=0.1 * T,
+        qd_steering=0.1 + 0 * T,
+        ctrl_steering=0.11 * T,
     )
     chart = figures.wheels(run)
     assert chart is not None
@@ -46,7 +51,12 @@ def test_errors_of_the_place_are_told_from_the_truth():
     true = {"base_x": T, "base_y": 0 * T, "base_heading": 3.1 + 0 * T}
     # 3 cm ahead and 4 cm to the left; the heading beyond a half turn, 6.2 degrees on.
     chart = figures.localisation_error(
-        tracks(**true, est_x=T + 0.03, est_y=0.04 + 0 * T, est_heading=3.1 - 2 * np.pi + np.radians(6.2) + 0 * T)
+        tracks(
+            **true,
+            est_x=T + 0.03,
+            est_y=0.04 + 0 * T,
+            est_heading=3.1 - 2 * np.pi + np.radians(6.2) + 0 * T,
+        )
     )
     assert chart is not None
     upper, lower = chart.panels
@@ -57,7 +67,9 @@ def test_errors_of_the_place_are_told_from_the_truth():
 
 def test_the_task_has_its_band_and_its_worst_once_settled():
     off = np.where(T < 4, 1.0, 0.02 * np.sin(5 * T))
-    chart = figures.task_error(tracks(replace(VEHICLE, band_m=0.05, settle_s=4.0), task_error_m=off))
+    chart = figures.task_error(
+        tracks(replace(VEHICLE, band_m=0.05, settle_s=4.0), task_error_m=off)
+    )
     assert chart is not None
     panel = chart.panels[0]
     assert panel.title == "at most 0.020 m off once settled"
@@ -81,7 +93,9 @@ def test_slip_in_yaw_stands_below():
 
 
 def test_changes_of_the_goal_view_are_marked():
-    chart = figures.error(tracks(error_px=10 + T, view=np.where(T < 3, 0.0, np.where(T < 7, 1.0, 2.0))))
+    chart = figures.error(
+        tracks(error_px=10 + T, view=np.where(T < 3, 0.0, np.where(T < 7, 1.0, 2.0)))
+    )
     words = [words.strip() for _, _, words, _, _ in chart.panels[0].words]
     assert words == ["view 2", "view 3"]
 

@@ -1,4 +1,6 @@
-"""Films beside a run: which frames they get, in which order; that a film that fails or waits neither changes nor blocks the run."""
+"""Films beside a run: which frames they get, in which order; that a film that fails or waits
+neither changes nor blocks the run.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def frame(k: int, image: np.ndarray | None = None) -> Any:
 
 
 class Takes:
-    """A film that notes what it gets; it stops before each frame while `go` is not set, and fails at one of them."""
+    """A film that notes what it gets; it stops before each frame while `go` is not set, and fails
+    at one of them.
+    """
 
     def __init__(self, fails_at: float = np.inf):
         self.times: list[float] = []
@@ -78,7 +82,11 @@ def test_every_second_frame_in_order_and_the_last_one():
         films.frame(frame(k))
     films.close((Outcome.converged, "converged"))
     assert film.times == [*(k / 25 for k in range(0, 100, 2)), 99 / 25]
-    assert (film.ended, film.state, films.spent_s) == ((Outcome.converged, "converged"), "closed", 0.5)
+    assert (film.ended, film.state, films.spent_s) == (
+        (Outcome.converged, "converged"),
+        "closed",
+        0.5,
+    )
     films.abort()
     assert film.state == "closed"
 

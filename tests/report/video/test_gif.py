@@ -27,8 +27,12 @@ def film(tmp_path: Path) -> Path:
 def test_it_repeats_for_ever_in_real_time(film: Path):
     made = write_gif(film, film.with_suffix(".gif"))
     content = film.with_suffix(".gif").read_bytes()
-    assert made == f"{film.with_suffix('.gif')} (320 x 180, 12.5 pictures a second, {len(content) / 1e6:.2f} MB)"
-    assert content.startswith(b"GIF89a") and b"NETSCAPE2.0\x03\x01\x00\x00" in content  # 0: without end
+    assert (
+        made == f"{film.with_suffix('.gif')} (320 x 180, 12.5 pictures a second,"
+        f" {len(content) / 1e6:.2f} MB)"
+    )
+    # 0: without end
+    assert content.startswith(b"GIF89a") and b"NETSCAPE2.0\x03\x01\x00\x00" in content
     with av.open(str(film.with_suffix(".gif"))) as container:
         frames = list(container.decode(video=0))
     assert [round(f.time or 0, 2) for f in frames] == [round(0.08 * k, 2) for k in range(25)]
@@ -47,7 +51,11 @@ def test_it_becomes_smaller_and_slower_until_it_fits(film: Path, monkeypatch: py
     assert film.with_suffix(".gif").stat().st_size < whole
     monkeypatch.setattr(gif, "LARGEST_BYTES", 100)
     with pytest.raises(
-        ParameterError, match=r"--gif makes files of up to 0.0001 MB, for which this run is too long; leave it out for a film"
+        ParameterError,
+        match=(
+            r"--gif makes files of up to 0.0001 MB, for which this run is too long;"
+            r" leave it out for a film"
+        ),
     ):
         write_gif(film, film.with_name("b.gif"))
     assert not film.with_name("b.gif").exists()

@@ -1,4 +1,6 @@
-"""Matches in the servo film: a point, a ring where it belongs, a line between; charts that do not join two points."""
+"""Matches in the servo film: a point, a ring where it belongs, a line between; charts that do not
+join two points.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ def test_a_match_is_a_point_a_ring_and_a_line():
     MatchOverlay(320, 240, 3).marks(image, uv, goal)
     assert tuple(image[100, 100]) == MEASURED and tuple(image[180, 40]) == MEASURED
     assert image[100, 140].min() > 200
-    assert np.abs(image[100, 184].astype(int) - GOAL).max() < 40 and tuple(image[98, 181]) != GOAL  # a ring is open in its middle
+    # a ring is open in its middle
+    assert np.abs(image[100, 184].astype(int) - GOAL).max() < 40 and tuple(image[98, 181]) != GOAL
     assert (image[55:66, 55:66] == 128).all()  # where nothing is seen nothing is drawn
 
 
@@ -29,12 +32,23 @@ def test_the_overlay_is_that_of_what_the_detector_reports():
 
 def test_the_chart_does_not_join_two_points_of_one_row():
     goal = [100.0, 100.0, 50.0, 50.0]
-    log = pl.DataFrame({"t": [0.0, 0.1, 0.2, 0.3], "u_0": [10.0, 20.0, 200.0, 210.0], "v_0": [5.0] * 4})
-    log = log.with_columns(pl.Series("u_goal_0", goal), pl.Series("v_goal_0", goal), u_true_0=pl.col("u_0"), v_true_0=pl.col("v_0"))
+    log = pl.DataFrame(
+        {"t": [0.0, 0.1, 0.2, 0.3], "u_0": [10.0, 20.0, 200.0, 210.0], "v_0": [5.0] * 4}
+    )
+    log = log.with_columns(
+        pl.Series("u_goal_0", goal),
+        pl.Series("v_goal_0", goal),
+        u_true_0=pl.col("u_0"),
+        v_true_0=pl.col("v_0"),
+    )
 
     def steps(changing: bool) -> float:
         chart = features(LogArrays.of(log, Setting(changing=changing)))
         assert chart is not None
-        return max(float(np.nanmax(np.abs(np.diff(line.x)))) for line in chart.panels[0].curves if len(line.x) == 4)
+        return max(
+            float(np.nanmax(np.abs(np.diff(line.x))))
+            for line in chart.panels[0].curves
+            if len(line.x) == 4
+        )
 
     assert steps(changing=False) == 180.0 and steps(changing=True) == 10.0

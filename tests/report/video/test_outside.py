@@ -1,4 +1,6 @@
-"""What films from outside show beside the scene: the goal, frustums, the trail, the inset, the error, the end."""
+"""What films from outside show beside the scene: the goal, frustums, the trail, the inset, the
+error, the end.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def at_the_start(s: Scenario, t: float = 0.0, own: float = 0.0, grey: int | None
     q, T = parts.start
     image = None if grey is None else np.full((s.camera.height, s.camera.width, 3), grey, np.uint8)
     uv = np.full((len(s.target.points), 2), np.nan)
-    return FilmFrame(t, parts.T_world_target, T, q, uv, 12.34, False, uv, np.full(len(s.own_columns), own), image)
+    return FilmFrame(
+        t, parts.T_world_target, T, q, uv, 12.34, False, uv, np.full(len(s.own_columns), own), image
+    )
 
 
 def test_a_pen_draws_where_the_camera_projects_and_fills_convex_hulls() -> None:
@@ -37,7 +41,9 @@ def test_a_pen_draws_where_the_camera_projects_and_fills_convex_hulls() -> None:
     pen.area(square[None], (200, 200, 200), 0.5)
     low, high = lens.project(square).min(axis=0), lens.project(square).max(axis=0)
     rows, columns = np.nonzero(image[..., 0])
-    assert [columns.min(), rows.min(), columns.max(), rows.max()] == pytest.approx([*low, *high], abs=1.5)
+    assert [columns.min(), rows.min(), columns.max(), rows.max()] == pytest.approx(
+        [*low, *high], abs=1.5
+    )
     assert (image[90, 160] == 100).all()  # half of the colour within
     assert image[90, round(low[0])].max() > 150  # and all of it along the edge
     assert pen.metres(0.1, np.array([0, 0, 2.0])) == pytest.approx(0.1 * 320 * 2.0 / lens.f)
@@ -50,9 +56,16 @@ def test_a_pen_draws_where_the_camera_projects_and_fills_convex_hulls() -> None:
 @pytest.mark.parametrize("height", [180, 360, 720])
 def test_lines_take_the_same_share_of_films_of_every_size(height: int) -> None:
     image = np.full((height, 16 * height // 9, 3), 128, np.uint8)
-    pen = Pen(image, Perspective(width=image.shape[1], height=height, fovy_deg=40), np.eye(4), height / DRAWN_FOR)
+    pen = Pen(
+        image,
+        Perspective(width=image.shape[1], height=height, fovy_deg=40),
+        np.eye(4),
+        height / DRAWN_FOR,
+    )
     pen.lines([([np.array([[-1.0, 0, 2], [1.0, 0, 2]])], (255, 0, 0), 2)])
-    drawn = np.count_nonzero(np.abs(image[:, image.shape[1] // 2].astype(int) - 128).max(axis=1) > 30)
+    drawn = np.count_nonzero(
+        np.abs(image[:, image.shape[1] // 2].astype(int) - 128).max(axis=1) > 30
+    )
     assert 0.5 < drawn / height * DRAWN_FOR / 4 < 1.6  # with a dark edge at 360 px and more
 
 
@@ -70,7 +83,12 @@ def test_the_ghost_stands_at_the_goal_pose(name: str) -> None:
         green = np.abs(picture.astype(int) - GOAL).max(axis=2) < 40
         rows, columns = np.nonzero(green)
         low, high = uv.min(axis=0), uv.max(axis=0)
-        inside = (columns > low[0] - 2) & (columns < high[0] + 2) & (rows > low[1] - 2) & (rows < high[1] + 2)
+        inside = (
+            (columns > low[0] - 2)
+            & (columns < high[0] + 2)
+            & (rows > low[1] - 2)
+            & (rows < high[1] + 2)
+        )
         assert inside.sum() > 40  # the outline
         assert [columns[inside].min(), rows[inside].min()] == pytest.approx(low, abs=3)
         assert [columns[inside].max(), rows[inside].max()] == pytest.approx(high, abs=3)
@@ -86,14 +104,18 @@ def test_a_part_that_is_drawn_again_fits_into_the_picture() -> None:
     try:
         frame = at_the_start(s)
         poses = frame.T_world_target, frame.q + 0.02, frame.T_world_camera
-        first = replay.picture("overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera)
+        first = replay.picture(
+            "overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera
+        )
         replay._views["overview"][0]._view = lambda: pytest.fail("the whole picture was drawn")
-        second = replay.picture("overview", *SIZE, 0.0, *poses)  # at the same time the camera keeps its place
+        # at the same time the camera keeps its place
+        second = replay.picture("overview", *SIZE, 0.0, *poses)
         other.picture("overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera)
         other._views.clear()
         whole = other.picture("overview", *SIZE, 0.0, *poses)
         assert (np.abs(first.astype(int) - whole).max(axis=2) > 12).sum() > 50  # the arm has moved
-        assert (np.abs(second.astype(int) - whole).max(axis=2) > 12).sum() < 5  # half a pixel at most along an edge
+        # half a pixel at most along an edge
+        assert (np.abs(second.astype(int) - whole).max(axis=2) > 12).sum() < 5
     finally:
         replay.close()
         other.close()
@@ -105,7 +127,11 @@ def test_an_inset_alone_is_drawn_at_its_own_size_unless_the_film_is_fine() -> No
     for quality, inset_in in ((DRAFT, None), (DRAFT, DRAFT.size), (FINE, FINE.size)):
         replay = replay_of(s, quality, inset_in)
         try:
-            sizes.append(replay.picture("eye", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera).shape[1::-1])
+            sizes.append(
+                replay.picture(
+                    "eye", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera
+                ).shape[1::-1]
+            )
         finally:
             replay.close()
     assert sizes == [(640, 480), (round(0.26 * 640), round(0.26 * 640 * 480 / 640)), (640, 480)]
@@ -124,7 +150,8 @@ def test_a_trail_has_a_bounded_number_of_points_from_the_first_to_the_last() -> 
             assert len(outside._trail) <= MOST_PLACES
         np.testing.assert_array_equal(outside._trail[0], frame.T_world_camera[:3, 3])
         end = frame.T_world_camera[0, 3] + 1.1 * spacing * 3 * MOST_PLACES
-        assert end - outside._trail[-1, 0] <= outside._spacing + 1e-9  # the newest point is where the camera is, to one spacing
+        # the newest point is where the camera is, to one spacing
+        assert end - outside._trail[-1, 0] <= outside._spacing + 1e-9
         assert np.diff(outside._trail[:, 0]).max() < 3 * outside._spacing  # no gaps
     finally:
         replay.close()
@@ -138,7 +165,8 @@ def test_the_inset_shows_the_servo_cameras_picture_and_leaves_it_as_it_is() -> N
         picture = Pictures(s, "overview", replay, SIZE).picture(frame)
         width, height = round(0.26 * SIZE[0]), round(0.26 * SIZE[0] * 480 / 640)
         assert (picture[2 : height - 2, SIZE[0] - width + 2 : -2] == 77).all()
-        assert (picture[height + 4 : height + 8, SIZE[0] - width :] != 77).any(axis=2).all()  # and nothing below
+        # and nothing below
+        assert (picture[height + 4 : height + 8, SIZE[0] - width :] != 77).any(axis=2).all()
         assert frame.image is not None
         assert (frame.image == 77).all()
     finally:
@@ -148,17 +176,31 @@ def test_the_inset_shows_the_servo_cameras_picture_and_leaves_it_as_it_is() -> N
 ERRORS: list[tuple[str, dict[str, float], str]] = [
     ("arm_ibvs", {"error_px": 12.344}, "error 12.34 px"),
     ("quadrotor_hover", {"error_px": 50.0, "level_error_px": 3.5}, "error 3.50 px"),
-    ("car_pbvs", {"error_px": 9.0, "est_position_m": 0.25, "est_rotation_rad": 0.0}, "error 0.250 m"),
-    ("car_pbvs", {"error_px": 9.0, "est_position_m": 0.01, "est_rotation_rad": math.pi / 2}, "error 90.00 deg"),
+    (
+        "car_pbvs",
+        {"error_px": 9.0, "est_position_m": 0.25, "est_rotation_rad": 0.0},
+        "error 0.250 m",
+    ),
+    (
+        "car_pbvs",
+        {"error_px": 9.0, "est_position_m": 0.01, "est_rotation_rad": math.pi / 2},
+        "error 90.00 deg",
+    ),
     ("omni_line", {"error_px": 9.0, "task_error_m": -0.031}, "error 0.031 m"),
     ("quadrotor_land", {"error_px": 9.0, "task_error_m": 0.1, "touch_mps": 0.4}, "error 0.400 m/s"),
-    ("quadrotor_land", {"error_px": 9.0, "task_error_m": 0.1, "touch_mps": math.nan}, "error 0.100 m"),
+    (
+        "quadrotor_land",
+        {"error_px": 9.0, "task_error_m": 0.1, "touch_mps": math.nan},
+        "error 0.100 m",
+    ),
     ("arm_ibvs", {"error_px": math.nan}, "error \u2013"),
 ]
 
 
 @pytest.mark.parametrize(("name", "values", "words"), ERRORS)
-def test_the_error_is_the_one_that_is_judged_in_its_own_unit(name: str, values: dict[str, float], words: str) -> None:
+def test_the_error_is_the_one_that_is_judged_in_its_own_unit(
+    name: str, values: dict[str, float], words: str
+) -> None:
     assert error_in_words(vs.load(name), values) == words
 
 
@@ -175,11 +217,17 @@ def test_tasks_say_which_goal_pose_is_shown() -> None:
     assert goal_in_film("omni_line", 5.0) is None  # any place along the line
     pad = goal_in_film("quadrotor_land", 5.0)
     assert pad is not None
-    np.testing.assert_allclose(pad[:3, 3], [0, 0, 0.172], atol=1e-12)  # the craft stands on its legs, the camera at its centre
+    # the craft stands on its legs, the camera at its centre
+    np.testing.assert_allclose(pad[:3, 3], [0, 0, 0.172], atol=1e-12)
 
 
-@pytest.mark.parametrize(("outcome", "colour"), [(Outcome.converged, (24, 122, 62)), (Outcome.target_lost, (200, 30, 45))])
-def test_a_film_ends_with_the_outcome_for_a_second(tmp_path: Path, outcome: Outcome, colour: tuple[int, int, int]) -> None:
+@pytest.mark.parametrize(
+    ("outcome", "colour"),
+    [(Outcome.converged, (24, 122, 62)), (Outcome.target_lost, (200, 30, 45))],
+)
+def test_a_film_ends_with_the_outcome_for_a_second(
+    tmp_path: Path, outcome: Outcome, colour: tuple[int, int, int]
+) -> None:
     s = vs.load("arm_ibvs")
     replay = replay_of(s, DRAFT)
     try:
@@ -193,15 +241,20 @@ def test_a_film_ends_with_the_outcome_for_a_second(tmp_path: Path, outcome: Outc
     with av.open(str(tmp_path / "a.mp4")) as container:
         stream = container.streams.video[0]
         rate = float(stream.average_rate or 0)
-        last = [f.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray() for f in container.decode(video=0)]
+        last = [
+            f.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
+            for f in container.decode(video=0)
+        ]
     assert len(last) - shown == pytest.approx(rate, abs=1)  # one second
     strip = strip_height(240)
     band = last[-1][-strip + 4 : -4, 300:].astype(int)
     np.testing.assert_allclose(band.reshape(-1, 3).mean(axis=0), colour, atol=30)
-    assert np.abs(last[0][-strip + 4 : -4, 300:].astype(int) - colour).max(axis=2).min() > 20  # not before
+    # not before
+    assert np.abs(last[0][-strip + 4 : -4, 300:].astype(int) - colour).max(axis=2).min() > 20
     assert last[-1][-strip:, 60:150].max() > 200  # the words
     changed = np.abs(last[-1][: 240 - strip].astype(int) - last[0][: 240 - strip]).max()
-    assert last[-1].shape == (240, 320, 3) and changed < 25  # the picture above is as it was, but for its coding
+    # the picture above is as it was, but for its coding
+    assert last[-1].shape == (240, 320, 3) and changed < 25
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 180), (640, 360), (1280, 720)])

@@ -17,8 +17,12 @@ BAR = 34  # of a column of 480 px
 BRIGHT, DARK = 200, 60
 
 
-def film(path: Path, seconds: float, rate_hz: float = 25.0, size: tuple[int, int] = (120, 90)) -> Path:
-    """A film whose pictures carry their number: ten upright bars, a bright one, eight bits, a dark one."""
+def film(
+    path: Path, seconds: float, rate_hz: float = 25.0, size: tuple[int, int] = (120, 90)
+) -> Path:
+    """A film whose pictures carry their number: ten upright bars, a bright one, eight bits, a dark
+    one.
+    """
     with VideoWriter(path, rate_hz) as writer:
         for k in range(round(seconds * rate_hz)):
             bars = np.where([1, *(k >> np.arange(8) & 1), 0], BRIGHT, DARK).astype(np.uint8)
@@ -31,7 +35,10 @@ def read(path: Path | None) -> tuple[np.ndarray, float]:
     """All pictures (frames, H, W, 3) and the rate of a film."""
     assert path is not None
     with av.open(str(path)) as container:
-        pictures = [f.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray() for f in container.decode(video=0)]
+        pictures = [
+            f.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
+            for f in container.decode(video=0)
+        ]
         return np.array(pictures), float(container.streams.video[0].average_rate or 0)
 
 
@@ -50,11 +57,17 @@ def number(pictures: np.ndarray, column: int, row: int) -> np.ndarray:
 
 def test_size_length_and_bars(tmp_path: Path) -> None:
     runs = [
-        Column("arm_ibvs", (film(tmp_path / f"{k}.mp4", 0.4 * k), film(tmp_path / f"{k}b.mp4", 0.4 * k)), "converged") for k in (1, 2, 3)
+        Column(
+            "arm_ibvs",
+            (film(tmp_path / f"{k}.mp4", 0.4 * k), film(tmp_path / f"{k}b.mp4", 0.4 * k)),
+            "converged",
+        )
+        for k in (1, 2, 3)
     ]
     pictures, rate = read(side_by_side(runs, tmp_path / "all.mp4"))
     assert rate == 25.0
-    assert pictures.shape == (10 * 3 + 25, 2 * BAR + 2 * 360, 3 * 480 + 2 * 2, 3)  # the longest, and one second
+    # the longest, and one second
+    assert pictures.shape == (10 * 3 + 25, 2 * BAR + 2 * 360, 3 * 480 + 2 * 2, 3)
     for left in (0, 482, 964):
         bar = pictures[10, :BAR, left : left + 480]
         assert np.median(bar) > 230 and bar.min() < 80  # dark words on light paper
@@ -67,23 +80,44 @@ def test_size_length_and_bars(tmp_path: Path) -> None:
 @pytest.mark.study
 def test_every_film_shows_its_newest_picture_of_the_moment(tmp_path: Path) -> None:
     rates = {(0, 0): 25.0, (0, 1): 10.0, (1, 0): 30.0, (1, 1): 12.5}
-    films = {place: film(tmp_path / f"{rate}{place[0]}.mp4", 3.2, rate) for place, rate in rates.items()}
+    films = {
+        place: film(tmp_path / f"{rate}{place[0]}.mp4", 3.2, rate) for place, rate in rates.items()
+    }
     runs = [Column(str(c), (films[c, 0], films[c, 1]), "") for c in range(2)]
     pictures, rate = read(side_by_side(runs, tmp_path / "all.mp4"))
     assert rate == 30.0 and len(pictures) == 96 + 30
     for (column, row), own_hz in rates.items():
         newest = np.floor(np.arange(96) / 30 * own_hz + 1e-6)
-        np.testing.assert_array_equal(number(pictures, column, row), np.append(newest, 30 * [round(3.2 * own_hz) - 1]))
+        np.testing.assert_array_equal(
+            number(pictures, column, row), np.append(newest, 30 * [round(3.2 * own_hz) - 1])
+        )
 
 
 def test_a_film_of_many_pictures_a_second_is_shown_at_50_hz(tmp_path: Path) -> None:
-    assert read(side_by_side([Column("a", (film(tmp_path / "a.mp4", 0.5, 200.0),), "")], tmp_path / "all.mp4"))[1] == 50.0
+    assert (
+        read(
+            side_by_side(
+                [Column("a", (film(tmp_path / "a.mp4", 0.5, 200.0),), "")], tmp_path / "all.mp4"
+            )
+        )[1]
+        == 50.0
+    )
 
 
 def test_a_run_that_has_ended_is_dimmed_and_says_how(tmp_path: Path) -> None:
     runs = [
-        Column("short", (film(tmp_path / "a.mp4", 1.0), film(tmp_path / "a2.mp4", 1.0)), "target_lost 1.0 s", success=False),
-        Column("long", (film(tmp_path / "b.mp4", 2.0), film(tmp_path / "b2.mp4", 2.0)), "converged 2.0 s", success=True),
+        Column(
+            "short",
+            (film(tmp_path / "a.mp4", 1.0), film(tmp_path / "a2.mp4", 1.0)),
+            "target_lost 1.0 s",
+            success=False,
+        ),
+        Column(
+            "long",
+            (film(tmp_path / "b.mp4", 2.0), film(tmp_path / "b2.mp4", 2.0)),
+            "converged 2.0 s",
+            success=True,
+        ),
     ]
     pictures, _ = read(side_by_side(runs, tmp_path / "all.mp4"))
     for row in (0, 1):
@@ -104,7 +138,9 @@ def test_missing_empty_and_broken_films_are_grey_beside_the_others(tmp_path: Pat
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "words.mp4").write_text("no film " * 1000)
     (tmp_path / "cut.mp4").write_bytes(whole.read_bytes()[: whole.stat().st_size * 3 // 4])
-    runs = [Column(f, (tmp_path / f"{f}.mp4",), "failed") for f in ("missing", "empty", "words", "cut")] + [Column("a", (whole,), "done")]
+    runs = [
+        Column(f, (tmp_path / f"{f}.mp4",), "failed") for f in ("missing", "empty", "words", "cut")
+    ] + [Column("a", (whole,), "done")]
     pictures, _ = read(side_by_side(runs, tmp_path / "all.mp4"))
     assert pictures.shape[2] <= 1926 and len(pictures) == 60
     for column in range(3):
@@ -112,31 +148,49 @@ def test_missing_empty_and_broken_films_are_grey_beside_the_others(tmp_path: Pat
         assert 30 < pane.mean() < 120 and pane.std() < 5
     assert side_by_side(runs[:3], tmp_path / "none.mp4") is None
     assert not (tmp_path / "none.mp4").exists()
-    assert side_by_side([Column("no films", (), "failed"), Column("a", (whole,), "done")], tmp_path / "two.mp4") is not None
+    assert (
+        side_by_side(
+            [Column("no films", (), "failed"), Column("a", (whole,), "done")], tmp_path / "two.mp4"
+        )
+        is not None
+    )
     assert side_by_side([Column("no films", (), "failed")], tmp_path / "none.mp4") is None
 
 
 def test_films_of_other_shapes_are_centred_and_long_words_shortened(tmp_path: Path) -> None:
     wide, high = film(tmp_path / "w.mp4", 0.4, size=(160, 90)), film(tmp_path / "h.mp4", 0.4)
-    runs = [Column("a very long label " * 20, (wide,), "an ending too long " * 9), Column("", (high,), "")]
+    runs = [
+        Column("a very long label " * 20, (wide,), "an ending too long " * 9),
+        Column("", (high,), ""),
+    ]
     pictures, _ = read(side_by_side(runs, tmp_path / "all.mp4"))
     assert pictures.shape[1:3] == (2 * BAR + 360, 962)
     pane = pictures[3, BAR:-BAR, 200]
-    assert pane[:40].max() < 40 and pane[-40:].max() < 40 and pane[60:-60].min() > 20  # 270 of 360 rows
-    assert pictures[3, :BAR, :8].min() > 200 and pictures[3, :BAR, 472:480].min() > 200  # the label keeps off its edges
+    # 270 of 360 rows
+    assert pane[:40].max() < 40 and pane[-40:].max() < 40 and pane[60:-60].min() > 20
+    # the label keeps off its edges
+    assert pictures[3, :BAR, :8].min() > 200 and pictures[3, :BAR, 472:480].min() > 200
 
 
 def test_two_times_the_same_bytes(tmp_path: Path) -> None:
-    runs = [Column("a", (film(tmp_path / "a.mp4", 1.0),), "done"), Column("b", (film(tmp_path / "b.mp4", 0.5, 30.0),), "lost")]
+    runs = [
+        Column("a", (film(tmp_path / "a.mp4", 1.0),), "done"),
+        Column("b", (film(tmp_path / "b.mp4", 0.5, 30.0),), "lost"),
+    ]
     first, second = (side_by_side(runs, tmp_path / f"{name}.mp4") for name in ("x", "y"))
     assert first is not None and second is not None and first.read_bytes() == second.read_bytes()
 
 
 @pytest.mark.study
 def test_memory_does_not_grow_with_the_films(tmp_path: Path) -> None:
-    """Films of 12 s take what films of 4 s do: 200 more pictures would be 250 MB, those of the films 90 MB."""
+    """Films of 12 s take what films of 4 s do: 200 more pictures would be 250 MB, those of the
+    films 90 MB.
+    """
     size = (320, 240)
-    runs = {s: [Column("a", (film(tmp_path / f"{s}{k}.mp4", s, size=size),), "") for k in range(2)] for s in (4.0, 5.0, 12.0)}
+    runs = {
+        s: [Column("a", (film(tmp_path / f"{s}{k}.mp4", s, size=size),), "") for k in range(2)]
+        for s in (4.0, 5.0, 12.0)
+    }
     side_by_side(runs[4.0], tmp_path / "short.mp4")
     resident = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     peaks = []

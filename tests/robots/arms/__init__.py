@@ -1,4 +1,6 @@
-"""Arms of nobody's catalogue: two links, a SCARA, seven joints with position servos of their own; and which bundled arms are installed."""
+"""Arms of nobody's catalogue: two links, a SCARA, seven joints with position servos of their own;
+and which bundled arms are installed.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,15 @@ def is_installed(file: str) -> bool:
 
 NEEDS_PANDA = pytest.mark.skipif(
     not is_installed("package:dm_robotics.panda/assets/panda/panda.xml"),
-    reason="the Panda's meshes are not installed: pip install --no-deps dm_robotics_panda (Python 3.12 and older)",
+    reason=(
+        "the Panda's meshes are not installed:"
+        " pip install --no-deps dm_robotics_panda (Python 3.12 and older)"
+    ),
 )
 
 
 def where_installed(names: Iterable[str]) -> list[Any]:
     """Scenarios as parameters of a test; those with an arm whose file is not there are skipped."""
-    return [pytest.param(name, marks=NEEDS_PANDA) if name == "arm_panda" else name for name in names]
+    return [
+        pytest.param(name, marks=NEEDS_PANDA) if name == "arm_panda" else name for name in names
+    ]

@@ -1,4 +1,6 @@
-"""Pictures through lenses that see beyond a plane: markers where the lens projects them, no seams, no face in vain."""
+"""Pictures through lenses that see beyond a plane: markers where the lens projects them, no seams,
+no face in vain.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ BALLS, RADIUS = 20, 0.045
 
 
 def scattered(lens: Radial, seed: int) -> Array:
-    """Directions all over what the lens sees, each ball clear of the others and of the rim, shape (BALLS, 3)."""
+    """Directions all over what the lens sees, each ball clear of the others and of the rim, shape
+    (BALLS, 3).
+    """
     rng, out = np.random.default_rng(seed), []
     while len(out) < BALLS:
         cosine = rng.uniform(np.cos(lens.reach[1] - 0.1), 1.0)
@@ -47,9 +51,14 @@ def scattered(lens: Radial, seed: int) -> Array:
 
 def stage_of(camera: Camera, points: Array) -> Scene:
     """The camera at the origin with unlit balls about it."""
-    target = Points(at=tuple(map(tuple, points.tolist())), pose=Pose(), marker=Sphere(radius=RADIUS, lit=False))
+    target = Points(
+        at=tuple(map(tuple, points.tolist())), pose=Pose(), marker=Sphere(radius=RADIUS, lit=False)
+    )
     stage = Scene(
-        SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-150.0), step=0.002), camera.multisampling
+        SceneDescription(
+            Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-150.0), step=0.002
+        ),
+        camera.multisampling,
     )
     stage.place(0.0, np.eye(4), NONE, np.eye(4))
     return stage
@@ -61,14 +70,18 @@ def test_rendered_balls_lie_where_the_lens_projects_them(name: str):
     points = scattered(lens, seed=1) * np.random.default_rng(2).uniform(0.9, 1.2, (BALLS, 1))
     stage = stage_of(lens, points)
     frame = Picture(0.0, OpenGLRenderer(stage, lens).images())
-    # Balls all around leave no pose in one view: the bias of the centre, under .3 px, is taken from the true one.
+    # Balls all around leave no pose in one view: the bias of the centre, under .3 px, is taken from
+    # the true one.
     state = BlobsState(T_camera_target=np.eye(4))
-    found = Blobs().detect(state, frame, None, lens, stage.parts.target, np.random.default_rng(0))[1]
+    found = Blobs().detect(state, frame, None, lens, stage.parts.target, np.random.default_rng(0))[
+        1
+    ]
     stage.close()
     errors = found.uv - lens.project(points)
     assert found.seen.sum() >= BALLS - 1
     errors = errors[found.seen]
-    # Balls of 4 to 9 px radius, one sample a pixel: .05 to .15 px of rounding. Half a pixel of convention would show.
+    # Balls of 4 to 9 px radius, one sample a pixel: .05 to .15 px of rounding. Half a pixel of
+    # convention would show.
     assert np.median(np.linalg.norm(errors, axis=1)) < 0.15
     assert np.linalg.norm(errors, axis=1).max() < 0.5
     assert np.abs(errors.mean(axis=0)).max() < 0.06
@@ -94,7 +107,9 @@ def test_a_world_of_one_colour_has_no_seams(name: str):
     image = OpenGLRenderer(stage, lens).full_image()
     stage.close()
     seen = cube_of(lens).owner >= 0
-    grid = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(float)
+    grid = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(
+        float
+    )
     np.testing.assert_array_equal(seen, np.isfinite(lens.ray(grid)[..., 0]))
     assert np.unique(image[seen]).size == 1
     assert image[seen][0, 0] > 100
@@ -112,7 +127,8 @@ def test_taps_never_leave_a_face(name: str):
 
 
 def test_faces_are_as_fine_as_the_lens():
-    # Equidistant, f px to the radian along theta everywhere, f theta / sin theta across: most at the rim.
+    # Equidistant, f px to the radian along theta everywhere, f theta / sin theta across: most at
+    # the rim.
     lens = LENSES["equidistant"]
     front, *sides = cube_of(lens).faces
     end = lens.reach[1]
@@ -151,7 +167,12 @@ def test_only_faces_that_are_looked_at_are_drawn(renders: list[str]):
     points = direction(np.array([[0.1, 0.0], [1.4, 0.0], [np.pi / 4, 0.0], [1.4, np.pi / 2]]))
     stage = stage_of(lens, points)
     eye = OpenGLRenderer(stage, lens)
-    for markers, faces in (([0], {"eye"}), ([1], {"eye_right"}), ([2], {"eye", "eye_right"}), ([0, 3], {"eye", "eye_down"})):
+    for markers, faces in (
+        ([0], {"eye"}),
+        ([1], {"eye_right"}),
+        ([2], {"eye", "eye_right"}),
+        ([0, 3], {"eye", "eye_down"}),
+    ):
         renders.clear()
         regions: Regions = (tuple(window(lens.project(points[i : i + 1])[0]) for i in markers),)
         image = eye.images(regions)[0]
@@ -159,7 +180,9 @@ def test_only_faces_that_are_looked_at_are_drawn(renders: list[str]):
         assert len(renders) == len(faces)
         assert not eye.whole
         for left, top, right, bottom in regions[0]:
-            np.testing.assert_array_equal(image[top:bottom, left:right], eye.full_image()[top:bottom, left:right])
+            np.testing.assert_array_equal(
+                image[top:bottom, left:right], eye.full_image()[top:bottom, left:right]
+            )
     stage.close()
 
 

@@ -1,4 +1,6 @@
-"""The depth of rendered pictures: OpenGL's depth buffer against MuJoCo's rays, exposures, regions of interest."""
+"""The depth of rendered pictures: OpenGL's depth buffer against MuJoCo's rays, exposures, regions
+of interest.
+"""
 
 from __future__ import annotations
 
@@ -28,25 +30,37 @@ def both(changes: dict[str, object]) -> tuple[DepthImage, DepthImage]:
     with closing(stage):
         eyes = OpenGLRenderer(stage, s.camera), RayRenderer(stage, s.camera)
         for eye in eyes:
-            eye.images((((10, 10, 20, 20),),), with_depth=True)  # the region of interest does not matter
+            # the region of interest does not matter
+            eye.images((((10, 10, 20, 20),),), with_depth=True)
             assert eye.whole
     assert eyes[0].depth is not None and eyes[1].depth is not None
     return eyes[0].depth, eyes[1].depth
 
 
-UNALIGNED = {"camera.depth_sensor": {"kind": "ideal", "lens": {"width": 640, "height": 360, "fovx_deg": 85}}}
+UNALIGNED = {
+    "camera.depth_sensor": {"kind": "ideal", "lens": {"width": 640, "height": 360, "fovx_deg": 85}}
+}
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"camera.principal_px": [150.25, 131.5]}, {"camera.distortion": [-0.2, 0.05, 0, 0, 0]}, UNALIGNED], ids=str
+    "changes",
+    [
+        {},
+        {"camera.principal_px": [150.25, 131.5]},
+        {"camera.distortion": [-0.2, 0.05, 0, 0, 0]},
+        UNALIGNED,
+    ],
+    ids=str,
 )
 def test_opengl_measures_what_rays_do(changes: dict[str, object]):
     gl, rays = both(changes)
     sky = np.isinf(rays)
-    assert 0.3 < sky.mean() < 0.7 and np.mean(np.isinf(gl) != sky) < 2e-3  # the sky is nothing, although MuJoCo draws it as a solid
+    # the sky is nothing, although MuJoCo draws it as a solid
+    assert 0.3 < sky.mean() < 0.7 and np.mean(np.isinf(gl) != sky) < 2e-3
     solid = ~sky & np.isfinite(gl) & (rays < (1.1 if "camera.distortion" in changes else 2.0))
     error = np.abs(gl[solid] - rays[solid])
-    # The buffer has 24 bits, steps of 1e-5 Z^2 / m. Resampled, the floor towards the horizon has the nearest pixel's depth.
+    # The buffer has 24 bits, steps of 1e-5 Z^2 / m. Resampled, the floor towards the horizon has
+    # the nearest pixel's depth.
     assert solid.mean() > 0.2 and np.median(error) < 2e-5 and np.quantile(error, 0.98) < 5e-5
     if not changes:
         far = ~sky & (rays > 5) & (rays < 20) & np.isfinite(gl)
@@ -54,11 +68,15 @@ def test_opengl_measures_what_rays_do(changes: dict[str, object]):
 
 
 def test_an_unaligned_picture_is_that_of_its_own_lens():
-    """Z of the board, a plane at z = 0.01 m, along the rays of the depth camera's pixels; the colour picture stays as it is."""
+    """Z of the board, a plane at z = 0.01 m, along the rays of the depth camera's pixels; the
+    colour picture stays as it is.
+    """
     lens = {"width": 1280, "height": 720, "fovx_deg": 85}
     taken = []
     for sensor in ({"kind": "ideal"}, {"kind": "ideal", "lens": lens}):
-        plant, _ = plant_of(vs.load("camera_vitvs", {"camera.depth_sensor": sensor}), pictures=True, plate_m=0.0)
+        plant, _ = plant_of(
+            vs.load("camera_vitvs", {"camera.depth_sensor": sensor}), pictures=True, plate_m=0.0
+        )
         with closing(plant):
             picture, truth = plant.capture()
             assert picture is not None and picture.depth is not None
@@ -66,10 +84,16 @@ def test_an_unaligned_picture_is_that_of_its_own_lens():
     assert np.array_equal(taken[0][0], taken[1][0])
     f = 640 / np.tan(np.radians(42.5))
     v, u = np.mgrid[230:250, 310:330]
-    ray = np.stack([(u - 639.5) / f, (v - 359.5) / f, np.ones(u.shape)], axis=-1) @ truth.T_world_camera[:3, :3].T
+    ray = (
+        np.stack([(u - 639.5) / f, (v - 359.5) / f, np.ones(u.shape)], axis=-1)
+        @ truth.T_world_camera[:3, :3].T
+    )
     on_board = (0.01 - truth.T_world_camera[2, 3]) / ray[..., 2]
     floor = -truth.T_world_camera[2, 3] / ray[..., 2]
-    error = np.minimum(np.abs(taken[1][1][230:250, 310:330] - on_board), np.abs(taken[1][1][230:250, 310:330] - floor))
+    error = np.minimum(
+        np.abs(taken[1][1][230:250, 310:330] - on_board),
+        np.abs(taken[1][1][230:250, 310:330] - floor),
+    )
     assert error.max() < 2e-5 and np.abs(taken[0][1] - taken[1][1])[230:250, 310:330].min() > 0.05
     with pytest.raises(ScenarioError, match=r"depth_sensor\.lens: must be at least 640 x 480 px"):
         vs.load("camera_vitvs", {"camera.depth_sensor": {"kind": "ideal", "lens": {"width": 320}}})
@@ -80,7 +104,9 @@ def test_a_distorted_edge_has_the_depth_of_one_surface():
     gl, rays = both({"camera.distortion": [-0.2, 0.05, 0, 0, 0]})
     board = rays < 0.95
     beside = np.zeros_like(board)
-    beside[1:-1, 1:-1] = np.logical_or.reduce([np.roll(board, s, (0, 1))[1:-1, 1:-1] for s in ((0, 1), (0, -1), (1, 0), (-1, 0))])
+    beside[1:-1, 1:-1] = np.logical_or.reduce(
+        [np.roll(board, s, (0, 1))[1:-1, 1:-1] for s in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+    )
     edge = beside & (rays > 2)
     assert edge.sum() > 50
     assert not ((gl[edge] > 1.0) & (gl[edge] < 1.9)).any()
@@ -103,7 +129,12 @@ def test_an_exposure_has_the_depth_of_its_middle():
             blurred.advance(5)
         sharp.advance(5)
         long, instant = blurred.developed(0.0), sharp.capture()[0]
-    assert long is not None and instant is not None and long.depth is not None and instant.depth is not None
+    assert (
+        long is not None
+        and instant is not None
+        and long.depth is not None
+        and instant.depth is not None
+    )
     np.testing.assert_array_equal(long.depth, instant.depth)
     assert not np.array_equal(long.images[0], instant.images[0])
 

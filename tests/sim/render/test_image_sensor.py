@@ -1,4 +1,6 @@
-"""Pictures of which a part was drawn, and the whole ones of the same exposures, drawn afterwards."""
+"""Pictures of which a part was drawn, and the whole ones of the same exposures,
+drawn afterwards.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,26 @@ PUSH = np.array([0.6, -0.4, 0.5, 0.7, -0.6, 0.8])
 SMALL = {"camera.width": 320, "camera.height": 240}
 
 
-def plants(scenario: str, renderer: str, sigma: float = 0.0, settings: dict[str, object] | None = None) -> Plant:
+def plants(
+    scenario: str, renderer: str, sigma: float = 0.0, settings: dict[str, object] | None = None
+) -> Plant:
     s = vs.load(scenario, {"camera.renderer": renderer, **(settings or {})})
     rng = np.random.default_rng(3)
-    pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=sigma, rng=rng, drift=s.noise.drift)
+    pictures = PictureSetup(
+        needs_image=True, needs_truth=False, image_sigma=sigma, rng=rng, drift=s.noise.drift
+    )
     return build_plant(s.scene, pictures)[0]
 
 
 @pytest.fixture(params=["gl", "rays"])
 def two(request: pytest.FixtureRequest) -> Iterator[tuple[Plant, Plant]]:
-    """Two plants of one kind: one whose pictures are completed, one whose pictures are whole at once."""
-    pair = tuple(plants("arm_ibvs", request.param, 2.0 if request.param == "rays" else 0.0, SMALL) for _ in range(2))
+    """Two plants of one kind: one whose pictures are completed, one whose pictures are whole at
+    once.
+    """
+    pair = tuple(
+        plants("arm_ibvs", request.param, 2.0 if request.param == "rays" else 0.0, SMALL)
+        for _ in range(2)
+    )
     yield pair
     for plant in pair:
         plant.close()
@@ -90,7 +101,11 @@ def test_panels_that_were_left_out_are_drawn_with_their_own_noise():
     late, at_once = (plants("quadrotor_hover", "gl", sigma=3.0) for _ in range(2))
     regions = tuple(((1, 1, 9, 9),) if i == 1 else () for i in range(6))
     part, whole = late.capture(regions)[0], at_once.capture()[0]
-    assert part is not None and whole is not None and [image is None for image in part.images].count(True) == 5
+    assert (
+        part is not None
+        and whole is not None
+        and [image is None for image in part.images].count(True) == 5
+    )
     for a, b in zip(part.completed().images, whole.images, strict=True):
         np.testing.assert_array_equal(a, b)
     late.close()

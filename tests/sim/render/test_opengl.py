@@ -31,7 +31,9 @@ NONE = np.zeros(0)
 
 
 def free_parts(camera: Perspective, target: Target) -> SceneDescription:
-    return SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002)
+    return SceneDescription(
+        Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002
+    )
 
 
 @pytest.mark.parametrize(
@@ -39,7 +41,9 @@ def free_parts(camera: Perspective, target: Target) -> SceneDescription:
     [
         Perspective(multisampling=4),
         Perspective(multisampling=4, principal_px=(300.25, 255.5)),
-        Perspective(multisampling=4, focal_length_m=0.004, pixel_size_m=1e-5, width=601, height=499),
+        Perspective(
+            multisampling=4, focal_length_m=0.004, pixel_size_m=1e-5, width=601, height=499
+        ),
         Perspective(multisampling=4, principal_px=(330.0, 230.0), distortion=BARREL),
     ],
     ids=["fovy", "principal", "focal", "distorted"],
@@ -47,14 +51,18 @@ def free_parts(camera: Perspective, target: Target) -> SceneDescription:
 def test_rendered_balls_lie_where_the_camera_projects_them(camera: Perspective):
     errors, _ = pixel_convention("gl", camera)
     assert errors.shape == (12, 2)
-    # The project's promise with multisampling; half a pixel of convention or a flipped offset would be 5 times that.
+    # The project's promise with multisampling; half a pixel of convention or a flipped offset would
+    # be 5 times that.
     assert np.abs(errors).max() < 0.1
     # And no constant part: twelve balls' noise of .03 px each, averaged.
     assert np.abs(errors.mean(axis=0)).max() < 0.03
 
 
 def test_the_distorted_case_is_really_distorted():
-    plain, lens = Perspective(principal_px=(330.0, 230.0)), Perspective(principal_px=(330.0, 230.0), distortion=BARREL)
+    plain, lens = (
+        Perspective(principal_px=(330.0, 230.0)),
+        Perspective(principal_px=(330.0, 230.0), distortion=BARREL),
+    )
     balls = np.array(BALLS) + [0, 0, 1.2]
     # By the model, the balls of the check above move by up to this much: 50 times its tolerance.
     assert np.abs(lens.project(balls) - plain.project(balls)).max() > 5
@@ -66,7 +74,10 @@ def test_the_distorted_case_is_really_distorted():
 def scenery_of(folder: Path, materials: int, textures: int) -> Path:
     """An MJCF file with a ball of so many materials and textures."""
     made = [f'<material name="m{i}"/>' for i in range(materials)]
-    made += [f'<texture name="t{i}" type="2d" builtin="flat" width="1" height="1"/>' for i in range(textures)]
+    made += [
+        f'<texture name="t{i}" type="2d" builtin="flat" width="1" height="1"/>'
+        for i in range(textures)
+    ]
     ball = '<geom name="ball" type="sphere" size="0.01" pos="0 0 0.5" material="m0"/>'
     path = folder / f"{materials}_{textures}.xml"
     path.write_text(f"<mujoco><asset>{''.join(made)}</asset><worldbody>{ball}</worldbody></mujoco>")
@@ -75,14 +86,22 @@ def scenery_of(folder: Path, materials: int, textures: int) -> Path:
 
 @pytest.mark.opengl
 @pytest.mark.parametrize(("what", "most"), [("materials", 997), ("textures", 1000)])
-def test_a_scene_of_more_than_mujoco_draws_is_told_as_such(tmp_path: Path, caplog: pytest.LogCaptureFixture, what: str, most: int):
+def test_a_scene_of_more_than_mujoco_draws_is_told_as_such(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, what: str, most: int
+):
     plain = Scene(_parts_with(scenery_of(tmp_path, 1, 1)))
     others = {"materials": plain.model.nmat, "textures": plain.model.ntex}[what] - 1
     plain.close()
-    full, over = (scenery_of(tmp_path, *((n, 1) if what == "materials" else (1, n))) for n in (most - others, most - others + 1))
+    full, over = (
+        scenery_of(tmp_path, *((n, 1) if what == "materials" else (1, n)))
+        for n in (most - others, most - others + 1)
+    )
     drawn = vs.run(vs.load("arm_ibvs", {"world.scenery": str(full), "stop.duration_s": 0.05}))
     assert "rays" not in drawn.versions["renderer"] and "OpenGL does not work" not in caplog.text
-    words = f"^world.scenery makes a scene of {most + 1} {what}, and MuJoCo draws at most {most} by OpenGL; .* camera.renderer=rays$"
+    words = (
+        f"^world.scenery makes a scene of {most + 1} {what},"
+        f" and MuJoCo draws at most {most} by OpenGL; .* camera.renderer=rays$"
+    )
     with pytest.raises(ParameterError, match=words):
         vs.run(vs.load("arm_ibvs", {"world.scenery": str(over), "stop.duration_s": 0.05}))
     by_rays = {"world.scenery": str(over), "camera.renderer": "rays", "stop.duration_s": 0.05}
@@ -106,7 +125,10 @@ def test_mujocos_own_projection_agrees():
     data.qpos[:] = s.robot.configuration()
     mujoco.mj_forward(model, data)
     T_world_camera = np.eye(4)
-    T_world_camera[:3, :3], T_world_camera[:3, 3] = data.camera("eye").xmat.reshape(3, 3) @ FLIP[:3, :3], data.camera("eye").xpos
+    T_world_camera[:3, :3], T_world_camera[:3, 3] = (
+        data.camera("eye").xmat.reshape(3, 3) @ FLIP[:3, :3],
+        data.camera("eye").xpos,
+    )
     uv = s.camera.project(transform(inverse(T_world_camera) @ s.target.pose.T, s.target.points))
     theirs = np.array([data.sensor(f"pixel_{i}").data for i in range(4)])
     # Their pixel centres are at halves. Intrinsics are kept in single precision: 1e-7 of 640 px.
@@ -116,7 +138,10 @@ def test_mujocos_own_projection_agrees():
 @pytest.fixture(scope="module")
 def square():
     """A stage with a square of unlit discs 1 m in front of the camera, and its eye."""
-    camera, target = Perspective(), Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Disc(radius=0.03, lit=False))
+    camera, target = (
+        Perspective(),
+        Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Disc(radius=0.03, lit=False)),
+    )
     stage = Scene(free_parts(camera, target))
     yield stage, OpenGLRenderer(stage, camera)
     stage.close()
@@ -133,7 +158,11 @@ def test_unlit_markers_have_exactly_their_colour(square):
     for T in (np.eye(4), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)).T):
         view(stage, T)
         image = eye.full_image()
-        u, v = np.round(camera.project(transform(inverse(T) @ target.pose.T, target.points))).astype(int).T
+        u, v = (
+            np.round(camera.project(transform(inverse(T) @ target.pose.T, target.points)))
+            .astype(int)
+            .T
+        )
         # 0 and 255 exactly; half a grey level of rounding and half of stray light for 127.5.
         colours = image[v, u].astype(int)
         wanted = 255 * target.colors
@@ -159,18 +188,29 @@ import hashlib, vstestbed as vs
 class Picture:
     def frame(self, frame): print(hashlib.sha256(frame.image.tobytes()).hexdigest())
 small = {"camera.width": 320, "camera.height": 240, "target.marker.radius": 0.04}
-r = vs.run(vs.load("arm_ibvs", small | {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}), [Picture()])
+small |= {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}
+r = vs.run(vs.load("arm_ibvs", small), [Picture()])
 print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("numbers", [("2",), pytest.param(("0", "1", "2", "3"), marks=pytest.mark.study)], ids="-".join)
+@pytest.mark.parametrize(
+    "numbers", [("2",), pytest.param(("0", "1", "2", "3"), marks=pytest.mark.study)], ids="-".join
+)
 @pytest.mark.opengl
-def test_any_number_of_raster_threads_draws_the_same_bytes(numbers: tuple[str, ...], capsys: pytest.CaptureFixture[str]):
-    # Mesa reads the number before its first context: a process for each. This one has another number, of `conftest`, or a core's each.
+def test_any_number_of_raster_threads_draws_the_same_bytes(
+    numbers: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+):
+    # Mesa reads the number before its first context: a process for each. This one has another
+    # number, of `conftest`, or a core's each.
     started = [
-        subprocess.Popen([sys.executable, "-c", HASHES], env=os.environ | {"LP_NUM_THREADS": n}, stdout=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            [sys.executable, "-c", HASHES],
+            env=os.environ | {"LP_NUM_THREADS": n},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         for n in numbers
     ]
     exec(HASHES, {})

@@ -1,4 +1,6 @@
-"""Pictures by rays: the same as OpenGL's, through any lens, only where somebody looks, on a machine without OpenGL."""
+"""Pictures by rays: the same as OpenGL's, through any lens, only where somebody looks, on a machine
+without OpenGL.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,10 @@ ELSEWHERE = np.array([0.3, 0.2, 0.1, 0.3, 0.2, 0.4])
 
 def free_stage(target: Target, camera: Camera) -> Scene:
     return Scene(
-        SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002), camera.multisampling
+        SceneDescription(
+            Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002
+        ),
+        camera.multisampling,
     )
 
 
@@ -59,26 +64,51 @@ def arm():
     stage.close()
 
 
-@pytest.mark.parametrize("marker", [Disc(radius=0.03), Disc(radius=0.03, lit=False), Sphere(radius=0.03), Sphere(radius=0.03, lit=False)])
+@pytest.mark.parametrize(
+    "marker",
+    [
+        Disc(radius=0.03),
+        Disc(radius=0.03, lit=False),
+        Sphere(radius=0.03),
+        Sphere(radius=0.03, lit=False),
+    ],
+)
 def test_markers_lie_where_opengl_draws_them(marker: Disc | Sphere):
     camera = Perspective(multisampling=4)
     target = Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=marker)
     stage = free_stage(target, camera)
     eyes = OpenGLRenderer(stage, camera), RayRenderer(stage, camera)
-    views = (Pose(), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)), Pose(xyz=(-0.2, 0.1, -0.6), rpy_deg=(-8, 10, 100)))
+    views = (
+        Pose(),
+        Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)),
+        Pose(xyz=(-0.2, 0.1, -0.6), rpy_deg=(-8, 10, 100)),
+    )
     detector, differences = Blobs(), []
     for view in views:
         stage.place(0.0, target.pose.T, NONE, view.T)
         seen = [
-            detector.detect(detector.init(), Picture(0.0, eye.images()), None, camera, target, np.random.default_rng(0)) for eye in eyes
+            detector.detect(
+                detector.init(),
+                Picture(0.0, eye.images()),
+                None,
+                camera,
+                target,
+                np.random.default_rng(0),
+            )
+            for eye in eyes
         ]
         differences.append(seen[0][1].uv - seen[1][1].uv)
     stage.close()
-    # The detector's own scatter on pictures of several samples a pixel is .02 to .04 px; half a pixel would be 5 times this.
+    # The detector's own scatter on pictures of several samples a pixel is .02 to .04 px; half a
+    # pixel would be 5 times this.
     assert np.abs(differences).max() < 0.1
 
 
-@pytest.mark.parametrize("lens", [Perspective(multisampling=4), Fisheye(width=640, height=640)], ids=["perspective", "fisheye"])
+@pytest.mark.parametrize(
+    "lens",
+    [Perspective(multisampling=4), Fisheye(width=640, height=640)],
+    ids=["perspective", "fisheye"],
+)
 @pytest.mark.parametrize("far", [0.0, 2.0])
 def test_tags_are_printed_as_opengl_prints_them(lens: Camera, far: float):
     target = Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Tag(size=0.15))
@@ -87,16 +117,23 @@ def test_tags_are_printed_as_opengl_prints_them(lens: Camera, far: float):
     stage.place(0.0, target.pose.T, NONE, Pose(xyz=(0.3, -0.1, -far), rpy_deg=(4, -25, 20)).T)
     apart = np.abs(np.subtract(*(eye.full_image().astype(int) for eye in eyes))).max(axis=-1)
     stage.close()
-    assert apart.mean() < 0.5 and np.mean(apart > 40) < 0.003  # of the tags: a sixth of the picture, and a thirtieth from afar
+    # of the tags: a sixth of the picture, and a thirtieth from afar
+    assert apart.mean() < 0.5 and np.mean(apart > 40) < 0.003
 
 
-@pytest.mark.parametrize("offset", [np.zeros(6), ELSEWHERE, 2 * ELSEWHERE], ids=["start", "elsewhere", "far"])
+@pytest.mark.parametrize(
+    "offset", [np.zeros(6), ELSEWHERE, 2 * ELSEWHERE], ids=["start", "elsewhere", "far"]
+)
 def test_grey_levels_are_those_of_opengl(arm, offset: Array):
     stage = arm(offset)
     camera = stage.parts.camera
-    by_gl, by_rays = (eye.full_image().astype(int) for eye in (OpenGLRenderer(stage, camera), RayRenderer(stage, camera)))
+    by_gl, by_rays = (
+        eye.full_image().astype(int)
+        for eye in (OpenGLRenderer(stage, camera), RayRenderer(stage, camera))
+    )
     apart = np.abs(by_gl - by_rays).max(axis=-1)
-    # Only OpenGL smoothes the floor's far squares, draws highlights, and makes circles from 28 corners.
+    # Only OpenGL smoothes the floor's far squares, draws highlights, and makes circles from 28
+    # corners.
     assert np.median(apart) == 0
     assert apart.mean() < 1
     assert np.mean(apart > 8) < 0.01
@@ -106,10 +143,15 @@ def test_from_outside_too(arm):
     from vstestbed.sim.render.opengl import SceneCamera
 
     stage = arm(ELSEWHERE)
-    by_gl = SceneCamera(stage, "overview", 480, 270, shadows=False, style="outside").full_image().astype(int)
+    by_gl = (
+        SceneCamera(stage, "overview", 480, 270, shadows=False, style="outside")
+        .full_image()
+        .astype(int)
+    )
     apart = np.abs(by_gl - RaySceneCamera(stage, "overview", 480, 270).full_image()).max(axis=-1)
     assert np.median(apart) == 0
-    assert np.mean(apart > 10) < 0.01  # an arm's length that is missing, or another arm, would be 2 % and more
+    # an arm's length that is missing, or another arm, would be 2 % and more
+    assert np.mean(apart > 10) < 0.01
 
 
 def test_what_stands_still_is_not_drawn_again_and_looks_the_same(arm):
@@ -117,7 +159,9 @@ def test_what_stands_still_is_not_drawn_again_and_looks_the_same(arm):
     view.full_image()
     for step in range(1, 4):
         stage = arm(step * 0.1 * ELSEWHERE)
-        np.testing.assert_array_equal(view.full_image(), RaySceneCamera(stage, "overview", 320, 180, samples=4).full_image())
+        np.testing.assert_array_equal(
+            view.full_image(), RaySceneCamera(stage, "overview", 320, 180, samples=4).full_image()
+        )
 
 
 def test_rays_hit_what_single_rays_hit(arm):
@@ -127,7 +171,9 @@ def test_rays_hit_what_single_rays_hit(arm):
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = seen_from.xmat.reshape(3, 3) @ FLIP[:3, :3], seen_from.xpos
     lens = Perspective(width=160, height=90, fovy_deg=38)
-    grid = np.stack(np.meshgrid(np.arange(160), np.arange(90)), axis=-1).reshape(-1, 2).astype(float)
+    grid = (
+        np.stack(np.meshgrid(np.arange(160), np.arange(90)), axis=-1).reshape(-1, 2).astype(float)
+    )
     rays = lens.ray(grid)
     groups, geom = np.ones(6, np.uint8), np.zeros(1, np.int32)
     groups[RANGE_GROUP] = False  # the ground for range finders is in no picture
@@ -137,7 +183,9 @@ def test_rays_hit_what_single_rays_hit(arm):
         for ray in rays @ T[:3, :3].T:
             mujoco.mj_ray(stage.model, stage.data, T[:3, 3].copy(), ray, groups, 1, -1, geom)
             alone.append(int(geom[0]))
-        np.testing.assert_array_equal(Caster(stage, outside).cast(T, np.split(rays, 12), np.zeros(len(rays)))[1], alone)
+        np.testing.assert_array_equal(
+            Caster(stage, outside).cast(T, np.split(rays, 12), np.zeros(len(rays)))[1], alone
+        )
         assert len(set(alone)) > 10
 
 
@@ -168,18 +216,25 @@ LENSES = [
 @pytest.mark.parametrize("lens", one_quick(*LENSES), ids=lambda lens: lens.kind)
 def test_twenty_balls_lie_where_the_lens_projects_them_by_both_renderers(lens: Camera):
     rng = np.random.default_rng(3)
-    grid = np.stack([rng.uniform(30, lens.width - 30, 4000), rng.uniform(30, lens.height - 30, 4000)], axis=-1)
+    grid = np.stack(
+        [rng.uniform(30, lens.width - 30, 4000), rng.uniform(30, lens.height - 30, 4000)], axis=-1
+    )
     chosen: list[Array] = []
-    for uv in grid[lens.ray(grid)[:, 2] > -0.85]:  # straight behind, a ball would be drawn out round the rim
+    # straight behind, a ball would be drawn out round the rim
+    for uv in grid[lens.ray(grid)[:, 2] > -0.85]:
         if len(chosen) < 20 and all(np.linalg.norm(uv - other) > 60 for other in chosen):
             chosen.append(uv)
     assert len(chosen) == 20
     radius = 0.045 if isinstance(lens, SphericalCamera) else 0.015  # [m], 2 to 6 px
     balls = lens.ray(np.array(chosen)) * rng.uniform(1, 1.5, (20, 1))
-    target = Points(at=tuple(map(tuple, balls.tolist())), pose=Pose(), marker=Sphere(radius=radius, lit=False))
+    target = Points(
+        at=tuple(map(tuple, balls.tolist())), pose=Pose(), marker=Sphere(radius=radius, lit=False)
+    )
     stage = free_stage(target, lens)
     stage.place(0.0, np.eye(4), NONE, np.eye(4))
-    pictures = [eye(stage, lens).full_image().astype(float) for eye in (RayRenderer, OpenGLRenderer)]
+    pictures = [
+        eye(stage, lens).full_image().astype(float) for eye in (RayRenderer, OpenGLRenderer)
+    ]
     stage.close()
     np.testing.assert_allclose(lens.project(balls), chosen, atol=1e-6)
     wanted = np.array([outline_centre(lens, ball, radius) for ball in balls])
@@ -191,18 +246,23 @@ def test_twenty_balls_lie_where_the_lens_projects_them_by_both_renderers(lens: C
         errors = np.linalg.norm(found[-1] - wanted, axis=1)
         assert np.median(errors) < 0.15
         assert errors.max() < 0.25
-    # Two renderers that share no code but the lens: rays of its pixels, and its remapped faces of a cube.
+    # Two renderers that share no code but the lens: rays of its pixels, and its remapped faces of a
+    # cube.
     assert np.median(np.linalg.norm(found[0] - found[1], axis=1)) < 0.1
 
 
 def outline_centre(lens: Camera, ball: Array, radius: float) -> Array:
-    """Centre of area [px] of a ball's picture: of the polygon through the rays that touch the ball."""
+    """Centre of area [px] of a ball's picture:
+    of the polygon through the rays that touch the ball.
+    """
     distance = np.linalg.norm(ball)
     axis, half = ball / distance, np.arcsin(radius / distance)
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)
     turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)[:, None]
-    rays = np.cos(half) * axis + np.sin(half) * (np.cos(turn) * side + np.sin(turn) * np.cross(axis, side))
+    rays = np.cos(half) * axis + np.sin(half) * (
+        np.cos(turn) * side + np.sin(turn) * np.cross(axis, side)
+    )
     uv, middle = lens.project(rays), lens.project(ball)
     a, b = uv - middle, np.roll(uv, -1, axis=0) - middle
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
@@ -231,11 +291,16 @@ def test_no_ray_is_black(arm):
 
 
 def test_unlit_markers_have_exactly_their_colour():
-    camera, target = Perspective(), Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Disc(radius=0.03, lit=False))
+    camera, target = (
+        Perspective(),
+        Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Disc(radius=0.03, lit=False)),
+    )
     stage = free_stage(target, camera)
     T = Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)).T
     stage.place(0.0, target.pose.T, NONE, T)
-    u, v = np.round(camera.project(transform(inverse(T) @ target.pose.T, target.points))).astype(int).T
+    u, v = (
+        np.round(camera.project(transform(inverse(T) @ target.pose.T, target.points))).astype(int).T
+    )
     assert np.abs(RayRenderer(stage, camera).full_image()[v, u] - 255 * target.colors).max() <= 1
     stage.close()
 
@@ -246,7 +311,9 @@ def test_with_noise_to_come_its_level_is_estimated_as_from_the_whole_picture(arm
     rng = np.random.default_rng(5)
     for sigma in (1.0, 3.0, 9.0):
         noise = ImageNoise(sigma, rng).next()
-        part, whole = (noise(eye.images(regions))[0] for regions in ((((300, 100, 420, 180),),), None))
+        part, whole = (
+            noise(eye.images(regions))[0] for regions in ((((300, 100, 420, 180),),), None)
+        )
         assert part is not None and whole is not None and not np.array_equal(part, whole)
         assert noise_level(part) == noise_level(whole) > 0
 
@@ -254,20 +321,29 @@ def test_with_noise_to_come_its_level_is_estimated_as_from_the_whole_picture(arm
 class TestWhatRaysCannotDraw:
     def test_shadows(self, arm):
         camera = replace(arm().parts.camera, shadows=True)
-        with pytest.raises(ParameterError, match=r"camera.renderer must be gl or auto: shadows need OpenGL"):
+        with pytest.raises(
+            ParameterError, match=r"camera.renderer must be gl or auto: shadows need OpenGL"
+        ):
             RayRenderer(arm(), replace(camera, renderer="rays"))
-        with pytest.raises(EnvironmentLackError, match=r"shadows need OpenGL; .*install libegl1 libgl1"):
+        with pytest.raises(
+            EnvironmentLackError, match=r"shadows need OpenGL; .*install libegl1 libgl1"
+        ):
             RayRenderer(arm(), camera)
 
 
 class TestChoice:
     def test_each_word_is_heard(self, arm):
         camera = arm().parts.camera
-        names = {word: servo_renderer(arm(), replace(camera, renderer=word)).name for word in ("auto", "gl", "rays")}
+        names = {
+            word: servo_renderer(arm(), replace(camera, renderer=word)).name
+            for word in ("auto", "gl", "rays")
+        }
         assert names["auto"] == names["gl"] != names["rays"] == "rays (mj_multiRay)"
 
     @pytest.mark.opengl
-    def test_auto_takes_rays_without_opengl_and_gl_does_not(self, arm, monkeypatch: pytest.MonkeyPatch):
+    def test_auto_takes_rays_without_opengl_and_gl_does_not(
+        self, arm, monkeypatch: pytest.MonkeyPatch
+    ):
         from vstestbed.sim import gl_probe as gl
 
         monkeypatch.setenv("MUJOCO_GL", "disable")
@@ -276,26 +352,43 @@ class TestChoice:
         assert servo_renderer(arm(), camera).name == "rays (mj_multiRay)"
         with pytest.raises(EnvironmentLackError, match="no OpenGL: MUJOCO_GL=disable is set"):
             servo_renderer(arm(), replace(camera, renderer="gl"))
-        with pytest.raises(EnvironmentLackError, match=r"shadows need OpenGL \(no OpenGL: MUJOCO_GL=disable is set\); unset MUJOCO_GL"):
+        with pytest.raises(
+            EnvironmentLackError,
+            match=r"shadows need OpenGL \(no OpenGL: MUJOCO_GL=disable is set\); unset MUJOCO_GL",
+        ):
             servo_renderer(arm(), replace(camera, shadows=True))
 
 
 def test_arm_ibvs_converges_with_the_same_bytes_each_time():
     scenario = vs.load("arm_ibvs", {"camera.renderer": "rays", "law.gain": 1.0})
-    first, second = vs.run(scenario), vs.run(replace(scenario, stop=replace(scenario.stop, duration_s=1.0)))
+    first, second = (
+        vs.run(scenario),
+        vs.run(replace(scenario, stop=replace(scenario.stop, duration_s=1.0))),
+    )
     assert first.outcome.name == "converged"
     assert first.versions["renderer"] == "rays (mj_multiRay)"
-    assert len(second.table) > 20 and first.table[: len(second.table)].tobytes() == second.table.tobytes()
+    assert (
+        len(second.table) > 20
+        and first.table[: len(second.table)].tobytes() == second.table.tobytes()
+    )
     assert first.summary()["frames_lost"] == 0
     # Markers as exactly found as in OpenGL's pictures of one sample a pixel.
     off = [first[f"{c}_{i}"] - first[f"{c}_true_{i}"] for c in "uv" for i in range(4)]
     assert np.median(np.abs(off)) < 0.1
 
 
-@pytest.mark.parametrize("latency_s", [0.0, pytest.param(0.04, marks=pytest.mark.study), pytest.param(0.1, marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    "latency_s",
+    [0.0, pytest.param(0.04, marks=pytest.mark.study), pytest.param(0.1, marks=pytest.mark.study)],
+)
 def test_nothing_is_lost_for_looking_in_windows(latency_s: float):
     """However late pictures come: with some on their way, whole ones are cast."""
-    settings = {"camera.renderer": "rays", "camera.latency_s": latency_s, "law.gain": 1.0, "stop.duration_s": 0.8}
+    settings = {
+        "camera.renderer": "rays",
+        "camera.latency_s": latency_s,
+        "law.gain": 1.0,
+        "stop.duration_s": 0.8,
+    }
     recording = vs.run(vs.load("arm_ibvs", settings))
     assert recording.summary()["frames_lost"] == 0
     assert all(np.isfinite(recording[f"u_{i}"]).all() for i in range(4))
@@ -304,21 +397,39 @@ def test_nothing_is_lost_for_looking_in_windows(latency_s: float):
 @pytest.mark.process
 @pytest.mark.study
 def test_a_machine_without_opengl_runs_films_and_all(tmp_path: Path, vstestbed_process):
-    """The loader finds empty files in place of libEGL and libGL. A smaller picture and a higher gain, for time's sake."""
+    """The loader finds empty files in place of libEGL and libGL. A smaller picture and a higher
+    gain, for time's sake.
+    """
     (tmp_path / "fake").mkdir()
     for name in ("libEGL.so.1", "libGL.so.1"):
         (tmp_path / "fake" / name).touch()
     words, environment = vstestbed_process
-    quick = ["law.gain=1.5", "camera.width=320", "camera.height=240", "camera.rate_hz=10", "stop.converged.error_px=0.4"]
+    quick = [
+        "law.gain=1.5",
+        "camera.width=320",
+        "camera.height=240",
+        "camera.rate_hz=10",
+        "stop.converged.error_px=0.4",
+    ]
     words = [*words, "run", "arm_ibvs", "--out", "done", *[w for q in quick for w in ("--set", q)]]
     environment |= {"LD_LIBRARY_PATH": str(tmp_path / "fake")}
-    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
     lack = "no OpenGL: libEGL.so.1 and libGL.so.1 not found"
-    assert lines[0].startswith("films by rays are small, 320 x 180 from outside with 5 pictures a second; --fine")
+    assert lines[0].startswith(
+        "films by rays are small, 320 x 180 from outside with 5 pictures a second; --fine"
+    )
     assert lines[1] == f"{lack}; rays draw the pictures instead, without shadows; {gl.remedy()}"
     assert lines[2].startswith("converged: ")
     summary = json.loads((tmp_path / "done" / "summary.json").read_text())
-    assert (summary["outcome"], summary["versions"]["renderer"]) == ("converged", "rays (mj_multiRay)")
-    assert all((tmp_path / "done" / name).stat().st_size > 10000 for name in ("camera.mp4", "overview.mp4", "report.html"))
+    assert (summary["outcome"], summary["versions"]["renderer"]) == (
+        "converged",
+        "rays (mj_multiRay)",
+    )
+    assert all(
+        (tmp_path / "done" / name).stat().st_size > 10000
+        for name in ("camera.mp4", "overview.mp4", "report.html")
+    )

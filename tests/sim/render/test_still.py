@@ -72,7 +72,10 @@ class TestMotion:
             self.model.cam_quat[0] = [np.cos(pixel), np.sin(pixel), 0, 0]
         assert self.image() == 2
 
-    @pytest.mark.parametrize(("place", "drawn"), [((1, 0, 0.5), 1), ((0, -1, 0.5), 1), ((0, 0, 2.2), 1), ((0.7, 0, 0.5), 2)])
+    @pytest.mark.parametrize(
+        ("place", "drawn"),
+        [((1, 0, 0.5), 1), ((0, -1, 0.5), 1), ((0, 0, 2.2), 1), ((0.7, 0, 0.5), 2)],
+    )
     def test_what_is_out_of_sight_moves_unseen(self, place: tuple[float, float, float], drawn: int):
         self.view = StillView(
             self.counts.full_image, self.model, self.data, "eye", F, sides=(0.5, 0.5)
@@ -110,14 +113,20 @@ class TestParts:
         return self.view.full_image()
 
     def test_from_a_camera_at_rest_only_where_a_geom_is_and_was(self):
-        self.data.mocap_pos[0, 0] += 0.2  # from .3 to .5 m to the right of the axis, 1.5 m away, with a radius of .1 m
+        self.data.mocap_pos[0, 0] += (
+            0.2  # from .3 to .5 m to the right of the axis, 1.5 m away, with a radius of .1 m
+        )
         image = self.image()
         rows, columns = np.nonzero(image[..., 0] == 2)
         left, right, half = 320 + F * 0.2 / 1.5, 320 + F * 0.6 / 1.5, F * 0.1 / 1.5
         assert left - 15 < columns.min() <= left and right <= columns.max() < right + 15
-        assert 200 - half - 5 < rows.min() <= 200 - half and 200 + half - 1 <= rows.max() < 200 + half + 5
+        assert (
+            200 - half - 5 < rows.min() <= 200 - half
+            and 200 + half - 1 <= rows.max() < 200 + half + 5
+        )
         assert (image[..., 0] == 1).sum() + len(rows) == 400 * 640
-        assert (self.image() == image).all() and len(self.drawn) == 2  # it is known to be drawn there
+        # it is known to be drawn there
+        assert (self.image() == image).all() and len(self.drawn) == 2
 
     @pytest.mark.parametrize("what", ["camera", "near"])
     def test_all_of_it_where_the_camera_moves_or_a_geom_is_before_the_lens(self, what: str):
@@ -142,5 +151,7 @@ def test_half_tangents_are_those_of_the_lens():
     camera = vs.load("arm_ibvs").camera
     sides = half_tangents(camera)
     assert sides is not None
-    assert np.allclose(sides, np.array([640 / 480, 1]) * np.tan(np.radians(32)), rtol=0.021) and sides[1] > np.tan(np.radians(32))
+    assert np.allclose(
+        sides, np.array([640 / 480, 1]) * np.tan(np.radians(32)), rtol=0.021
+    ) and sides[1] > np.tan(np.radians(32))
     assert half_tangents(vs.load("spherical_book").camera) is None

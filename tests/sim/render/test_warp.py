@@ -1,4 +1,6 @@
-"""Pictures drawn on a device: the same as those whose rays MuJoCo casts, through any lens, of many runs at once."""
+"""Pictures drawn on a device: the same as those whose rays MuJoCo casts, through any lens, of many
+runs at once.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,16 @@ from tests.shortcuts import one_quick
 from vstestbed.camera import Image, Window
 from vstestbed.sim.render.image_sensor import lamps_at
 from vstestbed.sim.render.rays import BLANK, RayRenderer
-from vstestbed.sim.render.warp import MOST_TILES, PLACES, PictureRequest, WarpRenderer, _kept, cut, look_of, slots_of
+from vstestbed.sim.render.warp import (
+    MOST_TILES,
+    PLACES,
+    PictureRequest,
+    WarpRenderer,
+    _kept,
+    cut,
+    look_of,
+    slots_of,
+)
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.studies.together import device
 
@@ -31,11 +42,15 @@ def stage_of(scenario: vs.Scenario) -> Scene:
 
 
 def renderer(stage: Scene, camera: vs.Camera | None = None) -> WarpRenderer:
-    return WarpRenderer(stage, camera or stage.parts.camera, lambda shot: device().draw([shot])[0], "device")
+    return WarpRenderer(
+        stage, camera or stage.parts.camera, lambda shot: device().draw([shot])[0], "device"
+    )
 
 
 def pixels(images: tuple[Image | None, ...]) -> np.ndarray:
-    return np.concatenate([image.reshape(-1, 3) for image in images if image is not None]).astype(int)
+    return np.concatenate([image.reshape(-1, 3) for image in images if image is not None]).astype(
+        int
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,7 +72,9 @@ def pixels(images: tuple[Image | None, ...]) -> np.ndarray:
 )
 def test_pictures_are_those_of_rays(name: str, changed: dict) -> None:
     stage = stage_of(vs.load(name, changed))
-    drawn, cast = (pixels(one.images()) for one in (renderer(stage), RayRenderer(stage, stage.parts.camera)))
+    drawn, cast = (
+        pixels(one.images()) for one in (renderer(stage), RayRenderer(stage, stage.parts.camera))
+    )
     apart = np.abs(drawn - cast).max(axis=1)
     assert np.mean(apart == 0) > SAME
     assert np.mean(apart > 1) < 1e-4  # where a ray meets an edge within rounding
@@ -100,7 +117,9 @@ def test_a_picture_does_not_depend_on_the_others() -> None:
         shots.append(shot)
         return device().draw([shot])[0]
 
-    stages = [stage_of(vs.load(name, SMALL)) for name in ("arm_ibvs", "arm_ibvs", "arm_mesh", "arm_ibvs")]
+    stages = [
+        stage_of(vs.load(name, SMALL)) for name in ("arm_ibvs", "arm_ibvs", "arm_mesh", "arm_ibvs")
+    ]
     q = stages[1].parts.start[0]
     stages[1].place(0.0, stages[1].target_pose(), q + 0.05)  # the same scene, seen from elsewhere
     alone = [pixels(WarpRenderer(stage, stage.parts.camera, keep, "").images()) for stage in stages]
@@ -120,7 +139,8 @@ def test_a_picture_does_not_depend_on_the_others() -> None:
 def test_the_same_scene_by_other_samples_of_its_textures_is_another_look() -> None:
     stages = [stage_of(vs.load("arm_picture", {**SMALL, "camera.anisotropy": n})) for n in (1, 8)]
     drawn, cast = (
-        [pixels(make(stage).images()) for stage in stages] for make in (renderer, lambda stage: RayRenderer(stage, stage.parts.camera))
+        [pixels(make(stage).images()) for stage in stages]
+        for make in (renderer, lambda stage: RayRenderer(stage, stage.parts.camera))
     )
     assert look_of(stages[0]) != look_of(stages[1])
     for one, other in zip(drawn, cast, strict=True):
@@ -130,7 +150,9 @@ def test_the_same_scene_by_other_samples_of_its_textures_is_another_look() -> No
         stage.close()
 
 
-@pytest.mark.parametrize("window", [(0, 0, 640, 480), (3, 7, 4, 8), (0, 100, 1280, 101), (5, 5, 45, 400)])
+@pytest.mark.parametrize(
+    "window", [(0, 0, 640, 480), (3, 7, 4, 8), (0, 100, 1280, 101), (5, 5, 45, 400)]
+)
 def test_tiles_cover_a_window_once_and_fit(window: Window) -> None:
     left, top, right, bottom = window
     seen = np.zeros((bottom, right), int)

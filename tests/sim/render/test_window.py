@@ -11,7 +11,15 @@ import pytest
 import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.render.opengl import LABEL, REACH, SKYBOX, OpenGLRenderer, SceneCamera, merged, part_round
+from vstestbed.sim.render.opengl import (
+    LABEL,
+    REACH,
+    SKYBOX,
+    OpenGLRenderer,
+    SceneCamera,
+    merged,
+    part_round,
+)
 from vstestbed.sim.scene.scene import Scene
 
 WINDOWS = ((300, 100, 420, 180), (250, 150, 270, 170))
@@ -28,7 +36,12 @@ def stage_of(scenario: Scenario) -> Scene:
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"camera.multisampling": 4}, {"camera.shadows": True}, {"camera.principal_px": [300.25, 255.5]}],
+    [
+        {},
+        {"camera.multisampling": 4},
+        {"camera.shadows": True},
+        {"camera.principal_px": [300.25, 255.5]},
+    ],
     ids=["plain", "smoothed", "shadows", "principal"],
 )
 def test_a_part_is_what_the_whole_picture_has_there(changes: dict[str, object]):
@@ -39,8 +52,11 @@ def test_a_part_is_what_the_whole_picture_has_there(changes: dict[str, object]):
     left, top, right, bottom = PART
     (part,) = eye.images((WINDOWS,))
     assert part is not None and not eye.whole
-    apart = np.abs(part[top:bottom, left:right].astype(int) - whole[top:bottom, left:right]).max(axis=-1)
-    # Vertices are rounded to 1/256 px after a float's rounding, which differs: a pixel in some thousands is another one.
+    apart = np.abs(part[top:bottom, left:right].astype(int) - whole[top:bottom, left:right]).max(
+        axis=-1
+    )
+    # Vertices are rounded to 1/256 px after a float's rounding, which differs: a pixel in some
+    # thousands is another one.
     assert np.mean(apart > 1) < 2e-3
     assert np.ptp(part[top:bottom, left:right]) > 100  # there is something to see
     outside = np.ones(part.shape[:2], dtype=bool)
@@ -49,7 +65,10 @@ def test_a_part_is_what_the_whole_picture_has_there(changes: dict[str, object]):
     np.testing.assert_array_equal(eye.full_image(), whole)  # and nothing of it stays
 
 
-@pytest.mark.parametrize(("name", "changes"), [("arm_ibvs", {"camera.principal_px": [300.25, 255.5]}), ("quadrotor_hover", {})])
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("arm_ibvs", {"camera.principal_px": [300.25, 255.5]}), ("quadrotor_hover", {})],
+)
 def test_geoms_outside_of_the_frustum_are_not_missed(name: str, changes: dict[str, object]):
     stage = stage_of(vs.load(name, changes))
     for view in OpenGLRenderer(stage, stage.parts.camera)._views:
@@ -57,7 +76,8 @@ def test_geoms_outside_of_the_frustum_are_not_missed(name: str, changes: dict[st
         for windows in (None, ((100, 40, 220, 120), (10, 200, 90, 240))):
             drawn = view.raw(windows).copy()
             kinds = [geom.type for geom in camera._scene.ptr.geoms[: camera._scene.ptr.ngeom]]
-            assert (LABEL in kinds) == (windows is None)  # of each window others are left out, for its draw alone
+            # of each window others are left out, for its draw alone
+            assert (LABEL in kinds) == (windows is None)
             camera.local = False
             camera._scene.ptr.flags[SKYBOX] = 1
             np.testing.assert_array_equal(view.raw(windows), drawn)
@@ -89,7 +109,10 @@ def test_windows_are_drawn_apart_where_that_takes_less_time():
     assert merged(WINDOWS, 640, 480) == (PART,)
     assert set(merged((far, *WINDOWS, near), 640, 480)) == {PART, (10, 400, 70, 430)}
     assert merged((far, *WINDOWS), 640, 480, math.inf) == ((10, 100, 420, 430),)
-    assert merged(((-5, -5, 20, 10), (630, 470, 700, 500), (700, 0, 710, 10)), 640, 480) == ((630, 470, 640, 480), (0, 0, 20, 10))
+    assert merged(((-5, -5, 20, 10), (630, 470, 700, 500), (700, 0, 710, 10)), 640, 480) == (
+        (630, 470, 640, 480),
+        (0, 0, 20, 10),
+    )
     assert merged((), 640, 480) == ()
 
 
@@ -106,8 +129,13 @@ def test_a_floor_casts_no_shadow_on_itself():
     stage.model.vis.quality.shadowsize = 1024
     view = SceneCamera(stage, "overview", 480, 270, shadows=True, style="outside")
     lit = view.full_image().max(axis=-1)
-    stage.model.geom_rgba[:, 3] = np.where(stage.model.geom_group == 0, stage.model.geom_rgba[:, 3], 0)
-    stage.model.mat_rgba[[m for m in range(stage.model.nmat) if stage.model.material(m).name != "floor"], 3] = 0
+    stage.model.geom_rgba[:, 3] = np.where(
+        stage.model.geom_group == 0, stage.model.geom_rgba[:, 3], 0
+    )
+    stage.model.mat_rgba[
+        [m for m in range(stage.model.nmat) if stage.model.material(m).name != "floor"], 3
+    ] = 0
     bare = view.full_image().max(axis=-1)
-    assert np.mean(lit < 120) > 1e-3  # the base, its shadow, those of the landmarks: so there are shadows
+    # the base, its shadow, those of the landmarks: so there are shadows
+    assert np.mean(lit < 120) > 1e-3
     assert not np.any(bare < 140)  # the floor's darker squares are 155 and more

@@ -1,4 +1,6 @@
-"""A robot's file in a scene: the flange, however its orientation is written, and the actuators that are kept."""
+"""A robot's file in a scene: the flange, however its orientation is written, and the actuators that
+are kept.
+"""
 
 import warnings
 from dataclasses import dataclass
@@ -49,15 +51,24 @@ class Swing(RobotBase):
 
 @pytest.fixture
 def scene_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Attach a robot with this site in its tool: (scene, the flange's body, the flange's pose in it)."""
+    """Attach a robot with this site in its tool: (scene, the flange's body, the flange's pose in
+    it).
+    """
     monkeypatch.setattr(attach, "model_path", lambda name: tmp_path / name)
     attach._compiled.cache_clear()
 
     def made(site: str, angle: str = "degree", actuation: Actuation | None = None):
-        (tmp_path / "swing.xml").write_text(ROBOT.format(site=site, angle=angle, quarter=90 if angle == "degree" else np.pi / 2))
+        (tmp_path / "swing.xml").write_text(
+            ROBOT.format(site=site, angle=angle, quarter=90 if angle == "degree" else np.pi / 2)
+        )
         scene = mujoco.MjSpec()
         scene.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1])
-        return (scene, *attach.add_robot(scene, Swing(BodyFile("swing.xml", actuation=actuation)), "robot/", None))
+        return (
+            scene,
+            *attach.add_robot(
+                scene, Swing(BodyFile("swing.xml", actuation=actuation)), "robot/", None
+            ),
+        )
 
     yield made
     attach._compiled.cache_clear()
@@ -74,8 +85,12 @@ def scene_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         ('zaxis="0 -1 0"', "degree"),
     ],
 )
-def test_the_flange_is_where_its_file_says_however_it_is_written(scene_with, orientation: str, angle: str):
-    """A spec's `quat` is the identity where the file writes another kind of orientation: the camera would look elsewhere, silently."""
+def test_the_flange_is_where_its_file_says_however_it_is_written(
+    scene_with, orientation: str, angle: str
+):
+    """A spec's `quat` is the identity where the file writes another kind of orientation: the camera
+    would look elsewhere, silently.
+    """
     scene, body, T = scene_with(f'<site name="flange" pos="0.1 0.2 0.3" {orientation}/>', angle)
     # Rounding of a normalised quaternion and of the angle in the file.
     np.testing.assert_allclose(T, FLANGE, atol=1e-12)
@@ -85,7 +100,10 @@ def test_the_flange_is_where_its_file_says_however_it_is_written(scene_with, ori
     data.joint("robot/swing").qpos = 0.4
     mujoco.mj_forward(model, data)
     T_tool = np.eye(4)
-    T_tool[:3, :3], T_tool[:3, 3] = data.body("robot/tool").xmat.reshape(3, 3), data.body("robot/tool").xpos
+    T_tool[:3, :3], T_tool[:3, 3] = (
+        data.body("robot/tool").xmat.reshape(3, 3),
+        data.body("robot/tool").xpos,
+    )
     flange = data.site("robot/flange")
     np.testing.assert_allclose((T_tool @ T)[:3, :3], flange.xmat.reshape(3, 3), atol=1e-12)
     np.testing.assert_allclose((T_tool @ T)[:3, 3], flange.xpos, atol=1e-12)
@@ -96,11 +114,16 @@ def test_a_model_without_a_flange_is_refused_with_what_to_add(scene_with, site: 
     with pytest.raises(ParameterError) as told:
         scene_with(site)
     assert told.value.field == "robot.kind"
-    assert "has a model without a site `flange`, which carries the camera; add one to swing.xml" in str(told.value)
+    assert (
+        "has a model without a site `flange`, which carries the camera; add one to swing.xml"
+        in str(told.value)
+    )
 
 
 def test_the_chosen_profile_keeps_its_actuators_under_the_joints_names(scene_with):
-    model = scene_with('<site name="flange"/>', actuation=Actuation("raw", friction=True, gravity_compensated=True))[0].compile()
+    model = scene_with(
+        '<site name="flange"/>', actuation=Actuation("raw", friction=True, gravity_compensated=True)
+    )[0].compile()
     assert [model.actuator(i).name for i in range(model.nu)] == ["robot/swing"]
     assert model.actuator_gainprm[0, 0] == 1.0  # kv of the raw one
     assert model.body_gravcomp[model.body("robot/base").id] == 1.0
@@ -113,15 +136,33 @@ def test_the_ideal_camera_is_a_body_without_mass():
     np.testing.assert_array_equal(T, np.eye(4))
 
 
-def test_what_a_file_says_of_views_and_solver_is_the_scenes_without_a_line_of_the_library(tmp_path, capfd, caplog) -> None:
-    """MuJoCo would print what differs with a line of this program's source; what changes the motion is refused."""
-    pictures = '<visual><map znear="0.3"/><global offwidth="300"/></visual><statistic extent="9"/><size memory="1M" nuserdata="3"/>'
+def test_what_a_file_says_of_views_and_solver_is_the_scenes_without_a_line_of_the_library(
+    tmp_path, capfd, caplog
+) -> None:
+    """MuJoCo would print what differs with a line of this program's source; what changes the motion
+    is refused.
+    """
+    pictures = (
+        '<visual><map znear="0.3"/><global offwidth="300"/></visual><statistic extent="9"/>'
+        '<size memory="1M" nuserdata="3"/>'
+    )
     solver = '<option o_margin="1" integrator="RK4" iterations="3" magnetic="1 0 0"/>'
-    arm = '<body name="a" pos="0 0 0.7"><joint name="j1"/><geom size="0.1"/><body><joint name="j2" axis="0 1 0"/>'
+    arm = (
+        '<body name="a" pos="0 0 0.7"><joint name="j1"/><geom size="0.1"/><body>'
+        '<joint name="j2" axis="0 1 0"/>'
+    )
     arm += '<geom size="0.1"/><site name="flange" pos="0.2 0 0" euler="0 90 0"/></body></body>'
-    (tmp_path / "arm.xml").write_text(f"<mujoco>{pictures}{solver}<worldbody>{arm}</worldbody></mujoco>")
+    (tmp_path / "arm.xml").write_text(
+        f"<mujoco>{pictures}{solver}<worldbody>{arm}</worldbody></mujoco>"
+    )
     (tmp_path / "own.yaml").write_text("""
-robot: {kind: mjcf, file: arm.xml, flange: flange, speed_limits: [1, 1], torque_limits: [5, 5], start: {nominal: {q_deg: [0, 10]}}}
+robot:
+  kind: mjcf
+  file: arm.xml
+  flange: flange
+  speed_limits: [1, 1]
+  torque_limits: [5, 5]
+  start: {nominal: {q_deg: [0, 10]}}
 camera: {kind: perspective, fovy_deg: 60, mount: {xyz: [0, 0, 0.05]}}
 target: {kind: square, side: 0.2, pose: {xyz: [1, 0, 0.7], rpy_deg: [0, -90, 0]}}
 law: ibvs

@@ -1,4 +1,6 @@
-"""The composed scene: promised names, poses, clock and servos, and a model.xml that stands alone."""
+"""The composed scene: promised names, poses, clock and servos,
+and a model.xml that stands alone.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,14 @@ def pose_of(xpos: np.ndarray, xmat: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "nu", "nq"), [("arm_ibvs", 6, 6), ("ibvs_book", 0, 0)])
 def test_model_xml_loads_alone(name: str, nu: int, nq: int, tmp_path: Path):
-    s = vs.load(name, {"camera.mount": MOUNT, "target.pose": TILTED, "goal.T_camera_target": {"xyz": [0, 0, 1.2]}})
+    s = vs.load(
+        name,
+        {
+            "camera.mount": MOUNT,
+            "target.pose": TILTED,
+            "goal.T_camera_target": {"xyz": [0, 0, 1.2]},
+        },
+    )
     file = tmp_path / "model.xml"
     file.write_text(scene_files(s.scene)[0])
     alone, composed = mujoco.MjModel.from_xml_path(str(file)), compiled(s)
@@ -55,7 +64,9 @@ def test_model_xml_loads_alone(name: str, nu: int, nq: int, tmp_path: Path):
     data = at_start(alone)
     # The text has all digits; the start pose is the scenario's.
     eye = pose_of(data.site("eye").xpos, data.site("eye").xmat)
-    np.testing.assert_allclose(eye, s.robot.flange_pose(s.robot.configuration()) @ s.camera.mount.T, atol=1e-12)
+    np.testing.assert_allclose(
+        eye, s.robot.flange_pose(s.robot.configuration()) @ s.camera.mount.T, atol=1e-12
+    )
     expected = transform(s.target.pose.T, s.target.points)
     markers = [data.site(f"target/marker_{i}").xpos for i in range(4)]
     np.testing.assert_allclose(markers, expected, atol=5e-6)
@@ -79,15 +90,24 @@ def test_the_eye_sits_on_the_flange(mount: dict):
         mujoco.mj_forward(model, data)
         expected = forward(data.qpos) @ Pose(**mount).T
         # Rounding of eight products, and of the mount's quaternion.
-        np.testing.assert_allclose(pose_of(data.site("eye").xpos, data.site("eye").xmat), expected, atol=1e-12)
+        np.testing.assert_allclose(
+            pose_of(data.site("eye").xpos, data.site("eye").xmat), expected, atol=1e-12
+        )
         # MuJoCo's camera looks along -z: the one place of the flip.
-        np.testing.assert_allclose(pose_of(data.camera("eye").xpos, data.camera("eye").xmat) @ FLIP, expected, atol=1e-12)
+        np.testing.assert_allclose(
+            pose_of(data.camera("eye").xpos, data.camera("eye").xmat) @ FLIP, expected, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("actuation", ACTUATIONS)
 def test_actuation_keeps_one_profile(actuation: str):
-    model, chosen = compiled(vs.load("arm_ibvs", {"robot.actuation": actuation})), ACTUATIONS[actuation]
-    assert [model.actuator(i).name for i in range(model.nu)] == [f"robot/joint_{i}" for i in range(1, 7)]
+    model, chosen = (
+        compiled(vs.load("arm_ibvs", {"robot.actuation": actuation})),
+        ACTUATIONS[actuation],
+    )
+    assert [model.actuator(i).name for i in range(model.nu)] == [
+        f"robot/joint_{i}" for i in range(1, 7)
+    ]
     assert model.na == (6 if actuation == "industrial" else 0)
     assert np.all((model.dof_frictionloss > 0) == chosen.friction)
     assert np.all((model.dof_damping > 0) == chosen.friction)
@@ -99,14 +119,18 @@ def test_actuation_keeps_one_profile(actuation: str):
 def test_mocap_things_touch_nothing_and_sites_are_not_drawn():
     plate = {"pose": {"xyz": [1.2, 0, 0.7], "rpy_deg": [0, 90, 0]}}
     model = compiled(vs.load("arm_ibvs", {"world.plates": [plate]}))
-    loose = np.isin(model.geom_bodyid, [model.body(name).id for name in ("target/frame", "plate_0")])
+    loose = np.isin(
+        model.geom_bodyid, [model.body(name).id for name in ("target/frame", "plate_0")]
+    )
     assert loose.sum() == 4 + 1 + 1
     assert not model.geom_contype[loose].any() and not model.geom_conaffinity[loose].any()
     assert np.all(model.site_group >= 3)  # MuJoCo draws groups 0 to 2 by default
 
 
 class TestClock:
-    @pytest.mark.parametrize(("rate_hz", "steps"), [(25, 20), (30, 17), (1000, 1), (60, 9), (0.5, 1000), (29.97, 17)])
+    @pytest.mark.parametrize(
+        ("rate_hz", "steps"), [(25, 20), (30, 17), (1000, 1), (60, 9), (0.5, 1000), (29.97, 17)]
+    )
     def test_the_step_divides_the_period(self, rate_hz: float, steps: int):
         step, n = Clock().resolve(Perspective(rate_hz=rate_hz))
         assert n == steps
@@ -117,8 +141,12 @@ class TestClock:
     def test_a_step_of_ones_own(self):
         assert Clock(step_s=0.001).resolve(Perspective(rate_hz=25)) == (0.001, 40)
 
-    @pytest.mark.parametrize(("rate_hz", "step_s"), [(30, 0.002), (25, 0.003), (100, 0.02), (7, 0.001)])
-    def test_steps_that_do_not_divide_are_refused_with_both_numbers(self, rate_hz: float, step_s: float):
+    @pytest.mark.parametrize(
+        ("rate_hz", "step_s"), [(30, 0.002), (25, 0.003), (100, 0.02), (7, 0.001)]
+    )
+    def test_steps_that_do_not_divide_are_refused_with_both_numbers(
+        self, rate_hz: float, step_s: float
+    ):
         camera = Perspective(rate_hz=rate_hz)
         with pytest.raises(ParameterError) as caught:
             Clock(step_s=step_s).resolve(camera)
@@ -130,16 +158,25 @@ class TestClock:
         assert Clock(step_s=advice).resolve(camera)[1] >= 1
 
 
-@pytest.mark.parametrize(("name", "foot"), [("car_pbvs", 0.40), ("car_catadioptric", 0.40), ("omni_ibvs", 0.119), ("car_line", 0.38)])
+@pytest.mark.parametrize(
+    ("name", "foot"),
+    [("car_pbvs", 0.40), ("car_catadioptric", 0.40), ("omni_ibvs", 0.119), ("car_line", 0.38)],
+)
 def test_a_vehicles_camera_stands_on_a_post_that_it_does_not_see(name: str, foot: float):
-    """From the deck's nearest point (for the one under the chassis its lower side) to the camera's housing."""
+    """From the deck's nearest point (for the one under the chassis its lower side) to the camera's
+    housing.
+    """
     s = vs.load(name)
     model = compiled(s)
     data = at_start(model)
     post, body = model.geom("eye_post"), model.body("robot/base")
     assert (post.group[0], post.contype[0], post.conaffinity[0]) == (1, 0, 0)
-    assert post.bodyid[0] == body.id and np.ptp(post.rgba[:3]) < 0.18  # grey: saturated pixels are markers
-    middle, along = data.geom("eye_post").xpos, data.geom("eye_post").xmat.reshape(3, 3)[:, 2] * post.size[1]
+    # grey: saturated pixels are markers
+    assert post.bodyid[0] == body.id and np.ptp(post.rgba[:3]) < 0.18
+    middle, along = (
+        data.geom("eye_post").xpos,
+        data.geom("eye_post").xmat.reshape(3, 3)[:, 2] * post.size[1],
+    )
     low, high = sorted((middle - along, middle + along), key=lambda p: abs(p[2] - foot))
     assert low[2] == pytest.approx(foot, abs=1e-6)
     np.testing.assert_allclose(high, data.geom("eye_box").xpos, atol=1e-6)

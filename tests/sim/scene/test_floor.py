@@ -17,7 +17,14 @@ PLACES = [(3.0, 3.0), (50.0, -120.0), (-990.0, 3.0)]
 
 
 def craft(x: float, y: float, height: float, floor_z: float = 0.0) -> Plant:
-    s = vs.load("quadrotor_hover", {"robot.start.nominal": {"xyz": [x, y, height]}, "world.floor_z": floor_z, "detector": "oracle"})
+    s = vs.load(
+        "quadrotor_hover",
+        {
+            "robot.start.nominal": {"xyz": [x, y, height]},
+            "world.floor_z": floor_z,
+            "detector": "oracle",
+        },
+    )
     return build_plant(s.scene)[0]
 
 
@@ -36,7 +43,9 @@ def opened() -> Callable[..., Plant]:
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("floor_z", [0.0, -0.7])
-def test_the_range_finder_meets_the_floor(place: tuple[float, float], floor_z: float, opened: Callable[..., Plant]):
+def test_the_range_finder_meets_the_floor(
+    place: tuple[float, float], floor_z: float, opened: Callable[..., Plant]
+):
     reading = opened(*place, 2.0, floor_z).reading()
     assert isinstance(reading, FlightReading)
     # Five standard deviations of the range finder, whose site is 3 cm from the centre at the most.
@@ -63,5 +72,6 @@ def test_a_craft_that_sets_down_knows_it(place: tuple[float, float], opened: Cal
 def test_the_far_floor_is_no_part_of_any_picture(opened: Callable[..., Plant]):
     model = opened(0.0, 0.0, 2.0)._stage.model  # type: ignore[attr-defined] - not of the ideal plant
     ground = model.geom("ground")
-    assert ground.contype == 0 and ground.conaffinity == 0  # the floor itself is endless to contacts
+    # the floor itself is endless to contacts
+    assert ground.contype == 0 and ground.conaffinity == 0
     assert np.flatnonzero(model.geom_group == ground.group[0]).tolist() == [ground.id]

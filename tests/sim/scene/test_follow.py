@@ -1,4 +1,6 @@
-"""The camera of films from outside: robot, target and goal stay in the picture, and the robot large enough to be known."""
+"""The camera of films from outside: robot, target and goal stay in the picture, and the robot large
+enough to be known.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class Filmed:
         fovy = float(self.stage.model.camera("overview").fovy[0])
         self._lens = Perspective(width=WIDTH, height=HEIGHT, fovy_deg=fovy)
 
-    def show(self, t: float, T_camera: Array, T_goal: Array | None, T_target: Array | None = None) -> None:
+    def show(
+        self, t: float, T_camera: Array, T_goal: Array | None, T_target: Array | None = None
+    ) -> None:
         """One frame."""
         self.stage.place(t, self.T_target if T_target is None else T_target, self.q, T_camera)
         self.follow.place(t, T_goal)
@@ -79,7 +83,9 @@ def shows(uv: Array) -> bool:
 
 
 def towards(a: Array, b: Array) -> Callable[[float], Array]:
-    """Poses from a to b (4, 4): straight in ten seconds, turning in the last three of them, then five more there."""
+    """Poses from a to b (4, 4): straight in ten seconds, turning in the last three of them, then
+    five more there.
+    """
     R = np.eye(4)
     R[:3, :3] = a[:3, :3].T @ b[:3, :3]
     turn = log(R)
@@ -93,17 +99,28 @@ def towards(a: Array, b: Array) -> Callable[[float], Array]:
     return at
 
 
-WHOLE = ["omni_ibvs", "quadrotor_hover", "arm_ibvs", "arm_eye_to_hand", "ibvs_book", "spherical_behind"]
+WHOLE = [
+    "omni_ibvs",
+    "quadrotor_hover",
+    "arm_ibvs",
+    "arm_eye_to_hand",
+    "ibvs_book",
+    "spherical_behind",
+]
 """Their target fits into the picture beside a robot of the least size."""
 
 
-@pytest.mark.parametrize("name", one_quick(*WHOLE, "omni_via_points", "car_pbvs", "car_catadioptric", "quadrotor_path", every=3))
+@pytest.mark.parametrize(
+    "name",
+    one_quick(*WHOLE, "omni_via_points", "car_pbvs", "car_catadioptric", "quadrotor_path", every=3),
+)
 def test_robot_target_and_goal_stay_in_the_picture_and_the_robot_large(name: str) -> None:
     s = vs.load(name)
     film = Filmed(s)
     goal = film.T_target @ inverse(s.goal_poses[0])
     moving = s.robot.base != "fixed"
-    # An arm's own motion follows from its joints: its target moves instead, which the view has to show as well.
+    # An arm's own motion follows from its joints: its target moves instead, which the view has to
+    # show as well.
     way = towards(film.start, goal if moving or s.robot.body is None else film.start)
     for t in np.arange(0, 15, 1 / RATE_HZ):
         film.show(t, way(t), goal)
@@ -130,7 +147,8 @@ def test_a_lap_along_a_line_keeps_a_large_robot_in_the_middle() -> None:
         uv = film.pixels(film.robot())
         sizes.append(np.ptp(uv, axis=0).max())
         middles.append(uv.mean(axis=0))
-    assert min(sizes) > 80  # of 640 px; from where the whole track of 11 x 10 m is in the picture, it had 23
+    # of 640 px; from where the whole track of 11 x 10 m is in the picture, it had 23
+    assert min(sizes) > 80
     assert np.ptp(middles, axis=0)[0] < 0.1 * WIDTH
     assert np.ptp(middles, axis=0)[1] < 0.1 * HEIGHT
 
@@ -143,7 +161,8 @@ def test_a_target_that_moves_stays_in_an_arms_picture() -> None:
         film.show(t, film.start, None, path(t))
         eyes.append(film.pose[:3, 3].copy())
         assert shows(film.pixels(transform(path(t), s.target.points)))
-    assert np.linalg.norm(eyes[-1] - eyes[len(eyes) // 2]) < 0.005  # it has seen the whole circle, and stands
+    # it has seen the whole circle, and stands
+    assert np.linalg.norm(eyes[-1] - eyes[len(eyes) // 2]) < 0.005
 
 
 def test_the_view_of_an_arm_rests_until_something_leaves_its_margin() -> None:
@@ -173,13 +192,15 @@ def test_the_view_starts_and_stops_softly_and_keeps_up() -> None:
     eyes, dt = [], 1 / RATE_HZ
     for i in range(200):
         T = film.start.copy()
-        T[0, 3] += 1.0 * max(min(i * dt, 10.0) - 1.0, 0.0)  # stands, drives at 1 m/s from 1 to 10 s, stands
+        # stands, drives at 1 m/s from 1 to 10 s, stands
+        T[0, 3] += 1.0 * max(min(i * dt, 10.0) - 1.0, 0.0)
         film.show(i * dt, T, None)
         eyes.append(film.pose[:3, 3].copy())
     speed = np.linalg.norm(np.diff(eyes, axis=0), axis=1) / dt
     assert speed[100] == pytest.approx(1.0, abs=1e-3)
     assert speed[-1] < 1e-3
-    assert np.abs(np.diff(speed)).max() < 0.45  # [m/s] from one frame to the next; an unfiltered view has 1
+    # [m/s] from one frame to the next; an unfiltered view has 1
+    assert np.abs(np.diff(speed)).max() < 0.45
     lag = np.array(eyes[100]) - eyes[0] - [100 * dt - 1.0, 0, 0]
     assert np.linalg.norm(lag) < 0.01
 
@@ -204,24 +225,66 @@ def test_the_wrist_of_an_arm_and_all_markers_are_seen() -> None:
     eye, model, data = film.pose[:3, 3].copy(), film.stage.model, film.stage.data
     for name in [f"target/marker_{i}" for i in range(4)]:
         way, hit = data.geom(name).xpos - eye, np.zeros(1, np.int32)
-        mujoco.mj_ray(model, data, eye, way / np.linalg.norm(way), np.array([1, 1, 1, 1, 1, 0], np.uint8), 1, -1, hit)
+        mujoco.mj_ray(
+            model,
+            data,
+            eye,
+            way / np.linalg.norm(way),
+            np.array([1, 1, 1, 1, 1, 0], np.uint8),
+            1,
+            -1,
+            hit,
+        )
         assert model.geom(int(hit[0])).name == name
     way = film.start[:3, 3] - eye
-    mujoco.mj_ray(model, data, eye, way / np.linalg.norm(way), np.array([1, 1, 1, 1, 1, 0], np.uint8), 1, -1, hit)
+    mujoco.mj_ray(
+        model,
+        data,
+        eye,
+        way / np.linalg.norm(way),
+        np.array([1, 1, 1, 1, 1, 0], np.uint8),
+        1,
+        -1,
+        hit,
+    )
     assert any(word in model.geom(int(hit[0])).name for word in ("wrist", "hand", "camera", "eye"))
 
 
 @pytest.mark.parametrize("at", [None, (0.5, 0.1, 0.8)])
-@pytest.mark.parametrize(("azimuth", "elevation", "distance"), [(120.0, -20.0, 3.0), (-30.0, 60.0, 1.5), (0.0, -90.0, 4.0)])
-def test_a_view_of_ones_own_is_that_of_mujocos_viewer(azimuth: float, elevation: float, distance: float, at) -> None:
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "distance"),
+    [(120.0, -20.0, 3.0), (-30.0, 60.0, 1.5), (0.0, -90.0, 4.0)],
+)
+def test_a_view_of_ones_own_is_that_of_mujocos_viewer(
+    azimuth: float, elevation: float, distance: float, at
+) -> None:
     filmed = Filmed(vs.load("arm_ibvs"))
     filmed.stage.place(0.0, filmed.T_target, filmed.q)
-    FixedView(azimuth, elevation, distance, at=None if at is None else np.array(at)).place(filmed.stage, filmed.things)
+    FixedView(azimuth, elevation, distance, at=None if at is None else np.array(at)).place(
+        filmed.stage, filmed.things
+    )
     camera, scene = mujoco.MjvCamera(), mujoco.MjvScene(filmed.stage.model, 2000)
-    camera.type, camera.azimuth, camera.elevation, camera.distance = mujoco.mjtCamera.mjCAMERA_FREE, azimuth, elevation, distance
-    camera.lookat[:] = filmed.things.points(filmed.stage.data).reshape(-1, 3).mean(axis=0) if at is None else at
-    mujoco.mjv_updateScene(filmed.stage.model, filmed.stage.data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+    camera.type, camera.azimuth, camera.elevation, camera.distance = (
+        mujoco.mjtCamera.mjCAMERA_FREE,
+        azimuth,
+        elevation,
+        distance,
+    )
+    camera.lookat[:] = (
+        filmed.things.points(filmed.stage.data).reshape(-1, 3).mean(axis=0) if at is None else at
+    )
+    mujoco.mjv_updateScene(
+        filmed.stage.model,
+        filmed.stage.data,
+        mujoco.MjvOption(),
+        None,
+        camera,
+        mujoco.mjtCatBit.mjCAT_ALL,
+        scene,
+    )
     eyes = scene.camera
-    np.testing.assert_allclose(filmed.pose[:3, 3], (np.array(eyes[0].pos) + eyes[1].pos) / 2, atol=1e-5)
+    np.testing.assert_allclose(
+        filmed.pose[:3, 3], (np.array(eyes[0].pos) + eyes[1].pos) / 2, atol=1e-5
+    )
     np.testing.assert_allclose(filmed.pose[:3, 2], eyes[0].forward, atol=1e-6)
     np.testing.assert_allclose(-filmed.pose[:3, 1], eyes[0].up, atol=1e-6)

@@ -11,8 +11,15 @@ from vstestbed.sim.replay import Replay
 from vstestbed.sim.scene.meshes import solids
 from vstestbed.vision.tags import PX_PER_MODULE, tag_picture
 
-SIZES = {"sphere": (".3", 4 / 3 * np.pi * 0.3**3), "box": (".1 .2 .3", 8 * 0.1 * 0.2 * 0.3), "cylinder": (".2 .4", np.pi * 0.04 * 0.8)}
-SIZES |= {"capsule": (".2 .4", np.pi * 0.04 * 0.8 + 4 / 3 * np.pi * 0.008), "ellipsoid": (".1 .2 .3", 4 / 3 * np.pi * 0.006)}
+SIZES = {
+    "sphere": (".3", 4 / 3 * np.pi * 0.3**3),
+    "box": (".1 .2 .3", 8 * 0.1 * 0.2 * 0.3),
+    "cylinder": (".2 .4", np.pi * 0.04 * 0.8),
+}
+SIZES |= {
+    "capsule": (".2 .4", np.pi * 0.04 * 0.8 + 4 / 3 * np.pi * 0.008),
+    "ellipsoid": (".1 .2 .3", 4 / 3 * np.pi * 0.006),
+}
 
 
 @pytest.mark.parametrize("kind", SIZES)
@@ -22,14 +29,29 @@ def test_a_geom_keeps_its_volume_and_faces_outwards(kind: str):
     xml = f"<mujoco><worldbody><body>{geom}</body></worldbody></mujoco>"
     (solid,) = solids(mujoco.MjModel.from_xml_string(xml))
     a, b, c = (solid.vertices[solid.faces[:, i]] for i in range(3))
-    signed = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6  # of the divergence theorem: positive where normals face outwards
-    assert signed == pytest.approx(volume, rel=0.04) and solid.rgb == (1.0, 0.0, 0.0) and solid.body == 1
+    # of the divergence theorem: positive where normals face outwards
+    signed = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
+    assert (
+        signed == pytest.approx(volume, rel=0.04)
+        and solid.rgb == (1.0, 0.0, 0.0)
+        and solid.body == 1
+    )
     np.testing.assert_allclose(solid.vertices.mean(axis=0), [1, 2, 3], atol=0.03)
 
 
 @pytest.mark.parametrize(
     "name",
-    ["arm_ibvs", "car_parking", "quadrotor_hover", "omni_ibvs", "arm_tags", "arm_eye_to_hand", "car_line", "arm_picture", "arm_mesh"],
+    [
+        "arm_ibvs",
+        "car_parking",
+        "quadrotor_hover",
+        "omni_ibvs",
+        "arm_tags",
+        "arm_eye_to_hand",
+        "car_line",
+        "arm_picture",
+        "arm_mesh",
+    ],
 )
 def test_every_robot_and_target_is_there(name: str):
     s = vs.load(name)
@@ -45,19 +67,26 @@ def test_every_robot_and_target_is_there(name: str):
 def test_markers_have_their_colours_and_tags_their_print():
     s = vs.load("arm_ibvs")
     replay = Replay(s.scene)
-    colours = {solid.rgb for solid in replay.solids if replay.body_names[solid.body] == "target/frame"}
+    colours = {
+        solid.rgb for solid in replay.solids if replay.body_names[solid.body] == "target/frame"
+    }
     for colour in s.target.colors:
         assert min(np.abs(np.array(c) - colour).max() for c in colours) < 0.01
     replay.close()
     s = vs.load("arm_tags")
     replay = Replay(s.scene)
     prints = replay.panes
-    assert len(prints) == 4 and {replay.body_names[pane.body] for pane in prints} == {"target/frame"}
+    assert len(prints) == 4 and {replay.body_names[pane.body] for pane in prints} == {
+        "target/frame"
+    }
     for i, pane in enumerate(prints):
         size = (s.target.marker.modules + 2) * PX_PER_MODULE
         np.testing.assert_array_equal(pane.image[..., 0], tag_picture(s.target.marker, i))
-        assert pane.image.shape == (size, size, 3) and pane.width == pytest.approx(s.target.marker.tile)
-        np.testing.assert_allclose(pane.T_body_pane[:3, :3], np.eye(3), atol=1e-9)  # upright for who looks along z
+        assert pane.image.shape == (size, size, 3) and pane.width == pytest.approx(
+            s.target.marker.tile
+        )
+        # upright for who looks along z
+        np.testing.assert_allclose(pane.T_body_pane[:3, :3], np.eye(3), atol=1e-9)
     replay.close()
 
 
@@ -65,7 +94,11 @@ def test_a_picture_is_there_without_its_margin():
     s = vs.load("arm_picture")
     replay = Replay(s.scene)
     (pane,) = replay.panes
-    assert (pane.width, pane.height) == pytest.approx((0.6, 0.424)) and pane.image.shape == (896, 1792, 3)
+    assert (pane.width, pane.height) == pytest.approx((0.6, 0.424)) and pane.image.shape == (
+        896,
+        1792,
+        3,
+    )
     corner = pane.image[: 2 * 40, : 2 * 50].mean(), pane.image[-30:, -40:].mean()
     assert min(corner) > 200  # white paper, as in the file
     tag = pane.image[round(130 / 848 * 896), round(55 / 1200 * 1792)]
@@ -78,7 +111,9 @@ def test_poses_are_those_of_the_state():
     replay = Replay(s.scene)
     q = s.robot.start_joints()
     xpos, xquat = replay.body_poses(0.0, s.target.T_world_start, q, np.eye(4))
-    np.testing.assert_allclose(xpos[replay.body_names.index("target/frame")], s.target.T_world_start[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(
+        xpos[replay.body_names.index("target/frame")], s.target.T_world_start[:3, 3], atol=1e-9
+    )
     before = xpos.copy()
     xpos, xquat = replay.body_poses(0.0, s.target.T_world_start, q + 0.1, np.eye(4))
     assert np.abs(xpos - before).max() > 0.01 and np.allclose(np.linalg.norm(xquat, axis=1), 1)

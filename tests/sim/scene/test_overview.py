@@ -55,7 +55,9 @@ def projected(T: Array, f: float, points: Array) -> Array:
 
 
 def way(s: Scenario) -> Array:
-    """Places (K, 2) where the vehicle will be: the ideal car's way, along the route, or straight from goal to goal."""
+    """Places (K, 2) where the vehicle will be: the ideal car's way, along the route, or straight
+    from goal to goal.
+    """
     start, goals = s.robot.configuration(), [g.place for g in s.goal_views if g.place is not None]
     ideal = ideal_bicycle_path(s)
     if ideal is not None:
@@ -74,13 +76,20 @@ def test_way_goals_and_landmarks_are_in_the_picture(name: str):
     s = vs.load(name)
     T, f = overview(compose(s.scene).compile())
     places, size = way(s), extent_of(s.robot)
-    corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (0, 0.8)]) * size
+    corners = (
+        np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (0, 0.8)]) * size
+    )
     vehicle = (np.c_[places, np.zeros(len(places))][:, None] + corners).reshape(-1, 3)
-    marks = np.empty((0, 3)) if isinstance(s.target, GroundLines) else transform(s.target.T_world_start, s.target.points)
+    marks = (
+        np.empty((0, 3))
+        if isinstance(s.target, GroundLines)
+        else transform(s.target.T_world_start, s.target.points)
+    )
     shown = np.concatenate([vehicle, marks])
     uv = projected(T, f, shown)
     assert np.abs(uv).max(axis=0)[0] < WIDTH / 2 and np.abs(uv).max(axis=0)[1] < HEIGHT / 2
-    # The vehicle can be known where it starts: a base of .4 m has 55 px of 960 in 7 m, and 34 at the far end of a track of 11 by 10 m.
+    # The vehicle can be known where it starts: a base of .4 m has 55 px of 960 in 7 m, and 34 at
+    # the far end of a track of 11 by 10 m.
     assert np.ptp(projected(T, f, vehicle[:8]), axis=0).max() > 30
 
 
@@ -89,9 +98,16 @@ def test_a_turn_away_from_the_goal_is_in_the_picture():
     scene = mujoco.MjSpec.from_file(str(model_path("world.xml")))
     frame_drive(scene, np.array([[0, 0, 0], [6.0, 0, 0]]), np.zeros((0, 3)), size=1.5)
     T, f = overview(scene.compile())
-    turn = np.array([moved(np.array([0, 0, np.pi / 2]), np.array([1.0, 0, -1.0]), t)[:2] for t in np.linspace(0, np.pi / 2, 20)])
+    turn = np.array(
+        [
+            moved(np.array([0, 0, np.pi / 2]), np.array([1.0, 0, -1.0]), t)[:2]
+            for t in np.linspace(0, np.pi / 2, 20)
+        ]
+    )
     uv = projected(T, f, np.c_[turn, np.zeros(20)])
-    assert np.abs(uv[:, 0]).max() < HEIGHT * WIDE_PICTURE / 2 and np.abs(uv[:, 1]).max() < HEIGHT / 2
+    assert (
+        np.abs(uv[:, 0]).max() < HEIGHT * WIDE_PICTURE / 2 and np.abs(uv[:, 1]).max() < HEIGHT / 2
+    )
 
 
 def test_the_light_that_casts_shadows_covers_the_way():
@@ -100,7 +116,11 @@ def test_the_light_that_casts_shadows_covers_the_way():
     light = model.light("key")
     along = np.array([0.45, 0.45, -1]) / np.linalg.norm([0.45, 0.45, -1])
     reach = model.vis.map.shadowclip * model.stat.extent
-    for point in (*np.c_[way(s), np.zeros(len(way(s)))], *transform(s.target.T_world_start, s.target.points)):
+    for point in (
+        *np.c_[way(s), np.zeros(len(way(s)))],
+        *transform(s.target.T_world_start, s.target.points),
+    ):
         step = point - light.pos
         assert step @ along > 0  # before the light
-        assert np.linalg.norm(np.cross(step, along)) <= reach + 1e-9  # within its depth map, a square of twice that side
+        # within its depth map, a square of twice that side
+        assert np.linalg.norm(np.cross(step, along)) <= reach + 1e-9

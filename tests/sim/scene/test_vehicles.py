@@ -1,4 +1,6 @@
-"""Vehicles in a scene and on the plant's clock: they stand where they start, read their own sensors, lead and are filmed."""
+"""Vehicles in a scene and on the plant's clock: they stand where they start, read their own
+sensors, lead and are filmed.
+"""
 
 import mujoco
 import numpy as np
@@ -27,7 +29,8 @@ def test_it_starts_at_rest_where_it_is_told(name):
     plant = plant_of(s)
     truth = plant.capture()[1]
     base = place_of(truth.T_world_camera @ inverse(s.camera.mount.T))
-    np.testing.assert_allclose(base, s.robot.configuration(), atol=2e-4)  # springs settle by .02 mrad
+    # springs settle by .02 mrad
+    np.testing.assert_allclose(base, s.robot.configuration(), atol=2e-4)
     assert np.abs(truth.twist).max() < 1e-6
     assert not truth.contact  # wheels on the floor are no collision
     before = truth.T_world_camera
@@ -57,7 +60,8 @@ def test_a_reading_stays_until_time_passes():
     plant = plant_of(vs.load("car_pbvs"))
     first = plant.reading()
     assert plant.reading() is first
-    assert type(first) is Reading and first.heading not in (None, 0.0)  # the compass; the true heading does not come out
+    # the compass; the true heading does not come out
+    assert type(first) is Reading and first.heading not in (None, 0.0)
     plant.advance(5)
     assert plant.reading() is not first
 
@@ -105,9 +109,13 @@ class TestOverview:
         forward = np.cross(up, right)
         eye = eye_for(points, right, up, half)
         d = points - eye
-        across, above = d @ right / (d @ forward) / (half * WIDE_PICTURE), d @ up / (d @ forward) / half
+        across, above = (
+            d @ right / (d @ forward) / (half * WIDE_PICTURE),
+            d @ up / (d @ forward) / half,
+        )
         most = max(1.12 * np.abs(across).max(), 1.25 * np.abs(above).max())
-        assert most == pytest.approx(1, rel=1e-6)  # the room that is left round it, more above and below
+        # the room that is left round it, more above and below
+        assert most == pytest.approx(1, rel=1e-6)
 
     @pytest.mark.parametrize("name", NAMES)
     def test_start_goal_landmarks_and_route_are_in_the_picture(self, name):
@@ -118,7 +126,13 @@ class TestOverview:
         camera = stage.model.camera("overview").id
         R, o = stage.data.cam_xmat[camera].reshape(3, 3), stage.data.cam_xpos[camera]
         landmarks = s.target.points if s.target.motion.kind == "still" else np.zeros((0, 3))
-        points = np.concatenate([[s.robot.flange_pose(s.robot.configuration())[:3, 3]], landmarks, np.array(s.sights).reshape(-1, 3)])
+        points = np.concatenate(
+            [
+                [s.robot.flange_pose(s.robot.configuration())[:3, 3]],
+                landmarks,
+                np.array(s.sights).reshape(-1, 3),
+            ]
+        )
         p = (points - o) @ R
         half = np.tan(np.radians(stage.model.cam_fovy[camera] / 2))
         assert (np.abs(p[:, 1] / p[:, 2]) < half).all()
@@ -136,4 +150,11 @@ def test_replay_puts_vehicle_and_leader_where_the_log_has_them():
     stage.place(2.0, truth.T_world_target, truth.q, truth.T_world_camera)
     np.testing.assert_allclose(stage.camera_pose(), truth.T_world_camera, atol=1e-12)
     np.testing.assert_allclose(stage.target_pose(), truth.T_world_target, atol=1e-12)
-    assert np.abs(relative(s.robot.configuration(), place_of(truth.T_world_camera @ inverse(s.camera.mount.T)))[:2]).max() > 0.3
+    assert (
+        np.abs(
+            relative(
+                s.robot.configuration(), place_of(truth.T_world_camera @ inverse(s.camera.mount.T))
+            )[:2]
+        ).max()
+        > 0.3
+    )

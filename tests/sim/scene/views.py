@@ -28,10 +28,15 @@ DOWN = Pose(xyz=(0, 0, 2), rpy_deg=(180, 0, 0))
 
 @contextmanager
 def seen(
-    world: World, target: Target = FAR, lens: Camera = LENS, by: tuple[type, ...] = (OpenGLRenderer, RayRenderer)
+    world: World,
+    target: Target = FAR,
+    lens: Camera = LENS,
+    by: tuple[type, ...] = (OpenGLRenderer, RayRenderer),
 ) -> Iterator[Callable[..., list[Image]]]:
     """The pictures as a function of the camera's pose and the time."""
-    stage = Scene(SceneDescription(Free(start=FreeStart(nominal=Pose())), lens, target, world, step=0.002))
+    stage = Scene(
+        SceneDescription(Free(start=FreeStart(nominal=Pose())), lens, target, world, step=0.002)
+    )
     eyes = [renderer(stage, lens) for renderer in by]
 
     def at(view: Pose = DOWN, t: float = 0.0) -> list[Image]:
@@ -42,7 +47,9 @@ def seen(
     stage.close()
 
 
-def pixel_of(point: tuple[float, float, float], view: Pose = DOWN, lens: Perspective = LENS) -> np.ndarray:
+def pixel_of(
+    point: tuple[float, float, float], view: Pose = DOWN, lens: Perspective = LENS
+) -> np.ndarray:
     """The pixel (2,) of a point of the world."""
     p = np.linalg.inv(view.T) @ [*point, 1.0]
     return lens.f * p[:2] / p[2] + [(lens.width - 1) / 2, (lens.height - 1) / 2]

@@ -7,13 +7,23 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import ScenarioError
-from vstestbed.studies.bench import BesideFloor, SpeedChange, changes_text, read_saved, speed_changes
+from vstestbed.studies.bench import (
+    BesideFloor,
+    SpeedChange,
+    changes_text,
+    read_saved,
+    speed_changes,
+)
 
 
 def timing(*ratios: float) -> BesideFloor:
     """Pairs with these ratios, on a machine that is twice as slow at every second pair."""
     floors = tuple(1.0 + i % 2 for i in range(len(ratios)))
-    return BesideFloor(floor="of the test", seconds=tuple(r * f for r, f in zip(ratios, floors, strict=True)), floor_seconds=floors)
+    return BesideFloor(
+        floor="of the test",
+        seconds=tuple(r * f for r, f in zip(ratios, floors, strict=True)),
+        floor_seconds=floors,
+    )
 
 
 def test_the_ratio_is_that_of_pairs_whatever_the_load():
@@ -35,9 +45,18 @@ def test_a_change_is_one_beyond_the_noise():
 
 
 def test_only_what_both_measured_is_compared():
-    both = speed_changes({"arm": timing(2.0), "old": timing(1.0)}, {"arm": timing(3.0), "new": timing(1.0)})
+    both = speed_changes(
+        {"arm": timing(2.0), "old": timing(1.0)}, {"arm": timing(3.0), "new": timing(1.0)}
+    )
     assert list(both) == ["arm"]
-    assert changes_text(both).splitlines()[1].split() == ["arm", "2.00", "3.00", "+50", "%", "slower"]
+    assert changes_text(both).splitlines()[1].split() == [
+        "arm",
+        "2.00",
+        "3.00",
+        "+50",
+        "%",
+        "slower",
+    ]
     assert changes_text(both).endswith("slower beyond the noise: arm")
 
 
@@ -46,11 +65,17 @@ def test_a_file_that_is_no_measurement(tmp_path: Path):
         ("", "1:1: is empty; `vstestbed bench --all --json` prints one"),
         ('{"machine": {}}', "timings: is missing"),
         (
-            '{"machine": {},\n "timings": {"a": {"floor": "f", "seconds": [1], "floor_seconds": [0]}}}',
+            (
+                '{"machine": {},\n'
+                ' "timings": {"a": {"floor": "f", "seconds": [1], "floor_seconds": [0]}}}'
+            ),
             "2:68: timings.a.floor_seconds.0: must be > 0",
         ),
         (
-            '{"machine": {},\n "timings": {"a": {"floor": "f", "seconds": [1, 2], "floor_seconds": [1]}}}',
+            (
+                '{"machine": {},\n'
+                ' "timings": {"a": {"floor": "f", "seconds": [1, 2], "floor_seconds": [1]}}}'
+            ),
             "must be 2 numbers, one for each of seconds",
         ),
     ):

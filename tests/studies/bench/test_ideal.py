@@ -12,7 +12,9 @@ from vstestbed.studies import bench
 
 def test_both_rates_are_steps_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = itertools.count(0, 4)  # every look at the clock is 4 s later
-    clock = types.SimpleNamespace(perf_counter=lambda: next(ticks), process_time=lambda: next(ticks))
+    clock = types.SimpleNamespace(
+        perf_counter=lambda: next(ticks), process_time=lambda: next(ticks)
+    )
     monkeypatch.setattr(bench, "time", clock)
     result = bench.measure_ideal(repeats=1, steps=3, runs=2)
     assert result.run_steps == 2 * bench.BATCH_STEPS  # no run reaches its goal in so few steps

@@ -1,4 +1,6 @@
-"""Comparisons that run: the same results wherever they are done, dead workers, laws that raise, what is kept, what is resumed."""
+"""Comparisons that run: the same results wherever they are done, dead workers, laws that raise,
+what is kept, what is resumed.
+"""
 
 from __future__ import annotations
 
@@ -99,11 +101,17 @@ class Kills(IBVS):
 
 def timeless(table: pl.DataFrame) -> pl.DataFrame:
     """The table without what depends on the machine's mood."""
-    return table.drop([c for c in table.columns if c.startswith("time_ms.")] + ["wall_time_s", "real_time_factor", "attempts"])
+    return table.drop(
+        [c for c in table.columns if c.startswith("time_ms.")]
+        + ["wall_time_s", "real_time_factor", "attempts"]
+    )
 
 
 def logs(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.glob("runs/**/log.parquet"))}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.glob("runs/**/log.parquet"))
+    }
 
 
 @pytest.fixture
@@ -116,9 +124,20 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_kinds: None) -> 
 
 
 @pytest.mark.process
-def test_this_process_two_jobs_and_dask_give_the_same(quick: Path, tmp_path: Path, cluster: str, monkeypatch: pytest.MonkeyPatch):
+def test_this_process_two_jobs_and_dask_give_the_same(
+    quick: Path, tmp_path: Path, cluster: str, monkeypatch: pytest.MonkeyPatch
+):
     tables = [
-        compare([quick], GAINS, seeds=3, jobs=jobs, executor=executor, out=tmp_path / name, film=False, report=False)
+        compare(
+            [quick],
+            GAINS,
+            seeds=3,
+            jobs=jobs,
+            executor=executor,
+            out=tmp_path / name,
+            film=False,
+            report=False,
+        )
         for name, jobs, executor in (("two", 2, "local"), ("dask", None, cluster))
     ]
     run_here(monkeypatch)
@@ -145,20 +164,36 @@ def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path, here
         summary = json.loads((folder / "summary.json").read_text())
         assert row["final_error_px"] == summary["final_error_px"]
         assert row["time_ms.law"] == summary["time_ms"]["law"]
-        assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "resolved.yaml", "model.xml", "log.parquet", "summary.json"}
+        assert {p.name for p in folder.iterdir()} == {
+            "scenario.yaml",
+            "resolved.yaml",
+            "model.xml",
+            "log.parquet",
+            "summary.json",
+        }
 
 
 @pytest.mark.study
 def test_the_paired_difference_of_two_gains_is_what_theory_gives(quick: Path, tmp_path: Path):
-    """The error falls as exp(-gain t), so a run takes log(error at the start / threshold) / gain."""
+    """The error falls as exp(-gain t), so a run takes log(error at the start /
+    threshold) / gain.
+    """
     table = compare([quick], GAINS, seeds=8, jobs=2, out=tmp_path / "c", film=False, report=False)
     slow, fast = (table.filter(pl.col("law.gain") == gain) for gain in GAINS["law.gain"])
-    first = [pl.read_parquet(tmp_path / "c" / folder / "log.parquet")["error_px"][0] for folder in slow["folder"]]
+    first = [
+        pl.read_parquet(tmp_path / "c" / folder / "log.parquet")["error_px"][0]
+        for folder in slow["folder"]
+    ]
     theory = np.log(np.array(first) / 0.2) * (1 / 3 - 1 / 6)
-    found = paired_difference(slow["time_to_converge_s"].to_numpy(), fast["time_to_converge_s"].to_numpy())
+    found = paired_difference(
+        slow["time_to_converge_s"].to_numpy(), fast["time_to_converge_s"].to_numpy()
+    )
     assert found.p <= 0.05 and found.excludes_zero
-    assert found.low <= theory.mean() + 0.04 and theory.mean() - 0.04 <= found.high  # times are whole frames of 40 ms
-    same = paired_difference(slow["time_to_converge_s"].to_numpy(), slow["time_to_converge_s"].to_numpy())
+    # times are whole frames of 40 ms
+    assert found.low <= theory.mean() + 0.04 and theory.mean() - 0.04 <= found.high
+    same = paired_difference(
+        slow["time_to_converge_s"].to_numpy(), slow["time_to_converge_s"].to_numpy()
+    )
     assert (same.mean, same.low, same.high, same.p) == (0, 0, 0, 1)
 
 
@@ -172,20 +207,35 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
         {"kind": "drives", "twist": [0, 0, -100, 0, 0, 0]},
         {"kind": "drives", "twist": [0, 0, 0, 0, 1, 0]},
     )
-    table = compare([quick], {"law": laws}, jobs=2, out=tmp_path / "c", plugins=[plugin], film=False)
-    assert table["outcome"].to_list() == ["converged", "law_failed", "converged", "crashed", "diverged", "target_lost"]
+    table = compare(
+        [quick], {"law": laws}, jobs=2, out=tmp_path / "c", plugins=[plugin], film=False
+    )
+    assert table["outcome"].to_list() == [
+        "converged",
+        "law_failed",
+        "converged",
+        "crashed",
+        "diverged",
+        "target_lost",
+    ]
     assert table["attempts"].to_list() == [1, 1, 2, 2, 1, 1]
     assert "ZeroDivisionError: gain over nothing (broken_laws.py, line 24)" in table["reason"][1]
     assert table["reason"][3] == "its worker process died, and the one that tried again, too"
     assert len((tmp_path / "always").read_text()) == 2
     page = (tmp_path / "c" / "report.html").read_text(encoding="utf-8")
-    for words in ("ZeroDivisionError: gain over nothing", "its worker process died, and the one that tried again, too", "worker died once"):
+    for words in (
+        "ZeroDivisionError: gain over nothing",
+        "its worker process died, and the one that tried again, too",
+        "worker died once",
+    ):
         assert words in page
 
 
 @pytest.mark.process
 @pytest.mark.study
-def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path):
+def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothing_to_do_is_no_loss(
+    quick: Path, tmp_path: Path
+):
     runner = Runner(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     request = Request("runs/a", perform, (given_text(vs.load(quick)), False))
     with closing(LocalPool(1, tmp_path)) as pool:
@@ -200,7 +250,8 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothin
         assert json.loads(again["summary.json"])["outcome"] == "converged"
         assert pool.tries(request) == 2
         assert slot.pid.result() != before
-        assert pool.call(os.getpid).result() == os.getpid()  # one worker leaves shares of the report to this process
+        # one worker leaves shares of the report to this process
+        assert pool.call(os.getpid).result() == os.getpid()
         os.kill(slot.pid.result(), signal.SIGKILL)
         gone(slot.pid.result())
         runner.run(pool)  # before the pool hears of it
@@ -210,7 +261,9 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothin
 @pytest.mark.process
 @pytest.mark.study
 @pytest.mark.parametrize("later_s", [0.0, 1.0])  # before its pool hears of it, and after
-def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path, later_s: float):
+def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(
+    quick: Path, tmp_path: Path, later_s: float
+):
     runner = Runner(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     with closing(LocalPool(1, tmp_path)) as pool:
         pool._start()
@@ -224,16 +277,34 @@ def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, t
 
 @pytest.mark.process
 @pytest.mark.study
-def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(quick: Path, tmp_path: Path):
+def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(
+    quick: Path, tmp_path: Path
+):
     with closing(LocalPool(2, tmp_path)) as pool:
         pool._start()
         first, second = (slot.pid.result() for slot in pool._slots)
-        assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {first, second}
+        assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {
+            first,
+            second,
+        }
         os.kill(first, signal.SIGKILL)
         gone(first)
-        assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {first, second, os.getpid()}
+        assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {
+            first,
+            second,
+            os.getpid(),
+        }
         for _ in range(2):  # one for each worker: they end in the middle of a run
-            pool.submit(Request("runs/a", perform, (given_text(vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4})), False)))
+            pool.submit(
+                Request(
+                    "runs/a",
+                    perform,
+                    (
+                        given_text(vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4})),
+                        False,
+                    ),
+                )
+            )
     gone(second)
 
 
@@ -242,28 +313,53 @@ def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(qu
 def test_a_dask_worker_that_is_a_process_gives_the_same(
     quick: Path, tmp_path: Path, cluster_of_processes: str, monkeypatch: pytest.MonkeyPatch
 ):
-    there = compare([quick], GAINS, seeds=3, executor=cluster_of_processes, out=tmp_path / "dask", film=False, report=False)
+    there = compare(
+        [quick],
+        GAINS,
+        seeds=3,
+        executor=cluster_of_processes,
+        out=tmp_path / "dask",
+        film=False,
+        report=False,
+    )
     run_here(monkeypatch)
-    assert timeless(there).equals(timeless(compare([quick], GAINS, seeds=3, out=tmp_path / "one", film=False, report=False)))
+    assert timeless(there).equals(
+        timeless(compare([quick], GAINS, seeds=3, out=tmp_path / "one", film=False, report=False))
+    )
     assert logs(tmp_path / "one") == logs(tmp_path / "dask")
 
 
 @pytest.mark.process
 def test_dask_counts_the_tries_of_one_comparison_alone(quick: Path, tmp_path: Path, cluster: str):
     for name in ("first", "second"):
-        table = compare([quick], seeds=2, executor=cluster, out=tmp_path / name, film=False, report=False)
+        table = compare(
+            [quick], seeds=2, executor=cluster, out=tmp_path / name, film=False, report=False
+        )
         assert table["attempts"].to_list() == [1, 1]
 
 
 @pytest.mark.process
 @pytest.mark.study
-def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, vstestbed_process: Any):
+def test_a_script_without_a_main_guard_is_told_so(
+    quick: Path, tmp_path: Path, vstestbed_process: Any
+):
     script = tmp_path / "script.py"
     script.write_text(
-        "import vstestbed as vs\nvs.compare(['arm_ibvs'], set={'stop.duration_s': 0.2}, jobs=1, film=False)\n", encoding="utf-8"
+        (
+            "import vstestbed as vs\n"
+            "vs.compare(['arm_ibvs'], set={'stop.duration_s': 0.2}, jobs=1, film=False)\n"
+        ),
+        encoding="utf-8",
     )
     words, environment = vstestbed_process
-    done = subprocess.run([words[0], str(script)], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [words[0], str(script)],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode != 0
     assert "under `if __name__ == '__main__':`" in done.stderr.splitlines()[-1]
     assert not list(tmp_path.glob("runs/compare/*/runs/*/*/*"))
@@ -286,19 +382,44 @@ class TestResume:
         out, done = tmp_path / "c", []
         whole = compare([quick], GAINS, seeds=2, jobs=1, out=out, film=False, report=False)
         (out / "runs/quick/law.gain=3.0/1").rename(tmp_path / "taken")
-        (out / "runs/quick/law.gain=6.0/1").rename(out / f"runs/quick/law.gain=6.0/1.{16 * 'f'}.part")  # as a power cut leaves it
+        # as a power cut leaves it
+        (out / "runs/quick/law.gain=6.0/1").rename(
+            out / f"runs/quick/law.gain=6.0/1.{16 * 'f'}.part"
+        )
         kept = (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns
-        (out / "runs/quick/law.gain=6.0/0/summary.json").write_text("{", encoding="utf-8")  # as a broken disk leaves it
-        again = compare([], out=out, resume=True, jobs=1, film=False, report=False, on_done=lambda job, summary: done.append(job.folder))
-        assert sorted(done) == ["runs/quick/law.gain=3.0/1", "runs/quick/law.gain=6.0/0", "runs/quick/law.gain=6.0/1"]
+        # as a broken disk leaves it
+        (out / "runs/quick/law.gain=6.0/0/summary.json").write_text("{", encoding="utf-8")
+        again = compare(
+            [],
+            out=out,
+            resume=True,
+            jobs=1,
+            film=False,
+            report=False,
+            on_done=lambda job, summary: done.append(job.folder),
+        )
+        assert sorted(done) == [
+            "runs/quick/law.gain=3.0/1",
+            "runs/quick/law.gain=6.0/0",
+            "runs/quick/law.gain=6.0/1",
+        ]
         assert (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns == kept
         assert timeless(again).equals(timeless(whole))
         assert not list(out.glob("**/*.part"))
 
-    def test_it_goes_on_with_what_the_folder_compares(self, quick: Path, tmp_path: Path, here: None):
+    def test_it_goes_on_with_what_the_folder_compares(
+        self, quick: Path, tmp_path: Path, here: None
+    ):
         out = tmp_path / "c"
         compare([quick], GAINS, seeds=1, jobs=1, out=out, film=False, report=False)
-        assert len(compare([quick], GAINS, seeds=1, jobs=1, out=out, resume=True, film=False, report=False)) == 2
+        assert (
+            len(
+                compare(
+                    [quick], GAINS, seeds=1, jobs=1, out=out, resume=True, film=False, report=False
+                )
+            )
+            == 2
+        )
         quick.write_text(quick.read_text().replace("side: 0.4", "side: 0.3"))
         with pytest.raises(ParameterError, match="--resume goes on with what the folder compares"):
             compare([quick], GAINS, seeds=1, out=out, resume=True)
@@ -308,9 +429,19 @@ class TestResume:
     @pytest.mark.process
     @pytest.mark.study
     @pytest.mark.parametrize("moments", [tuple(0.07 * i for i in range(10))])
-    def test_killed_again_and_again(self, quick: Path, tmp_path: Path, vstestbed_process: Any, moments: tuple[float, ...]):
+    def test_killed_again_and_again(
+        self, quick: Path, tmp_path: Path, vstestbed_process: Any, moments: tuple[float, ...]
+    ):
         words, environment = vstestbed_process
-        whole = compare([quick], GAINS, seeds=30 * len(moments), jobs=2, out=tmp_path / "whole", film=False, report=False)
+        whole = compare(
+            [quick],
+            GAINS,
+            seeds=30 * len(moments),
+            jobs=2,
+            out=tmp_path / "whole",
+            film=False,
+            report=False,
+        )
         out, runs = tmp_path / "c", tmp_path / "c" / "runs"
         line = [
             *words,
@@ -327,7 +458,9 @@ class TestResume:
         ]
         stamps: dict[str, int] = {}
         for moment in moments:
-            process = subprocess.Popen([*line, *(["--resume"] if out.exists() else [])], cwd=tmp_path, env=environment)
+            process = subprocess.Popen(
+                [*line, *(["--resume"] if out.exists() else [])], cwd=tmp_path, env=environment
+            )
             more = lambda: len(list(runs.glob("*/*/*[0-9]/summary.json"))) > len(stamps)  # noqa: B023, E731 - used at once
             wait_for(lambda: process.poll() is not None or more())  # noqa: B023 - used at once
             time.sleep(moment)
@@ -349,22 +482,42 @@ def wait_for(true: Callable[[], bool], seconds: float = 60) -> None:
 
 
 @pytest.mark.process
-def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(quick: Path, tmp_path: Path, vstestbed_process: Any):
+def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(
+    quick: Path, tmp_path: Path, vstestbed_process: Any
+):
     words, environment = vstestbed_process
     out = tmp_path / "c"
-    line = [*words, "compare", str(quick), "--seeds", "200", "--no-film", "--out", str(out), "--jobs", "1"]
-    process = subprocess.Popen(line, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
+    line = [
+        *words,
+        "compare",
+        str(quick),
+        "--seeds",
+        "200",
+        "--no-film",
+        "--out",
+        str(out),
+        "--jobs",
+        "1",
+    ]
+    process = subprocess.Popen(
+        line, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
+    )
     wait_for(lambda: len(list(out.glob("runs/*/*/*[0-9]/summary.json"))) >= 3)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     done = pl.read_parquet(out / "comparison.parquet")
     assert 3 <= len(done) < 200
-    assert f"interrupted: {len(done)} of 200 runs are done; go on with: vstestbed compare --resume --out {out}" in err
+    assert (
+        f"interrupted: {len(done)} of 200 runs are done;"
+        f" go on with: vstestbed compare --resume --out {out}" in err
+    )
     assert "Traceback" not in err
 
 
-def test_ctrl_c_between_the_storing_of_a_run_and_its_count_counts_it(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_ctrl_c_between_the_storing_of_a_run_and_its_count_counts_it(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     def stored_then_interrupted(*given: Any) -> None:
         store(*given)
         raise KeyboardInterrupt
@@ -377,7 +530,9 @@ def test_ctrl_c_between_the_storing_of_a_run_and_its_count_counts_it(quick: Path
 
 
 @pytest.mark.parametrize("keep", [0, 2])
-def test_runs_that_are_gone_when_all_are_done_are_told(quick: Path, tmp_path: Path, here: None, keep: int):
+def test_runs_that_are_gone_when_all_are_done_are_told(
+    quick: Path, tmp_path: Path, here: None, keep: int
+):
     kept: list[str] = []
 
     def lose(job: Job, summary: dict[str, Any]) -> None:
@@ -385,29 +540,45 @@ def test_runs_that_are_gone_when_all_are_done_are_told(quick: Path, tmp_path: Pa
         if len(kept) > keep:
             shutil.rmtree(tmp_path / "c" / job.folder)
 
-    with pytest.raises(OutputError, match=rf"c: {3 - keep} of 3 runs are not there any more.*--resume") as lost:
+    with pytest.raises(
+        OutputError, match=rf"c: {3 - keep} of 3 runs are not there any more.*--resume"
+    ) as lost:
         compare([quick], seeds=3, out=tmp_path / "c", film=False, on_done=lose)
     assert lost.value.exit_code == 4
     assert len(compare([], out=tmp_path / "c", resume=True, film=False, report=False)) == 3
 
 
-def test_the_name_of_a_case_is_no_path(command: Any, quick: Path, tmp_path: Path, here: None, one_figure: None):
-    """It wrote runs outside of --out; or, with many slashes, found none of them again, and ended with 0."""
+def test_the_name_of_a_case_is_no_path(
+    command: Any, quick: Path, tmp_path: Path, here: None, one_figure: None
+):
+    """It wrote runs outside of --out; or, with many slashes, found none of them again, and ended
+    with 0.
+    """
     (tmp_path / "deep").mkdir()
-    cases = {"../../../../esc": {"../a": {"law.gain": 3}, "con": {"law.gain": 6}}, "a/b/c/d/e/f": {"x": {}}}
+    cases = {
+        "../../../../esc": {"../a": {"law.gain": 3}, "con": {"law.gain": 6}},
+        "a/b/c/d/e/f": {"x": {}},
+    }
     plan = {"base": ["quick.yaml"], "cases": cases, "seeds": 1}
     (tmp_path / "hostile.yaml").write_text(json.dumps(plan), encoding="utf-8")
     before = {p.name for p in tmp_path.iterdir()}
     ended = command("compare", "hostile.yaml", "--out", "deep/c", "--no-film")
     assert ended.code == 0, ended.err
-    assert {p.name for p in tmp_path.iterdir()} == before and [p.name for p in (tmp_path / "deep").iterdir()] == ["c"]
-    assert sorted(p.name for p in tmp_path.glob("deep/c/runs/quick/*")) == ["esc=_con,a_b_c_d_e_f=x", "esc=a,a_b_c_d_e_f=x"]
+    assert {p.name for p in tmp_path.iterdir()} == before and [
+        p.name for p in (tmp_path / "deep").iterdir()
+    ] == ["c"]
+    assert sorted(p.name for p in tmp_path.glob("deep/c/runs/quick/*")) == [
+        "esc=_con,a_b_c_d_e_f=x",
+        "esc=a,a_b_c_d_e_f=x",
+    ]
     table = pl.read_parquet(tmp_path / "deep/c/comparison.parquet")
     assert table["../../../../esc"].to_list() == ["../a", "con"]  # the names themselves stay
     assert (tmp_path / "deep/c/report.html").is_file()
 
 
-def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """Whatever is missing, and in groups of any size."""
     run_here(monkeypatch)
     monkeypatch.setattr("vstestbed.studies.comparison.plan.SIDE_BY_SIDE", 8)
@@ -417,12 +588,16 @@ def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path
     shutil.copytree(whole, cut)
     every = Jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
     monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 10_000)
-    assert table.equals(table_of(whole, every)) and table.equals(pl.read_parquet(whole / "comparison.parquet"))
+    assert table.equals(table_of(whole, every)) and table.equals(
+        pl.read_parquet(whole / "comparison.parquet")
+    )
     for place in ("0/0", "0/3", "8/11"):
         (cut / f"runs/quick/as_it_is/{place}/summary.json").unlink()
     again = compare([], out=cut, resume=True, film=False, report=False)
     (cut / RUNNING).mkdir()  # of a process that was killed while it wrote the report
-    assert timeless(compare([], out=cut, resume=True, film=False, report=False)).equals(timeless(again))
+    assert timeless(compare([], out=cut, resume=True, film=False, report=False)).equals(
+        timeless(again)
+    )
     assert not (cut / RUNNING).exists()
     assert timeless(again).equals(timeless(table))
     assert logs(cut) == logs(whole)
@@ -435,14 +610,19 @@ def test_what_crashed_has_a_folder_of_its_own(quick: Path):
     assert set(files) == {"scenario.yaml", "summary.json"}
 
 
-def test_a_task_needs_no_file_of_who_asks(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_task_needs_no_file_of_who_asks(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     request = Request("runs/a", perform, (given_text(vs.load(quick)), False))
     quick.unlink()
     assert json.loads(request.perform()["summary.json"])["outcome"] == "converged"
 
 
 def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_path: Path):
-    away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}, "robot.start.nominal.xyz": [3, 0, 0]}
+    away = {
+        "robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]},
+        "robot.start.nominal.xyz": [3, 0, 0],
+    }
     comparison = Comparison(base=(str(quick),), set=away, seeds=2)
     runner = Runner(tmp_path, Jobs(controllers(comparison), 2))
     told: list[Any] = []
@@ -455,7 +635,9 @@ def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_pat
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
-    """A dask scheduler and a worker that speak on the loopback as those of `dask scheduler` and `dask worker` do, in this process."""
+    """A dask scheduler and a worker that speak on the loopback as those of `dask scheduler` and
+    `dask worker` do, in this process.
+    """
     distributed = pytest.importorskip("distributed")
     one = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**one, processes=False, protocol="tcp") as made:
@@ -466,7 +648,9 @@ def cluster() -> Iterator[str]:
 def cluster_of_processes() -> Iterator[str]:
     """The same with a process for the worker."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as made:
         yield made.scheduler_address.replace("tcp://", "dask://")
 
 
@@ -474,11 +658,25 @@ def cluster_of_processes() -> Iterator[str]:
 def test_nobody_at_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     distributed = pytest.importorskip("distributed")
     client = distributed.Client  # which waits for 5 s: here for less
-    monkeypatch.setattr(distributed, "Client", lambda address, timeout, **more: client(address, timeout="0.5s", **more))
-    with pytest.raises(EnvironmentLackError, match=r"no dask scheduler answers at 127.0.0.1:9 .*dask worker"):
-        compare(["ibvs_book"], out=tmp_path / "c", executor="dask://127.0.0.1:9", film=False, report=False)
+    monkeypatch.setattr(
+        distributed,
+        "Client",
+        lambda address, timeout, **more: client(address, timeout="0.5s", **more),
+    )
+    with pytest.raises(
+        EnvironmentLackError, match=r"no dask scheduler answers at 127.0.0.1:9 .*dask worker"
+    ):
+        compare(
+            ["ibvs_book"],
+            out=tmp_path / "c",
+            executor="dask://127.0.0.1:9",
+            film=False,
+            report=False,
+        )
 
 
 def test_a_word_that_is_no_executor(quick: Path, tmp_path: Path):
-    with pytest.raises(ParameterError, match="--executor must be local, warp or dask://HOST:PORT, got 'ray'"):
+    with pytest.raises(
+        ParameterError, match="--executor must be local, warp or dask://HOST:PORT, got 'ray'"
+    ):
         compare([quick], out=tmp_path / "c", executor="ray", film=False, report=False)

@@ -21,7 +21,11 @@ LONG = ("canonical_arm", "calibration_error", "depth_error", "realism")
 
 
 def of(*base: object, seeds: int | None = None, **axes: tuple[object, ...]) -> Comparison:
-    return Comparison(base=tuple(map(str, base)), axes={k.replace("__", "."): v for k, v in axes.items()}, seeds=seeds)
+    return Comparison(
+        base=tuple(map(str, base)),
+        axes={k.replace("__", "."): v for k, v in axes.items()},
+        seeds=seeds,
+    )
 
 
 def test_every_combination_from_every_seed_seed_by_seed(quick: Path):
@@ -33,10 +37,21 @@ def test_every_combination_from_every_seed_seed_by_seed(quick: Path):
     ]
     assert found[3].scenario.law.gain.value == 2.0
     assert found[3].scenario.camera.latency_s == 0.1
-    inner_first = controllers(of(quick, law__gain=(0.75,), law=("ibvs", "pbvs")))  # the block is set first all the same
-    assert [(c.scenario.law.kind, c.scenario.law.gain.value) for c in inner_first] == [("ibvs", 0.75), ("pbvs", 0.75)]
+    # the block is set first all the same
+    inner_first = controllers(of(quick, law__gain=(0.75,), law=("ibvs", "pbvs")))
+    assert [(c.scenario.law.kind, c.scenario.law.gain.value) for c in inner_first] == [
+        ("ibvs", 0.75),
+        ("pbvs", 0.75),
+    ]
     made = Jobs(controllers(of(quick, seeds=3, law__gain=(1.0, 2.0))), 3)
-    assert [(j.seed, j.controller.values["law.gain"]) for j in made] == [(0, 1.0), (0, 2.0), (1, 1.0), (1, 2.0), (2, 1.0), (2, 2.0)]
+    assert [(j.seed, j.controller.values["law.gain"]) for j in made] == [
+        (0, 1.0),
+        (0, 2.0),
+        (1, 1.0),
+        (1, 2.0),
+        (2, 1.0),
+        (2, 2.0),
+    ]
     assert made[-1].folder == "runs/quick/law.gain=2.0/2"
     assert [j.folder for j in Jobs(controllers(of(quick)), None)] == ["runs/quick/as_it_is/nominal"]
 
@@ -49,31 +64,49 @@ def test_one_seed_gives_every_controller_the_same_start_and_other_seeds_others(q
     assert [j.scenario().seed for j in made] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
-def test_scenarios_of_one_name_are_refused_since_a_table_has_them_as_one(quick: Path, tmp_path: Path):
+def test_scenarios_of_one_name_are_refused_since_a_table_has_them_as_one(
+    quick: Path, tmp_path: Path
+):
     for name in ("one", "other"):
         (tmp_path / f"{name}.yaml").write_text(f"name: same\n{quick.read_text()}")
-    with pytest.raises(ParameterError, match="two scenarios of the name same, one and other; give each its own `name`"):
+    with pytest.raises(
+        ParameterError,
+        match="two scenarios of the name same, one and other; give each its own `name`",
+    ):
         controllers(of(tmp_path / "one.yaml", tmp_path / "other.yaml"))
 
 
 def test_what_only_describes_a_run_cannot_decide(quick: Path):
-    with pytest.raises(ParameterError, match="primary must be a number of which more is better, or less; this one describes a run"):
+    with pytest.raises(
+        ParameterError,
+        match="primary must be a number of which more is better, or less; this one describes a run",
+    ):
         Comparison(base=(str(quick),), primary="frames")
 
 
 def test_seeds_that_draw_nothing_are_refused_with_the_reason():
-    with pytest.raises(ParameterError, match=r"polar_book.*robot.start.random is missing, and nothing else is random: every seed would"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            r"polar_book.*robot.start.random is missing,"
+            r" and nothing else is random: every seed would"
+        ),
+    ):
         controllers(Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None}))
     unseen = {"robot.start.random": None, "noise.image_sigma": 2, "detector": "oracle"}
     with pytest.raises(ParameterError, match="every seed would"):
         controllers(Comparison(base=("polar_book",), seeds=2, set=unseen))
-    noisy = Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None, "noise.pixel_sigma_px": 0.1})
+    noisy = Comparison(
+        base=("polar_book",), seeds=2, set={"robot.start.random": None, "noise.pixel_sigma_px": 0.1}
+    )
     first, second = (j.scenario() for j in Jobs(controllers(noisy), 2))
     assert (first.seed, second.seed) == (0, 1)
     np.testing.assert_array_equal(first.robot.configuration(), second.robot.configuration())
 
 
-@pytest.mark.parametrize("name", ["quadrotor_hover", "quadrotor_gust", "car_pbvs", "arm_track_random"])
+@pytest.mark.parametrize(
+    "name", ["quadrotor_hover", "quadrotor_gust", "car_pbvs", "arm_track_random"]
+)
 def test_sensor_noise_turbulence_and_random_walks_are_draws(name: str):
     made = controllers(Comparison(base=(name,), seeds=2, set={"robot.start.random": None}))
     assert [j.scenario().seed for j in Jobs(made, 2)] == [0, 1]
@@ -92,8 +125,14 @@ def test_what_is_refused():
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (1, 1)}}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (3, 3.0)}}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": ()}}),
-        ("axes.law replaces the whole block, so that law.gain of", {"axes": {"law": ("ibvs", "pbvs")}, "set": {"law.gain": 1}}),
-        ("axes.law.gain excludes the same field in `set`", {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}}),
+        (
+            "axes.law replaces the whole block, so that law.gain of",
+            {"axes": {"law": ("ibvs", "pbvs")}, "set": {"law.gain": 1}},
+        ),
+        (
+            "axes.law.gain excludes the same field in `set`",
+            {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}},
+        ),
         ("metrics must be one of sim_time_s, .*got 'speed'", {"metrics": ("speed",)}),
     ):
         with pytest.raises(ParameterError, match=words):
@@ -108,11 +147,23 @@ def test_a_value_that_no_scenario_takes_is_found_before_anything_runs(quick: Pat
 
 
 class TestFile:
-    def test_it_is_read_beside_its_scenarios_and_changed_by_words(self, quick: Path, tmp_path: Path):
+    def test_it_is_read_beside_its_scenarios_and_changed_by_words(
+        self, quick: Path, tmp_path: Path
+    ):
         path = tmp_path / "mine.yaml"
-        path.write_text("base: [quick.yaml]\nset: {law.gain: 2}\naxes: {camera.latency_s: [0, 0.1]}\nseeds: 4\nmetrics: [path_ratio]\n")
+        path.write_text(
+            "base: [quick.yaml]\n"
+            "set: {law.gain: 2}\n"
+            "axes: {camera.latency_s: [0, 0.1]}\n"
+            "seeds: 4\n"
+            "metrics: [path_ratio]\n"
+        )
         read = read_comparison(path)
-        assert (read.base, read.seeds, read.axes["camera.latency_s"]) == ((str(quick),), 4, (0, 0.1))
+        assert (read.base, read.seeds, read.axes["camera.latency_s"]) == (
+            (str(quick),),
+            4,
+            (0, 0.1),
+        )
         asked = chosen([str(path)], {"law.gain": 3}, {}, seeds=2)
         assert (asked.set["law.gain"], asked.seeds, asked.metrics) == (3, 2, ("path_ratio",))
 
@@ -126,16 +177,39 @@ class TestFile:
             f"{path}:3:1: metrix: is an unknown field; did you mean 'metrics'?",
         ]
 
-    @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.study] if n in LONG else []) for n in bundled_comparisons()])
+    @pytest.mark.parametrize(
+        "name",
+        [
+            pytest.param(n, marks=[pytest.mark.study] if n in LONG else [])
+            for n in bundled_comparisons()
+        ],
+    )
     def test_bundled_ones_can_be_run(self, name: str):
         comparison = chosen([name], {}, {})
         assert controllers(comparison)
 
 
 def test_the_command_of_a_comparison_repeats_its_values():
-    """Texts that YAML would read otherwise are quoted; one with `#` ended the report in an error."""
-    values = (1, 2.5, True, None, "on", "1", "#x", "a,b", "x: y", "", {"kind": "ibvs", "gain": 2.0}, [0, "on"])
-    words = shlex.split(command_of(Comparison(base=("quick",), set={"name": "#1, a"}, axes={"law.gain": values})))
+    """Texts that YAML would read otherwise are quoted;
+    one with `#` ended the report in an error.
+    """
+    values = (
+        1,
+        2.5,
+        True,
+        None,
+        "on",
+        "1",
+        "#x",
+        "a,b",
+        "x: y",
+        "",
+        {"kind": "ibvs", "gain": 2.0},
+        [0, "on"],
+    )
+    words = shlex.split(
+        command_of(Comparison(base=("quick",), set={"name": "#1, a"}, axes={"law.gain": values}))
+    )
     assert words[:3] == ["vstestbed", "compare", "quick"]
     assert settings_of([words[words.index("--set") + 1]]) == {"name": "#1, a"}
     assert vary_of([words[words.index("--vary") + 1]]) == {"law.gain": values}

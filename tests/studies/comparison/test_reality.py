@@ -1,4 +1,6 @@
-"""Why runs with dynamics end otherwise, or at other times, than ideal ones: each sentence of the README, held against a run."""
+"""Why runs with dynamics end otherwise, or at other times, than ideal ones: each sentence of the
+README, held against a run.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,10 @@ ORACLE = {"detector": {"kind": "oracle"}}
 def of(comparison: str, law: str, task: str, amount: str, **cases: str) -> Scenario:
     """One run's scenario of a comparison."""
     whole = chosen([comparison], ORACLE if comparison == "canonical_arm" else {}, {})
-    kept = {name: {chosen_: whole.cases[name][chosen_]} for name, chosen_ in {"law": law, **cases}.items()}
+    kept = {
+        name: {chosen_: whole.cases[name][chosen_]}
+        for name, chosen_ in {"law": law, **cases}.items()
+    }
     (found,) = controllers(replace(whole, cases=kept, tasks={task: whole.tasks[task]}))
     assert found.starts is not None
     return found.starts[found.amounts.index(amount)]
@@ -36,12 +41,15 @@ def q_deg(r: vs.Recording) -> Array:
 
 
 def test_points_retreat_into_joint_3_from_60_degrees_on():
-    # The retreat is 1/cos(a/2) - 1 of a metre: .064 m at 40 degrees, .155 m at 60; joint 3 leaves .15 m (an inverse
-    # kinematics of the goal moved back by .15 m stands .8 degrees before its stop, and the arm keeps 1 degree).
+    # The retreat is 1/cos(a/2) - 1 of a metre: .064 m at 40 degrees, .155 m at 60; joint 3 leaves
+    # .15 m (an inverse kinematics of the goal moved back by .15 m stands .8 degrees before its
+    # stop, and the arm keeps 1 degree).
     near = vs.run(of("canonical_arm", "points", "about the axis", "40 deg"))
     assert near.outcome is vs.Outcome.converged
     # Latency and servo lag make the camera overshoot the continuous law's retreat by a few mm.
-    assert near.summary()["max_retreat_m"] == pytest.approx(1 / math.cos(math.radians(20)) - 1, abs=0.01)
+    assert near.summary()["max_retreat_m"] == pytest.approx(
+        1 / math.cos(math.radians(20)) - 1, abs=0.01
+    )
     far = vs.run(of("canonical_arm", "points", "about the axis", "60 deg"))
     assert far.outcome is vs.Outcome.joint_limit
     assert q_deg(far)[-1, 2] == pytest.approx(LIMITS[2, 0] + MARGIN, abs=0.3)
@@ -54,12 +62,18 @@ def test_the_arm_at_full_stretch_stops_the_advance_that_takes_an_ideal_camera_th
     # The wrist's centre is 2 x .43 m from the shoulder at most, .62 m before the target.
     assert arm["cam_x"].max() == pytest.approx(0.88, abs=0.02)
     assert arm.outcome is vs.Outcome.converged
-    assert vs.run(of("canonical_arm", "points_desired", "about the axis", "180 deg")).outcome is vs.Outcome.singular
+    assert (
+        vs.run(of("canonical_arm", "points_desired", "about the axis", "180 deg")).outcome
+        is vs.Outcome.singular
+    )
 
 
 def test_the_partitioned_law_turns_joint_4_into_its_stop():
     whole = chosen(["realism"], {}, {})
-    cases = {"world": {"dynamics": whole.cases["world"]["dynamics"]}, "law": {"partitioned": whole.cases["law"]["partitioned"]}}
+    cases = {
+        "world": {"dynamics": whole.cases["world"]["dynamics"]},
+        "law": {"partitioned": whole.cases["law"]["partitioned"]},
+    }
     made = Jobs(controllers(replace(whole, cases=cases)), 8)
     r = vs.run(made[7].scenario())
     assert r.outcome is vs.Outcome.joint_limit
@@ -67,19 +81,34 @@ def test_the_partitioned_law_turns_joint_4_into_its_stop():
 
 
 @pytest.mark.parametrize(("seed", "end"), [(7, LIMITS[3, 0] + MARGIN), (15, LIMITS[3, 1] - MARGIN)])
-def test_the_partitioned_law_turns_joint_4_into_its_stop_from_two_random_starts(seed: int, end: float):
+def test_the_partitioned_law_turns_joint_4_into_its_stop_from_two_random_starts(
+    seed: int, end: float
+):
     whole = chosen(["canonical_arm"], ORACLE, {})
     kept = {"law": {"partitioned": whole.cases["law"]["partitioned"]}}
-    r = vs.run(Jobs(controllers(replace(whole, cases=kept, tasks={"random": whole.tasks["random"]})), None)[seed].scenario())
+    r = vs.run(
+        Jobs(
+            controllers(replace(whole, cases=kept, tasks={"random": whole.tasks["random"]})), None
+        )[seed].scenario()
+    )
     assert r.outcome is vs.Outcome.joint_limit
     assert q_deg(r)[-1, 3] == pytest.approx(end, abs=0.3)
 
 
 def rate(latency_s: float) -> float:
-    """How fast the position error of a position-based flight decays [1/s], between half a metre and a millimetre."""
+    """How fast the position error of a position-based flight decays [1/s], between half a metre and
+    a millimetre.
+    """
     s = vs.load(
         "pbvs_book",
-        ORACLE | {"law.gain": 0.5, "camera.rate_hz": 25, "camera.latency_s": latency_s, "robot.start.random": None, "stop.duration_s": 20},
+        ORACLE
+        | {
+            "law.gain": 0.5,
+            "camera.rate_hz": 25,
+            "camera.latency_s": latency_s,
+            "robot.start.random": None,
+            "stop.duration_s": 20,
+        },
     )
     r = vs.run(s)
     e, t = r["position_error_m"], r["t"]
@@ -88,7 +117,8 @@ def rate(latency_s: float) -> float:
 
 
 def test_latency_makes_a_slow_loop_quicker_as_theory_says():
-    # z^(d+1) - z^d + g = 0 with g = gain dt = .02: z = .98 for d = 0, (1 + sqrt(1 - 4 g))/2 = .97958 for one frame of delay.
+    # z^(d+1) - z^d + g = 0 with g = gain dt = .02: z = .98 for d = 0, (1 + sqrt(1 - 4 g))/2 =
+    # .97958 for one frame of delay.
     assert rate(0.0) == pytest.approx(-math.log(0.98) * 25, rel=1e-3)
     assert rate(0.04) == pytest.approx(-math.log((1 + math.sqrt(0.92)) / 2) * 25, rel=2e-3)
 
@@ -96,7 +126,10 @@ def test_latency_makes_a_slow_loop_quicker_as_theory_says():
 def reached(world: str, **more: object) -> Array:
     """When `points_mean` reaches its goal in a world of `realism` [s], seeds 0 to 3."""
     whole = chosen(["realism"], {}, {})
-    cases = {"world": {world: whole.cases["world"][world] | more}, "law": {"points_mean": whole.cases["law"]["points_mean"]}}
+    cases = {
+        "world": {world: whole.cases["world"][world] | more},
+        "law": {"points_mean": whole.cases["law"]["points_mean"]},
+    }
     runs = [vs.run(job.scenario()) for job in Jobs(controllers(replace(whole, cases=cases)), 4)]
     return np.array([r.summary()["time_to_converge_s"] for r in runs], dtype=float)
 
@@ -105,7 +138,10 @@ def reached(world: str, **more: object) -> Array:
 def test_friction_and_integrating_servos_act_as_twenty_milliseconds_of_latency():
     """Measured .09 s sooner, with a latency of 20 ms .11 s; one picture is .04 s."""
     stiff = reached("dynamics")
-    servos, late = reached("friction") - stiff, reached("dynamics", **{"camera.latency_s": 0.02}) - stiff
+    servos, late = (
+        reached("friction") - stiff,
+        reached("dynamics", **{"camera.latency_s": 0.02}) - stiff,
+    )
     assert (servos < 0).all()
     assert servos.mean() == pytest.approx(late.mean(), abs=0.04)
 
@@ -116,13 +152,19 @@ def test_noise_alone_makes_the_goal_later_but_ends_no_run():
         s = vs.load(
             "arm_ibvs",
             ORACLE
-            | {"robot": {"kind": "free", "start": {"nominal": {"xyz": [0.2, 0.05, 0.75], "rpy_deg": [0, 90, 0]}}}}
+            | {
+                "robot": {
+                    "kind": "free",
+                    "start": {"nominal": {"xyz": [0.2, 0.05, 0.75], "rpy_deg": [0, 90, 0]}},
+                }
+            }
             | {"noise.pixel_sigma_px": sigma},
         )
         found = [vs.run(replace(s, seed=seed)) for seed in range(4 if sigma else 1)]
         assert all(r.outcome is vs.Outcome.converged for r in found)
         times[sigma] = np.mean([r.summary()["time_to_converge_s"] for r in found])
-    # With noise of .1 px on top, .2 px for half a second asks for an error of about .12 px: log(.2/.12)/gain = 1 s more.
+    # With noise of .1 px on top, .2 px for half a second asks for an error of about .12 px:
+    # log(.2/.12)/gain = 1 s more.
     assert 0.3 < times[0.1] - times[0.0] < 2.5
 
 
@@ -138,7 +180,8 @@ def test_noise_takes_the_mean_matrix_off_its_minimum_at_a_half_turn_and_limits_m
         s = found.starts[found.amounts.index("180 deg")]
         limits = TwistLimits(speed_mps=speed, rate_radps=2.0) if speed else TwistLimits()
         ends[speed] = vs.run(replace(s, law=replace(s.law, limits=limits))).outcome  # pyright: ignore[reportArgumentType]
-    # The matrix is nearly singular there: a tenth of a pixel orders metres a frame, through the target's plane.
+    # The matrix is nearly singular there: a tenth of a pixel orders metres a frame, through the
+    # target's plane.
     assert ends == {None: vs.Outcome.target_lost, 1.0: vs.Outcome.converged}
 
 
@@ -147,7 +190,11 @@ def test_noise_takes_the_mean_matrix_off_its_minimum_at_a_half_turn_and_limits_m
 def test_a_half_turn_has_two_ways_and_joint_6_room_for_one(law: str, outcome: str):
     whole = chosen(["canonical_arm"], {}, {})
     (found,) = controllers(
-        replace(whole, cases={"law": {law: whole.cases["law"][law]}}, tasks={"about the axis": whole.tasks["about the axis"]})
+        replace(
+            whole,
+            cases={"law": {law: whole.cases["law"][law]}},
+            tasks={"about the axis": whole.tasks["about the axis"]},
+        )
     )
     assert found.starts is not None
     r = vs.run(found.starts[-1])

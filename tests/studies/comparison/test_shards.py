@@ -1,4 +1,6 @@
-"""Shards of a comparison: together they are all its runs once; merged they are what one process leaves; what is missing is named."""
+"""Shards of a comparison: together they are all its runs once; merged they are what one process
+leaves; what is missing is named.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ SEEDS, SHARDS = 5, 3
 
 
 def fly(quick: Path, out: Path, **more: Any) -> pl.DataFrame:
-    return compare([quick], {"law.gain": (3, 6)}, SEEDS, 1, out=out, film=False, figures=False, **more)
+    return compare(
+        [quick], {"law.gain": (3, 6)}, SEEDS, 1, out=out, film=False, figures=False, **more
+    )
 
 
 @pytest.fixture(scope="module")
@@ -51,17 +55,35 @@ def test_together_they_are_all_runs_once_in_their_order(quick: Path, of: int) ->
     jobs = Jobs(controllers(plan), SEEDS)
     shares = [Share(jobs, Shard(i, of)) for i in range(1, of + 1)]
     assert [job.folder for share in shares for job in share] == [job.folder for job in jobs]
-    assert all(len(share) == len(list(share)) and 10 // of <= len(share) <= -(-10 // of) for share in shares)
+    assert all(
+        len(share) == len(list(share)) and 10 // of <= len(share) <= -(-10 // of)
+        for share in shares
+    )
 
 
-def test_merged_they_are_what_one_process_leaves(shards: list[Path], flown: tuple[Path, Path], tmp_path: Path) -> None:
-    alone, together = fly(flown[0], tmp_path / "one"), merge(shards[::-1], tmp_path / "all", figures=False)
-    columns = [name for name in alone.columns if name not in OF_THE_CLOCK and not name.startswith("time_ms")]
-    assert together.columns == alone.columns and together.select(columns).equals(alone.select(columns), null_equal=True)
-    assert {p.name for p in (tmp_path / "all").iterdir()} == {p.name for p in (tmp_path / "one").iterdir()}
+def test_merged_they_are_what_one_process_leaves(
+    shards: list[Path], flown: tuple[Path, Path], tmp_path: Path
+) -> None:
+    alone, together = (
+        fly(flown[0], tmp_path / "one"),
+        merge(shards[::-1], tmp_path / "all", figures=False),
+    )
+    columns = [
+        name
+        for name in alone.columns
+        if name not in OF_THE_CLOCK and not name.startswith("time_ms")
+    ]
+    assert together.columns == alone.columns and together.select(columns).equals(
+        alone.select(columns), null_equal=True
+    )
+    assert {p.name for p in (tmp_path / "all").iterdir()} == {
+        p.name for p in (tmp_path / "one").iterdir()
+    }
     run = str(together["folder"][0])
-    assert (tmp_path / "all" / run / "log.parquet").samefile(shards[0] / run / "log.parquet")  # no second copy on the disk
-    assert compare([], out=tmp_path / "all", resume=True, report=False).height == 2 * SEEDS  # a folder like any other
+    # no second copy on the disk
+    assert (tmp_path / "all" / run / "log.parquet").samefile(shards[0] / run / "log.parquet")
+    # a folder like any other
+    assert compare([], out=tmp_path / "all", resume=True, report=False).height == 2 * SEEDS
 
 
 def test_a_shard_has_its_own_runs_and_a_table_but_no_page(shards: list[Path]) -> None:
@@ -75,7 +97,9 @@ def test_missing_shards_and_runs_are_named(shards: list[Path], tmp_path: Path) -
         merge([shards[0], shards[2]], tmp_path / "all")
     killed = shards[1] / str(pl.read_parquet(shards[1] / "comparison.parquet")["folder"][0])
     shutil.rmtree(killed)
-    with pytest.raises(RunFolderError, match=r"1 of 3 runs of shard 2/3 .*--resume --out .*shards/2"):
+    with pytest.raises(
+        RunFolderError, match=r"1 of 3 runs of shard 2/3 .*--resume --out .*shards/2"
+    ):
         merge(shards, tmp_path / "all")
     assert not (tmp_path / "all").exists()
     assert compare([], out=shards[1], resume=True).height == 3  # it goes on as the shard that it is
@@ -88,10 +112,14 @@ def test_a_killed_shard_goes_on_as_the_shard_that_it_is(shards: list[Path]) -> N
 
 
 @pytest.mark.parametrize("what", ["plan", "scenario", "version", "twice", "whole"])
-def test_what_does_not_belong_together_is_not_merged(shards: list[Path], tmp_path: Path, what: str) -> None:
+def test_what_does_not_belong_together_is_not_merged(
+    shards: list[Path], tmp_path: Path, what: str
+) -> None:
     other, words = shards[2], "is not of the comparison of"
     if what == "plan":
-        (other / "comparison.yaml").write_text((other / "comparison.yaml").read_text().replace("seeds: 5", "seeds: 6"))
+        (other / "comparison.yaml").write_text(
+            (other / "comparison.yaml").read_text().replace("seeds: 5", "seeds: 6")
+        )
     elif what == "scenario":
         with (other / "scenarios/quick.yaml").open("a") as file:
             file.write("# changed\n")
@@ -116,7 +144,9 @@ def test_other_words_are_refused(text: str) -> None:
         Shard.read(text)
 
 
-def test_more_shards_than_runs_are_refused_and_one_needs_a_folder_of_its_own(quick: Path, tmp_path: Path) -> None:
+def test_more_shards_than_runs_are_refused_and_one_needs_a_folder_of_its_own(
+    quick: Path, tmp_path: Path
+) -> None:
     with pytest.raises(ParameterError, match="10 shards"):
         fly(quick, tmp_path / "one", shard="1/11")
     assert not (tmp_path / "one").exists()
@@ -126,10 +156,30 @@ def test_more_shards_than_runs_are_refused_and_one_needs_a_folder_of_its_own(qui
 
 def test_a_job_of_an_array_and_the_merge_as_commands(command: Any, quick: Path) -> None:
     for i in (1, 2):
-        job = command("compare", quick, "--seeds", 4, "--no-film", "--jobs", 1, "--shard", f"{i}/2", "--out", f"shards/{i}")
-        assert job.code == 0 and "2 of 2 runs reached the goal" in job.err and "report.html" not in job.err
+        job = command(
+            "compare",
+            quick,
+            "--seeds",
+            4,
+            "--no-film",
+            "--jobs",
+            1,
+            "--shard",
+            f"{i}/2",
+            "--out",
+            f"shards/{i}",
+        )
+        assert (
+            job.code == 0
+            and "2 of 2 runs reached the goal" in job.err
+            and "report.html" not in job.err
+        )
     ended = command("compare", "--merge", "shards/1", "shards/2", "--out", "all", "--no-figures")
-    assert ended.code == 0 and "4 of 4 runs reached the goal" in ended.err and "all (open report.html)" in ended.err
+    assert (
+        ended.code == 0
+        and "4 of 4 runs reached the goal" in ended.err
+        and "all (open report.html)" in ended.err
+    )
     assert command("compare", "--merge").code == 2
 
 
@@ -144,19 +194,38 @@ done
 
 
 @pytest.mark.process
-def test_the_guides_job_script_with_a_scheduler_that_runs_it(quick: Path, tmp_path: Path, vstestbed_process: Any) -> None:
+def test_the_guides_job_script_with_a_scheduler_that_runs_it(
+    quick: Path, tmp_path: Path, vstestbed_process: Any
+) -> None:
     words, environment = vstestbed_process
     guide = (Path(__file__).parents[3] / "docs/guides/cluster.md").read_text(encoding="utf-8")
     found = re.search(r"```bash\n(.*?)```", guide, re.S)
     assert found is not None
-    script = found[1].replace("64", "2").replace("arm_laws --seeds 1000", "quick.yaml --seeds 4 --no-film")
+    script = (
+        found[1]
+        .replace("64", "2")
+        .replace("arm_laws --seeds 1000", "quick.yaml --seeds 4 --no-film")
+    )
     (tmp_path / "array.sh").write_text(script)
     tools = {"sbatch": SBATCH, "vstestbed": f'#!/bin/bash\nexec {" ".join(words)} "$@"\n'}
     (tmp_path / "bin").mkdir()
     for name, text in tools.items():
         (tmp_path / "bin" / name).write_text(text)
         (tmp_path / "bin" / name).chmod(0o755)
-    place = {"cwd": tmp_path, "env": environment | {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}}
+    place = {
+        "cwd": tmp_path,
+        "env": environment | {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"},
+    }
     subprocess.run(["sbatch", "array.sh"], **place, check=True)
-    subprocess.run("vstestbed compare --merge shards/* --out runs/arm_laws --no-figures", **place, shell=True, check=True)
-    assert pl.read_parquet(tmp_path / "runs/arm_laws/comparison.parquet")["seed"].to_list() == [0, 1, 2, 3]
+    subprocess.run(
+        "vstestbed compare --merge shards/* --out runs/arm_laws --no-figures",
+        **place,
+        shell=True,
+        check=True,
+    )
+    assert pl.read_parquet(tmp_path / "runs/arm_laws/comparison.parquet")["seed"].to_list() == [
+        0,
+        1,
+        2,
+        3,
+    ]

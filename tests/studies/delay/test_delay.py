@@ -50,7 +50,11 @@ def arm() -> Callable[[str], Scenario]:
     return lambda actuation: vs.load(
         "arm_ibvs",
         {
-            "robot": {"kind": "puma560", "actuation": actuation, "start": {"nominal": {"q_deg": list(start.nominal.q_deg)}}},
+            "robot": {
+                "kind": "puma560",
+                "actuation": actuation,
+                "start": {"nominal": {"q_deg": list(start.nominal.q_deg)}},
+            },
             "detector": {"kind": "oracle", "field_of_view": "unlimited"},
         },
     )
@@ -66,25 +70,42 @@ def test_the_ideal_camera_goes_unstable_where_theory_says(free, d):
 @pytest.mark.parametrize("between", one_quick("ramp", "smooth"))
 @pytest.mark.parametrize("d", [0, 2])
 def test_commands_that_are_led_to_cost_half_a_period_of_the_delay_margin(free, d, between):
-    """At the limit of held commands the loop grows, and it is stable up to its own, 2 tan(pi / (4 (d + 1))): 0.536 instead of 0.618."""
+    """At the limit of held commands the loop grows, and it is stable up to its own, 2 tan(pi / (4
+    (d + 1))): 0.536 instead of 0.618.
+    """
     start, g = displaced(free), 2 * np.tan(np.pi / (4 * (d + 1)))
     led = replace(start, timing=Timing(interpolation=between, command_hz=100))
     assert growth(led, 0.97 * g / PERIOD, d) < 1 < growth(led, 1.03 * g / PERIOD, d)
     if d:
-        assert growth(start, 0.95 * closed_form(d) / PERIOD, d) < 1 < growth(led, 0.95 * closed_form(d) / PERIOD, d)
+        assert (
+            growth(start, 0.95 * closed_form(d) / PERIOD, d)
+            < 1
+            < growth(led, 0.95 * closed_form(d) / PERIOD, d)
+        )
 
 
 def test_a_predictor_whose_stamps_are_those_of_the_arrival_is_none():
-    """Beyond the limit of the loop without prediction, a Smith predictor keeps it stable, if it knows the age of its pictures."""
-    start = displaced(prepared(vs.load("ibvs_book", {"camera.rate_hz": 25, "law.feedforward": "smith"})))
+    """Beyond the limit of the loop without prediction, a Smith predictor keeps it stable, if it
+    knows the age of its pictures.
+    """
+    start = displaced(
+        prepared(vs.load("ibvs_book", {"camera.rate_hz": 25, "law.feedforward": "smith"}))
+    )
     gain = 1.3 * closed_form(2) / PERIOD
-    stamps = {by: replace(start, timing=Timing(camera_clock=CameraStamps(stamped=by))) for by in ("middle", "arrival")}
+    stamps = {
+        by: replace(start, timing=Timing(camera_clock=CameraStamps(stamped=by)))
+        for by in ("middle", "arrival")
+    }
     assert growth(stamps["middle"], gain, 2) < 1 < growth(stamps["arrival"], gain, 2)
 
 
 @pytest.mark.usefixtures("own_kinds")
-def test_a_law_whose_gain_falls_with_the_error_has_the_limit_of_its_gain_at_the_goal(free, caplog, monkeypatch):
-    """Over it the loop swings at the size at which its gain is that of the limit, which is no stable loop."""
+def test_a_law_whose_gain_falls_with_the_error_has_the_limit_of_its_gain_at_the_goal(
+    free, caplog, monkeypatch
+):
+    """Over it the loop swings at the size at which its gain is that of the limit, which is no
+    stable loop.
+    """
     points = vs.features.Point()
 
     @vs.LAWS.add
@@ -114,19 +135,32 @@ def test_bisection_lands_on_the_limit(free):
     assert limit.gain == pytest.approx(25.0, rel=0.003) and limit.g_lag is None and limit.runs == 11
 
 
-@pytest.mark.parametrize(("d", "timing"), one_quick((0.6, Timing()), (1.5, Timing()), (1, Timing(command_latency_s=0.02))))
-def test_a_delay_of_part_of_a_frame_and_of_commands_goes_unstable_where_theory_says(free, d, timing):
+@pytest.mark.parametrize(
+    ("d", "timing"),
+    one_quick((0.6, Timing()), (1.5, Timing()), (1, Timing(command_latency_s=0.02))),
+)
+def test_a_delay_of_part_of_a_frame_and_of_commands_goes_unstable_where_theory_says(
+    free, d, timing
+):
     at_goal = replace(free, timing=timing)
     limit = find_limit(at_goal, d)
     assert limit.g / limit.g_theory == pytest.approx(1.0, rel=0.004)
-    assert limit.g < 0.9 * closed_form(int(d))  # the part of a frame, or the command's latency, lowers it
+    # the part of a frame, or the command's latency, lowers it
+    assert limit.g < 0.9 * closed_form(int(d))
 
 
 def test_the_scenarios_own_latency_comes_first_in_seconds(free):
     late = replace(free, camera=replace(free.camera, latency_s=0.06))
     assert delays_of(late, [0, 1]) == [1.5, 0, 1] and delays_of(free, [0, 1]) == [0, 1]
-    assert delays_of(replace(free, camera=replace(free.camera, latency_s=PERIOD)), [0, 1, 2]) == [1, 0, 2]
-    with pytest.raises(ParameterError, match=r"camera\.latency_s must be at most 2 s, which are 50 frames at 25 Hz, got 3"):
+    assert delays_of(replace(free, camera=replace(free.camera, latency_s=PERIOD)), [0, 1, 2]) == [
+        1,
+        0,
+        2,
+    ]
+    with pytest.raises(
+        ParameterError,
+        match=r"camera\.latency_s must be at most 2 s, which are 50 frames at 25 Hz, got 3",
+    ):
         delays_of(replace(free, camera=replace(free.camera, latency_s=3.0)), [0])
 
 
@@ -148,8 +182,10 @@ def test_an_arm_with_industrial_servos_goes_unstable_where_their_lag_says(arm):
 
 @pytest.mark.parametrize("actuation", one_quick("industrial", "ideal"))
 def test_with_a_predictor_the_limit_of_an_arm_is_that_without_delay(arm, actuation):
-    """docs/results/constraints.md: Smith's predictor with the encoders' motion takes the delay out, so that the lag of the servos is left;
-    with ideal ones nothing is, and the limit is two a period, as deadbeat control with overshoot of the whole error."""
+    """docs/results/constraints.md: Smith's predictor with the encoders' motion takes the delay out,
+    so that the lag of the servos is left; with ideal ones nothing is, and the limit is two a
+    period, as deadbeat control with overshoot of the whole error.
+    """
     plain = arm(actuation)
     limit = 2 / PERIOD if actuation == "ideal" else 37.3  # the table's, without delay and predictor
     start = displaced(replace(plain, law=replace(plain.law, feedforward=Smith())))
@@ -160,7 +196,9 @@ def test_with_a_predictor_the_limit_of_an_arm_is_that_without_delay(arm, actuati
 
 @pytest.mark.study
 def test_servos_that_move_against_a_fast_swing_are_measured_at_a_slower_one():
-    """Without delay the first guess is a swing of two frames; these servos lag by nearly one: b_0 + b_1 is below 0 there."""
+    """Without delay the first guess is a swing of two frames; these servos lag by nearly one: b_0 +
+    b_1 is below 0 there.
+    """
     lags = measure_lags(prepared(vs.load("arm_docking")), 0, OFF_WITH_FRICTION)
     assert all(0.85 < sum(lag.shares) < 1.05 and 0.5 * PERIOD < lag.lag_s < PERIOD for lag in lags)
 
@@ -183,7 +221,9 @@ def test_ideal_servos_hardly_lag(arm):
 def test_what_has_no_such_limit_is_refused(name, settings, words):
     scenario = vs.load(name, settings)
     if words is None:
-        assert prepared(scenario).robot.start.nominal.xyz[2] == pytest.approx(scenario.T_world_goal[2, 3])
+        assert prepared(scenario).robot.start.nominal.xyz[2] == pytest.approx(
+            scenario.T_world_goal[2, 3]
+        )
         return
     with pytest.raises(ParameterError, match=words):
         prepared(scenario)
@@ -197,7 +237,19 @@ def command(words: list[str]) -> int:
 
 def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "study"
-    words = ["gain-limit", "ibvs_book", "--frames", "1", "--set", "camera.rate_hz=20", "--set", "law.gain=0.8", "--out", str(out), "--json"]
+    words = [
+        "gain-limit",
+        "ibvs_book",
+        "--frames",
+        "1",
+        "--set",
+        "camera.rate_hz=20",
+        "--set",
+        "law.gain=0.8",
+        "--out",
+        str(out),
+        "--json",
+    ]
     assert command(words) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["delay_frames"] for row in rows] == [1]
@@ -211,26 +263,43 @@ def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture
         "delay.pdf",
         "report.html",
     }
-    assert pl.read_parquet(out / "delay.parquet")["measured_to_theory"].to_list() == pytest.approx([1], rel=0.005)
+    assert pl.read_parquet(out / "delay.parquet")["measured_to_theory"].to_list() == pytest.approx(
+        [1], rel=0.005
+    )
     page = (out / "report.html").read_text()
     assert "gain limit [1/s]" in page and "data:image/png" in page
     assert command(words) == 2  # never over an older study
     assert command(["gain-limit", "ibvs_book", "--frames", "one"]) == 2
 
 
-def test_the_command_names_the_answer_in_seconds_first_and_says_why_the_theory_is_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["gain-limit", "ibvs_book", "--frames", "1", "--set", "camera.rate_hz=25", "--set", "camera.latency_s=0.06"]
+def test_the_command_names_the_answer_in_seconds_first_and_says_why_the_theory_is_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = [
+        "gain-limit",
+        "ibvs_book",
+        "--frames",
+        "1",
+        "--set",
+        "camera.rate_hz=25",
+        "--set",
+        "camera.latency_s=0.06",
+    ]
     assert command([*words, "--out", str(tmp_path / "study")]) == 0
     first, second = capsys.readouterr().err.splitlines()[:2]
-    assert first.startswith("0.06 s (1.5 frames): unstable from 20.7") and second.startswith("0.04 s (1 frame): unstable from 25.0")
+    assert first.startswith("0.06 s (1.5 frames): unstable from 20.7") and second.startswith(
+        "0.04 s (1 frame): unstable from 25.0"
+    )
     lags = (Lag("a", (0.4, 0.6), 0.028, 1.0, 0.16), Lag("b", (0.9, 0.1), 0.004, 1.0, 0.16))
     panda = Limit(0, 0.0, 29.6, 1.184, 2.0, 1.57, lags, 11, g_linear=1.19)
     told = _summary_line(panda)
     assert (
-        "0.592 of theory for the delay alone, since its servos lag; 0.754 of theory with their lag (a by 28.0 ms), 0.995 of a linear"
-        in told
+        "0.592 of theory for the delay alone, since its servos lag;"
+        " 0.754 of theory with their lag (a by 28.0 ms), 0.995 of a linear" in told
     )
-    assert "not explained" not in told and "not explained" in _summary_line(replace(panda, g_linear=1.9))
+    assert "not explained" not in told and "not explained" in _summary_line(
+        replace(panda, g_linear=1.9)
+    )
 
 
 @pytest.mark.study
@@ -239,21 +308,33 @@ def test_the_command_names_the_answer_in_seconds_first_and_says_why_the_theory_i
     [
         ("ibvs_book", {"camera.rate_hz": 25}, [0.005] * 6, None),
         ("arm_ibvs", {"robot.actuation": "ideal"}, [0.05] * 6, [0.02] * 6),
-        # Without delay the swing is so quick (4 frames) that friction decides more than two numbers can tell.
+        # Without delay the swing is so quick (4 frames) that friction decides more than two numbers
+        # can tell.
         ("arm_ibvs", {"robot.actuation": "industrial"}, None, [0.08, 0.03, 0.03, 0.03, 0.03, 0.03]),
     ],
 )
 def test_limits_from_no_delay_to_five_frames(name, settings, of_theory, of_lag):
     limits = find_limits(vs.load(name, settings), range(6), lambda limit: print(limit.row()))
     if of_theory:
-        assert np.all([abs(x.g / x.g_theory - 1) < bound for x, bound in zip(limits, of_theory, strict=True)])
+        assert np.all(
+            [abs(x.g / x.g_theory - 1) < bound for x, bound in zip(limits, of_theory, strict=True)]
+        )
     if of_lag:
-        assert np.all([x.g_lag is not None and abs(x.g / x.g_lag - 1) < bound for x, bound in zip(limits, of_lag, strict=True)])
+        assert np.all(
+            [
+                x.g_lag is not None and abs(x.g / x.g_lag - 1) < bound
+                for x, bound in zip(limits, of_lag, strict=True)
+            ]
+        )
 
 
-def test_noise_is_switched_off_with_a_word_and_a_law_that_takes_no_larger_gain_says_so(caplog: pytest.LogCaptureFixture) -> None:
+def test_noise_is_switched_off_with_a_word_and_a_law_that_takes_no_larger_gain_says_so(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     noisy = prepared(vs.load("ibvs_book", {"camera.rate_hz": 25, "noise.pixel_sigma_px": 0.5}))
-    assert noisy.noise == vs.load("ibvs_book").noise and "without the scenario's noise" in caplog.text
+    assert (
+        noisy.noise == vs.load("ibvs_book").noise and "without the scenario's noise" in caplog.text
+    )
     law = noisy.law
 
     class Small(type(law)):  # pyright: ignore[reportGeneralTypeIssues, reportUntypedBaseClass] - the class of the law
@@ -264,5 +345,8 @@ def test_noise_is_switched_off_with_a_word_and_a_law_that_takes_no_larger_gain_s
                 raise ParameterError.bound("gain", "<=", 3, self.gain.value)
 
     small = replace(noisy, law=vs.spec(Small)(gain=2.0))
-    with pytest.raises(ParameterError, match=r"law\.gain must be <= 3: the gain limit is beyond what law ibvs takes"):
+    with pytest.raises(
+        ParameterError,
+        match=r"law\.gain must be <= 3: the gain limit is beyond what law ibvs takes",
+    ):
         find_limit(small, 1)

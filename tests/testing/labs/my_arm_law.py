@@ -1,4 +1,6 @@
-"""What has full marks in lab 2: a gain that the delay bears, and what was ordered in its time added to the error (a Smith predictor)."""
+"""What has full marks in lab 2: a gain that the delay bears, and what was ordered in its time added
+to the error (a Smith predictor).
+"""
 
 from typing import Literal
 
@@ -20,6 +22,8 @@ class MyArmLaw(vs.ErrorLaw):
     inputs = ("xy", "depth")
 
     def equations(self, view, goal):
-        """The error and the mean of both views' Jacobians: with that of the present one a tenth of the starts ends at a joint's limit."""
+        """The error and the mean of both views' Jacobians: with that of the present one a tenth of
+        the starts ends at a joint's limit.
+        """
         J = (POINT.interaction(view.xy, view.depth) + POINT.interaction(goal.xy, goal.depth)) / 2
         return POINT.measure(view.xy) - POINT.measure(goal.xy), J

@@ -1,4 +1,6 @@
-"""What has full marks in lab 3: by the pose the camera goes to its goal on a straight line, twice as fast as it turns."""
+"""What has full marks in lab 3: by the pose the camera goes to its goal on a straight line, twice
+as fast as it turns.
+"""
 
 from typing import Literal
 
@@ -13,7 +15,9 @@ FASTER = np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
 @vs.LAWS.add
 @vs.spec
 class MyClaim(vs.ErrorLaw):
-    """u = -gain pinv(J B) e with e = (2 t, theta u) of the camera in the goal's frame, J the Jacobian of (t, theta u)."""
+    """u = -gain pinv(J B) e with e = (2 t, theta u) of the camera in the goal's frame, J the
+    Jacobian of (t, theta u).
+    """
 
     kind: Literal["my_claim"] = "my_claim"
     inputs = ("T_camera_target",)

@@ -1,4 +1,6 @@
-"""What has full marks in lab 1: points with the Jacobian of either view or their mean, and the pose where it must not retreat."""
+"""What has full marks in lab 1: points with the Jacobian of either view or their mean, and the pose
+where it must not retreat.
+"""
 
 from typing import Literal
 
@@ -10,7 +12,9 @@ POSE = vs.laws.PBVS()
 
 
 def rows(xy, depth):
-    """The image Jacobian of points (..., 2N, 6) for normalised coordinates xy (..., N, 2) and depths (..., N) [m]."""
+    """The image Jacobian of points (..., 2N, 6) for normalised coordinates xy (..., N, 2) and
+    depths (..., N) [m].
+    """
     x, y = xy[..., 0], xy[..., 1]
     z = np.broadcast_to(depth, x.shape)
     zero = np.zeros_like(x)
@@ -26,7 +30,8 @@ class MyIbvs(vs.ErrorLaw):
 
     Args:
         jacobian: of which view it is.
-        retreat: whether the camera may go back where it has to turn; otherwise the pose is the error.
+        retreat: whether the camera may go back where it has to turn; otherwise the pose is the
+            error.
     """
 
     kind: Literal["my_ibvs"] = "my_ibvs"
@@ -40,5 +45,7 @@ class MyIbvs(vs.ErrorLaw):
             return POSE.equations(view, goal)
         e = (view.xy - goal.xy).reshape(*view.xy.shape[:-2], -1)
         now, then = rows(view.xy, view.depth), rows(goal.xy, goal.depth)
-        J = {"present": now, "goal": np.broadcast_to(then, now.shape), "mean": (now + then) / 2}[self.jacobian]
+        J = {"present": now, "goal": np.broadcast_to(then, now.shape), "mean": (now + then) / 2}[
+            self.jacobian
+        ]
         return e, J

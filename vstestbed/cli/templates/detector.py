@@ -3,7 +3,8 @@
     pytest my_detector.py
     vstestbed run ibvs_book --plugin my_detector.py --set detector=my_detector
 
-It takes the centre of a marker's hue. A learned one loads its network in `init` and asks it in `detect`; weights belong into the fields.
+It takes the centre of a marker's hue. A learned one loads its network in `init` and asks it in
+`detect`; weights belong into the fields.
 """
 
 from typing import ClassVar, Literal
@@ -38,15 +39,18 @@ class MyDetector(vs.DetectorBase):
         return
 
     def detect(self, state, picture, view, camera, target, rng):
-        """The next state, and uv (N, 2) [px] of the markers, whose hues are `target.hues_deg` [deg]; NaN for one that is not found.
+        """The next state, and uv (N, 2) [px] of the markers, whose hues are `target.hues_deg`
+        [deg]; NaN for one that is not found.
 
-        picture.images: (H, W, 3) uint8 RGB of each panel of the camera (one, but for spherical); the first pixel's centre is (0, 0).
+        picture.images: (H, W, 3) uint8 RGB of each panel of the camera (one, but for spherical);
+        the first pixel's centre is (0, 0).
         """
         if picture is None or picture.image is None:
             raise vs.errors.ParameterError("picture", "is missing: detector my_detector needs one")
         chroma = np.ptp(picture.image, axis=2)
         v, u = np.nonzero(chroma >= self.chroma)
-        hue = np.degrees(np.angle(picture.image[v, u] @ np.exp(1j * np.radians([0, 120, 240]))))  # seen along the grey axis
+        # seen along the grey axis
+        hue = np.degrees(np.angle(picture.image[v, u] @ np.exp(1j * np.radians([0, 120, 240]))))
         uv = np.full((len(target.hues_deg), 2), np.nan)
         for i, wanted in enumerate(target.hues_deg):
             own = np.abs((hue - wanted + 180) % 360 - 180) < min(15.0, 180 / len(uv))

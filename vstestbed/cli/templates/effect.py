@@ -1,4 +1,5 @@
-"""The effect my_effect of a robot: what it changes in the model, what it does while the run lasts, what it writes into the log.
+"""The effect my_effect of a robot: what it changes in the model, what it does while the run lasts,
+what it writes into the log.
 
     pytest my_effect.py
     vstestbed run arm_ibvs --plugin my_effect.py --set "robot.effects=[my_effect]"
@@ -34,7 +35,9 @@ class MyEffect(vs.EffectBase):
             raise vs.errors.ParameterError("kind", "is for a robot with joints")
 
     def actor(self, body, rng):
-        """What it does in one run; `body.motor_torque()` has the motors' torques, `edit` changes the model before it is compiled."""
+        """What it does in one run; `body.motor_torque()` has the motors' torques, `edit` changes
+        the model before it is compiled.
+        """
         return Churning(self, body)
 
 
@@ -42,7 +45,8 @@ class Churning(vs.effects.Actor):
     """The torques of one run."""
 
     def __init__(self, effect, body):
-        self.effect, self.data, self.at = effect, body.data, body.at.motor_qvel  # the motors' side of elastic joints
+        # the motors' side of elastic joints
+        self.effect, self.data, self.at = effect, body.data, body.at.motor_qvel
         self.force = np.zeros(body.model.nv)  # the plant adds it to those of other effects
 
     def act(self, t, dt):

@@ -3,7 +3,8 @@
     pytest my_feature.py
     vstestbed run ibvs_book --plugin my_feature.py --set law.feature=my_feature
 
-The feature is s = (atan x, atan y) of each marker, the angles [rad] at which it is seen to the right and below the optical axis.
+The feature is s = (atan x, atan y) of each marker, the angles [rad] at which it is seen to the
+right and below the optical axis.
 """
 
 from typing import ClassVar, Literal
@@ -17,7 +18,9 @@ import vstestbed.testing
 @vs.FEATURES.add
 @vs.spec
 class MyFeature(vs.Feature):
-    """s = (atan x, atan y), s_dot = L v with L = L_point / (1 + x^2) and / (1 + y^2), row by row."""
+    """s = (atan x, atan y), s_dot = L v with L = L_point / (1 + x^2) and / (1 + y^2),
+    row by row.
+    """
 
     kind: Literal["my_feature"] = "my_feature"  # its word in a scenario
     inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")  # of a wide lens: ("ray", "range")
@@ -29,7 +32,9 @@ class MyFeature(vs.Feature):
         return np.arctan(xy).reshape(*xy.shape[:-2], -1)
 
     def interaction(self, xy, depth):
-        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m], for a camera twist (v, w) in its own frame."""
+        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m], for a camera twist (v, w) in its
+        own frame.
+        """
         slope = 1 / (1 + xy**2)  # the derivative of atan: the chain rule makes L of the points' L
         return slope.reshape(*xy.shape[:-2], -1, 1) * vs.features.Point().interaction(xy, depth)
 

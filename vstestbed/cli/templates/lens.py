@@ -3,8 +3,9 @@
     pytest my_lens.py
     vstestbed run arm_fisheye --plugin my_lens.py --set camera.kind=my_lens
 
-The lens is stereographic: m(theta) = 2 tan(theta / 2), u = f m cos(phi) + cx, v = f m sin(phi) + cy. A lens without this symmetry
-derives from `vs.Camera` and has `project` and `ray`; its pictures are rendered by them alone.
+The lens is stereographic: m(theta) = 2 tan(theta / 2), u = f m cos(phi) + cx, v = f m sin(phi) +
+cy. A lens without this symmetry derives from `vs.Camera` and has `project` and `ray`; its pictures
+are rendered by them alone.
 """
 
 import math
@@ -20,7 +21,8 @@ from vstestbed.camera import Radial
 @vs.CAMERAS.add
 @vs.spec
 class MyLens(Radial):
-    """m(theta) = 2 tan(theta / 2); `Radial` has size, rate, mount and focal length, by default such that the picture is filled.
+    """m(theta) = 2 tan(theta / 2); `Radial` has size, rate, mount and focal length, by default such
+    that the picture is filled.
 
     Args:
         fov_deg: full field of view [deg].

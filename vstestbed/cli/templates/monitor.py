@@ -3,7 +3,8 @@
     pytest my_monitor.py
     vstestbed run ibvs_book --plugin my_monitor.py --set "monitors=[my_monitor]"
 
-The run ends as `diverged` once the camera is farther from the target than it was at the start, by a margin.
+The run ends as `diverged` once the camera is farther from the target than it was at the start, by a
+margin.
 """
 
 from typing import Annotated, Literal
@@ -40,13 +41,20 @@ class MyMonitorOfARun:
         self.limit_m = None
 
     def update(self, frame):
-        """None to go on, or the outcome and its reason. It is the referee: `frame.truth` is the simulator's."""
-        distance = np.linalg.norm(frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3])
+        """None to go on, or the outcome and its reason. It is the referee: `frame.truth` is the
+        simulator's.
+        """
+        distance = np.linalg.norm(
+            frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]
+        )
         if self.limit_m is None:
             self.limit_m = distance + self.margin_m
         if distance <= self.limit_m:
             return None
-        return vs.Outcome.diverged, f"the camera is {distance:.2f} m from the target, over {self.limit_m:.2f} m"
+        return (
+            vs.Outcome.diverged,
+            f"the camera is {distance:.2f} m from the target, over {self.limit_m:.2f} m",
+        )
 
 
 def test_my_monitor():

@@ -3,7 +3,8 @@
     pytest my_motion.py
     vstestbed run arm_track_circle --plugin my_motion.py --set target.motion=my_motion
 
-The target goes along a figure of eight in its own plane: D(t) = (a sin wt, a sin wt cos wt, 0), w = 2 pi f.
+The target goes along a figure of eight in its own plane: D(t) = (a sin wt, a sin wt cos wt, 0), w =
+2 pi f.
 """
 
 import math
@@ -31,10 +32,11 @@ class MyMotion(vs.MotionBase):
     frequency_hz: Annotated[float, Gt(0)] = 0.1
 
     def path(self, rng):
-        """The displacement (4, 4) from the pose at rest, along the target's own axes, as a function of time [s].
+        """The displacement (4, 4) from the pose at rest, along the target's own axes, as a function
+        of time [s].
 
-        What is random is drawn from `rng`, the run's own, and must be the same whenever a time is asked for again; a motion that draws
-        has the line `draws = True`.
+        What is random is drawn from `rng`, the run's own, and must be the same whenever a time is
+        asked for again; a motion that draws has the line `draws = True`.
         """
         a, w = self.amplitude_m, 2 * math.pi * self.frequency_hz
 

@@ -29,9 +29,12 @@ class MyNoise(vs.PerturbationBase):
     changes: ClassVar[tuple[str, ...]] = ("picture",)  # or ("pixels",), for the method `pixels`
 
     def picture(self, state, image, t, rng):
-        """The picture (H, W, 3) uint8 RGB of time t [s], changed; `state` is what `begin` has drawn once for the run."""
+        """The picture (H, W, 3) uint8 RGB of time t [s], changed; `state` is what `begin` has drawn
+        once for the run.
+        """
         hit = rng.random(image.shape[:2]) < self.share
-        image[hit] = np.where(rng.random((hit.sum(), 1)) < 0.5, 0, 255)  # `image` is a copy, which may be written to
+        # `image` is a copy, which may be written to
+        image[hit] = np.where(rng.random((hit.sum(), 1)) < 0.5, 0, 255)
         return image
 
 

@@ -29,7 +29,9 @@ class MyTarget(vs.Target):
     kind: Literal["my_target"] = "my_target"  # its word in a scenario
     corners: Annotated[int, Ge(3), Le(12)] = 5
     side: Annotated[float, Gt(0)] = 0.4
-    one_sided: ClassVar[bool] = True  # its markers are seen from the front only: a camera behind its plane has lost it
+    one_sided: ClassVar[bool] = (
+        True  # its markers are seen from the front only: a camera behind its plane has lost it
+    )
 
     def __post_init__(self):
         """Refuse markers that overlap."""
@@ -37,7 +39,9 @@ class MyTarget(vs.Target):
 
     @cached_property
     def points(self):
-        """Marker centres (N, 3) [m] in the target's frame, whose z axis points away from a camera that faces it."""
+        """Marker centres (N, 3) [m] in the target's frame, whose z axis points away from a camera
+        that faces it.
+        """
         angle = 2 * np.pi * np.arange(self.corners) / self.corners
         radius = self.side / (2 * np.sin(np.pi / self.corners))
         return radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(self.corners)])

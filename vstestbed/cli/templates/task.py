@@ -3,7 +3,8 @@
     pytest my_task.py
     vstestbed run ibvs_book --plugin my_task.py --set "goal={kind: my_task}"
 
-The camera is to see the target straight from the front, at a distance, turned about the optical axis.
+The camera is to see the target straight from the front, at a distance, turned about the optical
+axis.
 """
 
 import math
@@ -19,7 +20,8 @@ import vstestbed.testing
 @vs.GOALS.add
 @vs.spec
 class MyTask(vs.TaskBase):
-    """One view; `vs.TaskBase` ends the run when `stop.converged` holds there. Several poses are taken in turn by `kind: views`.
+    """One view; `vs.TaskBase` ends the run when `stop.converged` holds there. Several poses are
+    taken in turn by `kind: views`.
 
     Args:
         distance_m: distance from the camera to the target [m].
@@ -31,7 +33,9 @@ class MyTask(vs.TaskBase):
     turn_deg: float = 20.0
 
     def goal_poses(self, target, mount):
-        """T_camera_target (4, 4) of each goal view: the target's pose in the camera's frame there."""
+        """T_camera_target (4, 4) of each goal view:
+        the target's pose in the camera's frame there.
+        """
         c, s = math.cos(math.radians(self.turn_deg)), math.sin(math.radians(self.turn_deg))
         T = np.eye(4)
         T[:2, :2], T[2, 3] = [[c, -s], [s, c]], self.distance_m

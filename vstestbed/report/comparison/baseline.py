@@ -1,4 +1,6 @@
-"""A comparison beside an earlier one: the same runs then and now, paired, and what got worse; on one machine runs repeat exactly."""
+"""A comparison beside an earlier one: the same runs then and now, paired, and what got worse; on
+one machine runs repeat exactly.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +24,17 @@ from vstestbed.tasks.metrics import Metric
 
 FILE: Final = "baseline.json"  # File of a comparison's folder that holds its `BaselineChanges`
 TOLERANCE: Final = 0.02
-"""Default share of the earlier mean by which a metric may get worse. Another version of a library or another processor changes the last
-digits of pixels, and lets a run converge a frame earlier or later, and 40 ms are a hundredth of 4 s: a real difference of that size is no
-fault of a law."""
+"""Default share of the earlier mean by which a metric may get worse. Another version of a library
+or another processor changes the last digits of pixels, and lets a run converge a frame earlier or
+later, and 40 ms are a hundredth of 4 s: a real difference of that size is no fault of a law.
+"""
 LEVEL: Final = 0.05  # Level of the one-sided test on lost runs
-FEWEST: Final = 5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
+FEWEST: Final = (
+    5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
+)
 
-Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]  # NaN, which JSON has not, is null there
+# NaN, which JSON has not, is null there
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,8 @@ class MetricChange:
     unit: str
     before: Number  # before, now: means over the same runs
     now: Number
-    difference: Number  # difference, low, high: mean of now - before with its 95 % interval, NaN where there is none
+    # difference, low, high: mean of now - before with its 95 % interval, NaN where there is none
+    difference: Number
     low: Number
     high: Number
     n: int  # number of these runs
@@ -50,11 +57,23 @@ class MetricChange:
     @property
     def share(self) -> float:
         """The difference as a share of the earlier mean; infinite where that is 0."""
-        return self.difference / abs(self.before) if self.before else math.copysign(math.inf, self.difference) if self.difference else 0.0
+        return (
+            self.difference / abs(self.before)
+            if self.before
+            else math.copysign(math.inf, self.difference)
+            if self.difference
+            else 0.0
+        )
 
     def worse(self, tolerance: float) -> bool:
-        """Whether it got worse by more than a share of the earlier mean; of several runs, with an interval that excludes zero."""
-        return self.better * self.difference < 0 and abs(self.share) > tolerance and (self.real or self.n == 1)
+        """Whether it got worse by more than a share of the earlier mean; of several runs, with an
+        interval that excludes zero.
+        """
+        return (
+            self.better * self.difference < 0
+            and abs(self.share) > tolerance
+            and (self.real or self.n == 1)
+        )
 
 
 @dataclass(frozen=True)
@@ -65,15 +84,21 @@ class ControllerChange:
     runs: int
     reached_before: int  # reached_before, reached_now: how many of the `runs` reached the goal
     reached_now: int
-    lost: tuple[str, ...]  # lost, gained: the runs that reached it only then, and only now, each in words: `seed 3: target_lost`
+    # lost, gained: the runs that reached it only then, and only now, each in words:
+    # `seed 3: target_lost`
+    lost: tuple[str, ...]
     gained: tuple[str, ...]
-    chance: Number  # p-value of the one-sided exact sign test, that it reaches the goal less often now
+    chance: (
+        Number  # p-value of the one-sided exact sign test, that it reaches the goal less often now
+    )
     metrics: tuple[MetricChange, ...]  # the metrics
     settings: tuple[str, ...] = ()  # fields of the scenario that differ, of its first run
 
     @property
     def fails_more(self) -> bool:
-        """Whether it reaches the goal in significantly fewer runs; with fewer than 5 runs no test could tell, and any net loss counts."""
+        """Whether it reaches the goal in significantly fewer runs; with fewer than 5 runs no test
+        could tell, and any net loss counts.
+        """
         fewer = len(self.lost) > len(self.gained)
         return fewer and (self.chance < LEVEL or self.runs < FEWEST)
 
@@ -89,21 +114,36 @@ class BaselineChanges:
 
     place: str  # of the earlier results
     matched: int  # number of runs that both have
-    only_now: tuple[str, ...]  # only_now, only_before: controllers without a counterpart, or with some runs only; in words
+    # only_now, only_before: controllers without a counterpart, or with some runs only; in words
+    only_now: tuple[str, ...]
     only_before: tuple[str, ...]
     controllers: tuple[ControllerChange, ...]  # those with matched runs
 
     def regressions(self, tolerance: float = TOLERANCE) -> list[str]:
-        """A sentence for each thing that got worse; `tolerance`: share of the earlier mean by which a metric may get worse."""
+        """A sentence for each thing that got worse; `tolerance`: share of the earlier mean by which
+        a metric may get worse.
+        """
         found = []
         for c in self.controllers:
             if c.fails_more:
-                why = f"p = {c.chance:.2g}" if c.chance < LEVEL else f"fewer than {FEWEST} runs, so that any loss counts"
-                found.append(f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal, before {c.reached_before} ({why})")
+                why = (
+                    f"p = {c.chance:.2g}"
+                    if c.chance < LEVEL
+                    else f"fewer than {FEWEST} runs, so that any loss counts"
+                )
+                found.append(
+                    f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal,"
+                    f" before {c.reached_before} ({why})"
+                )
             for m in c.metrics:
                 if m.worse(tolerance):
-                    share = f"{100 * abs(m.share):.3g} %" if math.isfinite(m.share) else "from nothing"
-                    found.append(f"{c.label}: {m.title.lower()} {difference_text(m)}, {share} worse (tolerance {100 * tolerance:g} %)")
+                    share = (
+                        f"{100 * abs(m.share):.3g} %" if math.isfinite(m.share) else "from nothing"
+                    )
+                    found.append(
+                        f"{c.label}: {m.title.lower()} {difference_text(m)}, {share} worse"
+                        f" (tolerance {100 * tolerance:g} %)"
+                    )
         return found
 
     def plain(self) -> dict[str, Any]:
@@ -111,7 +151,13 @@ class BaselineChanges:
         return json.loads(TypeAdapter(BaselineChanges).dump_json(self))
 
 
-def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequence[Metric], settings: Sequence[str]) -> ControllerChange:
+def change_of(
+    label: str,
+    before: pl.DataFrame,
+    now: pl.DataFrame,
+    metrics: Sequence[Metric],
+    settings: Sequence[str],
+) -> ControllerChange:
     """The changes of one controller, of which both tables have the same runs in every row."""
     old, new = ControllerResults(label, before), ControllerResults(label, now)
     lost = _runs(new, old.success & ~new.success)
@@ -135,11 +181,25 @@ def _metric_change(old: ControllerResults, new: ControllerResults, metric: Metri
     used = ((old.success & new.success) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
     d = paired_difference(y[used], x[used])
     before, now = (float(v[used].mean()) if used.any() else math.nan for v in (x, y))
-    return MetricChange(metric.name, metric.title, metric.unit, before, now, d.mean, d.low, d.high, d.n, d.excludes_zero, metric.better)
+    return MetricChange(
+        metric.name,
+        metric.title,
+        metric.unit,
+        before,
+        now,
+        d.mean,
+        d.low,
+        d.high,
+        d.n,
+        d.excludes_zero,
+        metric.better,
+    )
 
 
 def _runs(ended: ControllerResults, chosen: np.ndarray) -> tuple[str, ...]:
-    """The chosen runs with the outcome that they have in one of the two comparisons, the one in which they failed."""
+    """The chosen runs with the outcome that they have in one of the two comparisons, the one in
+    which they failed.
+    """
     outcomes = ended.runs["outcome"].to_list()
     return tuple(f"seed {seed}: {outcomes[i]}" for i, seed in enumerate(ended.seeds) if chosen[i])
 
@@ -152,24 +212,35 @@ def difference_text(m: MetricChange) -> str:
 
 
 def read_changes(folder: Path) -> BaselineChanges | None:
-    """What `baseline.json` of a comparison's folder holds; None where there is none. RunFolderError: it is damaged."""
+    """What `baseline.json` of a comparison's folder holds; None where there is none.
+    RunFolderError: it is damaged.
+    """
     path = folder / FILE
     if not path.is_file():
         return None
     try:
         return TypeAdapter(BaselineChanges).validate_json(path.read_bytes())
     except (OSError, ValidationError) as error:
-        raise RunFolderError(path, f"is damaged ({error})", "remove it, or compare again with --baseline") from None
+        raise RunFolderError(
+            path, f"is damaged ({error})", "remove it, or compare again with --baseline"
+        ) from None
 
 
-# How a comparison differs from an earlier one, in words for the terminal and as a section of the page.
-MOST: Final = 4  # Differing metrics, and lost runs, that a line of the terminal names; the page has all of them
+# How a comparison differs from an earlier one, in words for the terminal and as a section of the
+# page.
+
+# Differing metrics, and lost runs, that a line of the terminal names; the page has all of them
+MOST: Final = 4
 
 
 def text(changes: BaselineChanges) -> str:
-    """The differences in a few lines: each controller's successes and its metrics that differ most surely."""
+    """The differences in a few lines: each controller's successes and its metrics that differ most
+    surely.
+    """
     lines = [f"against {changes.place}: {changes.matched} runs in both"]
-    lines += [f"  only now: {words}" for words in changes.only_now] + [f"  only then: {words}" for words in changes.only_before]
+    lines += [f"  only now: {words}" for words in changes.only_now] + [
+        f"  only then: {words}" for words in changes.only_before
+    ]
     return "\n".join([*lines, *(line for c in changes.controllers for line in _lines(c))])
 
 
@@ -177,10 +248,23 @@ def _lines(c: ControllerChange) -> list[str]:
     settings = f"; its scenario differs in {_named(c.settings)}" if c.settings else ""
     if not c.changed:
         return [f"  {c.label}: {c.runs} runs without any difference{settings}"]
-    runs = "".join(f" ({what}: {_named(those)})" for what, those in (("lost", c.lost), ("gained", c.gained)) if those)
-    differ = sorted((m for m in c.metrics if m.n and m.difference), key=lambda m: (not m.real, -abs(m.share)))
-    more = [f"    {len(differ) - MOST} more numbers differ (report.html)"] if len(differ) > MOST else []
-    reached = f"  {c.label}: {c.reached_now} of {c.runs} reached the goal, before {c.reached_before}{runs}{settings}"
+    runs = "".join(
+        f" ({what}: {_named(those)})"
+        for what, those in (("lost", c.lost), ("gained", c.gained))
+        if those
+    )
+    differ = sorted(
+        (m for m in c.metrics if m.n and m.difference), key=lambda m: (not m.real, -abs(m.share))
+    )
+    more = (
+        [f"    {len(differ) - MOST} more numbers differ (report.html)"]
+        if len(differ) > MOST
+        else []
+    )
+    reached = (
+        f"  {c.label}: {c.reached_now} of {c.runs} reached the goal,"
+        f" before {c.reached_before}{runs}{settings}"
+    )
     return [reached, *(f"    {m.title.lower()} {difference_text(m)}" for m in differ[:MOST]), *more]
 
 
@@ -189,35 +273,60 @@ def _named(words: Sequence[str]) -> str:
 
 
 def section(folder: Path) -> dict[str, Any] | None:
-    """The section of a comparison's page (`baseline.html`); None where it was not compared with an earlier one."""
+    """The section of a comparison's page (`baseline.html`); None where it was not compared with an
+    earlier one.
+    """
     changes = read_changes(folder)
     if changes is None:
         return None
     note = (
-        f"{changes.matched} runs are in both. The numbers: the mean now minus the mean then over the runs that reached the goal both "
-        "times (what a run has on its way: over all runs), its 95 % interval below. Bold with a dot: the interval excludes zero. "
-        "An unchanged program gives 0 everywhere on the same machine."
+        f"{changes.matched} runs are in both. The numbers:"
+        " the mean now minus the mean then over the runs that reached the goal both times"
+        " (what a run has on its way: over all runs), its 95 % interval below. Bold with a dot:"
+        " the interval excludes zero. An unchanged program gives 0 everywhere on the same machine."
     )
-    notes = [note] + [f"Only now: {words}." for words in changes.only_now] + [f"Only then: {words}." for words in changes.only_before]
-    notes += [f"{c.label}: its scenario differs in {', '.join(c.settings)}." for c in changes.controllers if c.settings]
+    notes = (
+        [note]
+        + [f"Only now: {words}." for words in changes.only_now]
+        + [f"Only then: {words}." for words in changes.only_before]
+    )
+    notes += [
+        f"{c.label}: its scenario differs in {', '.join(c.settings)}."
+        for c in changes.controllers
+        if c.settings
+    ]
     names = dict.fromkeys((m.title, m.unit) for c in changes.controllers for m in c.metrics)
     return {
         "place": changes.place,
         "tolerance": f"{100 * TOLERANCE:g}",
         "verdict": changes.regressions() or ["Nothing got worse."],
-        "heads": ["Controller", "Reached the goal", *(f"{title} [{unit}]" if unit else title for title, unit in names)],
-        "lines": [[(c.label, c.label, False, []), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers],
+        "heads": [
+            "Controller",
+            "Reached the goal",
+            *(f"{title} [{unit}]" if unit else title for title, unit in names),
+        ],
+        "lines": [
+            [(c.label, c.label, False, []), _goals(c), *map(_cell, c.metrics)]
+            for c in changes.controllers
+        ],
         "notes": notes,
     }
 
 
 def _goals(c: ControllerChange) -> Cell:
     change = c.reached_now - c.reached_before
-    small = [f"{c.reached_now} of {c.runs}, before {c.reached_before}", *(f"lost {run}" for run in c.lost)]
+    small = [
+        f"{c.reached_now} of {c.runs}, before {c.reached_before}",
+        *(f"lost {run}" for run in c.lost),
+    ]
     return change, signed(change), c.fails_more, [*small, *(f"gained {run}" for run in c.gained)]
 
 
 def _cell(m: MetricChange) -> Cell:
     interval = [f"[{signed(m.low)},", f"{signed(m.high)}]"] if math.isfinite(m.low) else []
     small = [*interval, f"before {number(m.before)}"]
-    return (m.difference, signed(m.difference), bool(m.real and m.difference), small) if m.n else NO_CELL
+    return (
+        (m.difference, signed(m.difference), bool(m.real and m.difference), small)
+        if m.n
+        else NO_CELL
+    )

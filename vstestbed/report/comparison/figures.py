@@ -1,4 +1,6 @@
-"""Figures of a comparison over all runs; each takes the data and its width [in], since the page and a paper need different sizes."""
+"""Figures of a comparison over all runs; each takes the data and its width [in], since the page and
+a paper need different sizes.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,25 @@ from vstestbed.core.geometry import Array
 from vstestbed.loop.log_file import open_log
 from vstestbed.report.canvas import new_figure, panels, plain, wrapped
 from vstestbed.report.comparison.pairs import Pair
-from vstestbed.report.comparison.results import RESTRICTED, TIME, ComparisonResults, ControllerResults
+from vstestbed.report.comparison.results import (
+    RESTRICTED,
+    TIME,
+    ComparisonResults,
+    ControllerResults,
+)
 from vstestbed.report.comparison.statistics import FEWEST, LEAST, NOTHING, wilson
-from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, LOST, RULE, THRESHOLD, Look, look, signed
+from vstestbed.report.marks import (
+    FAILED,
+    GOAL,
+    INK,
+    LINE_COLORS,
+    LOST,
+    RULE,
+    THRESHOLD,
+    Look,
+    look,
+    signed,
+)
 from vstestbed.report.marks import TIME as TIME_LABEL
 from vstestbed.report.run.tracks import MeasuredError
 from vstestbed.tasks.metrics import Metric
@@ -29,11 +47,16 @@ if TYPE_CHECKING:
 
 # The error in the image of many runs over time, resampled to one time grid.
 #
-# Logs are read one at a time and only INSTANTS values of each are kept, so that memory does not grow with the length of the logs.
+# Logs are read one at a time and only INSTANTS values of each are kept, so that memory does not
+# grow with the length of the logs.
 INSTANTS = 240  # Points of the time grid: more than can be resolved in one panel of a figure
 SAMPLED, LEAST_SAMPLED = 2000, 20
-"""Logs that are read in all, shared among the controllers, and fewest of each: to read one takes a millisecond."""
-_FAR = 1e30  # Error that stands for a lost target: larger than any real one, but finite, since quantiles interpolate (inf - inf is NaN)
+"""Logs that are read in all, shared among the controllers, and fewest of each: to read one takes a
+millisecond.
+"""
+# Error that stands for a lost target: larger than any real one, but finite, since quantiles
+# interpolate (inf - inf is NaN)
+_FAR = 1e30
 
 
 @dataclass(frozen=True)
@@ -43,10 +66,14 @@ class Data:
     comparison: ComparisonResults
     pairs: Sequence[Pair] = ()
     t: Array = field(default_factory=lambda: np.zeros(1))  # the common time grid, shape (G,) [s]
-    # of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for runs without a log
+    # of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for
+    # runs without a log
     errors: tuple[NDArray[np.float32], ...] = ()
-    sampled: int | None = None  # the errors are of so many first runs of each controller; None: of all
-    measured: tuple[MeasuredError, ...] = ()  # which error it is of each controller, with the threshold
+    sampled: int | None = (
+        None  # the errors are of so many first runs of each controller; None: of all
+    )
+    # which error it is of each controller, with the threshold
+    measured: tuple[MeasuredError, ...] = ()
 
     @cached_property
     def labels(self) -> list[str]:
@@ -57,7 +84,10 @@ class Data:
     def shown(self) -> tuple[Metric, ...]:
         """The metrics that any run has: a panel without values says nothing."""
         metrics, controllers = self.comparison.shown, self.comparison.controllers
-        return tuple(m for m in metrics if any(np.isfinite(c.values(m)).any() for c in controllers)) or metrics[:1]
+        return (
+            tuple(m for m in metrics if any(np.isfinite(c.values(m)).any() for c in controllers))
+            or metrics[:1]
+        )
 
     def units(self) -> dict[MeasuredError, list[int]]:
         """The controllers that are measured in the same, by number."""
@@ -67,31 +97,49 @@ class Data:
         return found
 
     def quartiles(self, controller: int) -> Array:
-        """First quartile, median and third quartile over the runs, shape (3, G); inf where so many runs have lost the target.
+        """First quartile, median and third quartile over the runs, shape (3, G); inf where so many
+        runs have lost the target.
 
-        A run without target ranks behind every run that sees it: else a controller that loses its worst runs would look better.
+        A run without target ranks behind every run that sees it: else a controller that loses its
+        worst runs would look better.
         """
         errors = self.errors[controller].astype(float)
         if not len(errors):
             return np.full((3, len(self.t)), np.inf)
-        quartiles = np.quantile(np.where(np.isfinite(errors), errors, _FAR), [0.25, 0.5, 0.75], axis=0)
-        return np.where(quartiles < 1e-3 * _FAR, quartiles, np.inf)  # also where _FAR was only a part of the interpolation
+        quartiles = np.quantile(
+            np.where(np.isfinite(errors), errors, _FAR), [0.25, 0.5, 0.75], axis=0
+        )
+        # also where _FAR was only a part of the interpolation
+        return np.where(quartiles < 1e-3 * _FAR, quartiles, np.inf)
 
 
-def read_series(folder: Path, comparison: ComparisonResults, pairs: Sequence[Pair] = (), measured: Sequence[MeasuredError] = ()) -> Data:
-    """The data of the figures; of very many runs the errors of the first of each controller; after its end a run holds its last value.
+def read_series(
+    folder: Path,
+    comparison: ComparisonResults,
+    pairs: Sequence[Pair] = (),
+    measured: Sequence[MeasuredError] = (),
+) -> Data:
+    """The data of the figures; of very many runs the errors of the first of each controller; after
+    its end a run holds its last value.
 
-    `measured`: which error of each controller, by default that of markers. RunFolderError: a log is damaged.
+    `measured`: which error of each controller, by default that of markers. RunFolderError: a log is
+    damaged.
     """
     # the duration of the longest run; 1 s if no run has any, so that the grid is not empty
-    longest = comparison.table["sim_time_s"].cast(pl.Float64, strict=False).max() if "sim_time_s" in comparison.table.columns else None
+    longest = (
+        comparison.table["sim_time_s"].cast(pl.Float64, strict=False).max()
+        if "sim_time_s" in comparison.table.columns
+        else None
+    )
     t = np.linspace(0, longest if isinstance(longest, float) and longest > 0 else 1.0, INSTANTS)
     most = max(SAMPLED // max(len(comparison.controllers), 1), LEAST_SAMPLED)
     measured = tuple(measured) or (MeasuredError(),) * len(comparison.controllers)
     of_controllers = []
     for controller, error in zip(comparison.controllers, measured, strict=True):
-        places = controller.runs["folder"].head(most).to_list()  # the first, not a random choice: the same page from the same table
-        errors = np.full((len(places), len(t)), np.nan, dtype=np.float32)  # single precision halves the memory of large comparisons
+        # the first, not a random choice: the same page from the same table
+        places = controller.runs["folder"].head(most).to_list()
+        # single precision halves the memory of large comparisons
+        errors = np.full((len(places), len(t)), np.nan, dtype=np.float32)
         for i, place in enumerate(places):
             errors[i] = _resampled(folder / str(place) / "log.parquet", error.column, t)
         of_controllers.append(errors)
@@ -100,24 +148,38 @@ def read_series(folder: Path, comparison: ComparisonResults, pairs: Sequence[Pai
 
 
 def _resampled(path: Path, column: str, t: Array) -> Array:
-    """Zero-order hold of a log's error at the times t (G,) [s]; NaN before its first frame, and everywhere where there is no log."""
+    """Zero-order hold of a log's error at the times t (G,) [s]; NaN before its first frame, and
+    everywhere where there is no log.
+    """
     if not path.is_file():  # of a run that crashed
         return np.full(len(t), np.nan)
     times, error = open_log(path.parent, names=("t", column)).table.T
     # 1e-9 s: a grid point that rounding has put just before its frame belongs to that frame
     frame = np.searchsorted(times, t + 1e-9, side="right") - 1
-    return np.where(frame >= 0, error[np.maximum(frame, 0)], np.nan) if len(error) else np.full(len(t), np.nan)
+    return (
+        np.where(frame >= 0, error[np.maximum(frame, 0)], np.nan)
+        if len(error)
+        else np.full(len(t), np.nan)
+    )
 
 
-BANDS = 4  # Most controllers whose quartile bands are drawn in one panel: more bands hide each other
-PANELS = 24  # Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
-LINES, EACH_LEAST, EACH_MOST = 200, 5, 30  # Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
+BANDS = (
+    4  # Most controllers whose quartile bands are drawn in one panel: more bands hide each other
+)
+# Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
+PANELS = 24
+# Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
+LINES, EACH_LEAST, EACH_MOST = 200, 5, 30
 
 
 def medians(data: Data, width_in: float) -> Figure:
-    """Median error of each controller over time with its quartile band, in one panel for each unit."""
+    """Median error of each controller over time with its quartile band,
+    in one panel for each unit.
+    """
     units = data.units()
-    figure = new_figure((0.58 + 0.4 * (len(units) - 1)) * width_in + legend_height_in(data), width_in)
+    figure = new_figure(
+        (0.58 + 0.4 * (len(units) - 1)) * width_in + legend_height_in(data), width_in
+    )
     grid = panels(figure, len(units), 1, sharex=True)
     for axes, (error, those) in zip(grid, units.items(), strict=True):
         quartiles = [data.quartiles(i) for i in those]
@@ -126,7 +188,8 @@ def medians(data: Data, width_in: float) -> Figure:
         _error_axes([axes], data.t[-1], error, [*quartiles, *(data.errors[i] for i in those)])
         axes.set_ylabel(wrapped(error.label, 16))
         if error.threshold and axes.get_yscale() == "log":
-            words, at = f"{error.threshold:g} {error.unit}", (0.01, error.threshold)  # on the left, where no curve is at its goal yet
+            # on the left, where no curve is at its goal yet
+            words, at = f"{error.threshold:g} {error.unit}", (0.01, error.threshold)
             axes.annotate(words, at, xycoords=axes.get_yaxis_transform(), va="bottom", ha="left")
     grid[-1].set_xlabel(TIME_LABEL)
     legend(figure, data)
@@ -134,9 +197,12 @@ def medians(data: Data, width_in: float) -> Figure:
 
 
 def each_run(data: Data, width_in: float) -> Figure:
-    """One panel per controller: its runs, its median and quartile band, and in grey the medians of the others in the same unit."""
+    """One panel per controller: its runs, its median and quartile band, and in grey the medians of
+    the others in the same unit.
+    """
     n, units = len(data.labels), data.units()
-    columns = -(-n // -(-n // 4))  # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
+    # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
+    columns = -(-n // -(-n // 4))
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
     grid = panels(figure, n, columns, sharex=True, sharey=len(units) == 1)
     for i, axes in enumerate(grid):
@@ -150,7 +216,12 @@ def each_run(data: Data, width_in: float) -> Figure:
                     grid[i].plot(data.t, _shown(quartiles[k][1]), color=RULE, linewidth=0.8)
             _draw_runs(grid[i], data, i)
             _draw_quartiles(grid[i], data.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
-        _error_axes([grid[i] for i in those], data.t[-1], error, [*quartiles.values(), *(data.errors[i] for i in those)])
+        _error_axes(
+            [grid[i] for i in those],
+            data.t[-1],
+            error,
+            [*quartiles.values(), *(data.errors[i] for i in those)],
+        )
         if len(units) > 1:
             for i in those:
                 grid[i].set_ylabel(wrapped(error.label, 16))
@@ -162,12 +233,15 @@ def each_run(data: Data, width_in: float) -> Figure:
 
 
 def _draw_runs(axes: Axes, data: Data, i: int) -> None:
-    """The first runs of a controller; failed ones in red, with a cross where the target was last seen."""
+    """The first runs of a controller; failed ones in red, with a cross where the target was last
+    seen.
+    """
     most = min(max(LINES // len(data.labels), EACH_LEAST), EACH_MOST)
     success = data.comparison.controllers[i].success
     for error, reached in zip(data.errors[i][:most], success, strict=False):
         line = _shown(error.astype(float))
-        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)  # failures on top: they are few
+        # failures on top: they are few
+        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)
         axes.plot(data.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
         seen = np.flatnonzero(np.isfinite(line))
         if not reached and len(seen):
@@ -179,8 +253,17 @@ def _draw_quartiles(axes: Axes, t: Array, quartile: Array, style: Look, band: bo
     low, middle, high = quartile
     if band:
         seen = np.isfinite(low) & (low > 0)
-        top = np.where(np.isfinite(high), high, 1e9)  # a quarter of the runs is lost: the band is open above
-        axes.fill_between(t, np.where(seen, low, 1), top, where=seen.tolist(), color=style["color"], alpha=0.2, linewidth=0)
+        # a quarter of the runs is lost: the band is open above
+        top = np.where(np.isfinite(high), high, 1e9)
+        axes.fill_between(
+            t,
+            np.where(seen, low, 1),
+            top,
+            where=seen.tolist(),
+            color=style["color"],
+            alpha=0.2,
+            linewidth=0,
+        )
     axes.plot(t, _shown(middle), **style)
 
 
@@ -189,29 +272,53 @@ def _shown(error: Array) -> Array:
     return np.where(np.isfinite(error) & (error > 0), error, np.nan)
 
 
-def _error_axes(panels: Sequence[Axes], end_s: float, error: MeasuredError, shown: Sequence[Array | NDArray[np.float32]]) -> None:
-    """Logarithmic axis of errors, the same in each panel, over the runs, their quartiles and the threshold, whose words need room."""
+def _error_axes(
+    panels: Sequence[Axes],
+    end_s: float,
+    error: MeasuredError,
+    shown: Sequence[Array | NDArray[np.float32]],
+) -> None:
+    """Logarithmic axis of errors, the same in each panel, over the runs, their quartiles and the
+    threshold, whose words need room.
+    """
     values = np.concatenate([e[np.isfinite(e) & (e > 0)].astype(float) for e in shown])
     if not len(values):
         panels[0].set_yticks([])
-        panels[0].text(0.5, 0.5, "no run with a log", transform=panels[0].transAxes, ha="center", va="center", alpha=0.7)
+        panels[0].text(
+            0.5,
+            0.5,
+            "no run with a log",
+            transform=panels[0].transAxes,
+            ha="center",
+            va="center",
+            alpha=0.7,
+        )
         return
-    low, high = np.quantile(values, [0.001, 0.999])  # a single outlier may not squeeze all other curves
+    # a single outlier may not squeeze all other curves
+    low, high = np.quantile(values, [0.001, 0.999])
     for panel in panels:
         panel.set_yscale("log")
-        panel.set_ylim(0.7 * min(low, error.threshold or low), 1.5 * max(high, error.threshold or high))
+        panel.set_ylim(
+            0.7 * min(low, error.threshold or low), 1.5 * max(high, error.threshold or high)
+        )
         panel.set_xlim(0, end_s)
         if error.threshold:
             panel.axhline(error.threshold, **THRESHOLD)
 
 
 def differences(data: Data, width_in: float) -> Figure | None:
-    """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
+    """Forest plot: mean paired difference of each metric with its interval, significant ones in
+    colour; None without any interval.
+    """
     # all pairs of up to four controllers; of more, each controller against the first
     rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
-    shown = [m for m in data.shown if any(p.differences.get(m.name, NOTHING).n >= FEWEST for p in rows)]
+    shown = [
+        m for m in data.shown if any(p.differences.get(m.name, NOTHING).n >= FEWEST for p in rows)
+    ]
     if not shown:
-        return None  # a single controller, or so few seeds on which both reached the goal that intervals would hide all else
+        # a single controller, or so few seeds on which both reached the goal that intervals would
+        # hide all else
+        return None
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
     height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
     grid, figure = metric_panels(shown, width_in, height, 5, names)
@@ -232,12 +339,21 @@ def _draw_difference(axes: Axes, row: int, pair: Pair, metric: str) -> float:
     color = LINE_COLORS[1] if real or more_often else LINE_COLORS[7]
     if np.isfinite(d.low):
         axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
-    axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
+    axes.plot(
+        d.mean,
+        row,
+        "o" if real else "D",
+        color=color,
+        markersize=4,
+        markerfacecolor=color if real else "none",
+    )
     return float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max())
 
 
 def matrix(data: Data, width_in: float) -> Figure | None:
-    """Who is better than whom, a row against a column, with the difference of the primary metric; None of fewer than three controllers."""
+    """Who is better than whom, a row against a column, with the difference of the primary metric;
+    None of fewer than three controllers.
+    """
     n = len(data.labels)
     if n < 3 or len(data.pairs) < n * (n - 1) / 2:
         return None
@@ -263,7 +379,9 @@ def matrix(data: Data, width_in: float) -> Figure | None:
 
 
 def _draw_mark(axes: Axes, pair: Pair, size: float) -> None:
-    """Full dot: the row b is better than the column a; ring: it is sooner, which is no verdict; T: a trade."""
+    """Full dot: the row b is better than the column a; ring: it is sooner, which is no verdict; T:
+    a trade.
+    """
     place = (pair.a, pair.b - 0.12)
     if pair.better == pair.b:
         axes.plot(*place, "o", color=GOAL, markersize=size)
@@ -288,7 +406,8 @@ def metric_panels(
         axes.grid(axis="y", visible=False)
         axes.tick_params(axis="y", length=0)
         axes.locator_params(axis="x", nbins=2)
-        axes.xaxis.set_major_formatter("{x:g}")  # 0, not 0.0000: numbers of many digits would overlap
+        # 0, not 0.0000: numbers of many digits would overlap
+        axes.xaxis.set_major_formatter("{x:g}")
     return grid, figure
 
 
@@ -300,7 +419,9 @@ def legend_height_in(data: Data) -> float:
 def _legend_columns(data: Data) -> int:
     """As many columns as the longest label leaves room for, all of equal length."""
     n, longest = len(data.labels), max(map(len, data.labels))  # [characters]
-    most = next((columns for columns, letters in ((4, 8), (3, 14), (2, 26)) if longest <= letters), 1)
+    most = next(
+        (columns for columns, letters in ((4, 8), (3, 14), (2, 26)) if longest <= letters), 1
+    )
     return -(-n // -(-n // most))
 
 
@@ -312,12 +433,18 @@ def legend(figure: Figure, data: Data) -> None:
     figure.legend(handles=keys, loc="outside lower center", ncols=_legend_columns(data))
 
 
-# Strip plots of a comparison's metrics: the runs of each controller as points, with median and quartiles, failures below.
-POINTS = 1500  # Most runs drawn in one panel, shared among its controllers: every point is an element of the page's SVG
+# Strip plots of a comparison's metrics: the runs of each controller as points, with median and
+# quartiles, failures below.
+
+# Most runs drawn in one panel, shared among its controllers: every point is an element of the
+# page's SVG
+POINTS = 1500
 
 
 def distributions(data: Data, width_in: float) -> Figure:
-    """One panel per metric, one row per controller; failed runs as red crosses below the row, arrows at the edge if outside the limits."""
+    """One panel per metric, one row per controller; failed runs as red crosses below the row,
+    arrows at the edge if outside the limits.
+    """
     names = [wrapped(label) for label in data.labels]
     height = 0.27 * sum(name.count("\n") + 1 for name in names) + 0.15 * len(names) + 0.95
     grid, figure = metric_panels(data.shown, width_in, height, 5, names)
@@ -329,12 +456,17 @@ def distributions(data: Data, width_in: float) -> Figure:
 
 
 def _set_limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
-    """Set scale and limits from the runs that reached the goal (from all where few did): failures may lie far outside.
+    """Set scale and limits from the runs that reached the goal (from all where few did): failures
+    may lie far outside.
 
-    The margin is 6 % of the span, or of its decades; more on a side where values outside need room for their arrows.
+    The margin is 6 % of the span, or of its decades; more on a side where values outside need room
+    for their arrows.
     """
     controllers = data.comparison.controllers
-    known, reached = (np.concatenate([c.values(metric)[c.success | every] for c in controllers]) for every in (True, False))
+    known, reached = (
+        np.concatenate([c.values(metric)[c.success | every] for c in controllers])
+        for every in (True, False)
+    )
     known, reached = known[np.isfinite(known)], reached[np.isfinite(reached)]
     used = reached if len(reached) >= max(5, len(known) // 3) else known
     if not len(used):
@@ -348,8 +480,12 @@ def _set_limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
     return low, high
 
 
-def _with_margins(axes: Axes, low: float, high: float, decades: bool, below: float, above: float) -> tuple[float, float]:
-    """Limits with margins as shares of the span, or of its decades on an axis that is then logarithmic."""
+def _with_margins(
+    axes: Axes, low: float, high: float, decades: bool, below: float, above: float
+) -> tuple[float, float]:
+    """Limits with margins as shares of the span, or of its decades on an axis that is then
+    logarithmic.
+    """
     if not decades:
         span = high - low or abs(high) or 1.0  # all equal: the value itself is the scale
         return low - below * span, high + above * span
@@ -358,8 +494,17 @@ def _with_margins(axes: Axes, low: float, high: float, decades: bool, below: flo
     return low / (high / low) ** below, high * (high / low) ** above
 
 
-def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Metric, limits: tuple[float, float], most: int) -> None:
-    """The runs of a controller as points in its row, the quartiles as a bar, and right of the panel the number of runs without a value."""
+def _draw_strip(
+    axes: Axes,
+    row: int,
+    controller: ControllerResults,
+    metric: Metric,
+    limits: tuple[float, float],
+    most: int,
+) -> None:
+    """The runs of a controller as points in its row, the quartiles as a bar, and right of the panel
+    the number of runs without a value.
+    """
     values = controller.values(metric)
     known = np.isfinite(values)
     # the first runs, not a random choice: the same page from the same table
@@ -368,49 +513,81 @@ def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Met
     jitter = np.random.default_rng(row).uniform(-0.16, 0.16, len(values))
     color = look(row)["color"]
     reached = shown & controller.success
-    axes.plot(values[reached], row - 0.08 + jitter[reached], ".", color=color, markersize=3.5, alpha=0.6, markeredgewidth=0)
-    # failures in red: a cross where the value is inside the limits, else one arrow at the edge beyond which it lies
+    axes.plot(
+        values[reached],
+        row - 0.08 + jitter[reached],
+        ".",
+        color=color,
+        markersize=3.5,
+        alpha=0.6,
+        markeredgewidth=0,
+    )
+    # failures in red: a cross where the value is inside the limits, else one arrow at the edge
+    # beyond which it lies
     low, high = limits
     failed, y = values[shown & ~controller.success], row + 0.27
     inside = failed[(failed >= low) & (failed <= high)]
     axes.plot(inside, [y] * len(inside), **FAILED)
-    for beyond, mark, at in ((failed > high, ">", 0.97), (failed < low, "<", 0.03)):  # [1] of the panel's width
+    # [1] of the panel's width
+    for beyond, mark, at in ((failed > high, ">", 0.97), (failed < low, "<", 0.03)):
         if beyond.any():
             arrow: Look = FAILED | {"marker": mark}
             axes.plot(at, y, transform=axes.get_yaxis_transform(), **arrow)
     q1, median, q3, n = controller.quartiles(metric)
     if n:
-        axes.plot([q1, q3], [row - 0.08] * 2, color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
+        axes.plot(
+            [q1, q3], [row - 0.08] * 2, color=color, linewidth=5, alpha=0.35, solid_capstyle="butt"
+        )
         axes.plot(median, row - 0.08, "|", color=INK, markersize=11, markeredgewidth=1.5)
     missing = int((~known).sum())
     if missing:
-        axes.text(1.01, y, f"{missing} n/a", transform=axes.get_yaxis_transform(), va="center", color=LOST, fontsize=6.5)
+        axes.text(
+            1.01,
+            y,
+            f"{missing} n/a",
+            transform=axes.get_yaxis_transform(),
+            va="center",
+            color=LOST,
+            fontsize=6.5,
+        )
 
 
-# Performance profiles of a comparison: which share of the runs is as good as a value or better, over all values of a metric.
-STEPS: Final = 300  # Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG
+# Performance profiles of a comparison: which share of the runs is as good as a value or better,
+# over all values of a metric.
+
+# Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG
+STEPS: Final = 300
 COLUMNS: Final = 5  # Most panels side by side
 
 
 def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array, int]:
-    """Values tau in ascending order of badness, the share of runs that are as good or better, both shape (M,), and the number of runs.
+    """Values tau in ascending order of badness, the share of runs that are as good or better, both
+    shape (M,), and the number of runs.
 
-        share(tau) = #{runs with x <= tau} / n        (x >= tau for a metric of which more is better)
+        share(tau) = #{runs with x <= tau} / n     (x >= tau for a metric of which more is better)
 
     Failed runs never are (`ControllerResults.ranked`). Of many values STEPS are kept.
-    Reference: Dolan & Moré 2002, doi:10.1007/s101070100263 (of ratios to the best there); Agarwal et al. 2021, arXiv:2108.13264.
+    Reference: Dolan & Moré 2002, doi:10.1007/s101070100263 (of ratios to the best there); Agarwal
+    et al. 2021, arXiv:2108.13264.
     """
     ranked = controller.ranked(metric)
     ranked = ranked[~np.isnan(ranked)]
     n = len(ranked)
     ordered = np.sort(ranked[np.isfinite(ranked)])
-    last = np.flatnonzero(np.diff(ordered, append=np.inf) > 0)  # of equal values the last: its share is that of all of them
-    kept = last if len(last) <= STEPS else last[np.linspace(0, len(last) - 1, STEPS).round().astype(int)]
+    # of equal values the last: its share is that of all of them
+    last = np.flatnonzero(np.diff(ordered, append=np.inf) > 0)
+    kept = (
+        last
+        if len(last) <= STEPS
+        else last[np.linspace(0, len(last) - 1, STEPS).round().astype(int)]
+    )
     return (-ordered if metric.better > 0 else ordered)[kept], (kept + 1) / max(n, 1), n
 
 
 def success(data: Data, width_in: float) -> Figure:
-    """Performance profile of the time to converge: the share of runs that have converged, over time, with its band."""
+    """Performance profile of the time to converge: the share of runs that have converged, over
+    time, with its band.
+    """
     figure = new_figure(0.58 * width_in + legend_height_in(data), width_in)
     axes = figure.add_subplot()
     end = float(data.t[-1])
@@ -422,13 +599,19 @@ def success(data: Data, width_in: float) -> Figure:
 
 
 def profiles(data: Data, width_in: float) -> Figure | None:
-    """Performance profile of each other metric that any run has, one panel each; None without one, or where its values are all equal."""
-    shown = [m for m in data.shown if m.name not in (TIME.name, RESTRICTED.name) and _differs(data, m)]
+    """Performance profile of each other metric that any run has, one panel each; None without one,
+    or where its values are all equal.
+    """
+    shown = [
+        m for m in data.shown if m.name not in (TIME.name, RESTRICTED.name) and _differs(data, m)
+    ]
     if not shown:
         return None
     rows = -(-len(shown) // COLUMNS)
     columns = -(-len(shown) // rows)  # rows of equal length: 6 panels are 3 + 3, not 5 + 1
-    figure = new_figure((0.9 * width_in / max(columns, 3) + 0.25) * rows + legend_height_in(data) + 0.1, width_in)
+    figure = new_figure(
+        (0.9 * width_in / max(columns, 3) + 0.25) * rows + legend_height_in(data) + 0.1, width_in
+    )
     grid = panels(figure, len(shown), columns, sharey=True)
     for axes, metric in zip(grid, shown, strict=True):
         _draw(axes, data, metric, _limits(axes, data, metric))
@@ -442,13 +625,17 @@ def profiles(data: Data, width_in: float) -> Figure | None:
 
 
 def _differs(data: Data, metric: Metric) -> bool:
-    """Whether the runs have different values of a metric: one value alone says no more than the success rate."""
+    """Whether the runs have different values of a metric: one value alone says no more than the
+    success rate.
+    """
     found = np.concatenate([profile(c, metric)[0] for c in data.comparison.controllers])
     return len(found) > 0 and bool(np.ptp(found) > LEAST)
 
 
 def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
-    """Ends of the axis from the best to the worst value, in that order; logarithmic where the values span decades."""
+    """Ends of the axis from the best to the worst value, in that order; logarithmic where the
+    values span decades.
+    """
     found = np.concatenate([profile(c, metric)[0] for c in data.comparison.controllers])
     common, rare = np.quantile(found, [0.02, 0.98])
     low, high = float(found.min()), float(found.max())
@@ -457,19 +644,32 @@ def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
 
 
 def _draw(axes: Axes, data: Data, metric: Metric, ends: tuple[float, float]) -> None:
-    """Each controller's profile as steps between the ends of the axis, for up to BANDS of them with the pointwise 95 % band (Wilson).
+    """Each controller's profile as steps between the ends of the axis, for up to BANDS of them with
+    the pointwise 95 % band (Wilson).
 
-    The bootstrap of a share is the binomial distribution; its band is nearly the same, but has no width where all runs are as good.
+    The bootstrap of a share is the binomial distribution; its band is nearly the same, but has no
+    width where all runs are as good.
     """
     controllers = data.comparison.controllers
     for i, controller in enumerate(controllers):
         tau, share, n = profile(controller, metric)
         if not n:
             continue
-        x, y = np.concatenate([ends[:1], tau, ends[1:]]), np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]])
+        x, y = (
+            np.concatenate([ends[:1], tau, ends[1:]]),
+            np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
+        )
         if len(tau) and len(controllers) <= BANDS:
             low, high = wilson(y[1:], n)
-            axes.fill_between(x[1:], 100 * low, 100 * high, step="post", color=look(i)["color"], alpha=0.15, linewidth=0)
+            axes.fill_between(
+                x[1:],
+                100 * low,
+                100 * high,
+                step="post",
+                color=look(i)["color"],
+                alpha=0.15,
+                linewidth=0,
+            )
         axes.step(x, 100 * y, where="post", **look(i))
     axes.set_xlim(*ends)
     axes.set_ylim(0, 104)

@@ -1,4 +1,6 @@
-"""Writes the page of a comparison, and its figures for a paper, from its table and the logs in its folder."""
+"""Writes the page of a comparison, and its figures for a paper, from its table and the logs in its
+folder.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ UNCOMPARED = ("name", "description", "seed", "draw_start", "plugins")
 
 
 def differing(runs: Sequence[Path]) -> tuple[str, ...]:
-    """Dotted names of the fields in which the scenarios of runs' folders differ, sorted; empty where one of them cannot be read."""
+    """Dotted names of the fields in which the scenarios of runs' folders differ, sorted; empty
+    where one of them cannot be read.
+    """
     try:
         return tuple(sorted(set[str]().union(*_from_first(runs))))
     except (OSError, UnicodeError, VstestbedError):
@@ -52,11 +56,21 @@ def _from_first(runs: Iterable[Path]) -> Iterator[set[str]]:
     for run in runs:
         record = run / RESOLVED
         # all values of its scenario; a run that could not begin has none written out
-        scenario = plain_mapping(record.read_text(encoding="utf-8"), str(record), "")[0] if record.is_file() else to_mapping(load_run(run))
-        fields = {name: value for name, value in _flat(scenario) if name.split(".")[0] not in UNCOMPARED}
+        scenario = (
+            plain_mapping(record.read_text(encoding="utf-8"), str(record), "")[0]
+            if record.is_file()
+            else to_mapping(load_run(run))
+        )
+        fields = {
+            name: value for name, value in _flat(scenario) if name.split(".")[0] not in UNCOMPARED
+        }
         first = fields if first is None else first
         # `...`: a scenario does not have the field
-        yield {name for name in first.keys() | fields.keys() if fields.get(name, ...) != first.get(name, ...)}
+        yield {
+            name
+            for name in first.keys() | fields.keys()
+            if fields.get(name, ...) != first.get(name, ...)
+        }
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
@@ -68,12 +82,14 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
         yield name, value
 
 
-FILM_BYTES: Final = 8_000_000  # A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB
+# A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB
+FILM_BYTES: Final = 8_000_000
 NOTEBOOK_PX: Final = 480  # Height of a comparison's result in a notebook [px]
-COLUMN_IN: Final = {1: 3.5, 2: 7.16}  # Width of a paper's figure over one and two columns (IEEE) [in]
+# Width of a paper's figure over one and two columns (IEEE) [in]
+COLUMN_IN: Final = {1: 3.5, 2: 7.16}
 
-# The figures of a comparison in their order: key (of files, identifiers, and of the caption in `comparison.html`), title, columns that it
-# takes, function that draws it.
+# The figures of a comparison in their order: key (of files, identifiers, and of the caption in
+# `comparison.html`), title, columns that it takes, function that draws it.
 Plot = tuple[str, str, int, Callable[[Data, float], "Figure | None"]]
 PLOTS: Final[tuple[Plot, ...]] = (
     ("error", "Error over time", 1, figures.medians),
@@ -85,7 +101,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ("matrix", "Who is better", 1, figures.matrix),
     ("differences", "Paired differences", 2, figures.differences),
 )
-MANY: Final = 5  # Controllers from which figures take longer than other processes take to import what draws them
+# Controllers from which figures take longer than other processes take to import what draws them
+MANY: Final = 5
 GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
 
 
@@ -98,12 +115,14 @@ def write_comparison_report(
     call: Call = at_once,
     paper: bool = False,
 ) -> Path:
-    """Write `report.html`, the records `controllers` and `pairs`, and `tables.md` and `tables.tex`; returns the page's path.
+    """Write `report.html`, the records `controllers` and `pairs`, and `tables.md` and `tables.tex`;
+    returns the page's path.
 
     Args:
         folder, comparison: its results. command: the command line that repeats it.
         film: in the folder, perhaps still in the making; embedded up to 8 MB, else linked.
-        plugins: as in `scenario.load.load`. call: draws the figures. paper: whether to draw them for a paper, too (`figures/`).
+        plugins: as in `scenario.load.load`. call: draws the figures. paper: whether to draw them
+            for a paper, too (`figures/`).
     """
     table, all_pairs, means = comparison.table, pairs(comparison), interquartiles(comparison)
     words = findings(comparison, all_pairs)
@@ -114,19 +133,32 @@ def write_comparison_report(
     drawn = _figures(folder, comparison, all_pairs, plugins, call, place)
     filmed, embedded = result_of(film) if isinstance(film, Future) else film, None
     if filmed is not None and filmed.is_file():
-        embedded = film_of("The same seed, side by side", filmed, filmed.stat().st_size <= FILM_BYTES)
+        embedded = film_of(
+            "The same seed, side by side", filmed, filmed.stat().st_size <= FILM_BYTES
+        )
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
     # two or three names fit the heading
-    heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
+    heading = (
+        " against ".join(scenarios)
+        if 0 < len(scenarios) <= 3
+        else f"Comparison of {len(scenarios)} scenarios"
+    )
     heading += by_one_metric(comparison)
-    counts = (len(comparison.controllers), "controller"), (table["seed"].n_unique(), "seed"), (len(table), "run")
+    counts = (
+        (len(comparison.controllers), "controller"),
+        (table["seed"].n_unique(), "seed"),
+        (len(table), "run"),
+    )
     return write_page(
         folder,
         "comparison.html",
         heading,
         title=f"{heading}: comparison",
         description=comparison.description,
-        plan=f"{', '.join(counted(*each) for each in counts)}; the same seed gives each the same start and noise.",
+        plan=(
+            f"{', '.join(counted(*each) for each in counts)};"
+            " the same seed gives each the same start and noise."
+        ),
         found=words,
         **sections,
         baseline=baseline.section(folder),
@@ -140,29 +172,48 @@ def write_comparison_report(
 
 
 def comparison_cell(folder: Path, comparison: ComparisonResults) -> str:
-    """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
+    """The result of a comparison as a notebook shows it: who is better, the controllers' numbers,
+    their differences; no figures.
+    """
     where = f"Figures and films: {folder / 'report.html'}"
     all_pairs = pairs(comparison)
     words = findings(comparison, all_pairs)
     sections = tables.sections(comparison, interquartiles(comparison), all_pairs)
-    return cell(page("comparison.html", "Comparison", description="", plan=where, baseline=None, found=words, **sections), NOTEBOOK_PX)
+    return cell(
+        page(
+            "comparison.html",
+            "Comparison",
+            description="",
+            plan=where,
+            baseline=None,
+            found=words,
+            **sections,
+        ),
+        NOTEBOOK_PX,
+    )
 
 
 def by_one_metric(comparison: ComparisonResults) -> str:
-    """`, by path over straight line`, for a title where controllers are compared by one number; "" where by several, and by time."""
+    """`, by path over straight line`, for a title where controllers are compared by one number; ""
+    where by several, and by time.
+    """
     if comparison.primary:
         return f", by {short_title(comparison.primary_metric)}"
     return f", by {short_title(comparison.shown[0])}" if len(comparison.shown) == 1 else ""
 
 
 def write_tables(folder: Path, found: Findings, sections: Sequence[tables.Section]) -> None:
-    """The page's tables for a paper: `tables.md`, and `tables.tex` in the form of the LaTeX package booktabs."""
+    """The page's tables for a paper: `tables.md`, and `tables.tex` in the form of the LaTeX package
+    booktabs.
+    """
     for name in ("tables.md", "tables.tex"):
         write_whole(folder / name, text_of(name, found=found, sections=sections))
 
 
 def _drawn(data: Data, plot: int, place: Path | None) -> str:
-    """A figure for the page and, into the folder `place`, for a paper; "" for one without content."""
+    """A figure for the page and, into the folder `place`, for a paper;
+    "" for one without content.
+    """
     key, title, columns, draw = PLOTS[plot]
     with style():
         figure = draw(data, COLUMN_IN[columns])
@@ -170,44 +221,74 @@ def _drawn(data: Data, plot: int, place: Path | None) -> str:
 
 
 def _figures(
-    folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call, place: Path | None
+    folder: Path,
+    comparison: ComparisonResults,
+    all_pairs: list[Pair],
+    plugins: Sequence[str],
+    call: Call,
+    place: Path | None,
 ) -> dict[str, Any]:
-    """All figures for up to PANELS controllers; of more the grid, or without one those of the first PANELS; for papers into `place`."""
+    """All figures for up to PANELS controllers; of more the grid, or without one those of the first
+    PANELS; for papers into `place`.
+    """
     n = len(comparison.controllers)
     if n > PANELS and effects.Grid.of(comparison) is not None:
         data, numbers = Data(comparison, all_pairs), [GRID]
-        notes = [f"The grid stands for the figures with a line or a row for each controller, since there are {n} of them."]
+        notes = [
+            "The grid stands for the figures with a line or a row for each controller,"
+            f" since there are {n} of them."
+        ]
     else:
         shown = comparison if n <= PANELS else comparison.first(PANELS)
         chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
-        data, numbers = read_series(folder, shown, chosen, _measured(folder, shown, plugins)), list(range(len(PLOTS)))
+        data, numbers = (
+            read_series(folder, shown, chosen, _measured(folder, shown, plugins)),
+            list(range(len(PLOTS))),
+        )
         notes = [f"The figures show the first {PANELS} of {n} controllers."] if n > PANELS else []
         if data.sampled:
-            notes.append(f"Errors over time are of the first {data.sampled:,} runs of each controller, all else of all runs.")
+            notes.append(
+                f"Errors over time are of the first {data.sampled:,} runs of each controller,"
+                " all else of all runs."
+            )
     if n < MANY:
         call = at_once
     made = [call(_drawn, data, i, place) for i in numbers]
-    drawn = [(PLOTS[i][2], (*PLOTS[i][:2], result_of(one))) for i, one in zip(numbers, made, strict=True)]
+    drawn = [
+        (PLOTS[i][2], (*PLOTS[i][:2], result_of(one))) for i, one in zip(numbers, made, strict=True)
+    ]
     narrow, broad = ([f for columns, f in drawn if columns == wanted and f[2]] for wanted in (1, 2))
     return {"notes": notes, "narrow": narrow, "broad": broad}
 
 
-def _measured(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> list[MeasuredError]:
-    """The error in the image that decides, of each controller; without a threshold where those with the same unit differ in it."""
+def _measured(
+    folder: Path, comparison: ComparisonResults, plugins: Sequence[str]
+) -> list[MeasuredError]:
+    """The error in the image that decides, of each controller; without a threshold where those with
+    the same unit differ in it.
+    """
     # one run per controller suffices: seeds do not change the stop block
     firsts = [folder / str(c.runs["folder"][0]) for c in comparison.controllers]
-    found = [Setting.of(load_run(run, plugins)).image_errors[0] if (run / GIVEN).is_file() else None for run in firsts]
+    found = [
+        Setting.of(load_run(run, plugins)).image_errors[0] if (run / GIVEN).is_file() else None
+        for run in firsts
+    ]
     limits: dict[str, set[float | None]] = {}
     for error in filter(None, found):
         limits.setdefault(error.unit, set()).add(error.threshold)
     agreed = {unit: known.pop() if len(known) == 1 else None for unit, known in limits.items()}
-    return [error._replace(threshold=agreed.get(error.unit)) for error in (one or MeasuredError() for one in found)]
+    return [
+        error._replace(threshold=agreed.get(error.unit))
+        for error in (one or MeasuredError() for one in found)
+    ]
 
 
 def _made_of(comparison: ComparisonResults) -> dict[str, Any]:
     """What was compared, and the versions of the software that did it."""
     table = comparison.table
-    plan = {"scenario": _values(table["scenario"].to_list())} | {axis: _values(table[axis].to_list()) for axis in comparison.axes}
+    plan = {"scenario": _values(table["scenario"].to_list())} | {
+        axis: _values(table[axis].to_list()) for axis in comparison.axes
+    }
     seeds = sorted(set(table["seed"].to_list()))
     consecutive = len(seeds) > 2 and seeds == list(range(seeds[0], seeds[-1] + 1))
     plan |= {
@@ -217,7 +298,14 @@ def _made_of(comparison: ComparisonResults) -> dict[str, Any]:
     }
     names = [c for c in table.columns if c.startswith("versions.")]
     # more than one version of a package if the comparison was resumed after an update
-    versions = [(name.removeprefix("versions."), _values([v for v in table[name].to_list() if v is not None]), "") for name in names]
+    versions = [
+        (
+            name.removeprefix("versions."),
+            _values([v for v in table[name].to_list() if v is not None]),
+            "",
+        )
+        for name in names
+    ]
     return {"made_of": plan, "versions": versions}
 
 
@@ -225,27 +313,41 @@ def _values(values: Sequence[object]) -> str:
     return ", ".join(dict.fromkeys(map(value_text, values)))
 
 
-# Failed runs, grouped by outcome and reason, with commands that repeat them and pictures of their ends.
+# Failed runs, grouped by outcome and reason, with commands that repeat them and pictures of their
+# ends.
 
 PICTURES: Final = 24
-PICTURE_BYTES: Final = 4_000_000  # Most pictures in the gallery, and most bytes of all of them: they are embedded in the page
+# Most pictures in the gallery, and most bytes of all of them: they are embedded in the page
+PICTURE_BYTES: Final = 4_000_000
 LISTED: Final = 300  # Most failed runs whose commands are listed
 SEEDS: Final = 20  # Most seeds of a controller that are named with one kind of failure
 ERRORS: Final = 24
-ERROR_CHARACTERS: Final = 4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
+ERROR_CHARACTERS: Final = (
+    4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
+)
 
-Failure = dict[str, Any]  # controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
+# controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
+Failure = dict[str, Any]
 
 
 def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
-    """Failed runs by kind, and runs that were repeated because their worker process died, for `failures.html`."""
+    """Failed runs by kind, and runs that were repeated because their worker process died, for
+    `failures.html`.
+    """
     kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
     for controller in comparison.controllers:
         for row in controller.runs.filter(~controller.success).iter_rows(named=True):
             outcome, reason = str(row.get("outcome") or "no outcome"), str(row.get("reason") or "")
-            failure = {"controller": controller.label, "seed": int(row["seed"]), "outcome": outcome, "reason": reason}
+            failure = {
+                "controller": controller.label,
+                "seed": int(row["seed"]),
+                "outcome": outcome,
+                "reason": reason,
+            }
             # reasons that differ in numbers (times, pixels) only are one kind of failure
-            kinds[outcome, re.sub(r"\d[\d.e+-]*", "#", reason)].append(failure | {"place": folder / str(row["folder"])})
+            kinds[outcome, re.sub(r"\d[\d.e+-]*", "#", reason)].append(
+                failure | {"place": folder / str(row["folder"])}
+            )
     groups = sorted(kinds.values(), key=len, reverse=True)
     # tracebacks of every kind of crash in turn, since there is room for only a few
     for failure in _in_turn([g for g in groups if g[0]["outcome"] == "crashed"], ERRORS):
@@ -277,26 +379,44 @@ def rerun_command(place: Path) -> str:
 
 
 def _kind(group: list[Failure]) -> dict[str, Any]:
-    """One kind of failure: number of runs, seeds of each controller, and those runs whose command is shown."""
+    """One kind of failure: number of runs, seeds of each controller, and those runs whose command
+    is shown.
+    """
     first = group[0]["reason"]
     same = all(failure["reason"] == first for failure in group)
     seeds: dict[str, list[str]] = defaultdict(list)
     for failure in group:
         seeds[failure["controller"]].append(str(failure["seed"]))
-    more = {name: f" and {len(s) - SEEDS:,} more" if len(s) > SEEDS else "" for name, s in seeds.items()}
-    who = "; ".join(f"{name}: seed{'s' * (len(s) > 1)} {', '.join(s[:SEEDS])}{more[name]}" for name, s in seeds.items())
+    more = {
+        name: f" and {len(s) - SEEDS:,} more" if len(s) > SEEDS else "" for name, s in seeds.items()
+    }
+    who = "; ".join(
+        f"{name}: seed{'s' * (len(s) > 1)} {', '.join(s[:SEEDS])}{more[name]}"
+        for name, s in seeds.items()
+    )
     shown = [{"error": "", **failure} for failure in group if "command" in failure]
     reason = first if same else f"{first}, and the like"
-    return {"outcome": group[0]["outcome"], "runs": len(group), "reason": reason, "who": who, "same": same, "shown": shown}
+    return {
+        "outcome": group[0]["outcome"],
+        "runs": len(group),
+        "reason": reason,
+        "who": who,
+        "same": same,
+        "shown": shown,
+    }
 
 
 def _in_turn(groups: list[list[Failure]], most: int) -> list[Failure]:
-    """Up to `most` failures, one of each group in turn, so that a frequent kind does not hide a rare one."""
+    """Up to `most` failures, one of each group in turn, so that a frequent kind does not hide a
+    rare one.
+    """
     return [f for row in zip_longest(*groups) for f in row if f is not None][:most]
 
 
 def _gallery(groups: list[list[Failure]]) -> tuple[int, list[tuple[str, str]]]:
-    """How many failed runs have a picture of their end (`end.png`), and the first of these with words, every kind of failure in turn."""
+    """How many failed runs have a picture of their end (`end.png`), and the first of these with
+    words, every kind of failure in turn.
+    """
     with_picture = [[f for f in group if (f["place"] / "end.png").is_file()] for group in groups]
     room, pictures = PICTURE_BYTES, []
     for failure in _in_turn(with_picture, PICTURES):
@@ -304,6 +424,9 @@ def _gallery(groups: list[list[Failure]]) -> tuple[int, list[tuple[str, str]]]:
         if (size := path.stat().st_size) > room:
             continue  # a smaller one may still fit
         room -= size
-        words = f"{failure['controller']}, seed {failure['seed']}: {failure['outcome'].replace('_', ' ')}"
+        words = (
+            f"{failure['controller']}, seed {failure['seed']}:"
+            f" {failure['outcome'].replace('_', ' ')}"
+        )
         pictures.append((data_url("image/png", path.read_bytes()), words))
     return sum(map(len, with_picture)), pictures

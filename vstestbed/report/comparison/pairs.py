@@ -1,4 +1,6 @@
-"""Pairs of controllers on their common starts (paired design), each with its verdict; all else that is compared is exploratory."""
+"""Pairs of controllers on their common starts (paired design), each with its verdict; all else that
+is compared is exploratory.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,24 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison import statistics as stats
 from vstestbed.report.comparison.results import RESTRICTED, ComparisonResults, ControllerResults
-from vstestbed.report.comparison.verdict import ALPHA, PairTest, Side, Starts, Verdict, judge, test_of
+from vstestbed.report.comparison.verdict import (
+    ALPHA,
+    PairTest,
+    Side,
+    Starts,
+    Verdict,
+    judge,
+    test_of,
+)
 from vstestbed.tasks.metrics import Metric
 
 MOST_CONTROLLERS: Final = 6
-"""Up to this many controllers every metric of every pair is compared; with more, those of each with the reference."""
-MOST_PAIRED: Final = 24  # Up to this many controllers every pair has a verdict; with more, each controller with the reference
+"""Up to this many controllers every metric of every pair is compared; with more, those of each with
+the reference.
+"""
+# Up to this many controllers every pair has a verdict; with more, each controller with the
+# reference
+MOST_PAIRED: Final = 24
 SUCCESS: Final = Metric("success", "Reached the goal", better=1)
 Of = Literal["difference", "improvement"]
 Test = tuple[str, Of]  # An exploratory test of a pair: of which metric, and of what
@@ -35,17 +49,24 @@ class Pair:
     test: PairTest
     verdict: Verdict
     late: int  # arrivals after the limit of the other one, which count as failures
-    # b minus a by metric, in its display unit, as flown: of the primary metric over all common seeds, of the others, which are
-    # exploratory, over the seeds on which both reached the goal (all seeds for `every_pair`)
+    # b minus a by metric, in its display unit, as flown: of the primary metric over all common
+    # seeds, of the others, which are exploratory, over the seeds on which both reached the goal
+    # (all seeds for `every_pair`)
     differences: dict[str, stats.IntervalEstimate]
-    # probability by exploratory metric that b is better than a on the same seed, over all common seeds (`ControllerResults.ranked`)
+    # probability by exploratory metric that b is better than a on the same seed, over all common
+    # seeds (`ControllerResults.ranked`)
     improvements: dict[str, stats.IntervalEstimate]
-    adjusted: dict[Test, float] = field(default_factory=dict)  # p-values of all exploratory tests by Holm
+    # p-values of all exploratory tests by Holm
+    adjusted: dict[Test, float] = field(default_factory=dict)
 
     @property
     def exploratory(self) -> dict[Test, float]:
         """P-values of the exploratory tests, each by itself; NaN where there is no test."""
-        found: dict[Test, float] = {(name, "difference"): d.p for name, d in self.differences.items() if name != self.primary.name}
+        found: dict[Test, float] = {
+            (name, "difference"): d.p
+            for name, d in self.differences.items()
+            if name != self.primary.name
+        }
         found.update({(name, "improvement"): i.p for name, i in self.improvements.items()})
         return found
 
@@ -78,13 +99,17 @@ class Pair:
 
     @property
     def deciding(self) -> tuple[float, float]:
-        """Both ends of the interval of the primary difference b - a with failures not yet seen, in its display unit."""
+        """Both ends of the interval of the primary difference b - a with failures not yet seen, in
+        its display unit.
+        """
         low, high = self.test.unseen
         return (-high, -low) if self.primary.better > 0 else (low, high)
 
     @property
     def worst(self) -> float:
-        """What a failure costs: the limit of time, or the worst value of the primary metric, in its display unit."""
+        """What a failure costs: the limit of time, or the worst value of the primary metric, in its
+        display unit.
+        """
         return -self.test.worst if self.primary.better > 0 else self.test.worst
 
     def turned(self) -> Pair:
@@ -101,9 +126,11 @@ class Pair:
 
 
 def pairs(comparison: ComparisonResults) -> list[Pair]:
-    """Every pair of controllers, the later against the earlier; with a reference, or of many controllers, each against the reference.
+    """Every pair of controllers, the later against the earlier; with a reference, or of many
+    controllers, each against the reference.
 
-    Three families of tests, each adjusted by Holm: those of the verdicts of all pairs, those of who is sooner, and all exploratory ones.
+    Three families of tests, each adjusted by Holm: those of the verdicts of all pairs, those of who
+    is sooner, and all exploratory ones.
     """
     n, reference = len(comparison.controllers), comparison.reference_index
     chosen = [(reference, b) for b in range(n) if b != reference]
@@ -116,13 +143,18 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
         explored = n <= MOST_CONTROLLERS or reference in (one.a, one.b)
         found.append(_pair(one, test, verdict, comparison.shown if explored else ()))
     adjusted = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
-    return [replace(pair, adjusted=dict(zip(pair.exploratory, adjusted, strict=False))) for pair in found]
+    return [
+        replace(pair, adjusted=dict(zip(pair.exploratory, adjusted, strict=False)))
+        for pair in found
+    ]
 
 
 def _pair(one: _Common, test: PairTest, verdict: Verdict, shown: Sequence[Metric]) -> Pair:
     """A pair with its exploratory differences, whose p-values are still to be adjusted."""
     metrics = [metric for metric in shown if metric != one.primary]
-    differences = {one.primary.name: _as_flown(test, one.primary)} | {metric.name: one.difference(metric) for metric in metrics}
+    differences = {one.primary.name: _as_flown(test, one.primary)} | {
+        metric.name: one.difference(metric) for metric in metrics
+    }
     improvements = {metric.name: one.improvement(metric) for metric in metrics}
     return Pair(one.a, one.b, one.primary, test, verdict, one.late, differences, improvements)
 
@@ -133,7 +165,9 @@ def has_every_pair(controllers: int, reference: str) -> bool:
 
 
 def _as_flown(test: PairTest, primary: Metric) -> stats.IntervalEstimate:
-    """The mean of b - a of the primary metric over all common starts, in its display unit, with failures as the rule counts them."""
+    """The mean of b - a of the primary metric over all common starts, in its display unit, with
+    failures as the rule counts them.
+    """
     if not test.n:
         return stats.NOTHING
     found = stats.IntervalEstimate(test.saved.negative().mean, *test.seen, test.n, test.p_either)
@@ -156,7 +190,10 @@ class _Common:
         shared = [(i, where[start]) for i, start in enumerate(self._first.starts) if start in where]
         self._rows_a: list[int] = [i for i, _ in shared]
         self._rows_b: list[int] = [k for _, k in shared]
-        self._times_a, self._times_b = self._first.values(RESTRICTED)[self._rows_a], self._second.values(RESTRICTED)[self._rows_b]
+        self._times_a, self._times_b = (
+            self._first.values(RESTRICTED)[self._rows_a],
+            self._second.values(RESTRICTED)[self._rows_b],
+        )
         limits_a, limits_b = self._first.limits[self._rows_a], self._second.limits[self._rows_b]
         self._limits = np.fmin(limits_a, limits_b)  # both are judged by the earlier one
         arrived_a, arrived_b = self._first.success[self._rows_a], self._second.success[self._rows_b]
@@ -176,21 +213,30 @@ class _Common:
         period = max(self._first.period_s, self._second.period_s)
         tasks = [self._first.tasks[i] for i in self._rows_a]
         strata = np.unique(tasks, return_inverse=True)[1]
-        return Starts(self.reached_a, self.reached_b, cost_a, cost_b, worst, period, strata, times_a, times_b)
+        return Starts(
+            self.reached_a, self.reached_b, cost_a, cost_b, worst, period, strata, times_a, times_b
+        )
 
     def _times(self) -> tuple[Array, Array, float]:
-        """Times to the goal, a failure at the earlier of both limits; and the greatest of these limits."""
+        """Times to the goal, a failure at the earlier of both limits; and the greatest of these
+        limits.
+        """
         a, b = self._times_a, self._times_b
-        # a table of an earlier version in which nothing failed does not tell its limit: it is the longest time or more
+        # a table of an earlier version in which nothing failed does not tell its limit: it is the
+        # longest time or more
         limits = np.where(np.isnan(self._limits), np.nanmax([*a, *b, 0.0]), self._limits)
         a = np.where(self.reached_a, np.fmin(a, limits), limits)
         b = np.where(self.reached_b, np.fmin(b, limits), limits)
         return a, b, float(limits.max(initial=0.0))
 
     def _costs(self) -> tuple[Array, Array, float]:
-        """The primary metric, less is better; a failure without a number that means something has the worst of the whole comparison."""
+        """The primary metric, less is better; a failure without a number that means something has
+        the worst of the whole comparison.
+        """
         metric = self.primary
-        known = np.concatenate([_less(controller, metric) for controller in self._comparison.controllers])
+        known = np.concatenate(
+            [_less(controller, metric) for controller in self._comparison.controllers]
+        )
         known = known[np.isfinite(known)]
         worst = float(known.max()) if len(known) else math.nan  # no run has it
         a = _less(self._first, metric)[self._rows_a]
@@ -206,12 +252,18 @@ class _Common:
         if metric == RESTRICTED:
             x, y, _ = self._times()
         # the same seeds for both, or the difference would not be paired
-        used = ((self.reached_a & self.reached_b) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
+        used = (
+            ((self.reached_a & self.reached_b) | metric.every_pair)
+            & np.isfinite(x)
+            & np.isfinite(y)
+        )
         return stats.paired_difference(y[used], x[used])
 
     def improvement(self, metric: Metric) -> stats.IntervalEstimate:
         """The probability that b is better than a from the same start."""
-        return stats.improvement(self._first.ranked(metric)[self._rows_a], self._second.ranked(metric)[self._rows_b])
+        return stats.improvement(
+            self._first.ranked(metric)[self._rows_a], self._second.ranked(metric)[self._rows_b]
+        )
 
 
 def _less(controller: ControllerResults, metric: Metric) -> Array:

@@ -13,10 +13,22 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveTime, Time
 from vstestbed.core.spec import spec
-from vstestbed.report.comparison.verdict import ALPHA, FEWEST_UNLIKE, MARGIN, Starts, least, sign_test, test_of
+from vstestbed.report.comparison.verdict import (
+    ALPHA,
+    FEWEST_UNLIKE,
+    MARGIN,
+    Starts,
+    least,
+    sign_test,
+    test_of,
+)
 
-SIMULATED: Final = 500  # comparisons drawn for each number of starts; a power of 90 % is then known to 1.3 %
-USUAL: Final = 0.25  # usual time to the goal as a share of the limit, which should be 3 to 5 times that time
+SIMULATED: Final = (
+    500  # comparisons drawn for each number of starts; a power of 90 % is then known to 1.3 %
+)
+USUAL: Final = (
+    0.25  # usual time to the goal as a share of the limit, which should be 3 to 5 times that time
+)
 GAINS: Final = (0.02, 0.05, 0.1, 0.2)  # gains in time that a plan shows, as shares of the limit
 
 
@@ -31,7 +43,8 @@ class ExpectedPair:
         slower: mean time of the slower one where it arrives [s]; e.g. `5`.
         pairs: number of pairs in the comparison [1].
         rate: share of the starts from which each arrives; no start fails for both [1].
-        power: share of such comparisons that are to be decided; counts where the rate is under 1 [1].
+        power: share of such comparisons that are to be decided; counts where the rate is under 1
+            [1].
         margin: of the comparison [1].
     """
 
@@ -47,9 +60,21 @@ class ExpectedPair:
     def __post_init__(self) -> None:
         """Refuse times that no law can have."""
         if self.slower >= self.limit:
-            raise ParameterError.bound("slower", "under", f"limit = {self.limit:g} s", self.slower, why="a run ends at its limit")
+            raise ParameterError.bound(
+                "slower",
+                "under",
+                f"limit = {self.limit:g} s",
+                self.slower,
+                why="a run ends at its limit",
+            )
         if self.gain >= self.slower:
-            raise ParameterError.bound("gain", "under", f"slower = {self.slower:g} s", self.gain, why="the quicker one takes some time")
+            raise ParameterError.bound(
+                "gain",
+                "under",
+                f"slower = {self.slower:g} s",
+                self.gain,
+                why="the quicker one takes some time",
+            )
 
     def starts(self) -> int | None:
         """The least number of starts; None: more than MOST_STARTS."""
@@ -58,17 +83,26 @@ class ExpectedPair:
         return least(lambda n: self.power_with(n) >= self.power, FEWEST_UNLIKE)
 
     def decided_by(self, n: int) -> bool:
-        """Whether n starts have a verdict of which none fails, and whose mean gain and standard deviation are just these."""
+        """Whether n starts have a verdict of which none fails, and whose mean gain and standard
+        deviation are just these.
+        """
         ranks = np.arange(n) - (n - 1) / 2
         return self._decided(np.full(n, 0.5), ranks / ranks.std(ddof=1))
 
     def power_with(self, n: int) -> float:
-        """The share of SIMULATED comparisons of n starts in which the quicker one is better; the same in each call."""
+        """The share of SIMULATED comparisons of n starts in which the quicker one is better; the
+        same in each call.
+        """
         rng = np.random.default_rng(n)
-        return float(np.mean([self._decided(rng.random(n), rng.standard_normal(n)) for _ in range(SIMULATED)]))
+        return float(
+            np.mean(
+                [self._decided(rng.random(n), rng.standard_normal(n)) for _ in range(SIMULATED)]
+            )
+        )
 
     def _decided(self, luck: Array, noise: Array) -> bool:
-        """Whether the second is better from starts with this luck, in [0, 1], and this noise of the gain, as multiples of its sd.
+        """Whether the second is better from starts with this luck, in [0, 1], and this noise of the
+        gain, as multiples of its sd.
 
         Each pair has a test of cost, and where enough starts differ one of success.
         """
@@ -92,15 +126,17 @@ def starts_needed(
     power: float = 0.9,
     margin: float = MARGIN,
 ) -> int | None:
-    """How many common starts a comparison of two laws needs until the quicker one is called better by its time.
+    """How many common starts a comparison of two laws needs until the quicker one is called better
+    by its time.
 
     Where nothing fails it is the least n with
 
         2 pairs P(t_n > min(T_m, T_t)) <= 0.05
 
-    of starts whose mean gain and standard deviation are just these (`PairTest` has T_m and T_t). About one half of such comparisons are
-    decided, since chance adds to the gain or takes from it. Where runs fail, the rule is simulated with normal times, a fixed seed and
-    SIMULATED comparisons for each n, until the share `power` of them is decided.
+    of starts whose mean gain and standard deviation are just these (`PairTest` has T_m and T_t).
+    About one half of such comparisons are decided, since chance adds to the gain or takes from it.
+    Where runs fail, the rule is simulated with normal times, a fixed seed and SIMULATED comparisons
+    for each n, until the share `power` of them is decided.
 
     Args:
         gain: by which the mean time of the quicker law is less, where both arrive [s].
@@ -108,7 +144,8 @@ def starts_needed(
         limit: of each run, the price of a failure [s].
         slower: mean time of the slower law where it arrives [s].
         pairs: number of pairs in the comparison; each counts as a test of its own.
-        rate: share of the starts from which each law arrives, 0.5 to 1; no start fails for both. The more do, the fewer starts are needed.
+        rate: share of the starts from which each law arrives, 0.5 to 1; no start fails for both.
+            The more do, the fewer starts are needed.
         power: share of such comparisons that are to be decided, where the rate is under 1.
         margin: of the comparison.
 
@@ -118,25 +155,47 @@ def starts_needed(
     Raises:
         ParameterError: a value is out of its range.
 
-    Reference: Colas et al. 2018, How many random seeds?, arXiv:1806.08295, for the choice before flying.
+    Reference: Colas et al. 2018, How many random seeds?, arXiv:1806.08295, for the choice before
+    flying.
     """
-    expected = ExpectedPair(gain=gain, sd=sd, limit=limit, slower=slower, pairs=pairs, rate=rate, power=power, margin=margin)
+    expected = ExpectedPair(
+        gain=gain,
+        sd=sd,
+        limit=limit,
+        slower=slower,
+        pairs=pairs,
+        rate=rate,
+        power=power,
+        margin=margin,
+    )
     return expected.starts()
 
 
 def fewest(pairs: int, margin: float) -> tuple[int | None, int | None, int | None]:
-    """The fewest starts that can decide one of so many pairs: by success alone, by who is sooner, and by time where nothing fails."""
-    success, sooner = (least(lambda n, tests=tests: sign_test(n, 0) * tests <= ALPHA, 1) for tests in (2 * pairs, pairs))
-    sure = ExpectedPair(gain=1, sd=0, limit=2.1, slower=2, pairs=pairs, margin=margin)  # the margin alone is left to show
+    """The fewest starts that can decide one of so many pairs: by success alone, by who is sooner,
+    and by time where nothing fails.
+    """
+    success, sooner = (
+        least(lambda n, tests=tests: sign_test(n, 0) * tests <= ALPHA, 1)
+        for tests in (2 * pairs, pairs)
+    )
+    # the margin alone is left to show
+    sure = ExpectedPair(gain=1, sd=0, limit=2.1, slower=2, pairs=pairs, margin=margin)
     return success, sooner, sure.starts()
 
 
-def plan_lines(laws: int, pairs: int, limit: float, starts: int | None, margin: float) -> Iterator[str]:
+def plan_lines(
+    laws: int, pairs: int, limit: float, starts: int | None, margin: float
+) -> Iterator[str]:
     """What a comparison can decide, in lines.
 
-    laws, pairs: their numbers. limit: of its runs, the least where they differ [s]. starts: that it plans; None: the nominal one alone.
+    laws, pairs: their numbers. limit: of its runs, the least where they differ [s]. starts: that it
+    plans; None: the nominal one alone.
     """
-    yield f"controllers {laws}, pairs {pairs}, limit {limit:g} s, margin {margin:g}, starts {starts or 1}"
+    yield (
+        f"controllers {laws}, pairs {pairs}, limit {limit:g} s, margin {margin:g},"
+        f" starts {starts or 1}"
+    )
     if starts is None:
         yield "it flies the nominal start: never a verdict; --seeds N draws random starts"
     if not pairs:
@@ -150,12 +209,21 @@ def plan_lines(laws: int, pairs: int, limit: float, starts: int | None, margin: 
         return
 
     def expected(gain: float) -> ExpectedPair:
-        return ExpectedPair(gain=gain, sd=gain, limit=limit, slower=USUAL * limit, pairs=pairs, margin=margin)
+        return ExpectedPair(
+            gain=gain, sd=gain, limit=limit, slower=USUAL * limit, pairs=pairs, margin=margin
+        )
 
-    yield f"starts by gain in time, where no run fails, the usual time is {USUAL * limit:g} s, and the gain varies by itself (sd)"
+    yield (
+        f"starts by gain in time, where no run fails, the usual time is {USUAL * limit:g} s,"
+        " and the gain varies by itself (sd)"
+    )
     for share in GAINS:
         yield f"  {expected(share * limit).starts() or 'over 100,000':>8}  {share * limit:.3g} s"
     if starts is None:
         return
     called = [k for k in range(1, 250) if expected(k / 1000 * limit).decided_by(starts)]
-    yield f"{starts} starts " + (f"can call a gain of {called[0] / 1000 * limit:.3g} s or more" if called else "cannot decide by time")
+    yield f"{starts} starts " + (
+        f"can call a gain of {called[0] / 1000 * limit:.3g} s or more"
+        if called
+        else "cannot decide by time"
+    )

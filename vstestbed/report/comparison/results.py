@@ -32,9 +32,13 @@ DEFAULT_METRICS: Final = tuple(metric.name for metric in EVERY_RUN if metric.com
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
-    """Names of the numbers shown of a comparison that names none: the usual ones, those of some runs, the scenarios' own."""
+    """Names of the numbers shown of a comparison that names none: the usual ones, those of some
+    runs, the scenarios' own.
+    """
     # all laws work on grey levels, so that no run measured markers
-    grey = {"final_error_grey", "final_error_px"} <= set(table.columns) and table["final_error_px"].is_null().all()
+    grey = {"final_error_grey", "final_error_px"} <= set(table.columns) and table[
+        "final_error_px"
+    ].is_null().all()
     usual = [name for name in DEFAULT_METRICS if name != "final_error_px" or not grey]
     return (*usual, *(name for name in (*SOME_FIGURES, *own_metrics()) if name in table.columns))
 
@@ -61,7 +65,11 @@ class ControllerResults:
     @cached_property
     def tasks(self) -> list[str]:
         """The task of each run, all the same where a comparison has none."""
-        return [str(task) for task in self.runs[TASK].to_list()] if TASK in self.runs.columns else [""] * len(self.runs)
+        return (
+            [str(task) for task in self.runs[TASK].to_list()]
+            if TASK in self.runs.columns
+            else [""] * len(self.runs)
+        )
 
     @property
     def starts(self) -> list[tuple[str, int]]:
@@ -69,7 +77,9 @@ class ControllerResults:
         return list(zip(self.tasks, self.seeds, strict=True))
 
     def values(self, metric: Metric) -> Array:
-        """The metric of every run in its display unit, shape (runs,), read-only; NaN where a run has none."""
+        """The metric of every run in its display unit, shape (runs,), read-only; NaN where a run
+        has none.
+        """
         if metric not in self._known:
             column = self._column(metric.name)
             if metric == RESTRICTED:
@@ -79,8 +89,9 @@ class ControllerResults:
         return self._known[metric]
 
     def _times_to_goal(self, stored: Array) -> Array:
-        """The column of times, filled where it has none: of a run that reached its goal with the time that it took, of a crashed one
-        with its limit. The tables of earlier versions do not have it: their limit is that of the others, or the longest run.
+        """The column of times, filled where it has none: of a run that reached its goal with the
+        time that it took, of a crashed one with its limit. The tables of earlier versions do not
+        have it: their limit is that of the others, or the longest run.
         """
         known = {name: self._column(name) for name in _TIMES if name in self.runs.columns}
         for name in _TIMES if self.success.any() else ():
@@ -90,15 +101,21 @@ class ControllerResults:
         return np.where(~self.success & np.isnan(stored), limits, stored)
 
     def _column(self, name: str) -> Array:
-        """A column as numbers, NaN where it has none: a crashed run has null, and a number may be stored as text."""
-        stored = self.runs[name] if name in self.runs.columns else pl.Series([None] * len(self.runs))
+        """A column as numbers, NaN where it has none: a crashed run has null, and a number may be
+        stored as text.
+        """
+        stored = (
+            self.runs[name] if name in self.runs.columns else pl.Series([None] * len(self.runs))
+        )
         return stored.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
 
     @cached_property
     def limits(self) -> Array:
-        """The limit of time of each run [s], shape (runs,): the price of a failure. NaN where the table does not tell.
+        """The limit of time of each run [s], shape (runs,): the price of a failure. NaN where the
+        table does not tell.
 
-        Of a crashed run, and in the tables of earlier versions, it is that of the controller's other runs, there of those that failed.
+        Of a crashed run, and in the tables of earlier versions, it is that of the controller's
+        other runs, there of those that failed.
         """
         limits = self._column(LIMIT.name)
         if not np.isfinite(limits).any():
@@ -116,12 +133,20 @@ class ControllerResults:
 
     @property
     def censored(self) -> float:
-        """The share of the runs that did not reach the goal, whose times are counted at their limit."""
+        """The share of the runs that did not reach the goal, whose times are counted at their
+        limit.
+        """
         return 1 - float(self.success.mean()) if len(self.success) else 0.0
 
     def counted(self, metric: Metric) -> Array:
-        """As `values`, but NaN for the runs that are excluded from the metric's median (see `Metric.every_run`)."""
-        return self.values(metric) if metric.every_run else np.where(self.success, self.values(metric), np.nan)
+        """As `values`, but NaN for the runs that are excluded from the metric's median (see
+        `Metric.every_run`).
+        """
+        return (
+            self.values(metric)
+            if metric.every_run
+            else np.where(self.success, self.values(metric), np.nan)
+        )
 
     def quartiles(self, metric: Metric) -> tuple[float, float, float, int]:
         """First quartile, median, third quartile and number of the `counted` values."""
@@ -133,9 +158,11 @@ class ControllerResults:
         return stats.success_rate(int(self.success.sum()), len(self.success))
 
     def ranked(self, metric: Metric) -> Array:
-        """As `values`, but less is better, and a run that failed is worse than any that did not: infinity.
+        """As `values`, but less is better, and a run that failed is worse than any that did not:
+        infinity.
 
-        With `every_pair` a failed run has its own value, and infinity only without one (it crashed). NaN: reached the goal, value unknown.
+        With `every_pair` a failed run has its own value, and infinity only without one (it
+        crashed). NaN: reached the goal, value unknown.
         """
         values = self.values(metric) * (-1.0 if metric.better > 0 else 1.0)
         failed = ~self.success & (np.isnan(values) if metric.every_pair else True)
@@ -150,10 +177,18 @@ class ComparisonResults:
     axes: tuple[str, ...] = ()  # paths of the varied fields, each a column of the table
     metrics: tuple[str, ...] = DEFAULT_METRICS  # keys of the numbers that are shown
     description: str = ""  # what is compared, in a few words
-    primary: str = ""  # the metric that decides after success; "": the time to the goal, a failure counted at its limit
-    reference: str = ""  # label of the controller with which each other one is compared; "": all pairs
-    margin: float = MARGIN  # share of the starts by which a better one may reach the goal less often
-    settings: str = ""  # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
+    # the metric that decides after success; "": the time to the goal, a failure counted at its
+    # limit
+    primary: str = ""
+    reference: str = (
+        ""  # label of the controller with which each other one is compared; "": all pairs
+    )
+    margin: float = (
+        MARGIN  # share of the starts by which a better one may reach the goal less often
+    )
+    settings: str = (
+        ""  # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
+    )
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
@@ -168,14 +203,27 @@ class ComparisonResults:
         for i, key in enumerate(keys):
             rows.setdefault(key, []).append(i)
         scenarios, *values = zip(*rows, strict=True) if rows else ((),)
-        columns = [_words_of(name, each) for name, each in zip(short_names(self.axes), values, strict=True)]
-        several = len(set(scenarios)) > 1  # the scenario is part of a label only where there are several, or nothing else is
+        columns = [
+            _words_of(name, each) for name, each in zip(short_names(self.axes), values, strict=True)
+        ]
+        # the scenario is part of a label only where there are several, or nothing else is
+        several = len(set(scenarios)) > 1
         parts = zip([str(name) if several else "" for name in scenarios], *columns, strict=True)
-        labels = [", ".join(filter(None, each)) or str(name) for each, name in zip(parts, scenarios, strict=True)]
-        if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
+        labels = [
+            ", ".join(filter(None, each)) or str(name)
+            for each, name in zip(parts, scenarios, strict=True)
+        ]
+        # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
+        if len(set(labels)) < len(labels):
             names = ("", *(f"{name}=" for name in short_names(self.axes)))
-            labels = [", ".join(f"{name}{value}" for name, value in zip(names, key, strict=True)) for key in rows]
-        return tuple(ControllerResults(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
+            labels = [
+                ", ".join(f"{name}{value}" for name, value in zip(names, key, strict=True))
+                for key in rows
+            ]
+        return tuple(
+            ControllerResults(label, self.table[index].sort("seed"))
+            for label, index in zip(labels, rows.values(), strict=True)
+        )
 
     @cached_property
     def primary_metric(self) -> Metric:
@@ -184,7 +232,9 @@ class ComparisonResults:
 
     @property
     def reference_index(self) -> int:
-        """The controller with which each other one is compared where not all pairs are: the first without a `reference`."""
+        """The controller with which each other one is compared where not all pairs are: the first
+        without a `reference`.
+        """
         labels = [c.label for c in self.controllers]
         if self.reference and self.reference not in labels:
             raise ParameterError.choice("reference", labels, self.reference)
@@ -196,10 +246,11 @@ class ComparisonResults:
 
 
 def _words_of(name: str, values: Sequence[object]) -> list[str]:
-    """What a varied field adds to the label of each controller: nothing where it is the same in all of them.
+    """What a varied field adds to the label of each controller: nothing where it is the same in all
+    of them.
 
-    A word says by itself what is varied, and a number does not: `ideal`, `gain=0.5`. Of blocks their kind and what differs between them is
-    named: `ibvs, interaction=mean`.
+    A word says by itself what is varied, and a number does not: `ideal`, `gain=0.5`. Of blocks
+    their kind and what differs between them is named: `ibvs, interaction=mean`.
     """
     if len(set(values)) < 2:
         return [""] * len(values)
@@ -207,9 +258,16 @@ def _words_of(name: str, values: Sequence[object]) -> list[str]:
     if not any(len(block) > 1 for block in blocks):
         words = all(map(_is_word, values))
         return [value_text(value) if words else f"{name}={value_text(value)}" for value in values]
-    keys = [key for key in dict.fromkeys(chain.from_iterable(blocks)) if len({str(block.get(key)) for block in blocks}) > 1]
+    keys = [
+        key
+        for key in dict.fromkeys(chain.from_iterable(blocks))
+        if len({str(block.get(key)) for block in blocks}) > 1
+    ]
     named = [{key: block[key] for key in keys if key in block} or block for block in blocks]
-    return [", ".join(_plain(v) if k == "kind" else f"{k}={_plain(v)}" for k, v in block.items()) for block in named]
+    return [
+        ", ".join(_plain(v) if k == "kind" else f"{k}={_plain(v)}" for k, v in block.items())
+        for block in named
+    ]
 
 
 def _block(value: object) -> dict[str, object]:
@@ -220,7 +278,9 @@ def _block(value: object) -> dict[str, object]:
 
 
 def _plain(value: object) -> str:
-    return json.dumps(value).replace('"', "") if isinstance(value, dict | list) else value_text(value)
+    return (
+        json.dumps(value).replace('"', "") if isinstance(value, dict | list) else value_text(value)
+    )
 
 
 def _is_word(value: object) -> bool:
@@ -228,8 +288,13 @@ def _is_word(value: object) -> bool:
 
 
 def short_names(paths: Sequence[str]) -> list[str]:
-    """The shortest suffix of each dotted path that is unique among them: `actuation` for `robot.actuation`."""
-    suffixes = [[".".join(path.split(".")[-parts:]) for parts in range(1, path.count(".") + 2)] for path in paths]
+    """The shortest suffix of each dotted path that is unique among them: `actuation` for
+    `robot.actuation`.
+    """
+    suffixes = [
+        [".".join(path.split(".")[-parts:]) for parts in range(1, path.count(".") + 2)]
+        for path in paths
+    ]
     common = Counter(chain.from_iterable(suffixes))
     return [next((suffix for suffix in own if common[suffix] == 1), own[-1]) for own in suffixes]
 
@@ -247,10 +312,12 @@ Means = list[dict[str, stats.IntervalEstimate]]  # of each controller, by metric
 
 
 def interquartiles(comparison: ComparisonResults) -> Means:
-    """Of each controller: the interquartile mean of each shown metric over all its runs, in its display unit.
+    """Of each controller: the interquartile mean of each shown metric over all its runs, in its
+    display unit.
 
-    Infinite (of the bad sign) where more than a quarter of the runs failed. `n` is 0 where runs reached the goal and none of them has the
-    number, and for a metric of `every_pair` where no run has it.
+    Infinite (of the bad sign) where more than a quarter of the runs failed. `n` is 0 where runs
+    reached the goal and none of them has the number, and for a metric of `every_pair` where no run
+    has it.
     """
 
     def of(controller: ControllerResults, metric: Metric) -> stats.IntervalEstimate:
@@ -260,4 +327,7 @@ def interquartiles(comparison: ComparisonResults) -> Means:
         found = stats.interquartile_mean(controller.ranked(metric))
         return found.turned() if metric.better > 0 else found
 
-    return [{metric.name: of(controller, metric) for metric in comparison.shown} for controller in comparison.controllers]
+    return [
+        {metric.name: of(controller, metric) for metric in comparison.shown}
+        for controller in comparison.controllers
+    ]

@@ -1,12 +1,15 @@
-"""Which of two controllers is better: the rule, from the successes and costs of both on common starts.
+"""Which of two controllers is better: the rule, from the successes and costs of both on common
+starts.
 
-In words: one is better than another if it reaches the goal more often; or if it costs less on average (less time, a failure counted
-at its limit) and reaches the goal at most a margin less often. Both must hold even if one more start had gone as badly as can be:
-the better one fails, the other arrives. If one reaches the goal more often and the other costs less, it is a trade, and no verdict.
-"Sooner" is a second word: who arrives first from more starts.
+In words: one is better than another if it reaches the goal more often; or if it costs less on
+average (less time, a failure counted at its limit) and reaches the goal at most a margin less
+often. Both must hold even if one more start had gone as badly as can be: the better one fails, the
+other arrives. If one reaches the goal more often and the other costs less, it is a trade, and no
+verdict. "Sooner" is a second word: who arrives first from more starts.
 
-Everything is in closed form: the same numbers give the same digits on every machine. How often the rule is wrong, and how often it
-decides, is in docs/results/verdicts.md; `tests/long/test_verdicts.py` counts it.
+Everything is in closed form: the same numbers give the same digits on every machine. How often the
+rule is wrong, and how often it decides, is in docs/results/verdicts.md;
+`tests/long/test_verdicts.py` counts it.
 """
 
 from __future__ import annotations
@@ -25,10 +28,13 @@ from vstestbed.report.comparison.statistics import MeanEstimate, holm, rounding,
 ALPHA: Final = 0.05  # of all verdicts together, and of all words on who is sooner together
 MARGIN: Final = 0.1  # share of the starts by which a better one may reach the goal less often
 FEWEST_UNLIKE: Final = 6
-"""Fewest starts with different outcomes of which the exact test can be under ALPHA: 2 / 2^6 is, 2 / 2^5 is not. A test that can call
-nothing real does not count among those for which the others are corrected (Tarone 1990, doi:10.2307/2531456)."""
+"""Fewest starts with different outcomes of which the exact test can be under ALPHA: 2 / 2^6 is, 2 /
+2^5 is not. A test that can call nothing real does not count among those for which the others are
+corrected (Tarone 1990, doi:10.2307/2531456).
+"""
 MOST_STARTS: Final = 100_000  # numbers of starts beyond this are not named
-ONE_PICTURE: Final = 1 + 1e-6  # periods by which two times may differ and be equal: one picture, and rounding
+# periods by which two times may differ and be equal: one picture, and rounding
+ONE_PICTURE: Final = 1 + 1e-6
 
 Side = Literal["a", "b"]
 Decision = Literal["better", "trade", "none"]
@@ -36,10 +42,13 @@ _OTHER: Final[dict[Side | None, Side | None]] = {"a": "b", "b": "a", None: None}
 
 
 class Starts(NamedTuple):
-    """What two controllers did on their n common starts; less cost is better, and a failure has the cost `worst`, or its own.
+    """What two controllers did on their n common starts; less cost is better, and a failure has the
+    cost `worst`, or its own.
 
-    reached_a, reached_b: whether each reached the goal, (n,). cost_a, cost_b: (n,). worst: the greatest cost that a start can have.
-    period: times that differ by no more are equal in the sign test. strata: a number for each start, those of one task the same.
+    reached_a, reached_b: whether each reached the goal, (n,). cost_a, cost_b: (n,). worst: the
+    greatest cost that a start can have.
+    period: times that differ by no more are equal in the sign test. strata: a number for each
+    start, those of one task the same.
     time_a, time_b: times to the goal, where these are not the cost.
     """
 
@@ -74,9 +83,11 @@ class MeanOfStarts(NamedTuple):
     def with_imagined(self, value: float) -> MeanEstimate:
         """The mean with one more, imagined value x_0.
 
-            mean_0 = (n mean + x_0) / (n + 1),    s_0^2 = ((n - 1) s^2 + n / (n + 1) (x_0 - mean)^2) / n
+            mean_0 = (n mean + x_0) / (n + 1),
+            s_0^2  = ((n - 1) s^2 + n / (n + 1) (x_0 - mean)^2) / n
 
-        is the mean and the variance of n + 1 values where there is one stratum; its standard error is s_0 / sqrt(n + 1).
+        is the mean and the variance of n + 1 values where there is one stratum; its standard error
+        is s_0 / sqrt(n + 1).
         """
         mean = (self.n * self.mean + value) / (self.n + 1)
         spread = (self.n - 1) * self.variance + self.n / (self.n + 1) * (value - self.mean) ** 2
@@ -84,12 +95,14 @@ class MeanOfStarts(NamedTuple):
 
 
 def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> MeanOfStarts:
-    """Mean and variance of values; with strata (tasks, each with starts of its own) the variance is that within them.
+    """Mean and variance of values; with strata (tasks, each with starts of its own) the variance is
+    that within them.
 
         s^2 = sum_k n_k s_k^2 / sum_k n_k,      n - K degrees of freedom
 
-    Each start counts the same, so that a stratum weighs as it has starts. Strata of one start are taken together as one, whose
-    variance is then too large rather than too small. Reference: Cochran 1977, Sampling techniques, sec. 5.3 and 5A.12.
+    Each start counts the same, so that a stratum weighs as it has starts. Strata of one start are
+    taken together as one, whose variance is then too large rather than too small. Reference:
+    Cochran 1977, Sampling techniques, sec. 5.3 and 5A.12.
     """
     x = np.asarray(values, dtype=float)
     groups = [x] if strata is None else _strata(x, strata)
@@ -97,27 +110,34 @@ def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> Mean
     variance = math.nan
     if several:
         variance = sum(len(group) * group.var(ddof=1) for group in several) / sum(map(len, several))
-    return MeanOfStarts(len(x), float(x.mean()) if len(x) else math.nan, float(variance), len(x) - len(groups))
+    return MeanOfStarts(
+        len(x), float(x.mean()) if len(x) else math.nan, float(variance), len(x) - len(groups)
+    )
 
 
 def _strata(x: Array, strata: NDArray[np.intp]) -> list[Array]:
     groups = [x[strata == number] for number in np.unique(strata)]
     alone = [group for group in groups if len(group) == 1]
-    return [*(group for group in groups if len(group) > 1), *([np.concatenate(alone)] if alone else [])]
+    return [
+        *(group for group in groups if len(group) > 1),
+        *([np.concatenate(alone)] if alone else []),
+    ]
 
 
 @dataclass(frozen=True)
 class PairTest:
     """The tests of one pair, each by itself.
 
-    With x = (b reached) - (a reached) and d = cost of a - cost of b, both with an imagined start in which b fails and a arrives at its
-    usual cost w_a, the claim that b is better by its cost has
+    With x = (b reached) - (a reached) and d = cost of a - cost of b, both with an imagined start in
+    which b fails and a arrives at its usual cost w_a, the claim that b is better by its cost has
 
-        p_b = P(t_n > min(T_m, T_t)),    T_m = (mean(x_1, ..., x_n, -1) + m) sqrt(n + 1) / sd(x_1, ..., x_n, -1)
-                                         T_t = mean(d_1, ..., d_n, w_a - worst) sqrt(n + 1) / sd(d_1, ..., d_n, w_a - worst)
+        p_b = P(t_n > min(T_m, T_t)),
+        T_m = (mean(x_1, ..., x_n, -1) + m) sqrt(n + 1) / sd(x_1, ..., x_n, -1)
+        T_t = mean(d_1, ..., d_n, w_a - worst) sqrt(n + 1) / sd(d_1, ..., d_n, w_a - worst)
 
-    and that of a the same with a and b exchanged. The imagined start is what lets no failure among n starts mean a rate of up to
-    3 / n, and no more (Learned-Miller & Thomas 2019, arXiv:1905.06208, for bounds of means of this kind).
+    and that of a the same with a and b exchanged. The imagined start is what lets no failure among
+    n starts mean a rate of up to 3 / n, and no more (Learned-Miller & Thomas 2019,
+    arXiv:1905.06208, for bounds of means of this kind).
     """
 
     only_a: int  # starts from which only a, only b, both, neither reached the goal
@@ -141,12 +161,22 @@ class PairTest:
     @property
     def p_success(self) -> float:
         """Of the exact test of success; NaN where it cannot be under ALPHA."""
-        return sign_test(self.only_a, self.only_b) if self.only_a + self.only_b >= FEWEST_UNLIKE else math.nan
+        return (
+            sign_test(self.only_a, self.only_b)
+            if self.only_a + self.only_b >= FEWEST_UNLIKE
+            else math.nan
+        )
 
     @property
     def p_sooner(self) -> float:
-        """Of the exact test that both arrive first equally often; NaN where it cannot be under ALPHA."""
-        return sign_test(self.wins_a, self.wins_b) if self.wins_a + self.wins_b >= FEWEST_UNLIKE else math.nan
+        """Of the exact test that both arrive first equally often; NaN where it cannot be under
+        ALPHA.
+        """
+        return (
+            sign_test(self.wins_a, self.wins_b)
+            if self.wins_a + self.wins_b >= FEWEST_UNLIKE
+            else math.nan
+        )
 
     @property
     def has_cost(self) -> bool:
@@ -154,7 +184,9 @@ class PairTest:
         return self.n >= 2 and math.isfinite(self.saved.mean)
 
     def p_cost(self, side: Side, starts: float = 1.0) -> float:
-        """One-sided, that `side` is better by its cost; of so many times more starts like these. NaN where there is no test."""
+        """One-sided, that `side` is better by its cost; of so many times more starts like these.
+        NaN where there is no test.
+        """
         if side == "a":
             return self.turned().p_cost("b", starts)
         if not self.has_cost:
@@ -183,7 +215,9 @@ class PairTest:
 
     @property
     def unseen(self) -> tuple[float, float]:
-        """Both ends of the interval of the mean cost of b - a with a failure not yet seen: of b at the upper end, of a at the lower."""
+        """Both ends of the interval of the mean cost of b - a with a failure not yet seen: of b at
+        the upper end, of a at the lower.
+        """
         if not self.has_cost:
             return math.nan, math.nan
         costs = self.saved.negative()
@@ -192,7 +226,9 @@ class PairTest:
         return low, high
 
     def points_less(self, side: Side) -> float:
-        """By which share of the starts `side` may reach the goal less often: the far end of the two-sided interval."""
+        """By which share of the starts `side` may reach the goal less often: the far end of the
+        two-sided interval.
+        """
         reached = self.reached if side == "b" else self.reached.negative()
         low, _ = reached.with_imagined(-1.0).interval()
         return -low
@@ -212,7 +248,9 @@ class PairTest:
         )
 
     def needs(self, others: int = 0) -> int | None:
-        """How many starts like these would decide the pair, where so many tests of other pairs are open; None: more than MOST_STARTS."""
+        """How many starts like these would decide the pair, where so many tests of other pairs are
+        open; None: more than MOST_STARTS.
+        """
         if not self.has_cost:
             return None
 
@@ -227,7 +265,9 @@ class PairTest:
 
 
 def least(decided: Callable[[int], bool], n: int) -> int | None:
-    """The least number of starts from n on with which `decided`, by doubling and bisection; None: more than MOST_STARTS."""
+    """The least number of starts from n on with which `decided`, by doubling and bisection; None:
+    more than MOST_STARTS.
+    """
     low, high = n, n
     while not decided(high):
         if high >= MOST_STARTS:
@@ -251,7 +291,9 @@ class Verdict:
     p_success: float  # adjusted; that of success as it is where it is no test
     p_cost: float
     p_sooner: float
-    needs: int | None  # starts like these that would decide an open pair; None of a decided one, and where they are too many
+    # starts like these that would decide an open pair; None of a decided one, and where they are
+    # too many
+    needs: int | None
 
     def turned(self) -> Verdict:
         """The same with a and b exchanged."""
@@ -263,7 +305,10 @@ def test_of(starts: Starts, margin: float = MARGIN) -> PairTest:
     a, b = starts.reached_a, starts.reached_b
     saved = np.asarray(starts.cost_a - starts.cost_b, dtype=float)
     saved[np.abs(saved) <= rounding(starts.cost_a, starts.cost_b)] = 0.0
-    later = saved if starts.time_a is None or starts.time_b is None else starts.time_a - starts.time_b  # a than b
+    # a than b
+    later = (
+        saved if starts.time_a is None or starts.time_b is None else starts.time_a - starts.time_b
+    )
     tied = (~a & ~b) | (a & b & (np.abs(later) <= starts.period * ONE_PICTURE))
     first_b = ~tied & np.where(a == b, later > 0, b)
     return PairTest(
@@ -287,14 +332,18 @@ def _usual(reached: NDArray[np.bool_], cost: Array, worst: float) -> float:
 
 
 def judge(tests: Sequence[PairTest]) -> list[Verdict]:
-    """The verdicts on all pairs: Holm over the tests of success and of cost together, and over who is sooner."""
+    """The verdicts on all pairs: Holm over the tests of success and of cost together, and over who
+    is sooner.
+    """
     n = len(tests)
     adjusted = holm([*(test.p_success for test in tests), *(test.p_either for test in tests)])
     sooner = holm([test.p_sooner for test in tests])
     still_open = _open(adjusted)
     return [
         _verdict(test, success, cost, first, still_open - _open([success, cost]))
-        for test, success, cost, first in zip(tests, adjusted[:n], adjusted[n:], sooner, strict=True)
+        for test, success, cost, first in zip(
+            tests, adjusted[:n], adjusted[n:], sooner, strict=True
+        )
     ]
 
 
@@ -308,8 +357,12 @@ def _called(p: float, side: Side) -> Side | None:
     return side if p <= ALPHA else None
 
 
-def _verdict(test: PairTest, success: float, cost: float, sooner: float, others_open: int) -> Verdict:
-    """The verdict on a pair by its adjusted p-values; others_open: tests of other pairs that have decided nothing."""
+def _verdict(
+    test: PairTest, success: float, cost: float, sooner: float, others_open: int
+) -> Verdict:
+    """The verdict on a pair by its adjusted p-values; others_open: tests of other pairs that have
+    decided nothing.
+    """
     more_often = _called(success, "b" if test.only_b > test.only_a else "a")
     cheaper = _called(cost, test.cheaper)
     trade = more_often is not None and cheaper is not None and more_often != cheaper

@@ -1,1 +1,3 @@
-"""Recorded runs for other tools: MCAP (`mcap_file`), LeRobot datasets (`lerobot`), CSV (`csv_files`), all of a `RecordedRun` (`source`)."""
+"""Recorded runs for other tools: MCAP (`mcap_file`), LeRobot datasets (`lerobot`), CSV
+(`csv_files`), all of a `RecordedRun` (`source`).
+"""

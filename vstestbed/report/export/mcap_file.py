@@ -1,8 +1,9 @@
-"""A run as an MCAP file with Foxglove's schemas: pictures, calibration, transforms, markers as annotations, time series.
+"""A run as an MCAP file with Foxglove's schemas: pictures, calibration, transforms, markers as
+annotations, time series.
 
-Topics under /truth are the simulator's alone; those under /camera and /robot are what a robot has. Of joints the log has the true
-positions. Messages are stamped with simulated time: those of a picture with the middle of its exposure, a command's with the time from
-which it is in force.
+Topics under /truth are the simulator's alone; those under /camera and /robot are what a robot has.
+Of joints the log has the true positions. Messages are stamped with simulated time: those of a
+picture with the middle of its exposure, a command's with the time from which it is in force.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ try:
     from mcap_protobuf.writer import Writer
 
 except ImportError as error:
-    raise EnvironmentLackError(f"MCAP files need {error.name}, which is not installed", "pip install 'vstestbed[export]'") from error
+    raise EnvironmentLackError(
+        f"MCAP files need {error.name}, which is not installed", "pip install 'vstestbed[export]'"
+    ) from error
 
 Message = tuple[str, int, Any]  # topic, time [ns], message
 ATTACHED = {
@@ -55,14 +58,19 @@ ATTACHED = {
 TIMED_BY_COMMAND = ("/robot/command", "/robot/applied")
 
 
-def write_mcap(run: RecordedRun, path: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None) -> Path:
-    """Write a run as an MCAP file, which appears whole or not at all; an older one of that name is replaced.
+def write_mcap(
+    run: RecordedRun, path: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None
+) -> Path:
+    """Write a run as an MCAP file, which appears whole or not at all; an older one of that name is
+    replaced.
 
     `start_s`: what t = 0 is in the file [s since 1970]. tick: called after each frame.
-    EnvironmentLackError: pictures cannot be drawn here, or no space. OutputError: cannot be written.
+    EnvironmentLackError: pictures cannot be drawn here, or no space. OutputError: cannot be
+    written.
     """
     start_ns, series = round(start_s * NS), _series(run.scenario, run.log.columns)
-    colors = np.resize(run.scenario.target.colors, (run.scenario.rows, 3))  # of more points than markers: over again
+    # of more points than markers: over again
+    colors = np.resize(run.scenario.target.colors, (run.scenario.rows, 3))
     goal_colors = np.column_stack([colors, np.ones(len(colors))]).tolist()
     with writing(path), PartFile(path) as part:
         writer = Writer(part.file)
@@ -89,20 +97,31 @@ def described(run: RecordedRun) -> dict[str, str]:
         "outcome": run.outcome,
         "success": json.dumps(run.success),
         "pictures": run.how_taken,
-        "calibration": "K, D as calibrated; /truth has the true lens" if as_ros(s.camera) else other,
-        "times": "simulated; pictures and measurements at the middle of the exposure, commands when they are in force",
+        "calibration": (
+            "K, D as calibrated; /truth has the true lens" if as_ros(s.camera) else other
+        ),
+        "times": (
+            "simulated; pictures and measurements at the middle of the exposure,"
+            " commands when they are in force"
+        ),
         "vstestbed": vstestbed_version(),
     }
 
 
-Series = dict[str, tuple[Any, dict[str, str]]]  # By topic the class of a message, and the columns of the log by its fields
+# By topic the class of a message, and the columns of the log by its fields
+Series = dict[str, tuple[Any, dict[str, str]]]
 
 
-def _messages(frame: Taken, run: RecordedRun, start_ns: int, series: Series, goal_colors: list[list[float]]) -> Iterator[Message]:
+def _messages(
+    frame: Taken, run: RecordedRun, start_ns: int, series: Series, goal_colors: list[list[float]]
+) -> Iterator[Message]:
     """The messages of a frame; start_ns: what t = 0 is in the file."""
     s, row, state = run.scenario, frame.row, frame.state
     now = start_ns + round(state.t * NS)
-    for topic, camera in (("/camera/calibration", s.believed_camera), ("/truth/camera_calibration", s.camera)):
+    for topic, camera in (
+        ("/camera/calibration", s.believed_camera),
+        ("/truth/camera_calibration", s.camera),
+    ):
         if (known := calibration(now, camera)) is not None:
             yield topic, now, known
     yield "/camera/image", now, image(now, frame.picture, run.noisy)
@@ -110,7 +129,10 @@ def _messages(frame: Taken, run: RecordedRun, start_ns: int, series: Series, goa
     true = np.array([[row[f"u_true_{i}"], row[f"v_true_{i}"]] for i in range(n)])
     yield "/camera/markers", now, circles(now, state.uv, [SEEN] * n, sizes["seen"])
     yield "/camera/goal", now, circles(now, state.goal_uv, goal_colors, sizes["goal"])
-    poses, T_goal = {"camera": state.T_world_camera, "target": state.T_world_target}, s.goal_pose_at(state.t, int(row.get("view", 0)))
+    poses, T_goal = (
+        {"camera": state.T_world_camera, "target": state.T_world_target},
+        s.goal_pose_at(state.t, int(row.get("view", 0))),
+    )
     if T_goal is not None:
         poses["goal"] = state.T_world_target @ inverse(T_goal)
     yield "/truth/markers", now, circles(now, true, [TRUE] * n, sizes["true"])
@@ -119,13 +141,23 @@ def _messages(frame: Taken, run: RecordedRun, start_ns: int, series: Series, goa
         t = row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t
         time_ns = start_ns + round(t * NS)
         made = kind(**{field: row[column] for field, column in columns.items()})
-        made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)  # its class is of another pool than `Timestamp`
+        # its class is of another pool than `Timestamp`
+        made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)
         yield topic, time_ns, made
 
 
 # Topics of columns: by what stands before the first "_" in their name, and of single ones.
-GROUPS = {"cmd": "/robot/command", "applied": "/robot/applied", "act": "/truth/camera_twist", "ctrl": "/robot/controls"}
-GROUPS |= {"q": "/truth/joint_positions", "qd": "/truth/joint_velocities", "depth": "/camera/depths"}
+GROUPS = {
+    "cmd": "/robot/command",
+    "applied": "/robot/applied",
+    "act": "/truth/camera_twist",
+    "ctrl": "/robot/controls",
+}
+GROUPS |= {
+    "q": "/truth/joint_positions",
+    "qd": "/truth/joint_velocities",
+    "depth": "/camera/depths",
+}
 SINGLE: dict[str, str] = dict.fromkeys(("scale", *LOSS), "/robot/applied")
 SINGLE |= dict.fromkeys(("error_px", "error_grey", "lost"), "/camera/error")
 SINGLE |= dict.fromkeys(("position_error_m", "rotation_error_rad"), "/truth/error")
@@ -139,23 +171,37 @@ def _series(scenario: Scenario, columns: tuple[str, ...]) -> Series:
         if column in SINGLE:
             topic, name = SINGLE[column], column
         elif column in scenario.own_columns:
-            topic, name = {"truth": "/truth/state", "own": "/state"}.get(whose, "/robot/state"), column
+            topic, name = (
+                {"truth": "/truth/state", "own": "/state"}.get(whose, "/robot/state"),
+                column,
+            )
         elif before in GROUPS:  # whose topic says what stands before
             topic, name = GROUPS[before], column if before == "depth" else after
         else:
             continue
         topics.setdefault(topic, {})[name_with_unit(name, unit)] = column
-    names = {topic: "".join(word.title() for word in topic.split("/")).replace("_", "") for topic in topics}
-    return {topic: (_message_class(names[topic], list(those)), those) for topic, those in topics.items()}
+    names = {
+        topic: "".join(word.title() for word in topic.split("/")).replace("_", "")
+        for topic in topics
+    }
+    return {
+        topic: (_message_class(names[topic], list(those)), those) for topic, those in topics.items()
+    }
 
 
-# Foxglove's messages of a frame, in protobuf: rerun reads no other encoding of them, and pictures stay binary; and plain time series.
+# Foxglove's messages of a frame, in protobuf: rerun reads no other encoding of them, and pictures
+# stay binary; and plain time series.
 #
-# Frames of reference: `world` (z up), `camera` (x right, y down, z forward), `target`, `goal` (of the camera), the robot's bodies.
+# Frames of reference: `world` (z up), `camera` (x right, y down, z forward), `target`, `goal` (of
+# the camera), the robot's bodies.
 NS = 1_000_000_000
-FIRST_PIXEL = 0.5  # Where the middle of the first pixel is in annotations, whose origin is the picture's corner; in logs and in K it is 0
+# Where the middle of the first pixel is in annotations, whose origin is the picture's corner; in
+# logs and in K it is 0
+FIRST_PIXEL = 0.5
 SEEN, TRUE = (1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
-"""Colours (red, green, blue, alpha) of circles round measured and true markers; those at the goal have the marker's own."""
+"""Colours (red, green, blue, alpha) of circles round measured and true markers; those at the goal
+have the marker's own.
+"""
 SIZES_PX = {"seen": 14.0, "goal": 20.0, "true": 8.0}
 
 
@@ -171,7 +217,9 @@ def image(time_ns: int, picture: Image, noisy: bool) -> CompressedImage:
 
 
 def calibration(time_ns: int, camera: Camera) -> CameraCalibration | None:
-    """Intrinsics K of a camera, with the middle of the first pixel at 0, and its distortion; None for a lens without a standard model."""
+    """Intrinsics K of a camera, with the middle of the first pixel at 0, and its distortion; None
+    for a lens without a standard model.
+    """
     if (found := as_ros(camera)) is None:
         return None
     K, model, k = found
@@ -188,8 +236,12 @@ def calibration(time_ns: int, camera: Camera) -> CameraCalibration | None:
     )
 
 
-def circles(time_ns: int, uv: Array, colors: Iterable[Sequence[float]], size_px: float) -> ImageAnnotations:
-    """A circle round each pixel uv (N, 2) that is one; colors: (red, green, blue, alpha) of each."""
+def circles(
+    time_ns: int, uv: Array, colors: Iterable[Sequence[float]], size_px: float
+) -> ImageAnnotations:
+    """A circle round each pixel uv (N, 2) that is one;
+    colors: (red, green, blue, alpha) of each.
+    """
     when = stamp(time_ns)
     return ImageAnnotations(
         circles=[
@@ -207,10 +259,14 @@ def circles(time_ns: int, uv: Array, colors: Iterable[Sequence[float]], size_px:
 
 
 def transforms(time_ns: int, T_world: dict[str, Array], bodies: Bodies) -> FrameTransforms:
-    """Poses (4, 4) in the world by the name of the frame, and those of the scene's bodies that are the robot's or a vehicle's."""
+    """Poses (4, 4) in the world by the name of the frame, and those of the scene's bodies that are
+    the robot's or a vehicle's.
+    """
     when = stamp(time_ns)
     named = [(name, T[:3, 3], quaternion_wxyz(T[:3, :3])) for name, T in T_world.items()]
-    named += [body for body in zip(*bodies, strict=True) if body[0].startswith(("robot/", "leader/"))]
+    named += [
+        body for body in zip(*bodies, strict=True) if body[0].startswith(("robot/", "leader/"))
+    ]
     found = [
         FrameTransform(
             timestamp=when,
@@ -225,15 +281,29 @@ def transforms(time_ns: int, T_world: dict[str, Array], bodies: Bodies) -> Frame
 
 
 def _message_class(name: str, fields: Sequence[str]) -> Any:
-    """The class of protobuf messages `vstestbed.NAME`, with a time stamp and a double for each field."""
-    file = descriptor_pb2.FileDescriptorProto(name=f"vstestbed/{name}.proto", package="vstestbed", syntax="proto3")
+    """The class of protobuf messages `vstestbed.NAME`, with a time stamp and a double for each
+    field.
+    """
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"vstestbed/{name}.proto", package="vstestbed", syntax="proto3"
+    )
     file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
-    kind, one = descriptor_pb2.FieldDescriptorProto, descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL
+    kind, one = (
+        descriptor_pb2.FieldDescriptorProto,
+        descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL,
+    )
     made = file.message_type.add(name=name)
-    made.field.add(name="timestamp", number=1, label=one, type=kind.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp")
+    made.field.add(
+        name="timestamp",
+        number=1,
+        label=one,
+        type=kind.TYPE_MESSAGE,
+        type_name=".google.protobuf.Timestamp",
+    )
     for number, field in enumerate(fields, start=2):
         made.field.add(name=field, number=number, label=one, type=kind.TYPE_DOUBLE)
-    pool = descriptor_pool.DescriptorPool()  # its own: runs of other robots have messages of the same name
+    # its own: runs of other robots have messages of the same name
+    pool = descriptor_pool.DescriptorPool()
     pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"vstestbed.{name}"))

@@ -1,4 +1,6 @@
-"""A recorded run as exports read it: scenario, log, summary, and the servo camera's pictures, taken again one by one."""
+"""A recorded run as exports read it: scenario, log, summary, and the servo camera's pictures, taken
+again one by one.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Rerendering
 
-Bodies = tuple[list[str], Array, Array]  # The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world
+# The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world
+Bodies = tuple[list[str], Array, Array]
 
 
 class Taken(NamedTuple):
@@ -52,15 +55,22 @@ class RecordedRun:
     def of(cls, folder: Path, plugins: Sequence[str] = ()) -> RecordedRun:
         """Read a run's folder; plugins: as of `load`.
 
-        RunFolderError: it has no run, a damaged one, or one without a frame. ScenarioError: its scenario cannot be read.
+        RunFolderError: it has no run, a damaged one, or one without a frame. ScenarioError: its
+            scenario cannot be read.
         """
         if not (folder / "scenario.yaml").is_file():
             raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
         scenario = load_run(folder, plugins)
         log = open_log(folder, scenario)
-        summary = read_summary(folder, "run the scenario again") if (folder / "summary.json").is_file() else None
+        summary = (
+            read_summary(folder, "run the scenario again")
+            if (folder / "summary.json").is_file()
+            else None
+        )
         if not len(log):
-            raise RunFolderError(folder, "has a log without frames; there is nothing to export", NOTHING_RAN)
+            raise RunFolderError(
+                folder, "has a log without frames; there is nothing to export", NOTHING_RAN
+            )
         return cls(folder, scenario, log, summary)
 
     def place(self, within: Path | None) -> str:
@@ -92,11 +102,16 @@ class RecordedRun:
         if noise.drift.brightness or noise.drift.color:
             words.append("with the drift of its gains")
         if camera.imaged:
-            changed = [name for name in ("optics", "exposure", "sensor", "stream") if getattr(camera, name) is not None]
+            changed = [
+                name
+                for name in ("optics", "exposure", "sensor", "stream")
+                if getattr(camera, name) is not None
+            ]
             words.append(f"through the camera's {' and '.join(changed)}")
         light = self.scenario.world.light
         left_out = {
-            f"the motion blur of its {timing.first_s(camera):g} s exposure": timing.first_s(camera) > 0,
+            f"the motion blur of its {timing.first_s(camera):g} s exposure": timing.first_s(camera)
+            > 0,
             f"the skew of its rolling shutter of {camera.readout_s:g} s": camera.readout_s > 0,
             "the flicker of its light": light is not None and light.flicker.depth > 0,
         }
@@ -104,13 +119,21 @@ class RecordedRun:
         return ", ".join(words)
 
     def frames(self) -> Iterator[Taken]:
-        """The frames in their order, each with its picture drawn anew. EnvironmentLackError: it cannot be drawn here."""
+        """The frames in their order, each with its picture drawn anew. EnvironmentLackError: it
+        cannot be drawn here.
+        """
         s, noise = self.scenario, self.scenario.noise
-        with closing(Rerendering(s.scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM))) as rerendered:
+        with closing(
+            Rerendering(
+                s.scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM)
+            )
+        ) as rerendered:
             names = rerendered.body_names
             for row in rows_of(self.log):
                 state = FilmFrame.of_row(row, s)
-                picture = rerendered.picture(state.t, state.T_world_target, state.q, state.T_world_camera)
+                picture = rerendered.picture(
+                    state.t, state.T_world_target, state.q, state.T_world_camera
+                )
                 yield Taken(row, state, picture, (names, *rerendered.body_poses))
 
 
@@ -120,8 +143,16 @@ def opened(folders: Iterable[Path], plugins: Sequence[str] = ()) -> Iterator[Rec
         yield RecordedRun.of(folder, plugins)
 
 
-def write_each(runs: Iterable[RecordedRun], out: Path, within: Path, suffix: str, write: Callable[[RecordedRun, Path], object]) -> Path:
-    """Write each run at its place within a folder into a new folder `out`, which appears whole or not at all."""
+def write_each(
+    runs: Iterable[RecordedRun],
+    out: Path,
+    within: Path,
+    suffix: str,
+    write: Callable[[RecordedRun, Path], object],
+) -> Path:
+    """Write each run at its place within a folder into a new folder `out`, which appears whole or
+    not at all.
+    """
     with whole_folder(out) as folder:
         for run in runs:
             path = folder / f"{run.place(within)}{suffix}"
@@ -132,12 +163,25 @@ def write_each(runs: Iterable[RecordedRun], out: Path, within: Path, suffix: str
 
 # What the columns of a log are: their units, and who knows them.
 Whose = Literal["clock", "measured", "command", "truth", "own"]
-"""`clock`: times and counters; `measured`: what camera and robot know; `command`: what they command; `truth`: the simulator's alone;
-`own`: of the robot's kind or the task."""
+"""`clock`: times and counters; `measured`: what camera and robot know; `command`: what they
+command; `truth`: the simulator's alone; `own`: of the robot's kind or the task.
+"""
 
-Meaning = tuple[str, Whose, str]  # Of a column: its unit ("" for numbers without one), who knows it, and in words
+# Of a column: its unit ("" for numbers without one), who knows it, and in words
+Meaning = tuple[str, Whose, str]
 
-_SUFFIXES = {"px": "px", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": "s", "mps": "m/s", "radps": "rad/s", "n": "N", "nm": "Nm"}
+_SUFFIXES = {
+    "px": "px",
+    "m": "m",
+    "mm": "mm",
+    "rad": "rad",
+    "deg": "deg",
+    "s": "s",
+    "mps": "m/s",
+    "radps": "rad/s",
+    "n": "N",
+    "nm": "Nm",
+}
 """Unit by the last part of a name, for columns of plugins."""
 IN_NAMES = {"m/s": "mps", "rad/s": "radps", "grey levels": "grey"}  # Units as parts of names
 
@@ -150,24 +194,35 @@ def meaning(column: str, scenario: Scenario) -> Meaning:
         return unit, "truth", "velocity of a joint" if kind == "qd" else "position of a joint"
     if (text := text_of(column)) is not None:
         return text.unit, cast(Whose, text.whose), text.words
-    return _SUFFIXES.get(column.rpartition("_")[2], ""), "own", "of the robot's kind, or of the task"
+    return (
+        _SUFFIXES.get(column.rpartition("_")[2], ""),
+        "own",
+        "of the robot's kind, or of the task",
+    )
 
 
 def unit_of_joint(joint: str, scenario: Scenario) -> str:
     """rad, or m for a joint that slides."""
     chain = getattr(scenario.robot, "chain", None)  # of an arm read from a file
-    slides = () if chain is None else [name for name, slide in zip(chain.names, chain.slides, strict=True) if slide]
+    slides = (
+        ()
+        if chain is None
+        else [name for name, slide in zip(chain.names, chain.slides, strict=True) if slide]
+    )
     return "m" if joint in (*slides, "root_x", "root_y") else "rad"
 
 
 def name_with_unit(name: str, unit: str) -> str:
-    """A name that ends with its unit, of letters, digits and underscores alone, and no digit first: `vx_mps`."""
+    """A name that ends with its unit, of letters, digits and underscores alone, and no digit first:
+    `vx_mps`.
+    """
     word = IN_NAMES.get(unit, unit)
     plain = re.sub(r"^(?=\d)|\W", "_", name)
     return plain if not word or plain.endswith(f"_{word}") else f"{plain}_{word}"
 
 
-# Logs as CSV: a file for each run, `columns.csv` with the unit of each column and who knows it, and a comparison's table of runs.
+# Logs as CSV: a file for each run, `columns.csv` with the unit of each column and who knows it, and
+# a comparison's table of runs.
 #
 # A number that there is not (a marker that is not seen) is an empty field; `lost` is true or false.
 def write_csv(
@@ -179,8 +234,9 @@ def write_csv(
 ) -> Path:
     """Write the logs of runs into a new folder `out`, which appears whole or not at all.
 
-    `within`: the folder in which the runs' folders are; each file has the same place in `out`. table: of a comparison's runs. tick: called
-    after each frame. OutputError: `out` holds something already, or cannot be made. EnvironmentLackError: no space.
+    `within`: the folder in which the runs' folders are; each file has the same place in `out`.
+    table: of a comparison's runs. tick: called after each frame. OutputError: `out` holds something
+    already, or cannot be made. EnvironmentLackError: no space.
     """
     known: dict[str, Meaning] = {}
     with whole_folder(out) as folder:
@@ -190,12 +246,17 @@ def write_csv(
             with writing(path), PartFile(path) as part:
                 for number, block in enumerate(run.log.frame().iter_slices(ROW_GROUP)):
                     buffer = io.BytesIO()
-                    block.with_columns(cs.float().fill_nan(None)).write_csv(buffer, include_header=number == 0)
+                    block.with_columns(cs.float().fill_nan(None)).write_csv(
+                        buffer, include_header=number == 0
+                    )
                     part.file.write(buffer.getvalue())
                     for _ in range(len(block)):
                         tick()
             known |= {name: meaning(name, run.scenario) for name in run.log.columns}
-        lines = [{"column": name, "unit": unit, "whose": whose, "meaning": words} for name, (unit, whose, words) in known.items()]
+        lines = [
+            {"column": name, "unit": unit, "whose": whose, "meaning": words}
+            for name, (unit, whose, words) in known.items()
+        ]
         write_whole(folder / "columns.csv", pl.DataFrame(lines).write_csv())
         if table is not None:
             write_whole(folder / "comparison.csv", table.write_csv())

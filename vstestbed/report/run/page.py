@@ -1,4 +1,6 @@
-"""Writes `report.html` of one run from the files in the run's folder: outcome, numbers, figures, films, where they come from."""
+"""Writes `report.html` of one run from the files in the run's folder: outcome, numbers, figures,
+films, where they come from.
+"""
 
 from __future__ import annotations
 
@@ -35,23 +37,34 @@ if TYPE_CHECKING:
 
 Summary = Mapping[str, Any]
 Item = tuple[str, str, str]  # Title, number, unit
-FARTHEST_M: Final = 1e6  # Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
+FARTHEST_M: Final = (
+    1e6  # Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
+)
 EMBED_BYTES: Final = 30_000_000
-"""Films up to this size together are embedded in the page; larger ones are linked, so that a browser can still open it."""
+"""Films up to this size together are embedded in the page; larger ones are linked, so that a
+browser can still open it.
+"""
 NOTEBOOK_PX: Final = 720  # Height of the report in a notebook [px]
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
 TITLES: Final = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
-ROW_METRICS: Final = tuple(metric for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RUNS) if not metric.tile and metric.name != "judged_error")
+ROW_METRICS: Final = tuple(
+    metric
+    for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RUNS)
+    if not metric.tile and metric.name != "judged_error"
+)
 UNLIMITED = 0.999  # a command scaled under this is limited
-LAST_S = 1.0  # what moves by more than a robot that stands does in it, STANDS_RADPS, still moves at the end
+# what moves by more than a robot that stands does in it, STANDS_RADPS, still moves at the end
+LAST_S = 1.0
 STUCK, LEAST_TOLD, STUCK_FRAMES = 0.02, 1e-4, 4
-"""A joint is held by friction that moves by less than this share of its command, which is at least so large [rad/s, m/s], for so many
-frames."""
+"""A joint is held by friction that moves by less than this share of its command, which is at least
+so large [rad/s, m/s], for so many frames.
+"""
 LEAST_STOOD_S = 0.2  # in all, of a joint that is told of
 CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
 """The large numbers of a continuing task, which has no goal pose to measure an error from."""
 
-# The figures of a run's page in their order, each with its title; `run.html` has the captions, by the names of these functions.
+# The figures of a run's page in their order, each with its title; `run.html` has the captions, by
+# the names of these functions.
 FIGURES: Final[dict[Callable[[LogArrays], Chart | None], str]] = {
     space.features: "Features in the image",
     space.other_cameras: "Features in the pictures of further cameras",
@@ -77,36 +90,63 @@ FIGURES: Final[dict[Callable[[LogArrays], Chart | None], str]] = {
 }
 
 
-def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: Setting | None = None, plugins: Sequence[str] = ()) -> Path:
+def write_report(
+    run_dir: Path,
+    log: Log | pl.DataFrame | None = None,
+    setting: Setting | None = None,
+    plugins: Sequence[str] = (),
+) -> Path:
     """Write `report.html` into a run's folder; returns its path.
 
     Args:
-        run_dir: the folder with both scenarios, `summary.json`, `log.parquet` (or `log.part`) and films, if there are any.
-        log, setting: log and scenario data of the figures, if the caller has them already; else those of the folder.
+        run_dir: the folder with both scenarios, `summary.json`, `log.parquet` (or `log.part`) and
+            films, if there are any.
+        log, setting: log and scenario data of the figures, if the caller has them already; else
+            those of the folder.
         plugins: files or modules, besides those that `scenario.yaml` names.
 
-    RunFolderError: the folder holds no run, a damaged one, or one without a frame. ScenarioError, PluginError: its scenario cannot be
-    loaded. OutputError: the page cannot be written.
+    RunFolderError: the folder holds no run, a damaged one, or one without a frame. ScenarioError,
+    PluginError: its scenario cannot be loaded. OutputError: the page cannot be written.
     """
     from vstestbed.scenario.dump import load_run  # here: the figures themselves need no scenario
     from vstestbed.scenario.load import GIVEN, RESOLVED
     from vstestbed.scenario.yaml_marks import text_of
 
-    texts = {name: text_of(run_dir / name) for name in (GIVEN, RESOLVED) if name == GIVEN or (run_dir / name).is_file()}
+    texts = {
+        name: text_of(run_dir / name)
+        for name in (GIVEN, RESOLVED)
+        if name == GIVEN or (run_dir / name).is_file()
+    }
     summary = _summary(run_dir)
-    videos = {path.stem: path for path in (run_dir / f"{name}.mp4" for name in FILMS) if path.is_file()}
+    videos = {
+        path.stem: path for path in (run_dir / f"{name}.mp4" for name in FILMS) if path.is_file()
+    }
     if log is None or setting is None:
         scenario = load_run(run_dir, plugins)
         setting = setting or Setting.of(scenario)
         if log is None:
             log = open_log(run_dir, scenario)
             if not len(log):
-                raise RunFolderError(run_dir, "has a log without frames; there is nothing to report", NOTHING_RAN)
+                raise RunFolderError(
+                    run_dir, "has a log without frames; there is nothing to report", NOTHING_RAN
+                )
             for name in (f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"):
-                if not (abs(log[name]) < FARTHEST_M).all():  # only a damaged file can have it, and figures have no scale for it
-                    raise RunFolderError(run_dir, f"its log is damaged (a position over {FARTHEST_M:g} m in the column {name})")
-    goals = [path.read_bytes() for path in sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))]
-    return write_whole(run_dir / "report.html", render_page(log, summary, texts, videos, setting, goals))
+                # only a damaged file can have it, and figures have no scale for it
+                if not (abs(log[name]) < FARTHEST_M).all():
+                    raise RunFolderError(
+                        run_dir,
+                        (
+                            f"its log is damaged (a position over {FARTHEST_M:g} m"
+                            f" in the column {name})"
+                        ),
+                    )
+    goals = [
+        path.read_bytes()
+        for path in sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))
+    ]
+    return write_whole(
+        run_dir / "report.html", render_page(log, summary, texts, videos, setting, goals)
+    )
 
 
 def render_page(
@@ -117,18 +157,25 @@ def render_page(
     setting: Setting | None = None,
     goal_pictures: Sequence[bytes] = (),
 ) -> str:
-    """The report as HTML that refers to nothing outside itself (films of more than 30 MB together excepted).
+    """The report as HTML that refers to nothing outside itself (films of more than 30 MB together
+    excepted).
 
     Args:
-        log: one row per frame, the columns of `log.parquet`; may be empty. summary: that of `summary.json`; missing numbers show as dashes.
-        texts: the scenario as given and as it ran, by the names of the files, shown verbatim. videos: films by name (`camera`, `overview`).
+        log: one row per frame, the columns of `log.parquet`; may be empty. summary: that of
+            `summary.json`; missing numbers show as dashes.
+        texts: the scenario as given and as it ran, by the names of the files, shown verbatim.
+            videos: films by name (`camera`, `overview`).
         setting: data for the figures.
         goal_pictures: PNG files of the pictures taken at the goal views.
     """
     setting = setting or Setting()
     tracks, name = LogArrays.of(log, setting), str(summary.get("scenario") or "Run")
     charts = ((draw.__name__, title, draw(tracks)) for draw, title in FIGURES.items())
-    timing = [(str(k), float(v)) for k, v in dict(summary.get("time_ms") or {}).items() if _is_number(v) and v >= 0]
+    timing = [
+        (str(k), float(v))
+        for k, v in dict(summary.get("time_ms") or {}).items()
+        if _is_number(v) and v >= 0
+    ]
     total_ms = sum(ms for _, ms in timing)
     return page(
         "run.html",
@@ -141,13 +188,20 @@ def render_page(
         sentences=" ".join([sentences(summary), *events(tracks)]),
         tiles=tiles(summary),
         rows=rows(summary),
-        figures=[(name, title, chart.svg(title)) for name, title, chart in charts if chart is not None],
+        figures=[
+            (name, title, chart.svg(title)) for name, title, chart in charts if chart is not None
+        ],
         films=_films(videos),
         goals=[data_url("image/png", png) for png in goal_pictures],
-        timing=[(part, ms, line_color(i)) for i, (part, ms) in enumerate(timing)] if total_ms > 0 else [],
+        timing=[(part, ms, line_color(i)) for i, (part, ms) in enumerate(timing)]
+        if total_ms > 0
+        else [],
         total_ms=total_ms,
         documents=[(f"{TITLES.get(name, name)} ({name})", text) for name, text in texts.items()],
-        versions=[(str(package), str(version), "") for package, version in dict(summary.get("versions") or {}).items()],
+        versions=[
+            (str(package), str(version), "")
+            for package, version in dict(summary.get("versions") or {}).items()
+        ],
         everything=json.dumps(dict(summary), indent=2, default=str),
     )
 
@@ -157,11 +211,18 @@ def recording_cell(recording: Recording) -> str:
     from vstestbed.scenario.dump import documents
 
     scenario = recording.scenario
-    return cell(render_page(recording.rows, recording.summary(), documents(scenario), {}, Setting.of(scenario)), NOTEBOOK_PX)
+    return cell(
+        render_page(
+            recording.rows, recording.summary(), documents(scenario), {}, Setting.of(scenario)
+        ),
+        NOTEBOOK_PX,
+    )
 
 
 def figure_of(recording: Recording, name: str) -> Figure:
-    """A figure of the report of a recording by the name of its function. Raises ParameterError: it has none of this name."""
+    """A figure of the report of a recording by the name of its function. Raises ParameterError: it
+    has none of this name.
+    """
     from vstestbed.report.canvas import chart_figure
 
     tracks = LogArrays.of(recording.rows, Setting.of(recording.scenario))
@@ -178,27 +239,44 @@ def outcome_text(summary: Summary) -> str:
 
 
 def sentences(summary: Summary) -> str:
-    """The reason of the outcome, whether the command swung on the way, and the error that decided."""
+    """The reason of the outcome, whether the command swung on the way,
+    and the error that decided.
+    """
     reason = str(summary.get("reason") or "")
     found = [reason[:1].upper() + reason[1:].rstrip(".") + "."] if reason else []
     swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
-    if _is_number(swung_s) and _is_number(frames) and summary.get("outcome") != "unstable":  # that outcome says so
-        found.append(f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s without a break: it is badly damped.")
+    # that outcome says so
+    if _is_number(swung_s) and _is_number(frames) and summary.get("outcome") != "unstable":
+        found.append(
+            f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s"
+            " without a break: it is badly damped."
+        )
     if (by := summary.get("judged_by")) is not None:  # older summaries have none
         both = (summary["judged_error"], summary["judged_limit"])
-        shown = [in_words_unit(x, str(summary["judged_unit"])) if _is_number(x) else None for x in both]
+        shown = [
+            in_words_unit(x, str(summary["judged_unit"])) if _is_number(x) else None for x in both
+        ]
         value, limit = (f"{number(x[0])} {x[1]}" if x else "unknown" for x in shown)
         found.append(f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}.")
     return " ".join(found)
 
 
 def events(tracks: LogArrays) -> list[str]:
-    """What happened on the way that a figure shows and a reader may miss: commands that limits shortened, joints that friction held."""
+    """What happened on the way that a figure shows and a reader may miss: commands that limits
+    shortened, joints that friction held.
+    """
     found = [*_limits(tracks), *_friction(tracks)]
     if moving := still_moving(tracks):
         ends = tracks.setting.band_m is None
-        words = "In its last second it still moved" if ends else "Its task has no end, and in its last second it moved on"
-        found.append(f"{words}, by more than the {STANDS_RADPS:g} rad or m of a robot that stands: {listed(moving)}.")
+        words = (
+            "In its last second it still moved"
+            if ends
+            else "Its task has no end, and in its last second it moved on"
+        )
+        found.append(
+            f"{words}, by more than the {STANDS_RADPS:g} rad or m of a robot"
+            f" that stands: {listed(moving)}."
+        )
     return found
 
 
@@ -207,9 +285,16 @@ def _limits(tracks: LogArrays) -> Iterator[str]:
     t, limit = tracks.t, tracks.column("limit")
     if (limited := (tracks.column("scale") < UNLIMITED) | (limit > 0)).any():
         last = float(t[np.flatnonzero(limited)[-1]])
-        yield f"Limits of law or robot shortened or turned {limited.sum()} of its {len(t)} commands, the last at {last:.3g} s."
+        yield (
+            f"Limits of law or robot shortened or turned {limited.sum()} of its {len(t)} commands,"
+            f" the last at {last:.3g} s."
+        )
     if (limit > 0).any():
-        by = [f"{word.replace('_', ' ')} {counted(n, 'frame')}" for i, word in enumerate(WORDS) if word and (n := int((limit == i).sum()))]
+        by = [
+            f"{word.replace('_', ' ')} {counted(n, 'frame')}"
+            for i, word in enumerate(WORDS)
+            if word and (n := int((limit == i).sum()))
+        ]
         turned = np.degrees(np.nanmax(tracks.column("turned_rad")))
         way = f"; its motion was turned by up to {turned:.2g} degrees" if turned else ""
         yield f"The robot's limits were: {listed(by)}{way}."
@@ -221,12 +306,19 @@ def _friction(tracks: LogArrays) -> Iterator[str]:
     held = {name: stood for name in joints if (stood := _held(tracks, name)) is not None}
     if held:
         longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
-        words = "although it was told to move" if len(held) == 1 else "although they were told to move"
-        yield f"Friction held {listed(list(held))} for up to {longest:.2g} s {words}, first at {first:.3g} s (stick-slip)."
+        words = (
+            "although it was told to move" if len(held) == 1 else "although they were told to move"
+        )
+        yield (
+            f"Friction held {listed(list(held))} for up to {longest:.2g} s {words},"
+            f" first at {first:.3g} s (stick-slip)."
+        )
 
 
 def still_moving(tracks: LogArrays) -> list[str]:
-    """What truly moved in the last second of a run: driven joints, from end to end, and the camera, along its path."""
+    """What truly moved in the last second of a run: driven joints, from end to end, and the camera,
+    along its path.
+    """
     t = tracks.t
     if not len(t):
         return []
@@ -236,7 +328,8 @@ def still_moving(tracks: LogArrays) -> list[str]:
 
 def _joints_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     driven = tracks.named("ctrl")
-    for name in [joint for joint in tracks.named("q") if joint in driven]:  # a car's wheels are not: they roll on with it
+    # a car's wheels are not: they roll on with it
+    for name in [joint for joint in tracks.named("q") if joint in driven]:
         span = float(np.ptp(tracks.column(f"q_{name}")[last]))
         unit = "m" if name in tracks.setting.slides else "rad"
         if span > STANDS_RADPS:
@@ -248,37 +341,65 @@ def _camera_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     way = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum()
     R = T[:, :3, :3]
     turned = rotation_angle(R[:-1].mT @ R[1:]).sum()
-    for what, unit, size in (("camera", "m", float(way)), ("camera's direction", "rad", float(turned))):
+    for what, unit, size in (
+        ("camera", "m", float(way)),
+        ("camera's direction", "rad", float(turned)),
+    ):
         if size > STANDS_RADPS:  # not of a log without poses, whose are NaN
             yield f"the {what} by {' '.join(with_unit(size, unit))} along its path"
 
 
 def _held(tracks: LogArrays, joint: str) -> tuple[float, float] | None:
-    """For how long in all a joint stood although it was told to move, and from when on [s]; None where it did not."""
-    t, speed, told = tracks.t, np.abs(tracks.column(f"qd_{joint}")), np.abs(tracks.column(f"ctrl_{joint}"))
-    edges = np.flatnonzero(np.diff((speed < STUCK * told) & (told > LEAST_TOLD), prepend=False, append=False))
+    """For how long in all a joint stood although it was told to move, and from when on [s]; None
+    where it did not.
+    """
+    t, speed, told = (
+        tracks.t,
+        np.abs(tracks.column(f"qd_{joint}")),
+        np.abs(tracks.column(f"ctrl_{joint}")),
+    )
+    edges = np.flatnonzero(
+        np.diff((speed < STUCK * told) & (told > LEAST_TOLD), prepend=False, append=False)
+    )
     stood = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STUCK_FRAMES]
     held = sum(float(t[b - 1] - t[a]) for a, b in stood)
     return (held, float(t[stood[0][0]])) if held >= LEAST_STOOD_S else None
 
 
 def tiles(summary: Summary) -> list[Item]:
-    """The most important numbers; of a law that works on grey levels and measures no markers the error in grey levels."""
-    other = "px" if "final_error_grey" in summary and summary.get("final_error_px") is None else "grey"
-    large = [m.name for m in KNOWN.values() if m.tile and (not m.where or summary.get(m.name) is not None)]
+    """The most important numbers; of a law that works on grey levels and measures no markers the
+    error in grey levels.
+    """
+    other = (
+        "px" if "final_error_grey" in summary and summary.get("final_error_px") is None else "grey"
+    )
+    large = [
+        m.name
+        for m in KNOWN.values()
+        if m.tile and (not m.where or summary.get(m.name) is not None)
+    ]
     ended = [name for name in large if name not in (f"final_error_{other}", "worst_task_error_m")]
-    return _items((KNOWN[name] for name in (CONTINUING if "worst_task_error_m" in summary else ended)), summary)
+    return _items(
+        (KNOWN[name] for name in (CONTINUING if "worst_task_error_m" in summary else ended)),
+        summary,
+    )
 
 
 def rows(summary: Summary) -> list[Item]:
     """The other numbers, one per line; those of the scenario's own metrics come last."""
-    known = [metric for metric in ROW_METRICS if not metric.where or summary.get(metric.name) is not None]
-    return _items([*known, *(metric for name, metric in own_metrics().items() if name in summary)], summary)
+    known = [
+        metric for metric in ROW_METRICS if not metric.where or summary.get(metric.name) is not None
+    ]
+    return _items(
+        [*known, *(metric for name, metric in own_metrics().items() if name in summary)], summary
+    )
 
 
 def _items(metrics: Iterable[Metric], summary: Summary) -> list[Item]:
     found = ((m, summary.get(m.name)) for m in metrics)
-    return [(m.title, *with_unit(m.scale * x if isinstance(x, float) else x, m.unit)) for m, x in found]
+    return [
+        (m.title, *with_unit(m.scale * x if isinstance(x, float) else x, m.unit)) for m, x in found
+    ]
 
 
 def _is_number(value: object) -> bool:

@@ -1,4 +1,6 @@
-"""Data of the figures of a run: the log as arrays, and the parts of the scenario that the log does not hold."""
+"""Data of the figures of a run: the log as arrays, and the parts of the scenario that the log does
+not hold.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,13 @@ if TYPE_CHECKING:
     from vstestbed.features import Feature
     from vstestbed.scenario.scenario import Scenario
 
-RINGS, DIRECTIONS = 120, 541  # Polar grid around the camera's foot point on which the visible region of a plane is sampled
+# Polar grid around the camera's foot point on which the visible region of a plane is sampled
+RINGS, DIRECTIONS = 120, 541
 
 
 def ideal_bicycle_path(scenario: Scenario) -> Array | None:
-    """Path (K, 2) [m] of the pose controller with an ideal bicycle: true pose, no actuator dynamics, the car's steering limit.
+    """Path (K, 2) [m] of the pose controller with an ideal bicycle: true pose, no actuator
+    dynamics, the car's steering limit.
 
     It ends at its point nearest to the goal. None for other laws and vehicles.
     """
@@ -44,7 +48,9 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
         return np.array(v), np.array(w)
 
     wheelbase, duration_s = robot.parameters.wheelbase_m, scenario.stop.duration_s
-    way = drive(command, robot.configuration(), wheelbase, limits, duration_s, scenario.camera.period).place[:, :2]
+    way = drive(
+        command, robot.configuration(), wheelbase, limits, duration_s, scenario.camera.period
+    ).place[:, :2]
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
 
 
@@ -57,23 +63,29 @@ def largest_deviation(path: Array, reference: Array) -> float:
     return float(np.linalg.norm(to - share[..., None] * d, axis=-1).min(axis=1).max())
 
 
-def visible_region(camera: Camera, T_world_camera: Array, height: float, reach: float) -> tuple[Array, Array, Array]:
-    """The part of the horizontal plane at this height [m] that is in the image, within `reach` [m] of the camera's foot point.
+def visible_region(
+    camera: Camera, T_world_camera: Array, height: float, reach: float
+) -> tuple[Array, Array, Array]:
+    """The part of the horizontal plane at this height [m] that is in the image, within `reach` [m]
+    of the camera's foot point.
 
-    Gives x, y [m] of a grid's points and 1 where a point is in the image, else 0; shape (RINGS, DIRECTIONS) each.
+    Gives x, y [m] of a grid's points and 1 where a point is in the image, else 0; shape (RINGS,
+    DIRECTIONS) each.
     """
     r, a = np.linspace(1e-3, reach, RINGS)[:, None], np.linspace(0, 2 * np.pi, DIRECTIONS)
     foot = T_world_camera[:3, 3]
     across, along = r * np.cos(a), r * np.sin(a)
     step = np.stack([across, along, np.full_like(across, height - foot[2])], axis=-1).reshape(-1, 3)
-    # not `@`: over so many rows BLAS starts threads, which wait for each other longer than the product takes
+    # not `@`: over so many rows BLAS starts threads, which wait for each other longer than the
+    # product takes
     uv = camera.project(np.einsum("ni,ij->nj", step, T_world_camera[:3, :3]))
     # a camera with several panels has no image border, only directions that it cannot project
     seen = camera.inside(uv) if len(camera.panels) == 1 else np.isfinite(uv[:, 0])
     return foot[0] + across, foot[1] + along, seen.reshape(across.shape).astype(float)
 
 
-MOST_ROWS = 4000  # Longer logs are thinned for drawing: a figure is about 700 px wide, and a page should open at once
+# Longer logs are thinned for drawing: a figure is about 700 px wide, and a page should open at once
+MOST_ROWS = 4000
 
 
 class MeasuredError(NamedTuple):
@@ -82,12 +94,16 @@ class MeasuredError(NamedTuple):
     column: str = "error_px"  # of the log
     label: str = "RMS error [px]"  # of its axis, with the unit
     unit: str = "px"  # as a threshold has it
-    threshold: float | None = None  # under it the goal is reached; None where it decides nothing, or is unknown
+    threshold: float | None = (
+        None  # under it the goal is reached; None where it decides nothing, or is unknown
+    )
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Parts of the scenario that the figures use; each is None where it is unknown or does not apply."""
+    """Parts of the scenario that the figures use; each is None where it is unknown or does not
+    apply.
+    """
 
     width: int | None = None  # width, height: image size of the servo camera [px]
     height: int | None = None
@@ -98,42 +114,69 @@ class Setting:
     feature: Feature | None = None  # the image feature of the law; None for a law without one
     camera: Camera | None = None  # the servo camera
     planar: bool = False  # the robot is a ground vehicle, which has the next three
-    goals: Array = field(default_factory=lambda: np.empty((0, 3)))  # poses (x, y, heading) in their order, shape (K, 3) [m, m, rad]
-    reference_path: Array = field(default_factory=lambda: np.empty((0, 2)))  # to be driven, by it or by what it follows, shape (M, 2) [m]
-    expected_path: Array | None = None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
-    band_m: float | None = None  # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
+    # poses (x, y, heading) in their order, shape (K, 3) [m, m, rad]
+    goals: Array = field(default_factory=lambda: np.empty((0, 3)))
+    # to be driven, by it or by what it follows, shape (M, 2) [m]
+    reference_path: Array = field(default_factory=lambda: np.empty((0, 2)))
+    expected_path: Array | None = (
+        None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
+    )
+    band_m: float | None = (
+        None  # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
+    )
     settle_s: float = 0.0
     names: tuple[str, ...] = ()  # of the markers; () where they have none
-    changed: tuple[str, ...] = ()  # the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`
+    # the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`
+    changed: tuple[str, ...] = ()
     outlined: bool = False  # the markers are the outline of one region
-    modes: tuple[str, ...] = ()  # words for what the law does in a frame; () for a law without modes
+    # words for what the law does in a frame; () for a law without modes
+    modes: tuple[str, ...] = ()
     changing: bool = False  # whether a row of the log may come to show another point
-    threshold_grey: float | None = None  # RMS difference of picture and goal picture that counts as converged [grey levels]
+    threshold_grey: float | None = (
+        None  # RMS difference of picture and goal picture that counts as converged [grey levels]
+    )
     own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
     slides: tuple[str, ...] = ()  # joints whose positions are in metres
-    told_speeds: bool = True  # whether the joints' inputs are speeds: of inner loops they are torques
-    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])  # further cameras' width and height [px]
+    told_speeds: bool = (
+        True  # whether the joints' inputs are speeds: of inner loops they are torques
+    )
+    # further cameras' width and height [px]
+    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
     @property
     def image_errors(self) -> tuple[MeasuredError, ...]:
-        """Of markers, and of whole pictures; first the one that decides, that of markers where neither does."""
-        grey = MeasuredError("error_grey", "RMS difference [grey levels]", "grey levels", self.threshold_grey)
+        """Of markers, and of whole pictures; first the one that decides, that of markers where
+        neither does.
+        """
+        grey = MeasuredError(
+            "error_grey", "RMS difference [grey levels]", "grey levels", self.threshold_grey
+        )
         both = MeasuredError(threshold=self.threshold_px), grey
         return both if self.threshold_px is not None or self.threshold_grey is None else both[::-1]
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
-        """The setting of a loaded scenario; goal view and thresholds are None for tasks that have none."""
+        """The setting of a loaded scenario; goal view and thresholds are None for tasks that have
+        none.
+        """
         from vstestbed.report.export.source import unit_of_joint
         from vstestbed.scenario.dump import changes  # here: the figures themselves need no scenario
 
-        goal, converged, planar = scenario.goal, scenario.stop.converged, scenario.robot.base == "planar"
+        goal, converged, planar = (
+            scenario.goal,
+            scenario.stop.converged,
+            scenario.robot.base == "planar",
+        )
         view = getattr(goal, "T_camera_target", None)
         goals = [view.place for view in scenario.goal_views if view.place is not None]
         return cls(
             told_speeds=scenario.robot.onboard is None,
-            slides=tuple(name for name in scenario.robot.joints if unit_of_joint(name, scenario) == "m"),
-            cameras={name: (eye.camera.width, eye.camera.height) for name, eye in scenario.eyes.items()},
+            slides=tuple(
+                name for name in scenario.robot.joints if unit_of_joint(name, scenario) == "m"
+            ),
+            cameras={
+                name: (eye.camera.width, eye.camera.height) for name, eye in scenario.eyes.items()
+            },
             width=scenario.camera.width,
             height=scenario.camera.height,
             threshold_px=None if goal.continuing else converged.error_px,
@@ -154,7 +197,10 @@ class Setting:
             outlined=scenario.target.outlined,
             modes=scenario.law.modes,
             changing=scenario.detector.changing,
-            own=(*scenario.law.columns, *(name for effect in scenario.robot.acting for name in effect.columns)),
+            own=(
+                *scenario.law.columns,
+                *(name for effect in scenario.robot.acting for name in effect.columns),
+            ),
         )
 
 
@@ -167,9 +213,11 @@ class LogArrays:
 
     @classmethod
     def of(cls, log: Log | pl.DataFrame, setting: Setting) -> LogArrays:
-        """The tracks of a log, thinned to some MOST_ROWS rows: every n-th, the first and the last, and those with an extreme of a column.
+        """The tracks of a log, thinned to some MOST_ROWS rows: every n-th, the first and the last,
+        and those with an extreme of a column.
 
-        In each of the intervals, as many as half the rows allow, each column keeps its least and its largest value, and so its peaks.
+        In each of the intervals, as many as half the rows allow, each column keeps its least and
+        its largest value, and so its peaks.
         """
         if isinstance(log, pl.DataFrame):
             return cls(log, setting)
@@ -179,14 +227,18 @@ class LogArrays:
             for part in np.array_split(np.arange(n), max(1, MOST_ROWS // (4 * len(log.columns)))):
                 table = log.table[part]
                 known = np.isfinite(table)  # an infinity cannot be drawn
-                extremes = np.where(known, table, np.inf).argmin(axis=0), np.where(known, table, -np.inf).argmax(axis=0)
+                extremes = (
+                    np.where(known, table, np.inf).argmin(axis=0),
+                    np.where(known, table, -np.inf).argmax(axis=0),
+                )
                 chosen += [part[rows[known.any(axis=0)]] for rows in extremes]
             log = Log(log.columns, log.table[np.unique(np.concatenate(chosen))])
         return cls(pl.DataFrame(log.by_name()), setting)
 
     def column(self, name: str) -> Array:
         """One column as floats, shape (T,)."""
-        if name not in self.log.columns:  # columns differ between robots and laws, and older logs lack some
+        # columns differ between robots and laws, and older logs lack some
+        if name not in self.log.columns:
             return np.full(len(self.log), np.nan)
         return self.log[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
 
@@ -197,18 +249,28 @@ class LogArrays:
     def numbered(self, stem: str) -> Array:
         """The columns `stem_0 .. stem_{N-1}`, one per marker, shape (T, N)."""
         n = self.markers
-        return self.columns(*(f"{stem}_{i}" for i in range(n))) if n else np.empty((len(self.log), 0))
+        return (
+            self.columns(*(f"{stem}_{i}" for i in range(n))) if n else np.empty((len(self.log), 0))
+        )
 
     def pixels(self, suffix: str = "", before: str = "") -> Array:
-        """Marker pixels (T, N, 2) [px]: measured, or with the suffix `_true` or `_goal`; of a further camera with its name and _ before."""
-        return np.stack([self.numbered(f"{before}u{suffix}"), self.numbered(f"{before}v{suffix}")], axis=-1)
+        """Marker pixels (T, N, 2) [px]: measured, or with the suffix `_true` or `_goal`; of a
+        further camera with its name and _ before.
+        """
+        return np.stack(
+            [self.numbered(f"{before}u{suffix}"), self.numbered(f"{before}v{suffix}")], axis=-1
+        )
 
     def named(self, stem: str) -> list[str]:
-        """Names after `stem_` in the column names, in the log's order: names of joints or actuators."""
+        """Names after `stem_` in the column names, in the log's order: names of joints or
+        actuators.
+        """
         return [c[len(stem) + 1 :] for c in self.log.columns if c.startswith(f"{stem}_")]
 
     def poses(self, stem: str) -> Array:
-        """Poses T_world_cam or T_world_tgt (stem `cam` or `tgt`), shape (T, 4, 4); NaN where the log has none."""
+        """Poses T_world_cam or T_world_tgt (stem `cam` or `tgt`), shape (T, 4, 4); NaN where the
+        log has none.
+        """
         T = np.full((len(self.log), 4, 4), np.nan)
         T[:, :3, :3] = rotation_from_quaternion(self.columns(*(f"{stem}_q{a}" for a in "wxyz")))
         T[:, :3, 3] = self.columns(*(f"{stem}_{a}" for a in "xyz"))
@@ -216,7 +278,9 @@ class LogArrays:
         return T
 
     def planar_poses(self, stem: str) -> Array:
-        """Planar poses (x, y, heading) of a vehicle: `base` (true), `est` (estimate) or `odo` (odometry), shape (T, 3) [m, m, rad]."""
+        """Planar poses (x, y, heading) of a vehicle: `base` (true), `est` (estimate) or `odo`
+        (odometry), shape (T, 3) [m, m, rad].
+        """
         return self.columns(*(f"{stem}_{name}" for name in ("x", "y", "heading")))
 
     @cached_property
@@ -241,7 +305,9 @@ class LogArrays:
 
     @cached_property
     def true_depth(self) -> Array | None:
-        """Depth of the markers computed from the true poses, shape (T, N) [m]; None where the marker points are unknown."""
+        """Depth of the markers computed from the true poses, shape (T, N) [m]; None where the
+        marker points are unknown.
+        """
         points = self.setting.points
         if points is None or len(points) != self.markers:  # a log of another target
             return None
@@ -249,7 +315,9 @@ class LogArrays:
         return transform(T_camera_target, points)[..., 2]
 
     def lost_intervals(self) -> list[tuple[float, float]]:
-        """Start and end times of the intervals without target [s]; an interval lasts until the first frame with target."""
+        """Start and end times of the intervals without target [s]; an interval lasts until the
+        first frame with target.
+        """
         # rising and falling edges alternate, since False is padded at both ends
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.lost, [False]]).astype(int)))
         last = len(self.t) - 1

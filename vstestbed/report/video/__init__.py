@@ -1,4 +1,6 @@
-"""Films of a run: `VideoWriter` streams frames into a file, `Overlay` and `captioned` draw over them."""
+"""Films of a run: `VideoWriter` streams frames into a file, `Overlay` and `captioned` draw over
+them.
+"""
 
 from vstestbed.report.video.overlay import Overlay, captioned
 from vstestbed.report.video.writer import VideoWriter

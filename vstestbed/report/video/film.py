@@ -45,7 +45,8 @@ from vstestbed.sim.scene.follow import FixedView
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
-# How films are drawn: quick drafts beside a run, or fine films; how large, and which frames they show.
+# How films are drawn: quick drafts beside a run, or fine films; how large, and which frames they
+# show.
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +70,14 @@ class Quality:
 
 DRAFT = Quality((640, 360), longest=1280, samples=0, shadows=False, most_hz=15.0)
 FINE = Quality((1280, 720), longest=4320, samples=4, shadows=True, most_hz=math.inf)
-RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)  # Without OpenGL a picture takes some twenty times as long
+# Without OpenGL a picture takes some twenty times as long
+RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)
 
 
 def quality_of(scenario: Scenario, fine: bool = False) -> Quality:
-    """The quality of a scenario's films: a draft, or fine films; small ones where rays draw them, with a warning that says so."""
+    """The quality of a scenario's films: a draft, or fine films; small ones where rays draw them,
+    with a warning that says so.
+    """
     if fine:
         return FINE
     if not draws_rays(scenario.camera):
@@ -84,12 +88,17 @@ def quality_of(scenario: Scenario, fine: bool = False) -> Quality:
 
 @functools.cache
 def _warn_once() -> None:
-    words = "films by rays are small, %d x %d from outside with %g pictures a second; --fine makes large ones, which takes long"
+    words = (
+        "films by rays are small, %d x %d from outside with %g pictures a second;"
+        " --fine makes large ones, which takes long"
+    )
     logging.getLogger("vstestbed").warning(words, *RAYS.size, RAYS.most_hz)
 
 
 class Pace:
-    """Which of a camera's frames a film shows: each that is the first one since the last picture was due."""
+    """Which of a camera's frames a film shows: each that is the first one since the last picture
+    was due.
+    """
 
     def __init__(self, rate_hz: float, every: int):
         self._rate_hz, self._every = rate_hz, every
@@ -102,25 +111,41 @@ class Pace:
         return round((t - self._began) * self._rate_hz) // self._every
 
     def due(self, t: float) -> bool:
-        """Whether the frame at t [s] is to be shown; to be called once for each frame, in their order."""
+        """Whether the frame at t [s] is to be shown; to be called once for each frame, in their
+        order.
+        """
         before, self._last = self._last, self.place(t)
         return self._last > before
 
 
 class Pictures:
-    """The pictures of a run from one camera (`eye`, `overview`, ...), with what explains them; asked for each frame in turn.
+    """The pictures of a run from one camera (`eye`, `overview`, ...), with what explains them;
+    asked for each frame in turn.
 
-    Beside the servo camera's pictures stand those of the further cameras, or below them where the whole is higher than wide.
+    Beside the servo camera's pictures stand those of the further cameras, or below them where the
+    whole is higher than wide.
 
-    size: (width, height) of a picture [px]. strip: height of the line of numbers below it [px]; None: as its height asks for.
+    size: (width, height) of a picture [px]. strip: height of the line of numbers below it [px];
+    None: as its height asks for.
     """
 
-    def __init__(self, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int], strip: int | None = None):
+    def __init__(
+        self,
+        scenario: Scenario,
+        camera: str,
+        replay: Replay,
+        size: tuple[int, int],
+        strip: int | None = None,
+    ):
         self._scenario, self._camera, self._replay = scenario, camera, replay
         eyes = scenario.eyes if camera == "eye" else {}
         self._below = size[1] > size[0] and len(eyes) > 0
-        self._size, *others = panels(size, [scenario.camera, *(eye.camera for eye in eyes.values())], self._below)
-        self._others = [OtherPanel(eye, panel) for eye, panel in zip(eyes.values(), others, strict=True)]
+        self._size, *others = panels(
+            size, [scenario.camera, *(eye.camera for eye in eyes.values())], self._below
+        )
+        self._others = [
+            OtherPanel(eye, panel) for eye, panel in zip(eyes.values(), others, strict=True)
+        ]
         self._alone = OtherPanel(scenario.eyes[camera], size) if camera in scenario.eyes else None
         size = self._size
         self.strip = strip_height(size[1]) if strip is None else strip
@@ -132,22 +157,29 @@ class Pictures:
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
 
     @classmethod
-    def within(cls, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int]) -> Pictures:
+    def within(
+        cls, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int]
+    ) -> Pictures:
         """Pictures that have this size (width, height) with their line of numbers [px]."""
         strip = strip_height(size[1])
         return cls(scenario, camera, replay, (size[0], size[1] - strip), strip)
 
     def picture(self, frame: FilmFrame) -> Image:
         """The picture of one frame (H, W, 3) with its line of numbers."""
-        values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
+        values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {
+            "error_px": frame.error_px
+        }
         image = self._drawn(frame, int(values.get("view", 0)))
-        return captioned(image, self._title, self.strip, t=frame.t, error=error_in_words(self._scenario, values))
+        return captioned(
+            image, self._title, self.strip, t=frame.t, error=error_in_words(self._scenario, values)
+        )
 
     def _drawn(self, frame: FilmFrame, goal: int) -> Image:
         if self._camera == "eye":
             taken = self._taken(frame)
             seen = self._rendered("eye", frame) if taken is None else taken
-            image = np.array(scaled(seen, self._size))  # a copy: the detector and other films use it
+            # a copy: the detector and other films use it
+            image = np.array(scaled(seen, self._size))
             uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
             self._overlay.draw(image, uv, goal_uv, frame.lost)
             if self._residual is not None:
@@ -161,8 +193,12 @@ class Pictures:
         if self._outside is None:
             return self._rendered(self._camera, frame)
         T = self._scenario.goal_pose_at(frame.t, goal)
-        image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
-        self._outside.put_inset(image, frame, self._taken(frame), lambda: self._rendered("eye", frame))
+        image = self._outside.picture(
+            frame, None if T is None else frame.T_world_target @ inverse(T)
+        )
+        self._outside.put_inset(
+            image, frame, self._taken(frame), lambda: self._rendered("eye", frame)
+        )
         return image
 
     def _taken(self, frame: FilmFrame) -> Image | None:
@@ -170,12 +206,23 @@ class Pictures:
         return self._replay.seen(frame.t) if frame.image is None else frame.image
 
     def _rendered(self, camera: str, m: FilmFrame) -> Image:
-        return self._replay.picture(camera, *self._size, m.t, m.T_world_target, m.q, m.T_world_camera)
+        return self._replay.picture(
+            camera, *self._size, m.t, m.T_world_target, m.q, m.T_world_camera
+        )
 
 
-def panels(size: tuple[int, int], cameras: Sequence[Camera], below: bool = False) -> list[tuple[int, int]]:
-    """Sizes (width, height) of the pictures of several cameras beside, or below, one another that fill a size [px]."""
-    shares = np.array([camera.height / camera.width if below else camera.width / camera.height for camera in cameras])
+def panels(
+    size: tuple[int, int], cameras: Sequence[Camera], below: bool = False
+) -> list[tuple[int, int]]:
+    """Sizes (width, height) of the pictures of several cameras beside, or below, one another that
+    fill a size [px].
+    """
+    shares = np.array(
+        [
+            camera.height / camera.width if below else camera.width / camera.height
+            for camera in cameras
+        ]
+    )
     along = size[1] if below else size[0]
     ends = np.rint(np.cumsum(shares) / shares.sum() * along).astype(int).tolist()
     lengths = [end - begin for begin, end in zip([0, *ends[:-1]], ends, strict=True)]
@@ -187,7 +234,9 @@ class OtherPanel:
 
     def __init__(self, eye: OtherCamera, size: tuple[int, int]):
         self._eye, self._size = eye, size
-        self._overlay = Overlay(*size, eye.target.colors[: len(eye.target.points)], eye.target.outlined)
+        self._overlay = Overlay(
+            *size, eye.target.colors[: len(eye.target.points)], eye.target.outlined
+        )
         self._scale = np.array(size) / (eye.camera.width, eye.camera.height)
 
     def drawn(self, frame: FilmFrame, replay: Replay) -> Image:
@@ -196,7 +245,11 @@ class OtherPanel:
         if shown is None:
             return np.zeros((self._size[1], self._size[0], 3), np.uint8)
         scene = frame.t, frame.T_world_target, frame.q, frame.T_world_camera
-        image = replay.picture(self._eye.name, *self._size, *scene) if shown.image is None else shown.image
+        image = (
+            replay.picture(self._eye.name, *self._size, *scene)
+            if shown.image is None
+            else shown.image
+        )
         image = np.array(scaled(image, self._size))
         uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (shown.uv, shown.goal_uv))
         self._overlay.draw(image, uv, goal_uv)
@@ -207,20 +260,35 @@ class OtherPanel:
 class Film:
     """A film (`.mp4`) of a run from one camera, in real time; the quality gives its rate.
 
-    size: (width, height) of the film with its line of numbers [px]; by default the quality's, or of the servo camera's film the camera's
-    with the line below.
+    size: (width, height) of the film with its line of numbers [px]; by default the quality's, or of
+    the servo camera's film the camera's with the line below.
     """
 
-    def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, quality: Quality, size: tuple[int, int] | None = None):
+    def __init__(
+        self,
+        scenario: Scenario,
+        camera: str,
+        path: Path,
+        replay: Replay,
+        quality: Quality,
+        size: tuple[int, int] | None = None,
+    ):
         eye = scenario.camera
         share = quality.share(eye.width, eye.height)
         if size is None and camera == "eye":
             height = round(share * eye.height)
-            others = [round(height * other.camera.width / other.camera.height) for other in scenario.eyes.values()]
-            self._pictures = Pictures(scenario, camera, replay, (round(share * eye.width) + sum(others), height))
+            others = [
+                round(height * other.camera.width / other.camera.height)
+                for other in scenario.eyes.values()
+            ]
+            self._pictures = Pictures(
+                scenario, camera, replay, (round(share * eye.width) + sum(others), height)
+            )
         elif size is None and camera in scenario.eyes:
             other = scenario.eyes[camera].camera
-            self._pictures = Pictures(scenario, camera, replay, (round(share * other.width), round(share * other.height)))
+            self._pictures = Pictures(
+                scenario, camera, replay, (round(share * other.width), round(share * other.height))
+            )
         else:
             self._pictures = Pictures.within(scenario, camera, replay, size or quality.size)
         every = quality.every(eye.rate_hz)
@@ -252,7 +320,13 @@ class Film:
     def end(self, outcome: Outcome, reason: str) -> None:
         """Let the last picture stand for a second: how the run ended, and why."""
         if self._image is not None:
-            draw_ending(self._image, self._pictures.strip, outcome.value.capitalize(), reason, GOOD if outcome.success else ALARM)
+            draw_ending(
+                self._image,
+                self._pictures.strip,
+                outcome.value.capitalize(),
+                reason,
+                GOOD if outcome.success else ALARM,
+            )
         self._hold(round(HOLD_S * self._rate_hz))
 
     def close(self) -> Path | None:
@@ -268,20 +342,31 @@ def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
     """The error of one frame by which the task is judged, in its own unit."""
     judged = in_a_frame(scenario.goal.judged, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
-    return f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}" if math.isfinite(value) else "error \u2013"
+    return (
+        f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}"
+        if math.isfinite(value)
+        else "error \u2013"
+    )
 
 
 def ending_of(folder: Path) -> Verdict | None:
-    """How the run of a folder ended; None where it has no summary. RunFolderError: the summary is damaged."""
+    """How the run of a folder ended; None where it has no summary. RunFolderError: the summary is
+    damaged.
+    """
     if not (folder / "summary.json").is_file():
         return None
     summary = read_summary(folder, "run the scenario again")
     return Outcome[summary["outcome"]], summary.get("reason", "")
 
 
-def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | None = None, view: FixedView | None = None) -> Replay:
-    """A replay of the scene; inset_in: size of a picture in whose inset alone the servo camera's drafts are shown, drawn as small. view: of
-    the camera outside; None: it follows the robot.
+def replay_of(
+    scenario: Scenario,
+    quality: Quality,
+    inset_in: tuple[int, int] | None = None,
+    view: FixedView | None = None,
+) -> Replay:
+    """A replay of the scene; inset_in: size of a picture in whose inset alone the servo camera's
+    drafts are shown, drawn as small. view: of the camera outside; None: it follows the robot.
     """
     share = quality.share(scenario.camera.width, scenario.camera.height)
     if inset_in is not None and quality.longest < FINE.longest:
@@ -291,10 +376,17 @@ def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | 
 
 @contextmanager
 def open_films(
-    scenario: Scenario, paths: dict[str, Path], quality: Quality, size: tuple[int, int] | None = None, view: FixedView | None = None
+    scenario: Scenario,
+    paths: dict[str, Path],
+    quality: Quality,
+    size: tuple[int, int] | None = None,
+    view: FixedView | None = None,
 ) -> Iterator[list[Film]]:
-    """Films of a run by the names of their cameras; they are finished at the end, and discarded on an exception."""
-    own = not {"eye", *scenario.eyes}.isdisjoint(paths)  # else the servo camera is in an inset alone
+    """Films of a run by the names of their cameras; they are finished at the end, and discarded on
+    an exception.
+    """
+    # else the servo camera is in an inset alone
+    own = not {"eye", *scenario.eyes}.isdisjoint(paths)
     replay = replay_of(scenario, quality, None if own else size or quality.size, view)
     films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
     try:
@@ -323,7 +415,8 @@ def film_log(
     ending: Verdict | None = None,
     view: FixedView | None = None,
 ) -> Path | None:
-    """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the end. view: of the camera `overview`.
+    """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the
+    end. view: of the camera `overview`.
 
     ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
     """
@@ -339,23 +432,32 @@ def film_log(
 
 
 def picture_of_the_end(scenario: Scenario, log: Log, path: Path, quality: Quality) -> None:
-    """Write a PNG of the last frame of a recorded run, from outside. EnvironmentLackError: no OpenGL, no space."""
+    """Write a PNG of the last frame of a recorded run, from outside. EnvironmentLackError: no
+    OpenGL, no space.
+    """
     last = dict(zip(log.columns, log.table[-1].tolist(), strict=True))
     with closing(replay_of(scenario, quality, quality.size)) as replay:
-        image = Pictures.within(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
+        image = Pictures.within(scenario, "overview", replay, quality.size).picture(
+            FilmFrame.of_row(last, scenario)
+        )
     write_whole(path, png_of(image))
 
 
-# Films a run while it goes on: what the loop hands over is drawn and encoded by a thread of its own.
-WAITING = 32  # Most frames that wait to be drawn: two seconds of simulated time, 30 MB of pictures of 640 x 480
+# Films a run while it goes on: what the loop hands over is drawn and encoded by a thread of its
+# own.
+
+# Most frames that wait to be drawn: two seconds of simulated time, 30 MB of pictures of 640 x 480
+WAITING = 32
 
 
 class FilmThread:
-    """Films a run beside it (a Watcher); `opened` opens the films and finishes or discards them, `pace` says which frames are shown.
+    """Films a run beside it (a Watcher); `opened` opens the films and finishes or discards them,
+    `pace` says which frames are shown.
 
-    The state of each frame that the films show goes into a bounded queue, from which a thread takes it. The run waits while the
-    queue is full, and computes the same numbers as without films. As all pictures by OpenGL are drawn in turn by the process's one
-    rendering thread, the run's own pictures wait for at most one of a film. An error of the films is raised by `frame` or `close`.
+    The state of each frame that the films show goes into a bounded queue, from which a thread takes
+    it. The run waits while the queue is full, and computes the same numbers as without films. As
+    all pictures by OpenGL are drawn in turn by the process's one rendering thread, the run's own
+    pictures wait for at most one of a film. An error of the films is raised by `frame` or `close`.
     """
 
     def __init__(self, opened: Callable[[], AbstractContextManager[Sequence[Film]]], pace: Pace):
@@ -379,7 +481,9 @@ class FilmThread:
             self._unshown = frame
 
     def close(self, ending: Verdict | None) -> None:
-        """Finish the films, which end with the run's last frame; `ending`: its outcome, which they show."""
+        """Finish the films, which end with the run's last frame; `ending`: its outcome, which they
+        show.
+        """
         if self._unshown is not None:
             self._hand_over(self._unshown)
         self._ending = ending
@@ -398,7 +502,9 @@ class FilmThread:
     def _hand_over(self, frame: Frame) -> None:
         self._unshown, state = None, FilmFrame.of_frame(frame)
         # a copy: the next frame's image may overwrite it, and the overlay is drawn into it
-        self._queue.put(state if state.image is None else replace(state, image=np.array(state.image)))
+        self._queue.put(
+            state if state.image is None else replace(state, image=np.array(state.image))
+        )
 
     def _work(self) -> None:
         frames = iter(self._queue.get, None)

@@ -1,4 +1,6 @@
-"""The picture from outside with goal, frustum and trail of the camera, target frame and inset, projected and drawn by OpenCV."""
+"""The picture from outside with goal, frustum and trail of the camera, target frame and inset,
+projected and drawn by OpenCV.
+"""
 
 from __future__ import annotations
 
@@ -22,40 +24,67 @@ GOAL: Final[Color] = (110, 255, 170)
 OWN: Final[Color] = (255, 196, 64)
 AXES: Final[tuple[Color, ...]] = ((255, 70, 70), (70, 225, 90), (90, 150, 255))
 FRUSTUM: Final = 0.055  # Length of a frustum over the picture's width, at its place
-MOST_PLACES: Final = 400  # Points of the trail of the camera: when there are more, every other one is dropped
-AXIS: Final = 0.045  # Length of an axis of the target's frame over the picture's width, at its place
+MOST_PLACES: Final = (
+    400  # Points of the trail of the camera: when there are more, every other one is dropped
+)
+AXIS: Final = (
+    0.045  # Length of an axis of the target's frame over the picture's width, at its place
+)
 INSET_S: Final = 0.2  # Time between two pictures of the servo camera in the inset [s]
 EDGE: Final = 2  # Width of the edge of the inset [px]
 DRAWN_FOR: Final = 360
-"""Height of a picture in which a plain line is a pixel wide [px]; in a lower one it is no thinner, and has no dark edge (as `SMALL`)."""
+"""Height of a picture in which a plain line is a pixel wide [px]; in a lower one it is no thinner,
+and has no dark edge (as `SMALL`).
+"""
 GHOST_FILL: Final = 0.25
-FOLDED: Final = np.array([[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))])
+FOLDED: Final = np.array(
+    [[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))]
+)
 """Corners of the pyramid that stands for the frustum of a lens that sees sideways."""
-EDGES: Final = [0, 1, 2, 3, 0, 4, 1], [2, 4, 3]  # The edges of a pyramid as two polylines through its corners, the last of which is its top
+# The edges of a pyramid as two polylines through its corners, the last of which is its top
+EDGES: Final = ([0, 1, 2, 3, 0, 4, 1], [2, 4, 3])
 
 
 class Outside:
-    """Draws pictures (width, height) of a run from one outside camera; called with each frame in turn, since view and trail continue."""
+    """Draws pictures (width, height) of a run from one outside camera; called with each frame in
+    turn, since view and trail continue.
+    """
 
     def __init__(self, scenario: Scenario, replay: Replay, camera: str, size: tuple[int, int]):
         self._replay, self._size = replay, size
-        self._name, self._moving, self._has_frame = camera, scenario.robot.base != "fixed", len(scenario.target.places) > 0
+        self._name, self._moving, self._has_frame = (
+            camera,
+            scenario.robot.base != "fixed",
+            len(scenario.target.places) > 0,
+        )
         self._held = 1.2 * scenario.target.points if scenario.target.on_gripper else None
         self._line = size[1] / DRAWN_FOR
         self._trail, self._spacing = np.zeros((0, 3)), 0.0
         self._corners = np.vstack([frustum_corners(scenario.camera), np.zeros(3)])
         self._scale = inset_share(scenario.camera, size)
-        inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
-        self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
+        inset = (
+            round(scenario.camera.width * self._scale),
+            round(scenario.camera.height * self._scale),
+        )
+        self._inset_t, self._inset = (
+            -np.inf,
+            np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8),
+        )
         self._overlay = overlay_of(scenario, inset)
 
     def picture(self, frame: FilmFrame, T_world_goal: Array | None) -> Image:
-        """One picture (H, W, 3); T_world_goal: the servo camera's pose (4, 4) at its goal, if it has one."""
+        """One picture (H, W, 3); T_world_goal: the servo camera's pose (4, 4) at its goal, if it
+        has one.
+        """
         width, height = self._size
         T_target, T_camera = frame.T_world_target, frame.T_world_camera
-        scene = self._replay.picture(self._name, width, height, frame.t, T_target, frame.q, T_camera, T_world_goal)
+        scene = self._replay.picture(
+            self._name, width, height, frame.t, T_target, frame.q, T_camera, T_world_goal
+        )
         pen = Pen(scene, *self._replay.sight(self._name), self._line)
-        strokes: list[Stroke] = [] if T_world_goal is None else self._goal(pen, T_world_goal, T_camera, T_target)
+        strokes: list[Stroke] = (
+            [] if T_world_goal is None else self._goal(pen, T_world_goal, T_camera, T_target)
+        )
         self._extend(pen, T_camera[:3, 3])
         strokes.append(([self._trail, *self._wire(pen, T_camera)], OWN, 1))
         if self._has_frame:
@@ -65,8 +94,12 @@ class Outside:
         pen.lines(strokes)
         return scene
 
-    def _goal(self, pen: Pen, T_world_goal: Array, T_camera: Array, T_target: Array) -> list[Stroke]:
-        """The camera's frustum at its goal; the body there of a robot that moves is drawn, eye to hand the target where it has to go."""
+    def _goal(
+        self, pen: Pen, T_world_goal: Array, T_camera: Array, T_target: Array
+    ) -> list[Stroke]:
+        """The camera's frustum at its goal; the body there of a robot that moves is drawn, eye to
+        hand the target where it has to go.
+        """
         to_goal = T_world_goal @ inverse(T_camera)
         if self._held is not None:
             pen.area(transform(inverse(to_goal) @ T_target, self._held)[None], GOAL, GHOST_FILL)
@@ -75,19 +108,33 @@ class Outside:
             pen.area(transform(to_goal, self._replay.body()), GOAL, GHOST_FILL)
         return [(self._wire(pen, T_world_goal), GOAL, 1)]
 
-    def put_inset(self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]) -> None:
-        """The servo camera's image, renewed every INSET_S, in the upper right corner, in place; without `image` `render` is asked."""
+    def put_inset(
+        self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]
+    ) -> None:
+        """The servo camera's image, renewed every INSET_S, in the upper right corner, in place;
+        without `image` `render` is asked.
+        """
         if frame.t >= self._inset_t + INSET_S - 1e-9:
             image = render() if image is None else image
             small = self._inset[:-EDGE, EDGE:]
             height, width = small.shape[:2]
-            # of a large picture not every pixel counts, since their mean would take longer than the rest
+            # of a large picture not every pixel counts, since their mean would take longer than the
+            # rest
             every = max(1, image.shape[1] // (2 * width))
             sampled = image[every // 2 :: every, every // 2 :: every]
-            if sampled.shape[1] >= 2 * width:  # half the size takes a tenth of the time of any other share
-                sampled = cv2.resize(sampled, (sampled.shape[1] // 2, sampled.shape[0] // 2), interpolation=cv2.INTER_AREA)
+            # half the size takes a tenth of the time of any other share
+            if sampled.shape[1] >= 2 * width:
+                sampled = cv2.resize(
+                    sampled,
+                    (sampled.shape[1] // 2, sampled.shape[0] // 2),
+                    interpolation=cv2.INTER_AREA,
+                )
             small[:] = cv2.resize(sampled, (width, height), interpolation=cv2.INTER_LINEAR)
-            self._overlay.marks(small, (frame.uv + 0.5) * self._scale - 0.5, (frame.goal_uv + 0.5) * self._scale - 0.5)
+            self._overlay.marks(
+                small,
+                (frame.uv + 0.5) * self._scale - 0.5,
+                (frame.goal_uv + 0.5) * self._scale - 0.5,
+            )
             self._inset_t = frame.t
         height, width = self._inset.shape[:2]
         scene[:height, -width:] = self._inset
@@ -106,21 +153,28 @@ class Outside:
         self._trail = trail
 
 
-Stroke = tuple[list[Array], Color, int]  # Polylines (N, 3) of points in the world, their colour, and their width in that of a pen
+# Polylines (N, 3) of points in the world, their colour, and their width in that of a pen
+Stroke = tuple[list[Array], Color, int]
 
 
 class Pen:
-    """Draws lines and areas of the world on a picture, in place; stroke: width of a plain line [px], at least a pixel when drawn."""
+    """Draws lines and areas of the world on a picture, in place; stroke: width of a plain line
+    [px], at least a pixel when drawn.
+    """
 
     def __init__(self, image: Image, lens: Perspective, T_world_camera: Array, stroke: float):
         self.image, self._lens, self._T, self._stroke = image, lens, inverse(T_world_camera), stroke
         self._edge = 1 if image.shape[0] > SMALL else 0
 
     def pixels(self, points: Array) -> Array:
-        """Pixels (..., 2) of points (..., 3) in the world; NaN behind the camera, or too far outside for OpenCV's integers."""
+        """Pixels (..., 2) of points (..., 3) in the world; NaN behind the camera, or too far
+        outside for OpenCV's integers.
+        """
         uv = self._lens.project(transform(self._T, points))
         with np.errstate(invalid="ignore"):
-            return np.where((np.abs(uv) < 8 * self._lens.width).all(axis=-1, keepdims=True), uv, np.nan)
+            return np.where(
+                (np.abs(uv) < 8 * self._lens.width).all(axis=-1, keepdims=True), uv, np.nan
+            )
 
     def metres(self, share: float, place: Array) -> float:
         """What appears as long as a share of the picture's width, at a place (3,) [m]."""
@@ -128,9 +182,13 @@ class Pen:
         return share * self._lens.width * depth / self._lens.f
 
     def lines(self, strokes: list[Stroke]) -> None:
-        """Polylines, each colour over a dark edge and over those before; points that cannot be drawn are left out."""
+        """Polylines, each colour over a dark edge and over those before; points that cannot be
+        drawn are left out.
+        """
         # All at once: a call for each polyline would take longer than the drawing.
-        uv = self.pixels(np.concatenate([line for polylines, _, _ in strokes for line in polylines]))
+        uv = self.pixels(
+            np.concatenate([line for polylines, _, _ in strokes for line in polylines])
+        )
         seen = np.isfinite(uv[:, 0])
         grid = np.rint(np.where(seen[:, None], uv, 0.0) * UNIT).astype(np.int32)[:, None]
         first = 0
@@ -150,7 +208,9 @@ class Pen:
         uv = self.pixels(hulls)
         uv = uv[np.isfinite(uv).all(axis=(1, 2))]
         size = np.array(self.image.shape[1::-1])
-        low, high = np.clip([uv.min(axis=(0, 1), initial=8e3) - 2, uv.max(axis=(0, 1), initial=-8e3) + 3], 0, size).astype(int)
+        low, high = np.clip(
+            [uv.min(axis=(0, 1), initial=8e3) - 2, uv.max(axis=(0, 1), initial=-8e3) + 3], 0, size
+        ).astype(int)
         if not (low < high).all():
             return
         part = self.image[low[1] : high[1], low[0] : high[0]]
@@ -163,12 +223,16 @@ class Pen:
 
 
 def inset_share(camera: Camera, size: tuple[int, int]) -> float:
-    """Size of the inset in a picture of a size (width, height) as a share of the servo camera's image."""
+    """Size of the inset in a picture of a size (width, height) as a share of the servo camera's
+    image.
+    """
     return min((1 - FREE) * size[0] / camera.width, 0.5 * size[1] / camera.height)
 
 
 def frustum_corners(camera: Camera) -> Array:
-    """Corners (4, 3) of the picture on the plane at distance 1, at most .6 to each side; of a lens that sees beyond it, a pyramid."""
+    """Corners (4, 3) of the picture on the plane at distance 1, at most .6 to each side; of a lens
+    that sees beyond it, a pyramid.
+    """
     w, h = camera.width - 0.5, camera.height - 0.5
     rays = camera.ray(np.array([[-0.5, -0.5], [w, -0.5], [w, h], [-0.5, h]]))
     with np.errstate(invalid="ignore"):

@@ -14,7 +14,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from vstestbed.core.lazy import cv2
-from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, INK, PAPER, Color, draw_banner, draw_text, shortened, text_width
+from vstestbed.report.video.overlay import (
+    ALARM,
+    GOOD,
+    HOLD_S,
+    INK,
+    PAPER,
+    Color,
+    draw_banner,
+    draw_text,
+    shortened,
+    text_width,
+)
 from vstestbed.report.video.writer import Image, VideoWriter
 
 if TYPE_CHECKING:
@@ -22,14 +33,17 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 # Reads a film frame by frame as simulated time advances.
-EARLY_S: Final = Fraction(1, 10_000)  # How much before its time a frame may be shown: the time base of a film is about 1/12800 s
+
+# How much before its time a frame may be shown: the time base of a film is about 1/12800 s
+EARLY_S: Final = Fraction(1, 10_000)
 
 
 class FrameReader:
-    """Decodes a film of a run, which begins at t = 0 and has a constant rate, as far as it has been shown.
+    """Decodes a film of a run, which begins at t = 0 and has a constant rate, as far as it has been
+    shown.
 
-    A film that cannot be read counts as one without frames: `rate_hz` is 0 and `ended` is true from the beginning. A truncated
-    film ends at its last frame that can be decoded.
+    A film that cannot be read counts as one without frames: `rate_hz` is 0 and `ended` is true from
+    the beginning. A truncated film ends at its last frame that can be decoded.
     """
 
     def __init__(self, path: Path):
@@ -50,10 +64,16 @@ class FrameReader:
             frames = self._container.decode(stream)
             first = next(frames)
             self._frames, self.ended = chain([first], frames), False
-            self.width, self.height, self.rate_hz = first.width, first.height, stream.average_rate or Fraction(25)
+            self.width, self.height, self.rate_hz = (
+                first.width,
+                first.height,
+                stream.average_rate or Fraction(25),
+            )
 
     def newest(self, t: Fraction) -> VideoFrame | None:
-        """The newest frame at or before t [s]; None if it has been returned already. `ended`: the last one has been shown for its time."""
+        """The newest frame at or before t [s]; None if it has been returned already. `ended`: the
+        last one has been shown for its time.
+        """
         from av.error import FFmpegError
 
         latest = None
@@ -73,7 +93,9 @@ class FrameReader:
 
 def scaled(frame: VideoFrame, width: int, height: int) -> Image:
     """A frame at another size, shape (height, width, 3), uint8, RGB."""
-    small = frame.reformat(width, height, "rgb24", src_colorspace="ITU709", interpolation="AREA", threads=1)
+    small = frame.reformat(
+        width, height, "rgb24", src_colorspace="ITU709", interpolation="AREA", threads=1
+    )
     return np.asarray(small.to_ndarray(), np.uint8)
 
 
@@ -101,17 +123,23 @@ class Column:
 
 
 def side_by_side(columns: Sequence[Column], path: Path) -> Path | None:
-    """Join films into one, each frame at its simulated time, with one clock below; None if no column has a film.
+    """Join films into one, each frame at its simulated time, with one clock below; None if no
+    column has a film.
 
-    A run that has ended keeps its last frame, dimmed, with its outcome. The film ends one second after the longest run. Two
-    frames of every film are in memory at a time.
+    A run that has ended keeps its last frame, dimmed, with its outcome. The film ends one second
+    after the longest run. Two frames of every film are in memory at a time.
 
-    `columns`: 1 to MOST runs, from left to right. The frame rate is the highest of the films, at most FASTEST_HZ.
-    EnvironmentLackError: no H.264 encoder, no space.
+    `columns`: 1 to MOST runs, from left to right. The frame rate is the highest of the films, at
+    most FASTEST_HZ. EnvironmentLackError: no H.264 encoder, no space.
     """
     with ExitStack() as open_files:
-        readers = [[open_files.enter_context(closing(FrameReader(film))) for film in column.films] for column in columns]
-        fastest = max((reader.rate_hz for reader in chain.from_iterable(readers)), default=Fraction(0))
+        readers = [
+            [open_files.enter_context(closing(FrameReader(film))) for film in column.films]
+            for column in columns
+        ]
+        fastest = max(
+            (reader.rate_hz for reader in chain.from_iterable(readers)), default=Fraction(0)
+        )
         if not fastest:
             return None
         writer = open_files.enter_context(VideoWriter(path, float(min(fastest, FASTEST_HZ))))
@@ -127,17 +155,25 @@ class _Sheet:
     """The image of the joint film, with one column per run."""
 
     def __init__(self, columns: Sequence[Column], readers: list[list[FrameReader]]):
-        width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2  # even: H.264 stores colour for 2 x 2 pixels
+        # even: H.264 stores colour for 2 x 2 pixels
+        width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2
         self._size = max(15, width // 28)
         self._bar = 2 * self._size // 2 * 2
         self._base = round(0.5 * self._bar + 0.36 * self._size)
         rows = zip_longest(*readers)
         # height of the tallest film of a row at that width, even [px]
-        heights = [max((_scaled_height(r, width) for r in row if r and r.rate_hz), default=round(width * SHAPE / 2) * 2) for row in rows]
+        heights = [
+            max(
+                (_scaled_height(r, width) for r in row if r and r.rate_hz),
+                default=round(width * SHAPE / 2) * 2,
+            )
+            for row in rows
+        ]
         total = 2 * self._bar + sum(heights)
         self.image: Image = np.full((total, len(columns) * (width + GAP) - GAP, 3), PAPER, np.uint8)
         self._foot = self.image[total - self._bar :]
-        self._running: list[tuple[Column, Image, Image, Shown]] = []  # with the column's part of the image, its first film, all its films
+        # with the column's part of the image, its first film, all its films
+        self._running: list[tuple[Column, Image, Image, Shown]] = []
         for k, (column, own) in enumerate(zip(columns, readers, strict=True)):
             left = k * (width + GAP)
             part = self.image[: total - self._bar, left : left + width]
@@ -153,12 +189,15 @@ class _Sheet:
         self._running = [run for run in self._running if not self._ended(*run, t)]
         if self._running:
             self._foot[:] = INK
-            left = (self._foot.shape[1] - text_width("00.00 s", self._size)) // 2  # independent of t, so that the digits do not move
+            # independent of t, so that the digits do not move
+            left = (self._foot.shape[1] - text_width("00.00 s", self._size)) // 2
             draw_text(self._foot, f"{float(t):.2f} s", (left, self._base), PAPER, self._size)
         return bool(self._running)
 
     def _ended(self, column: Column, films: Image, top: Image, shown: Shown, t: Fraction) -> bool:
-        """Update the films of a column to time t [s]; whether its run has ended, which its last picture then says."""
+        """Update the films of a column to time t [s]; whether its run has ended, which its last
+        picture then says.
+        """
         for reader, place in shown:
             picture = reader.newest(t)
             if picture is not None:
@@ -166,19 +205,29 @@ class _Sheet:
         ended = all(reader.ended for reader, _ in shown)
         if ended:
             films[:] = cv2.convertScaleAbs(films, alpha=DIMMED)
-            draw_banner(top, column.ending, {True: GOOD, False: ALARM, None: NEUTRAL}[column.success])
+            draw_banner(
+                top, column.ending, {True: GOOD, False: ALARM, None: NEUTRAL}[column.success]
+            )
         return ended
 
 
 def _placed(films: Image, readers: list[FrameReader], heights: list[int]) -> Shown:
-    """The films of a column with their places in its part (H, width, 3) of the image; where there is none, the place says so."""
+    """The films of a column with their places in its part (H, width, 3) of the image; where there
+    is none, the place says so.
+    """
     shown = []
     for reader, place in zip_longest(readers, np.split(films, np.cumsum(heights)[:-1])):
         if reader is None or not reader.rate_hz:
             place[:] = GREY
             height, width = place.shape[:2]
             size = max(13, height // 18)
-            draw_text(place, "no film", ((width - text_width("no film", size)) // 2, (height + size) // 2), PAPER, size)
+            draw_text(
+                place,
+                "no film",
+                ((width - text_width("no film", size)) // 2, (height + size) // 2),
+                PAPER,
+                size,
+            )
             continue
         height = _scaled_height(reader, place.shape[1])
         top = (place.shape[0] - height) // 4 * 2  # centred, at an even row

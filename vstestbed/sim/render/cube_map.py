@@ -17,7 +17,9 @@ from vstestbed.core.lazy import cv2
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A rendered pinhole image: size, focal length, principal point [px], the face of the cube that it shows, and its camera."""
+    """A rendered pinhole image: size, focal length, principal point [px], the face of the cube that
+    it shows, and its camera.
+    """
 
     width: int
     height: int
@@ -37,7 +39,9 @@ class Pinhole:
         return CUBE[self.face]
 
     def holds(self, p_camera: Array) -> bool:
-        """Whether one of the points (N, 3) lies in the middle part of its face of the cube, |x|, |y| <= z in its axes."""
+        """Whether one of the points (N, 3) lies in the middle part of its face of the cube, |x|,
+        |y| <= z in its axes.
+        """
         p = p_camera @ self.R_camera_face
         return bool((np.abs(p[:, :2]).max(axis=1) <= p[:, 2]).any())
 
@@ -47,21 +51,38 @@ def covering(px: Array, f: float, face: str = "front") -> Pinhole:
     px = px.reshape(-1, 2)
     # One pixel more on each side: bilinear resampling reads the four pixels round a point.
     low, high = np.floor(px.min(axis=0)) - 1, np.ceil(px.max(axis=0)) + 1
-    return Pinhole(int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1, f, (float(-low[0]), float(-low[1])), face)
+    return Pinhole(
+        int(high[0] - low[0]) + 1,
+        int(high[1] - low[1]) + 1,
+        f,
+        (float(-low[0]), float(-low[1])),
+        face,
+    )
 
 
 def pinhole_of(camera: Perspective) -> Pinhole:
-    """The camera's own image; of a distorted lens, a pinhole image that covers its whole field of view."""
+    """The camera's own image; of a distorted lens, a pinhole image that covers its whole field of
+    view.
+    """
     if not camera.resampled:
-        return Pinhole(camera.width, camera.height, camera.f, (float(camera.centre[0]), float(camera.centre[1])))
+        return Pinhole(
+            camera.width,
+            camera.height,
+            camera.f,
+            (float(camera.centre[0]), float(camera.centre[1])),
+        )
     grid = pixel_grid(camera.width, camera.height)
     # The border is enough: distortion maps the inside of the image to the inside of its border.
     border = np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
     return covering(camera.normalise(border) * camera.f, camera.f)
 
 
-def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """Maps for cv2.remap: the place in the rendered image of each pixel of the camera; None for an undistorted lens."""
+def resampling_maps(
+    camera: Perspective, pinhole: Pinhole
+) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    """Maps for cv2.remap: the place in the rendered image of each pixel of the camera; None for an
+    undistorted lens.
+    """
     if not camera.resampled:
         return None
     grid = pixel_grid(camera.width, camera.height)
@@ -69,14 +90,22 @@ def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[NDArray[np.f
     return px[..., 0].astype(np.float32), px[..., 1].astype(np.float32)
 
 
-NOWHERE = -10.0  # Coordinate of a pixel that a face does not hold [px]: outside, so that cv2.remap leaves it unchanged
-MOST_PX = 2048.0  # Largest focal length of a rendered face [px]; the image of a lens with more pixels per radian is blurred
-SEAM_PX = 24  # A face is also rendered when a window comes this near to it [px]: a marker may appear a little outside of its window
+# Coordinate of a pixel that a face does not hold [px]: outside, so that cv2.remap leaves it
+# unchanged
+NOWHERE = -10.0
+# Largest focal length of a rendered face [px]; the image of a lens with more pixels per radian is
+# blurred
+MOST_PX = 2048.0
+# A face is also rendered when a window comes this near to it [px]: a marker may appear a little
+# outside of its window
+SEAM_PX = 24
 
 
 @dataclass(frozen=True)
 class Patch:
-    """One face's part of the image: its rows and columns, and their coordinates in the face for cv2.remap."""
+    """One face's part of the image: its rows and columns, and their coordinates in the face for
+    cv2.remap.
+    """
 
     rows: slice
     columns: slice
@@ -93,7 +122,8 @@ class Cube:
     """How a camera's own image is composed of rendered faces.
 
     faces: the faces that the lens can see. patches: the part of each.
-    owner: index of the face that each pixel is taken from, shape (H, W); -1 where the lens sees nothing.
+    owner: index of the face that each pixel is taken from, shape (H, W); -1 where the lens sees
+    nothing.
     """
 
     faces: tuple[Pinhole, ...]
@@ -101,10 +131,14 @@ class Cube:
     owner: NDArray[np.int8]
 
     def needed(self, windows: Iterable[Window]) -> set[int]:
-        """Indices of the faces that have pixels in windows of the camera's image, or within SEAM_PX of one."""
+        """Indices of the faces that have pixels in windows of the camera's image, or within SEAM_PX
+        of one.
+        """
         out: set[int] = set()
         for left, top, right, bottom in windows:
-            part = self.owner[max(top - SEAM_PX, 0) : bottom + SEAM_PX, max(left - SEAM_PX, 0) : right + SEAM_PX]
+            part = self.owner[
+                max(top - SEAM_PX, 0) : bottom + SEAM_PX, max(left - SEAM_PX, 0) : right + SEAM_PX
+            ]
             out.update(np.flatnonzero(np.bincount(part.ravel() + 1, minlength=2)[1:]).tolist())
         return out
 
@@ -113,17 +147,26 @@ class Cube:
         wide = window[2] - window[0] == self.owner.shape[1]
         out: dict[int, Window] = {}
         for i, (patch, face) in enumerate(zip(self.patches, self.faces, strict=True)):
-            some, columns = _within(patch.rows, window[1], window[3]), _within(patch.columns, window[0], window[2])
-            low, high = (ends[some] for ends in patch.reach) if wide else _reach(patch.maps[0][some, columns])
+            some, columns = (
+                _within(patch.rows, window[1], window[3]),
+                _within(patch.columns, window[0], window[2]),
+            )
+            low, high = (
+                (ends[some] for ends in patch.reach)
+                if wide
+                else _reach(patch.maps[0][some, columns])
+            )
             if len(low) and high.max() >= 0:
                 (left, top), (right, bottom) = low.min(axis=0).tolist(), high.max(axis=0).tolist()
                 out[i] = left, top, min(right + 2, face.width), min(bottom + 2, face.height)
         return out
 
     def compose(self, drawn: dict[int, Image], windows: Iterable[Window] | None = None) -> Image:
-        """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing or the lens sees nothing.
+        """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing
+        or the lens sees nothing.
 
-        windows: the only ones that are composed, of which the faces need hold no more than their `parts`.
+        windows: the only ones that are composed, of which the faces need hold no more than their
+            `parts`.
         """
         image = np.zeros((*self.owner.shape, 3), np.uint8)
         if windows is None:
@@ -134,24 +177,35 @@ class Cube:
         for window in windows:
             for i, (left, top, right, bottom) in self.parts(window).items():
                 patch = self.patches[i]
-                part = _within(patch.rows, window[1], window[3]), _within(patch.columns, window[0], window[2])
-                still, (coarse, rest) = np.ascontiguousarray(drawn[i][top:bottom, left:right]), patch.maps
+                part = (
+                    _within(patch.rows, window[1], window[3]),
+                    _within(patch.columns, window[0], window[2]),
+                )
+                still, (coarse, rest) = (
+                    np.ascontiguousarray(drawn[i][top:bottom, left:right]),
+                    patch.maps,
+                )
                 moved = coarse[part] - np.array([left, top], np.int16)
                 self._put(image[patch.rows, patch.columns][part], still, moved, rest[part])
         return image
 
-    def _put(self, into: Image, still: Image, coarse: NDArray[np.int16], rest: NDArray[np.uint16]) -> None:
-        cv2.remap(still, coarse, rest, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
+    def _put(
+        self, into: Image, still: Image, coarse: NDArray[np.int16], rest: NDArray[np.uint16]
+    ) -> None:
+        cv2.remap(
+            still, coarse, rest, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT
+        )
 
 
 @lru_cache(maxsize=4)
 def cube_of(camera: Camera) -> Cube:
     """The faces that a lens can see, and how its image is composed of them.
 
-    A pixel is taken from the face that its ray meets in the middle part, |x|, |y| <= 1 in normalised coordinates. A lens
-    with panels has them as faces. For any other, a face is as large as it is needed, and as fine: a pinhole picture of focal
-    length f has f / cos a pixels to the radian across a ray a off its axis, and the lens at most 1 / (angle to the next
-    pixel), so that f is the largest of (cos a) / (that angle) over the face's pixels.
+    A pixel is taken from the face that its ray meets in the middle part, |x|, |y| <= 1 in
+    normalised coordinates. A lens with panels has them as faces. For any other, a face is as large
+    as it is needed, and as fine: a pinhole picture of focal length f has f / cos a pixels to the
+    radian across a ray a off its axis, and the lens at most 1 / (angle to the next pixel), so that
+    f is the largest of (cos a) / (that angle) over the face's pixels.
     """
     rays = camera.ray(pixel_grid(camera.width, camera.height))
     names = tuple(CUBE)
@@ -175,47 +229,74 @@ def cube_of(camera: Camera) -> Cube:
 
 
 def _within(part: slice, first: int, end: int) -> slice:
-    """The rows or columns from `first` to before `end` of an image, counted from where its part begins."""
+    """The rows or columns from `first` to before `end` of an image, counted from where its part
+    begins.
+    """
     return slice(max(first - part.start, 0), max(min(end, part.stop) - part.start, 0))
 
 
 def _reach(at: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    """Least and largest coordinates (h, 2) of each row's places (h, w, 2) in a face; -1 as the largest of a row without any."""
+    """Least and largest coordinates (h, 2) of each row's places (h, w, 2) in a face; -1 as the
+    largest of a row without any.
+    """
     there = at[..., :1] >= 0
-    return np.where(there, at, np.int16(32767)).min(axis=1, initial=32767), np.where(there, at, np.int16(-1)).max(axis=1, initial=-1)
+    return np.where(there, at, np.int16(32767)).min(axis=1, initial=32767), np.where(
+        there, at, np.int16(-1)
+    ).max(axis=1, initial=-1)
 
 
 def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
-    """The part of the image that holds the pixels `mine` (H, W), which lie at px (N, 2) in the face."""
+    """The part of the image that holds the pixels `mine` (H, W), which lie at px (N, 2) in the
+    face.
+    """
     v, u = np.nonzero(mine)
     rows, columns = slice(int(v.min()), int(v.max()) + 1), slice(int(u.min()), int(u.max()) + 1)
     at = np.full((*mine.shape, 2), NOWHERE, np.float32)
     at[mine] = px
     # Fixed-point maps, converted once: remapping with them is faster than with floats.
-    coarse, rest = cv2.convertMaps(at[rows, columns, 0].copy(), at[rows, columns, 1].copy(), cv2.CV_16SC2)
+    coarse, rest = cv2.convertMaps(
+        at[rows, columns, 0].copy(), at[rows, columns, 1].copy(), cv2.CV_16SC2
+    )
     return Patch(rows, columns, (np.asarray(coarse, np.int16), np.asarray(rest, np.uint16)))
 
 
 def _face(camera: Camera, index: int, name: str, turned: Array, f: float) -> Pinhole:
-    """The face of a lens with panels as the panel says, else one that covers the rays (N, 3) with a focal length f [px]."""
+    """The face of a lens with panels as the panel says, else one that covers the rays (N, 3) with a
+    focal length f [px].
+    """
     if len(camera.panels) == 1:
         return covering(turned[:, :2] / turned[:, 2:] * f, f, name)
     lens = camera.panels[index].lens
     middle = lens.project(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
-    return Pinhole(lens.width, lens.height, float(middle[1, 0] - middle[0, 0]), (float(lens.centre[0]), float(lens.centre[1])), name)
+    return Pinhole(
+        lens.width,
+        lens.height,
+        float(middle[1, 0] - middle[0, 0]),
+        (float(lens.centre[0]), float(lens.centre[1])),
+        name,
+    )
 
 
 def _angle_to_next(rays: Array) -> Array:
-    """Angle [rad] from each ray (H, W, 3) to the nearest of those of the next pixels, shape (H, W); NaN where none is seen."""
+    """Angle [rad] from each ray (H, W, 3) to the nearest of those of the next pixels, shape (H, W);
+    NaN where none is seen.
+    """
     out = np.full(rays.shape[:2], np.inf)
     across = np.linalg.norm(np.diff(rays, axis=1), axis=-1)
     down = np.linalg.norm(np.diff(rays, axis=0), axis=-1)
-    for step, here in ((across, out[:, :-1]), (across, out[:, 1:]), (down, out[:-1]), (down, out[1:])):
+    for step, here in (
+        (across, out[:, :-1]),
+        (across, out[:, 1:]),
+        (down, out[:-1]),
+        (down, out[1:]),
+    ):
         np.fmin(here, step, out=here)
     return np.where(np.isfinite(out) & (out > 0), out, np.nan)
 
 
 def drawn_for(camera: Camera, eye: str = "eye") -> tuple[Pinhole, ...]:
-    """The pinhole images to be rendered for a lens, of a camera by its name: its own, or the faces that it can see."""
+    """The pinhole images to be rendered for a lens, of a camera by its name: its own, or the faces
+    that it can see.
+    """
     drawn = (pinhole_of(camera),) if isinstance(camera, Perspective) else cube_of(camera).faces
     return drawn if eye == "eye" else tuple(replace(image, eye=eye) for image in drawn)

@@ -1,4 +1,6 @@
-"""The image sensor: exposures of one or several images (motion blur), noise and drift; an exposure can be drawn again, whole."""
+"""The image sensor: exposures of one or several images (motion blur), noise and drift; an exposure
+can be drawn again, whole.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,11 @@ Sum = Array | NDArray[np.float32]
 class PixelRows:
     """In which row of the camera's own picture each pixel is, which says when it is exposed.
 
-    Of a lens with panels each pixel of a panel is exposed with the row of the camera's own picture that shows the same direction.
+    Of a lens with panels each pixel of a panel is exposed with the row of the camera's own picture
+    that shows the same direction.
 
-    camera: the lens. noisy: noise will be added: the rows from which detectors estimate its level are always drawn.
+    camera: the lens. noisy: noise will be added: the rows from which detectors estimate its level
+    are always drawn.
     """
 
     def __init__(self, camera: Camera, noisy: bool = False):
@@ -36,39 +40,59 @@ class PixelRows:
 
     @cached_property
     def _in_panels(self) -> tuple[NDArray[np.intp], ...] | None:
-        """The nearest rows (h, w) of the pixels of each panel; None for a camera whose only panel is its own picture."""
+        """The nearest rows (h, w) of the pixels of each panel; None for a camera whose only panel
+        is its own picture.
+        """
         panels = self._camera.panels
-        return None if panels[0].lens is self._camera else tuple(self._rows(panel) for panel in panels)
+        return (
+            None if panels[0].lens is self._camera else tuple(self._rows(panel) for panel in panels)
+        )
 
     def _rows(self, panel: Panel) -> NDArray[np.intp]:
         lens = panel.lens
-        uv = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(float)
+        uv = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(
+            float
+        )
         v = self._camera.project(lens.ray(uv) @ panel.R_camera_panel.T)[..., 1]
         return np.clip(np.rint(np.nan_to_num(v)), 0, self._camera.height - 1).astype(np.intp)
 
     def weights(self, weight: RowWeight) -> tuple[RowWeight, ...]:
-        """The weights of the pixels of each panel, (h, 1, 1) or (h, w, 1); a weight of the whole picture as it is."""
+        """The weights of the pixels of each panel, (h, 1, 1) or (h, w, 1); a weight of the whole
+        picture as it is.
+        """
         if not isinstance(weight, np.ndarray):
             return (weight,) * len(self._camera.panels)
         if self._in_panels is None:
             return (weight[:, None, None],)
         return tuple(weight[v][..., None] for v in self._in_panels)
 
-    def needed(self, regions: Regions | None, weights: tuple[RowWeight, ...]) -> tuple[Regions | None, Rows | None]:
-        """Regions of interest and rows, None for everything, without what has no weight; weights: of the pixels of each panel."""
+    def needed(
+        self, regions: Regions | None, weights: tuple[RowWeight, ...]
+    ) -> tuple[Regions | None, Rows | None]:
+        """Regions of interest and rows, None for everything, without what has no weight; weights:
+        of the pixels of each panel.
+        """
         if not isinstance(weights[0], np.ndarray):
             return regions, None
         if self._in_panels is None:
             return regions if regions is None else self._asked(regions), band(weights[0])
         asked = self._asked(regions)
-        return tuple(windows if part.any() else () for windows, part in zip(asked, map(np.asarray, weights), strict=True)), None
+        return tuple(
+            windows if part.any() else ()
+            for windows, part in zip(asked, map(np.asarray, weights), strict=True)
+        ), None
 
     def _asked(self, regions: Regions | None) -> Regions:
         lenses = [panel.lens for panel in self._camera.panels]
         if regions is None:
             return tuple(((0, 0, lens.width, lens.height),) for lens in lenses)
-        rows = [tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else () for lens in lenses]
-        return tuple(windows and windows + noise for windows, noise in zip(regions, rows, strict=True))
+        rows = [
+            tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
+            for lens in lenses
+        ]
+        return tuple(
+            windows and windows + noise for windows, noise in zip(regions, rows, strict=True)
+        )
 
 
 def band(weight: Array) -> Rows:
@@ -80,7 +104,8 @@ def band(weight: Array) -> Rows:
 class MotionBlur:
     """Weighted mean of the images rendered while the shutter is open.
 
-    Grey levels are averaged as they are, that is, they are taken to be linear in the light. Weights of rows must add up to 1 in each row.
+    Grey levels are averaged as they are, that is, they are taken to be linear in the light. Weights
+    of rows must add up to 1 in each row.
 
     whole: all images are complete.
     """
@@ -98,7 +123,11 @@ class MotionBlur:
             if image is not None:
                 self._sums[i] = self._added(self._sums[i], image, weight)
         one = weights[0]
-        self._total = self._total + one if not isinstance(one, np.ndarray) and self._total is not None else None
+        self._total = (
+            self._total + one
+            if not isinstance(one, np.ndarray) and self._total is not None
+            else None
+        )
         self.whole = self.whole and whole
 
     def _added(self, before: Sum | None, image: NDArray[np.uint8], weight: RowWeight) -> Sum:
@@ -113,11 +142,15 @@ class MotionBlur:
     def mean(self) -> Images:
         """The mean of each panel's images; None for a panel without any."""
         total = 1.0 if self._total is None else self._total
-        return tuple(None if s is None else np.clip(s / total + 0.5, 0, 255).astype(np.uint8) for s in self._sums)
+        return tuple(
+            None if s is None else np.clip(s / total + 0.5, 0, 255).astype(np.uint8)
+            for s in self._sums
+        )
 
 
 class DepthCamera:
-    """Draws one number from its generator for each picture; the noise is a function of that number and of the true depth alone.
+    """Draws one number from its generator for each picture; the noise is a function of that number
+    and of the true depth alone.
 
     camera: the lens. sensor: what it measures. rng: source of the noise.
     """
@@ -127,19 +160,29 @@ class DepthCamera:
 
     @cached_property
     def _lens(self) -> tuple[Array, float]:
-        """Normalised coordinates of the pixels (H, W, 2), and the focal length [px], of the lens that measures."""
+        """Normalised coordinates of the pixels (H, W, 2), and the focal length [px], of the lens
+        that measures.
+        """
         grid, lens = pixel_grid(self._camera.width, self._camera.height), self._sensor.lens
         if lens is not None:
             return (grid - lens.centre) / lens.f, lens.f
         return self._camera.normalise(grid.reshape(-1, 2)).reshape(grid.shape), self._camera.f
 
     def measured(self, true: DepthImage | None) -> DepthImage | None:
-        """The depth picture (H, W) [m] of the true depths (H, W) [m] of the next picture, NaN in holes."""
+        """The depth picture (H, W) [m] of the true depths (H, W) [m] of the next picture, NaN in
+        holes.
+        """
         seed = int(self._rng.integers(2**63))
-        return None if true is None else self._sensor.measured(true, *self._lens, np.random.default_rng(seed))
+        return (
+            None
+            if true is None
+            else self._sensor.measured(true, *self._lens, np.random.default_rng(seed))
+        )
 
     def clean(self, true: DepthImage | None) -> DepthImage | None:
-        """The same without noise, as the mean of many pictures at rest would be; nothing is drawn for it."""
+        """The same without noise, as the mean of many pictures at rest would be; nothing is drawn
+        for it.
+        """
         return None if true is None else self._sensor.measured(true, *self._lens, None)
 
 
@@ -166,13 +209,16 @@ INSTANT: Contribution = ((1.0, 1.0),)  # the only image of a picture of an insta
 class ImageSensor:
     """Takes one camera's pictures of a stage.
 
-    A picture of which only regions of interest were drawn keeps the scene's state at each of its images, so that the whole picture can be
-    drawn afterwards, of the same exposure and with the same noise.
+    A picture of which only regions of interest were drawn keeps the scene's state at each of its
+    images, so that the whole picture can be drawn afterwards, of the same exposure and with the
+    same noise.
 
     Args:
         stage: the scene, in its state at the time of each call. renderer: renders the images.
-        chain: what becomes of them; with lens, exposure, sensor or stream pictures are always whole.
-        depth: the depth camera, whose pictures are always whole; None without one. camera: whose pictures; None: the servo camera.
+        chain: what becomes of them; with lens, exposure, sensor or stream pictures are always
+            whole.
+        depth: the depth camera, whose pictures are always whole; None without one. camera: whose
+            pictures; None: the servo camera.
     """
 
     def __init__(
@@ -209,14 +255,19 @@ class ImageSensor:
         return self._picture(t, images, self._renderer.whole, [INSTANT])
 
     def clean(self, t: float) -> Picture:
-        """A whole picture of the present scene without noise; a copy that the caller may keep. The noise of later pictures is the same."""
+        """A whole picture of the present scene without noise; a copy that the caller may keep. The
+        noise of later pictures is the same.
+        """
         images, depth = self._renderer.images(with_depth=self._reads_depth), self._depth
         images = self._chain.clean(t, images, self._renderer.depth)
-        return Picture(t, images, depth=None if depth is None else depth.clean(self._renderer.depth)).copy()
+        return Picture(
+            t, images, depth=None if depth is None else depth.clean(self._renderer.depth)
+        ).copy()
 
     def with_own(self, picture: Picture) -> Picture:
-        """A picture just taken with the camera's own image beside the parts, or the panels, that detectors work on: whole, of the same
-        exposure; of a lens with panels the present scene, sharp. It has the picture's noise.
+        """A picture just taken with the camera's own image beside the parts, or the panels, that
+        detectors work on: whole, of the same exposure; of a lens with panels the present scene,
+        sharp. It has the picture's noise.
         """
         if picture.image is not None:
             return picture
@@ -227,28 +278,46 @@ class ImageSensor:
         return replace(kept, own=drawn.images[0])
 
     def exposure_s(self, t: float) -> float | None:
-        """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None where nothing changes its pictures."""
-        imaging, drawn = self._chain.imaging, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth)
+        """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None
+        where nothing changes its pictures.
+        """
+        imaging, drawn = (
+            self._chain.imaging,
+            lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth),
+        )
         return imaging.exposure_s(t, drawn) if imaging else None
 
-    def expose(self, weight: float | Contribution, regions: Regions | None = None, middle: bool = False) -> None:
-        """Add the present scene to the running exposure, with its weight or contribution; `regions` is the same in the whole exposure.
+    def expose(
+        self, weight: float | Contribution, regions: Regions | None = None, middle: bool = False
+    ) -> None:
+        """Add the present scene to the running exposure, with its weight or contribution; `regions`
+        is the same in the whole exposure.
 
-        middle: it is the one whose depth counts: a mean of depths would be a place at which nothing is.
+        middle: it is the one whose depth counts: a mean of depths would be a place at which nothing
+            is.
         """
         regions = None if self._always_whole else regions
-        contribution = weight if isinstance(weight, tuple) else ((1.0, weight),)  # a weight alone: under the mean light
+        # a weight alone: under the mean light
+        contribution = weight if isinstance(weight, tuple) else ((1.0, weight),)
         self._add(self._blur, contribution, regions, middle)
         self._keep_state(len(self._exposed), regions)
         self._exposed.append(contribution)
 
     def developed(self, t: float) -> Picture:
-        """The picture of all images added since the last one, with time stamp t [s]; valid as `capture`'s."""
+        """The picture of all images added since the last one, with time stamp t [s]; valid as
+        `capture`'s.
+        """
         (blur, exposed), self._blur, self._exposed = (self._blur, self._exposed), MotionBlur(), []
         self._of_now = False
         return self._picture(t, blur.mean(), blur.whole, exposed)
 
-    def _add(self, blur: MotionBlur, contribution: Contribution, regions: Regions | None, with_depth: bool) -> None:
+    def _add(
+        self,
+        blur: MotionBlur,
+        contribution: Contribution,
+        regions: Regions | None,
+        with_depth: bool,
+    ) -> None:
         for i, (brightness, weight) in enumerate(contribution):
             weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
             deep = with_depth and i == 0 and self._reads_depth
@@ -257,7 +326,9 @@ class ImageSensor:
             # What was left out of an image for want of weight is not missing in the mean.
             blur.add(images, weights, regions is None if by_rows else self._renderer.whole)
 
-    def _render(self, regions: Regions | None, rows: Rows | None = None, *, with_depth: bool) -> Images:
+    def _render(
+        self, regions: Regions | None, rows: Rows | None = None, *, with_depth: bool
+    ) -> Images:
         """The images now; with their depth, of everything, where it is asked for."""
         with_depth = with_depth and self._reads_depth
         images = self._renderer.images(regions, with_depth, rows)
@@ -266,14 +337,18 @@ class ImageSensor:
         return images
 
     def _keep_state(self, number: int, regions: Regions | None) -> None:
-        """Keep the scene's state at an exposure's image of that number, if a part of it may have been left out."""
+        """Keep the scene's state at an exposure's image of that number, if a part of it may have
+        been left out.
+        """
         if regions is None:
             return
         if number == len(self._states):
             self._states.append(mujoco.MjData(self._model))
         mujoco.mj_copyData(self._states[number], self._model, self._data)
 
-    def _picture(self, t: float, clean: Images, whole: bool, exposed: list[Contribution]) -> Picture:
+    def _picture(
+        self, t: float, clean: Images, whole: bool, exposed: list[Contribution]
+    ) -> Picture:
         drawn = self._latest = self._chain.next()
         begun = time.perf_counter()
         made = self._developed(t, clean, drawn)
@@ -282,7 +357,13 @@ class ImageSensor:
             self._imaged_s += time.perf_counter() - begun
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
-        return made if whole else Picture(t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn))
+        return (
+            made
+            if whole
+            else Picture(
+                t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn)
+            )
+        )
 
     def _developed(self, t: float, images: Images, changes: Sequence[Change]) -> Picture:
         for change in changes:
@@ -290,7 +371,9 @@ class ImageSensor:
         return Picture(t, images)
 
     def _drawn_again(self, exposed: list[Contribution]) -> Images:
-        """The whole images of the exposure whose states are kept. The scene's own state is put back as it was, bit by bit."""
+        """The whole images of the exposure whose states are kept. The scene's own state is put back
+        as it was, bit by bit.
+        """
         blur = MotionBlur()
         with self._stage.kept():
             for contribution, state in zip(exposed, self._states, strict=False):

@@ -1,4 +1,6 @@
-"""Rendering with OpenGL: a camera of the scene kept by dm_control, and the servo camera's images through its lens."""
+"""Rendering with OpenGL: a camera of the scene kept by dm_control, and the servo camera's images
+through its lens.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,17 @@ from vstestbed.sim.render.cube_map import Pinhole, cube_of, drawn_for, resamplin
 from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 
-# Rendering of a window of the image: with software OpenGL the cost is in the pixels, and a tracker needs few of them.
+# Rendering of a window of the image: with software OpenGL the cost is in the pixels, and a tracker
+# needs few of them.
 
 
-REACH = 0.05  # Margin around the windows of a band of rows, as a share of the image's width: a little more of a marker is rendered
+# Margin around the windows of a band of rows, as a share of the image's width: a little more of a
+# marker is rendered
+REACH = 0.05
 DRAW_PX = 8000
-"""Pixels that take as long as one more draw: windows nearer than that are drawn as one (software OpenGL: .12 ms and 15 ns a pixel)."""
+"""Pixels that take as long as one more draw: windows nearer than that are drawn as one (software
+OpenGL: .12 ms and 15 ns a pixel).
+"""
 
 
 FRUSTUM = "frustum_center", "frustum_width", "frustum_bottom", "frustum_top"
@@ -39,10 +46,12 @@ GEOM, SKYBOX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtRndFlag.mjRND_SKYBOX
 
 
 class PartCamera(dm.Camera):
-    """dm_control's camera with windows: only those parts of the image are drawn and read back; the rest is black.
+    """dm_control's camera with windows: only those parts of the image are drawn and read back; the
+    rest is black.
 
-    A window is drawn through its own share of the frustum. Vertices land where they do in the whole image, up to the rounding of single
-    floats: of the rasteriser's 1/256 px positions one in fifty is off by one.
+    A window is drawn through its own share of the frustum. Vertices land where they do in the whole
+    image, up to the rounding of single floats: of the rasteriser's 1/256 px positions one in fifty
+    is off by one.
 
     windows: the parts (left, top, right, bottom) [px] of the next image; None for all of it.
     local: there are no shadows and mirrors, by which a geom changes the image elsewhere as well.
@@ -52,13 +61,16 @@ class PartCamera(dm.Camera):
     windows: tuple[Window, ...] | None = None
     local: bool = False
     reads_depth: bool = False
-    beyond: tuple[float, float, float, float] | None = None  # a part of the image plane, in pixels, that is drawn in place of the image
+    beyond: tuple[float, float, float, float] | None = (
+        None  # a part of the image plane, in pixels, that is drawn in place of the image
+    )
     _drawn: tuple[tuple[slice, slice], ...] = ((slice(None), slice(None)),)
 
     def update(self, scene_option: Any = None) -> None:
         """Update the scene. Planes are made decoration, which casts no shadow.
 
-        Nothing lies below a floor to be shaded, and software OpenGL would speckle it with its own shadow (shadow acne).
+        Nothing lies below a floor to be shaded, and software OpenGL would speckle it with its own
+        shadow (shadow acne).
         """
         super().update(scene_option)
         self._geoms = self._scene.ptr.geoms[: self._scene.ptr.ngeom]
@@ -77,24 +89,48 @@ class PartCamera(dm.Camera):
             self._leave_out(self._geoms, self._planes)
 
     def _leave_out(self, geoms: list[Any], planes: list[Any]) -> None:
-        """Leave out geoms whose bounding sphere is outside of the frustum, and the sky where a plane fills the image."""
-        model, data, camera = self._physics.model.ptr, self._physics.data.ptr, self._render_camera.fixedcamid
-        R, place, eyes = data.cam_xmat[camera].reshape(3, 3), data.cam_xpos[camera], self._scene.ptr.camera
-        left, right, bottom, top = (
-            sum(ends) / 2 for ends in zip(*(_frustum(eye, self._width / self._height) for eye in eyes), strict=True)
+        """Leave out geoms whose bounding sphere is outside of the frustum, and the sky where a
+        plane fills the image.
+        """
+        model, data, camera = (
+            self._physics.model.ptr,
+            self._physics.data.ptr,
+            self._render_camera.fixedcamid,
         )
-        normals = np.array([[-1, 0, -left], [1, 0, right], [0, -1, -bottom], [0, 1, top], [0, 0, 1]])
-        beyond = (data.geom_xpos - place) @ R @ normals.T > np.outer(model.geom_rbound, np.sqrt((normals**2).sum(axis=1)))
+        R, place, eyes = (
+            data.cam_xmat[camera].reshape(3, 3),
+            data.cam_xpos[camera],
+            self._scene.ptr.camera,
+        )
+        left, right, bottom, top = (
+            sum(ends) / 2
+            for ends in zip(
+                *(_frustum(eye, self._width / self._height) for eye in eyes), strict=True
+            )
+        )
+        normals = np.array(
+            [[-1, 0, -left], [1, 0, right], [0, -1, -bottom], [0, 1, top], [0, 0, 1]]
+        )
+        beyond = (data.geom_xpos - place) @ R @ normals.T > np.outer(
+            model.geom_rbound, np.sqrt((normals**2).sum(axis=1))
+        )
         outside = beyond.any(axis=1).tolist()
         for geom in geoms:
             if geom.type != PLANE and geom.objtype == GEOM and outside[geom.objid]:
-                geom.type = LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
-        corners = np.array([[left, bottom, -1], [left, top, -1], [right, bottom, -1], [right, top, -1]]) @ R.T
+                geom.type = (
+                    LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
+                )
+        corners = (
+            np.array([[left, bottom, -1], [left, top, -1], [right, bottom, -1], [right, top, -1]])
+            @ R.T
+        )
         filled = any(_fills(plane, place, corners, SKY * eyes[0].frustum_far) for plane in planes)
         self._scene.ptr.flags[SKYBOX] = not filled
 
     def _render_on_gl_thread(self, depth: bool, overlays: Any) -> None:
-        """As dm_control's, within the windows. The buffer has the lowest row first, as OpenGL does."""
+        """As dm_control's, within the windows.
+        The buffer has the lowest row first, as OpenGL does.
+        """
         if self.windows is None:
             self._drawn = ((slice(None), slice(None)),)
             super()._render_on_gl_thread(depth, overlays)
@@ -104,7 +140,8 @@ class PartCamera(dm.Camera):
         assert contexts is not None and contexts.mujoco is not None
         context = contexts.mujoco.ptr
         if self.windows is None:
-            context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # floats are finest at 0, where the depths are coarsest
+            # floats are finest at 0, where the depths are coarsest
+            context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
             mujoco.mjr_readPixels(None, self._depth_buffer, self._rect, context)
             return
         for part in self._drawn:
@@ -131,55 +168,85 @@ class PartCamera(dm.Camera):
         return where
 
     def depth(self) -> DepthImage:
-        """Depth Z (H, W) [m] along the optical axis of the last image drawn with `reads_depth`; inf where nothing was drawn.
+        """Depth Z (H, W) [m] along the optical axis of the last image drawn with `reads_depth`; inf
+        where nothing was drawn.
 
         With near and far planes at n and f the buffer holds b = n (f - Z) / (Z (f - n)).
         """
         model = self._physics.model
-        near, far = (float(plane) * model.stat.extent for plane in (model.vis.map.znear, model.vis.map.zfar))
+        near, far = (
+            float(plane) * model.stat.extent for plane in (model.vis.map.znear, model.vis.map.zfar)
+        )
         b = self._depth_buffer[::-1].astype(float)
         return np.where(b > 0, near * far / (near + b * (far - near)), np.inf).astype(np.float32)
 
 
 def _fills(plane: Any, place: Array, corners: Array, far: float) -> bool:
-    """Whether an opaque plane fills the image of a camera at `place` (3,): it is hit, nearer than `far` [m], along all corners."""
+    """Whether an opaque plane fills the image of a camera at `place` (3,): it is hit, nearer than
+    `far` [m], along all corners.
+    """
     R = plane.mat.reshape(3, 3)
     p, d = (place - plane.pos) @ R, corners @ R
     if plane.rgba[3] < 1 or p[2] <= 0 or (d[:, 2] >= 0).any():
         return False
     t = -p[2] / d[:, 2]
-    return bool(t.max() < far and (np.abs(p[:2] + t[:, None] * d[:, :2]) < 0.99 * plane.size[:2]).all())
+    return bool(
+        t.max() < far and (np.abs(p[:2] + t[:, None] * d[:, :2]) < 0.99 * plane.size[:2]).all()
+    )
 
 
 def _frustum(eye: mujoco.MjvGLCamera, aspect: float) -> tuple[float, ...]:
     """Left, right, lower and upper end of a camera's frustum, at a distance of 1."""
-    half = eye.frustum_width or (eye.frustum_top - eye.frustum_bottom) * aspect / 2  # MuJoCo: 0 means "from the viewport's aspect ratio"
+    # MuJoCo: 0 means "from the viewport's aspect ratio"
+    half = eye.frustum_width or (eye.frustum_top - eye.frustum_bottom) * aspect / 2
     ends = eye.frustum_center - half, eye.frustum_center + half, eye.frustum_bottom, eye.frustum_top
     return tuple(end / eye.frustum_near for end in ends)
 
 
-def _narrow(camera: mujoco.MjvGLCamera, window: tuple[float, float, float, float], width: int, height: int) -> None:
-    """Narrow a camera's frustum to a window of its image (width x height), or widen it to one that reaches beyond."""
+def _narrow(
+    camera: mujoco.MjvGLCamera, window: tuple[float, float, float, float], width: int, height: int
+) -> None:
+    """Narrow a camera's frustum to a window of its image (width x height), or widen it to one that
+    reaches beyond.
+    """
     left, top, right, bottom = window
     high = camera.frustum_top - camera.frustum_bottom
-    half = camera.frustum_width or high * width / height / 2  # MuJoCo: 0 means "from the viewport's aspect ratio"
+    # MuJoCo: 0 means "from the viewport's aspect ratio"
+    half = camera.frustum_width or high * width / height / 2
     first = camera.frustum_center - half
     camera.frustum_center = first + half * (left + right) / width
     camera.frustum_width = half * (right - left) / width
-    camera.frustum_bottom, camera.frustum_top = camera.frustum_top - high * bottom / height, camera.frustum_top - high * top / height
+    camera.frustum_bottom, camera.frustum_top = (
+        camera.frustum_top - high * bottom / height,
+        camera.frustum_top - high * top / height,
+    )
 
 
-def merged(windows: Sequence[Window], width: int, height: int, draw_px: float = DRAW_PX) -> tuple[Window, ...]:
-    """Windows within an image (width x height), of which those are joined that together take no longer to draw than apart.
+def merged(
+    windows: Sequence[Window], width: int, height: int, draw_px: float = DRAW_PX
+) -> tuple[Window, ...]:
+    """Windows within an image (width x height), of which those are joined that together take no
+    longer to draw than apart.
 
     draw_px: how many pixels take as long as one more draw.
     """
-    within = [(max(left, 0), max(top, 0), min(right, width), min(bottom, height)) for left, top, right, bottom in windows]
-    rest, done = [window for window in within if window[0] < window[2] and window[1] < window[3]], list[Window]()
+    within = [
+        (max(left, 0), max(top, 0), min(right, width), min(bottom, height))
+        for left, top, right, bottom in windows
+    ]
+    rest, done = (
+        [window for window in within if window[0] < window[2] and window[1] < window[3]],
+        list[Window](),
+    )
     while rest:
         one = rest.pop()
         for other in rest:
-            both = min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
+            both = (
+                min(one[0], other[0]),
+                min(one[1], other[1]),
+                max(one[2], other[2]),
+                max(one[3], other[3]),
+            )
             if _area(both) <= _area(one) + _area(other) + draw_px:
                 rest[rest.index(other)] = both
                 break
@@ -193,45 +260,71 @@ def _area(window: Window) -> int:
 
 
 def part_round(windows: Sequence[Window], width: int, height: int) -> Window | None:
-    """The rectangle around all windows, with a margin, clipped to the image (width x height); None without windows."""
+    """The rectangle around all windows, with a margin, clipped to the image (width x height); None
+    without windows.
+    """
     if not windows:
         return None
     lefts, tops, rights, bottoms = zip(*windows, strict=True)
     more = round(REACH * width)
-    return max(min(lefts) - more, 0), max(min(tops) - more, 0), min(max(rights) + more, width), min(max(bottoms) + more, height)
+    return (
+        max(min(lefts) - more, 0),
+        max(min(tops) - more, 0),
+        min(max(rights) + more, width),
+        min(max(bottoms) + more, height),
+    )
 
 
 def part_of_rows(regions: Regions | None, rows: Rows, width: int, height: int) -> Window:
-    """What is needed of rows of an image (width x height) of which windows are asked for, None for everything: one pixel at least."""
+    """What is needed of rows of an image (width x height) of which windows are asked for, None for
+    everything: one pixel at least.
+    """
     if regions is None:
         return 0, rows[0], width, rows[1]
     more = round(REACH * width)
-    near = [window for window in regions[0] if window[1] - more < rows[1] and window[3] + more > rows[0]]
+    near = [
+        window for window in regions[0] if window[1] - more < rows[1] and window[3] + more > rows[0]
+    ]
     left, top, right, bottom = part_round(near, width, height) or (0, rows[0], 1, rows[0] + 1)
     return left, max(top, rows[0]), right, min(bottom, rows[1])
 
 
-ROUNDED = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)}
+ROUNDED = {
+    int(kind)
+    for kind in (
+        mujoco.mjtGeom.mjGEOM_SPHERE,
+        mujoco.mjtGeom.mjGEOM_CAPSULE,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    )
+}
 """Shapes that are curved along their axis too."""
 DISC_FACETS = 96, 2
-"""Facets round an axis and along it, where all that is round are discs and cylinders: as much work as MuJoCo's 28 and 16.
+"""Facets round an axis and along it, where all that is round are discs and cylinders: as much work
+as MuJoCo's 28 and 16.
 
-With 28 a disc of 8 px radius lacks 2 of its 224 pixels, and its centroid is off by .03 px; with 96 by .01 px."""
+With 28 a disc of 8 px radius lacks 2 of its 224 pixels, and its centroid is off by .03 px; with 96
+by .01 px.
+"""
 
 MOST_MATERIALS, MOST_TEXTURES = 997, 1000
-"""Most materials and textures of a scene that MuJoCo draws by OpenGL, measured: with a sky it refuses 998 materials (and says 999), and
-1001 textures."""
-SKY = 0.69  # Least distance of the sky, as a share of the distance at which MuJoCo's picture ends (measured: 0.699)
+"""Most materials and textures of a scene that MuJoCo draws by OpenGL, measured: with a sky it
+refuses 998 materials (and says 999), and 1001 textures.
+"""
+# Least distance of the sky, as a share of the distance at which MuJoCo's picture ends (measured:
+# 0.699)
+SKY = 0.69
 
 
 class SceneCamera:
     """One pinhole camera of a stage, kept between images.
 
-    stage: the scene. camera: name in the scene (`eye`, `overview`, ...). width, height: size of the image [px]. shadows: draw shadows.
-    style: `own` is what the servo camera sees (the geoms that enclose the lens are left out), `room` what a camera sees that stands in the
-    room; `outside` shows everything, for films.
+    stage: the scene. camera: name in the scene (`eye`, `overview`, ...). width, height: size of the
+    image [px]. shadows: draw shadows.
+    style: `own` is what the servo camera sees (the geoms that enclose the lens are left out),
+    `room` what a camera sees that stands in the room; `outside` shows everything, for films.
     culls: OpenGL gets only what may be in the picture; MuJoCo itself gives it all geoms. Raises
-    EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more materials or textures than it draws.
+    EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more
+    materials or textures than it draws.
     """
 
     def __init__(
@@ -246,7 +339,8 @@ class SceneCamera:
     ):
         gl.require()
         _must_be_drawable(stage)
-        # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it must hold the largest camera.
+        # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it
+        # must hold the largest camera.
         vis = stage.model.vis.global_
         vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
         if style != "outside" and not ROUNDED & set(stage.model.geom_type.tolist()):
@@ -260,11 +354,20 @@ class SceneCamera:
             self._option.geomgroup[RANGE_GROUP] = 0
             self._option.sitegroup[:] = 0
             self._flags = {"shadow": shadows, "reflection": stage.parts.world.floor.mirror > 0}
-            made = stage.physics.with_context(lambda: (PartCamera(stage.physics, height, width, camera_id=camera), gl.renderer_string()))
+            made = stage.physics.with_context(
+                lambda: (
+                    PartCamera(stage.physics, height, width, camera_id=camera),
+                    gl.renderer_string(),
+                )
+            )
             self._camera, self.renderer = made
             self._camera.local = culls and not (shadows or self._flags["reflection"])
-        except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
-            raise (lack_of(error) or EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy())) from error
+        except Exception as error:
+            # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
+            raise (
+                lack_of(error)
+                or EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy())
+            ) from error
 
     @property
     def size(self) -> tuple[int, int]:
@@ -281,7 +384,9 @@ class SceneCamera:
         return np.ascontiguousarray(self.raw())
 
     def part(self, window: Window) -> Image | None:
-        """The image now, valid within a window until the next call; None with shadows and mirrors, where things move elsewhere as well."""
+        """The image now, valid within a window until the next call; None with shadows and mirrors,
+        where things move elsewhere as well.
+        """
         return self.raw((window,)) if self._camera.local else None
 
     def raw(self, windows: tuple[Window, ...] | None = None, with_depth: bool = False) -> Image:
@@ -298,9 +403,13 @@ class SceneCamera:
         return self._camera.depth()
 
     def depth_through(self, lens: DepthLens, own: Pinhole) -> DepthImage:
-        """Depth (H, W) [m] through another lens at the same place, its pixels from the upper left corner on; own: the camera's."""
+        """Depth (H, W) [m] through another lens at the same place, its pixels from the upper left
+        corner on; own: the camera's.
+        """
         low, high = (np.array(end, dtype=float) - 0.5 - lens.centre for end in ((0, 0), self.size))
-        (left, top), (right, bottom) = ((end / lens.f * own.f + own.centre + 0.5).tolist() for end in (low, high))
+        (left, top), (right, bottom) = (
+            (end / lens.f * own.f + own.centre + 0.5).tolist() for end in (low, high)
+        )
         self._camera.beyond = left, top, right, bottom
         try:
             self.raw(None, with_depth=True)
@@ -310,32 +419,48 @@ class SceneCamera:
 
 
 def _must_be_drawable(stage: Scene) -> None:
-    """Refuse a scene of more materials or textures than MuJoCo draws by OpenGL, which would end the context.
+    """Refuse a scene of more materials or textures than MuJoCo draws by OpenGL, which would end the
+    context.
 
     Raises ParameterError: it has more.
     """
     model = stage.model
-    for what, found, most in (("materials", model.nmat, MOST_MATERIALS), ("textures", model.ntex, MOST_TEXTURES)):
+    for what, found, most in (
+        ("materials", model.nmat, MOST_MATERIALS),
+        ("textures", model.ntex, MOST_TEXTURES),
+    ):
         if found > most:
             where = "world.scenery" if stage.parts.world.scenery is not None else "world"
             words = f"makes a scene of {found} {what}, and MuJoCo draws at most {most} by OpenGL"
-            raise ParameterError(where, f"{words}; let its parts share {what}, or set camera.renderer=rays")
+            raise ParameterError(
+                where, f"{words}; let its parts share {what}, or set camera.renderer=rays"
+            )
 
 
 class OpenGLRenderer:
     """The servo camera's images through its lens.
 
-    A pinhole image is drawn directly and a distorted one is resampled from a pinhole image. Any wider lens is drawn as the faces of a cube
-    around it: a lens with panels returns the faces themselves, any other the image composed of them.
+    A pinhole image is drawn directly and a distorted one is resampled from a pinhole image. Any
+    wider lens is drawn as the faces of a cube around it: a lens with panels returns the faces
+    themselves, any other the image composed of them.
 
     Args:
         stage: the scene. camera: the lens.
-        noisy: noise will be added to the images. Its level is estimated from whole images, which are then always drawn.
-        share: size of the images as a share of the camera's; 1 for wide and distorted lenses, whose images are composed.
+        noisy: noise will be added to the images. Its level is estimated from whole images, which
+            are then always drawn.
+        share: size of the images as a share of the camera's; 1 for wide and distorted lenses, whose
+            images are composed.
         eye: name of the camera in the scene.
     """
 
-    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0, eye: str = "eye"):
+    def __init__(
+        self,
+        stage: Scene,
+        camera: Camera,
+        noisy: bool = False,
+        share: float = 1.0,
+        eye: str = "eye",
+    ):
         drawn = drawn_for(camera, eye)
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
@@ -356,23 +481,32 @@ class OpenGLRenderer:
 
     @cached_property
     def _sky_m(self) -> Array:
-        """Depth of the sky (H, W) [m], which MuJoCo draws as a solid; beyond it nothing is drawn."""
+        """Depth of the sky (H, W) [m], which MuJoCo draws as a solid;
+        beyond it nothing is drawn.
+        """
         model, lens = self._model, self._depth_lens or self._pinhole_lens
         xy = (pixel_grid(*self._views[0].size) - lens.centre) / lens.f
         reach = SKY * float(model.vis.map.zfar * model.stat.extent)
         return reach / np.sqrt(1 + (xy**2).sum(axis=-1))
 
     def full_image(self) -> Image:
-        """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy; the panels of a lens that has them are composed."""
+        """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy; the panels of a lens
+        that has them are composed.
+        """
         if self._cube is not None and self._panels > 1:
-            return self._cube.compose(dict(enumerate(image for image in self.images() if image is not None)))
+            return self._cube.compose(
+                dict(enumerate(image for image in self.images() if image is not None))
+            )
         return np.ascontiguousarray(self.images()[0])
 
-    def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
+    def images(
+        self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None
+    ) -> tuple[Image | None, ...]:
         """See `Renderer.images`. What is not drawn is black, or None for a whole panel.
 
-        Of a camera without noise and shadows the windows are drawn, near ones as one. With shadows those of a pinhole camera are drawn as
-        one. Else a pinhole's picture is whole, as is each panel with a window, and each of the cube's faces that reach into the windows.
+        Of a camera without noise and shadows the windows are drawn, near ones as one. With shadows
+        those of a pinhole camera are drawn as one. Else a pinhole's picture is whole, as is each
+        panel with a window, and each of the cube's faces that reach into the windows.
         """
         start = time.perf_counter()
         if self._panels > 1:
@@ -387,55 +521,100 @@ class OpenGLRenderer:
         return images
 
     def _in_panels(self, regions: Regions | None) -> tuple[Image | None, ...]:
-        """The images of all panels, or of those with a window, of which only the windows are drawn."""
+        """The images of all panels, or of those with a window,
+        of which only the windows are drawn.
+        """
         if regions is None or not (self._parts and self._views[0].local):
             self.whole = regions is None or all(regions)
-            return tuple(view.raw() if regions is None or regions[i] else None for i, view in enumerate(self._views))
+            return tuple(
+                view.raw() if regions is None or regions[i] else None
+                for i, view in enumerate(self._views)
+            )
         self.whole = False
-        parts = [merged(windows, *view.size) for windows, view in zip(regions, self._views, strict=True)]
-        return tuple(view.raw(windows) if windows else None for windows, view in zip(parts, self._views, strict=True))
+        parts = [
+            merged(windows, *view.size) for windows, view in zip(regions, self._views, strict=True)
+        ]
+        return tuple(
+            view.raw(windows) if windows else None
+            for windows, view in zip(parts, self._views, strict=True)
+        )
 
     def _band(self, regions: Regions | None, rows: Rows) -> tuple[Image]:
-        """Rows of the image of a perspective lens, drawn at least in the rectangle around the windows."""
+        """Rows of the image of a perspective lens, drawn at least in the rectangle around the
+        windows.
+        """
         self.whole = False
         window = part_of_rows(regions, rows, *self._size)
         if self._maps is None:
             return (self._views[0].raw((window,)),)
         part = slice(window[1], window[3]), slice(window[0], window[2])
         at = [axis[part] for axis in self._maps]
-        low = [min(max(math.floor(axis.min()), 0), n - 1) for axis, n in zip(at, self._views[0].size, strict=True)]
-        high = [max(min(math.floor(axis.max()) + 2, n), begin + 1) for axis, n, begin in zip(at, self._views[0].size, low, strict=True)]
+        low = [
+            min(max(math.floor(axis.min()), 0), n - 1)
+            for axis, n in zip(at, self._views[0].size, strict=True)
+        ]
+        high = [
+            max(min(math.floor(axis.max()) + 2, n), begin + 1)
+            for axis, n, begin in zip(at, self._views[0].size, low, strict=True)
+        ]
         drawn = low[0], low[1], high[0], high[1]  # what the interpolation reads
         image = np.zeros((self._size[1], self._size[0], 3), np.uint8)
-        source = np.ascontiguousarray(self._views[0].raw((drawn,))[drawn[1] : drawn[3], drawn[0] : drawn[2]])
+        source = np.ascontiguousarray(
+            self._views[0].raw((drawn,))[drawn[1] : drawn[3], drawn[0] : drawn[2]]
+        )
         moved = [axis - np.float32(begin) for axis, begin in zip(at, drawn[:2], strict=True)]
-        image[part] = cv2.remap(source, moved[0], moved[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        image[part] = cv2.remap(
+            source, moved[0], moved[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
         return (image,)
 
     def _pinhole(self, regions: Regions | None, with_depth: bool = False) -> tuple[Image]:
         windows = None
         if regions is not None and self._parts:
-            # Shadows and mirrors are drawn anew with each part. Without a window there is nothing to be seen in parts.
-            windows = merged(regions[0], *self._size, DRAW_PX if self._views[0].local else math.inf) or None
+            # Shadows and mirrors are drawn anew with each part. Without a window there is nothing
+            # to be seen in parts.
+            windows = (
+                merged(regions[0], *self._size, DRAW_PX if self._views[0].local else math.inf)
+                or None
+            )
         self.whole = windows is None
         image = self._views[0].raw(windows, with_depth)
         if with_depth:
             lens = self._depth_lens
-            image = image if lens is None else np.ascontiguousarray(image)  # the same buffer is drawn into again
-            depth = self._views[0].depth() if lens is None else self._views[0].depth_through(lens, self._pinhole_lens)
+            # the same buffer is drawn into again
+            image = image if lens is None else np.ascontiguousarray(image)
+            depth = (
+                self._views[0].depth()
+                if lens is None
+                else self._views[0].depth_through(lens, self._pinhole_lens)
+            )
             seen = np.where(depth < self._sky_m, depth, np.float32(np.inf))
-            self.depth = seen if self._maps is None or lens is not None else _resampled(seen, self._maps)
+            self.depth = (
+                seen if self._maps is None or lens is not None else _resampled(seen, self._maps)
+            )
         if self._maps is None:
             return (image,)
         still = np.ascontiguousarray(image)
-        return (np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8),)
+        return (
+            np.asarray(
+                cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+                np.uint8,
+            ),
+        )
 
     def _composed(self, regions: Regions | None, rows: Rows | None) -> tuple[Image]:
-        """The image of a wide lens, composed of the cube's faces, or of their parts, that the windows or rows need."""
+        """The image of a wide lens, composed of the cube's faces, or of their parts, that the
+        windows or rows need.
+        """
         assert self._cube is not None
         if rows is not None:
             return self._composed_of([part_of_rows(regions, rows, *self._size)])
-        if regions is not None and self._parts and self._views[0].local and (windows := merged(regions[0], *self._size, 0)):
+        if (
+            regions is not None
+            and self._parts
+            and self._views[0].local
+            and (windows := merged(regions[0], *self._size, 0))
+        ):
             return self._composed_of(windows)
         faces = range(len(self._views)) if regions is None else self._cube.needed(regions[0])
         self.whole = len(faces) == len(self._views)
@@ -448,12 +627,17 @@ class OpenGLRenderer:
         for window in windows:
             for i, part in self._cube.parts(window).items():
                 of.setdefault(i, []).append(part)
-        drawn = {i: self._views[i].raw(merged(parts, *self._views[i].size)) for i, parts in of.items()}
+        drawn = {
+            i: self._views[i].raw(merged(parts, *self._views[i].size)) for i, parts in of.items()
+        }
         return (self._cube.compose(drawn, windows),)
 
 
-def _resampled(depth: DepthImage, maps: tuple[NDArray[np.float32], NDArray[np.float32]]) -> DepthImage:
-    """A depth picture with the distortion of a lens; at an edge it has the depth of one surface, and no mean of two.
+def _resampled(
+    depth: DepthImage, maps: tuple[NDArray[np.float32], NDArray[np.float32]]
+) -> DepthImage:
+    """A depth picture with the distortion of a lens; at an edge it has the depth of one surface,
+    and no mean of two.
 
     Within a surface 1/Z is interpolated, which is linear in a plane's picture.
     """

@@ -25,7 +25,9 @@ T = TypeVar("T")
 
 
 class DrawsTogether(Protocol):
-    """Draws a run's pictures together with those of others (`studies.together`). name: of what draws them."""
+    """Draws a run's pictures together with those of others (`studies.together`). name: of what
+    draws them.
+    """
 
     name: str
 
@@ -35,15 +37,20 @@ class DrawsTogether(Protocol):
 
 
 drawn_together: ContextVar[DrawsTogether | None] = ContextVar("drawn_together", default=None)
-"""Of a run that flies with others, in its own context: what draws its pictures, whatever `camera.renderer` says."""
+"""Of a run that flies with others, in its own context: what draws its pictures, whatever
+`camera.renderer` says.
+"""
 FILM_RAYS = 4  # rays for each pixel of the outside view at the edge of an object, two each way
 
 
-def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0, eye: str = "eye") -> Renderer:
+def servo_renderer(
+    stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0, eye: str = "eye"
+) -> Renderer:
     """The renderer of the servo camera, or of a further camera `eye`, as `camera.renderer` asks.
 
-    noisy: noise will be added to its images. share: size of the images as a share of the camera's, for films; OpenGL draws those of
-    wide and distorted lenses in full. Raises EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
+    noisy: noise will be added to its images. share: size of the images as a share of the camera's,
+    for films; OpenGL draws those of wide and distorted lenses in full. Raises EnvironmentLackError:
+    OpenGL is asked for, or the image needs it, and it does not work here.
     ParameterError: rays are asked for and cannot draw this scene.
     """
     given = stage, camera, noisy, share, eye
@@ -51,28 +58,50 @@ def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: flo
         from vstestbed.sim.render.warp import WarpRenderer
 
         return WarpRenderer(stage, camera, together.draw, together.name, noisy, share, eye)
-    return _chosen(camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given))
+    return _chosen(
+        camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given)
+    )
 
 
-def outside_view(stage: Scene, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> SceneCamera | RaySceneCamera:
-    """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows. Raises as `servo_renderer`."""
-    by_rays: Callable[[], Any] = lambda: _rays().RaySceneCamera(stage, name, width, height, FILM_RAYS)  # noqa: E731 - beside the other
+def outside_view(
+    stage: Scene, name: str, width: int, height: int, camera: Camera, shadows: bool = True
+) -> SceneCamera | RaySceneCamera:
+    """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no
+    shadows. Raises as `servo_renderer`.
+    """
+    by_rays: Callable[[], Any] = lambda: _rays().RaySceneCamera(  # noqa: E731 - beside the other
+        stage, name, width, height, FILM_RAYS
+    )
     if drawn_together.get():  # OpenGL in a process with Warp has been seen to crash
         return by_rays()
-    return _chosen(camera, lambda: _opengl().SceneCamera(stage, name, width, height, shadows, style="outside"), by_rays)
+    return _chosen(
+        camera,
+        lambda: _opengl().SceneCamera(stage, name, width, height, shadows, style="outside"),
+        by_rays,
+    )
 
 
 def bare_renderer(stage: Scene, camera: Camera) -> Callable[[Array], object]:
-    """The cheapest rendering of the servo camera, as a function of the markers (N, 3) [m] in its frame; for speed baselines.
+    """The cheapest rendering of the servo camera, as a function of the markers (N, 3) [m] in its
+    frame; for speed baselines.
 
-    With OpenGL that is what MuJoCo draws before the lens and the noise, of several faces of a cube only those with a marker; with
-    rays it is the whole image.
+    With OpenGL that is what MuJoCo draws before the lens and the noise, of several faces of a cube
+    only those with a marker; with rays it is the whole image.
     """
 
     def by_gl() -> Callable[[Array], object]:
         drawn = drawn_for(camera)
-        views = [_opengl().SceneCamera(stage, face.name, face.width, face.height, camera.shadows, "own", culls=False) for face in drawn]
-        return lambda p: [v.raw() for v, face in zip(views, drawn, strict=True) if len(drawn) == 1 or face.holds(p)]
+        views = [
+            _opengl().SceneCamera(
+                stage, face.name, face.width, face.height, camera.shadows, "own", culls=False
+            )
+            for face in drawn
+        ]
+        return lambda p: [
+            v.raw()
+            for v, face in zip(views, drawn, strict=True)
+            if len(drawn) == 1 or face.holds(p)
+        ]
 
     def by_rays() -> Callable[[Array], object]:
         renderer = _rays().RayRenderer(stage, camera)
@@ -104,7 +133,9 @@ def draws_rays(camera: Camera) -> bool:
 
 
 def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) -> T:
-    """What `camera.renderer` asks for; with `auto`, rays where OpenGL does not work, with a warning."""
+    """What `camera.renderer` asks for; with `auto`, rays where OpenGL does not work, with a
+    warning.
+    """
     if camera.renderer == "rays":
         return by_rays()
     try:
@@ -118,7 +149,8 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
         del told  # its traceback has this frame, and with it the scene: a cycle
     try:
         made = by_rays()
-    except EnvironmentLackError as refused:  # what rays cannot draw, and why OpenGL could not draw it
+    except EnvironmentLackError as refused:
+        # what rays cannot draw, and why OpenGL could not draw it
         raise EnvironmentLackError(f"{refused.lack} ({lack})", remedy) from None
     _warn_once(lack, remedy)
     return made
@@ -126,5 +158,7 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
 
 @functools.cache
 def _warn_once(lack: str, remedy: str) -> None:
-    """Warn once for each reason that rays are used: on standard error, unless the application has configured logging."""
+    """Warn once for each reason that rays are used: on standard error, unless the application has
+    configured logging.
+    """
     logging.getLogger("vstestbed").warning("%s; %s; %s", lack, gl.RAYS_INSTEAD, remedy)

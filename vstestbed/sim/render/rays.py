@@ -1,4 +1,6 @@
-"""Rendering without OpenGL: one ray through the lens for each pixel, cast into the scene by MuJoCo."""
+"""Rendering without OpenGL: one ray through the lens for each pixel,
+cast into the scene by MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from vstestbed.vision.colour import noise_rows
 
 
 def cone_of(rays: Array) -> tuple[Array, float]:
-    """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the largest angle from it."""
+    """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the
+    largest angle from it.
+    """
     axis = rays.sum(axis=0)
     size = math.sqrt(float(axis @ axis))
     if size < 1e-6 * len(rays):
@@ -36,14 +40,18 @@ def cone_of(rays: Array) -> tuple[Array, float]:
 
 
 def meets(centres: Array, radii: Array, axis: Array, half_angle: float) -> NDArray[np.bool_]:
-    """Which spheres, of centres (N, 3) relative to a cone's apex and radii (N,) [m], intersect the cone."""
+    """Which spheres, of centres (N, 3) relative to a cone's apex and radii (N,) [m], intersect the
+    cone.
+    """
     far = np.maximum(np.sqrt((centres * centres).sum(axis=1)), 1e-12)
     angle = np.arccos(np.clip(centres @ axis / far, -1, 1))
     return (far <= radii) | (angle <= half_angle + np.arcsin(np.minimum(radii / far, 1)) + 1e-6)
 
 
 def angles_to_next(rays: Array) -> Array:
-    """Angle [rad] from each ray (H, W, 3) to the farther of the next ones across and down, shape (H, W); 0 where there is none."""
+    """Angle [rad] from each ray (H, W, 3) to the farther of the next ones across and down, shape
+    (H, W); 0 where there is none.
+    """
     out = np.zeros(rays.shape[:2])
     for axis in (0, 1):
         if rays.shape[axis] > 1:
@@ -57,33 +65,48 @@ ROWS = 32  # rows of an image that are cast at a time: of a narrow bundle most g
 
 
 def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> DepthImage:
-    """Depth (H, W) [m] along the optical axis of what the unit rays (H, W, 3) in the camera's frame hit; inf for nothing.
+    """Depth (H, W) [m] along the optical axis of what the unit rays (H, W, 3) in the camera's frame
+    hit; inf for nothing.
 
     hits: `Caster.hits`.
     """
-    turn, origin = np.ascontiguousarray(T_world_camera[:3, :3].T), np.ascontiguousarray(T_world_camera[:3, 3])
+    turn, origin = (
+        np.ascontiguousarray(T_world_camera[:3, :3].T),
+        np.ascontiguousarray(T_world_camera[:3, 3]),
+    )
     found = []
     for part in (rays[top : top + ROWS] for top in range(0, len(rays), ROWS)):
         along, n = part[..., 2], part[..., 2].size
         geoms, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
         hits(origin, part.reshape(-1, 3) @ turn, geoms, distance, normal)
-        found.append(np.where(geoms.reshape(along.shape) >= 0, distance.reshape(along.shape) * along, np.inf).astype(np.float32))
+        found.append(
+            np.where(
+                geoms.reshape(along.shape) >= 0, distance.reshape(along.shape) * along, np.inf
+            ).astype(np.float32)
+        )
     return np.concatenate(found)
 
 
 RENDERER = "rays (mj_multiRay)"
-BLANK = 128  # Grey level outside of the regions of interest: without colour or pattern, so that no detector finds a marker there
-MOST_RAYS = 1 << 15  # Rays shaded at a time: their hits and normals stay in the cache (640 x 480: 90 ms instead of 110)
-TILE_PX = 48  # Side of the tiles in which an image is cast: a small one has few geoms in view, but each costs 40 us
+# Grey level outside of the regions of interest: without colour or pattern, so that no detector
+# finds a marker there
+BLANK = 128
+# Rays shaded at a time: their hits and normals stay in the cache (640 x 480: 90 ms instead of 110)
+MOST_RAYS = 1 << 15
+# Side of the tiles in which an image is cast: a small one has few geoms in view, but each costs 40
+# us
+TILE_PX = 48
 FAR = 1e10  # length of a ray [m]: unlimited in effect
-NO_RAY = -2  # geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky
+# geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky
+NO_RAY = -2
 
 
 class Caster:
     """Casts rays from one point and shades what they hit.
 
-    Geoms whose bounding sphere no ray of a bundle can meet are culled. `mj_multiRay` culls too, by the angles of a geom's corners, which in
-    MuJoCo 3.17 cuts off parts of geoms: that is switched off, in a copy of the model, by removing the bodies' bounding volumes.
+    Geoms whose bounding sphere no ray of a bundle can meet are culled. `mj_multiRay` culls too, by
+    the angles of a geom's corners, which in MuJoCo 3.17 cuts off parts of geoms: that is switched
+    off, in a copy of the model, by removing the bodies' bounding volumes.
 
     stage: the scene. outside: show the geoms that enclose the servo camera's lens.
     """
@@ -93,15 +116,20 @@ class Caster:
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
         self.paint = Paint(stage.model, stage.data, stage.parts.camera.anisotropy)
-        self._shown = ~np.isin(stage.model.geom_group, [RANGE_GROUP] if outside else [RANGE_GROUP, LENS_GROUP])
+        self._shown = ~np.isin(
+            stage.model.geom_group, [RANGE_GROUP] if outside else [RANGE_GROUP, LENS_GROUP]
+        )
         self._endless = stage.model.geom_rbound <= 0
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
-    def cast(self, T_world_camera: Array, bundles: list[Array], apart: Array) -> tuple[Image, NDArray[np.int32]]:
-        """Colours (N, 3) and geoms (N,) of what unit rays in the camera's frame hit, bundle after bundle; -1 is the sky.
+    def cast(
+        self, T_world_camera: Array, bundles: list[Array], apart: Array
+    ) -> tuple[Image, NDArray[np.int32]]:
+        """Colours (N, 3) and geoms (N,) of what unit rays in the camera's frame hit, bundle after
+        bundle; -1 is the sky.
 
-        Where there is no ray (NaN) the colour is black, the geom -2. Narrow bundles (n, 3) are culled best. apart: angle from each
-        ray to the next, (N,) [rad].
+        Where there is no ray (NaN) the colour is black, the geom -2. Narrow bundles (n, 3) are
+        culled best. apart: angle from each ray to the next, (N,) [rad].
         """
         turn = np.ascontiguousarray(T_world_camera[:3, :3].T)
         # One product for all bundles would be handed to BLAS threads: 30 times slower.
@@ -125,23 +153,41 @@ class Caster:
             colours[~seen] = 0
         return colours, geoms
 
-    def hits(self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array) -> None:
+    def hits(
+        self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array
+    ) -> None:
         """Fill in the geoms, distances and normals that one bundle of rays (n, 3) hits."""
         model, n = self._model, len(rays)
         # A plane has no bounding sphere, and always counts.
-        near = self._endless | meets(self._data.geom_xpos - origin, model.geom_rbound, *cone_of(rays))
+        near = self._endless | meets(
+            self._data.geom_xpos - origin, model.geom_rbound, *cone_of(rays)
+        )
         model.geom_group[:] = np.where(self._shown & near, 0, 1)
         flat, normals = rays.reshape(-1), normal.reshape(-1)
-        mujoco.mj_multiRay(model, self._data, origin, flat, self._groups, True, -1, geoms, distance, normals, n, FAR)
+        mujoco.mj_multiRay(
+            model,
+            self._data,
+            origin,
+            flat,
+            self._groups,
+            True,
+            -1,
+            geoms,
+            distance,
+            normals,
+            n,
+            FAR,
+        )
 
 
 class Raster:
     """The rays of an image in the camera's frame; `draw` casts those of a window.
 
     Args:
-        lens: the lens of the image. R_camera_lens: its orientation in the camera's frame, shape (3, 3).
-        samples: antialiasing: n x n rays, n = ceil(sqrt(samples)), in pixels with a neighbour that shows another geom; 0: one ray through
-            the centre of each pixel, as everywhere else.
+        lens: the lens of the image. R_camera_lens: its orientation in the camera's frame, shape (3,
+            3).
+        samples: antialiasing: n x n rays, n = ceil(sqrt(samples)), in pixels with a neighbour that
+            shows another geom; 0: one ray through the centre of each pixel, as everywhere else.
         share: size of the image as a share of the lens's.
     """
 
@@ -157,7 +203,9 @@ class Raster:
     def _rays(self) -> Array:
         grid = pixel_grid(self.width, self.height)
         grid = (grid + 0.5) / self._share - 0.5 if self._share < 1 else grid
-        return np.concatenate([self._of(rows) for rows in np.array_split(grid, max(1, self.height // 64))])
+        return np.concatenate(
+            [self._of(rows) for rows in np.array_split(grid, max(1, self.height // 64))]
+        )
 
     @cached_property
     def apart(self) -> Array:
@@ -177,7 +225,9 @@ class Raster:
         left, top, right, bottom = window
         return self._rays[top:bottom, left:right]
 
-    def draw(self, image: Image, windows: tuple[Window, ...], caster: Caster, T_world_camera: Array) -> None:
+    def draw(
+        self, image: Image, windows: tuple[Window, ...], caster: Caster, T_world_camera: Array
+    ) -> None:
         """Render windows of an image (H, W, 3) in place."""
         waiting, rays = [], 0
         for tile in (tile for window in windows for tile in tiles_of(window)):
@@ -191,20 +241,39 @@ class Raster:
 
     def _draw(self, image: Image, tiles: list[Window], caster: Caster, T: Array) -> None:
         grow = 1 if len(self.within) else 0  # an edge is found by a pixel's neighbours
-        cut = [(max(0, a - grow), max(0, b - grow), min(self.width, c + grow), min(self.height, d + grow)) for a, b, c, d in tiles]
+        cut = [
+            (
+                max(0, a - grow),
+                max(0, b - grow),
+                min(self.width, c + grow),
+                min(self.height, d + grow),
+            )
+            for a, b, c, d in tiles
+        ]
         parts = [self.rays(window) for window in cut]
-        apart = np.concatenate([self.apart[top:bottom, left:right].ravel() for left, top, right, bottom in cut])
+        apart = np.concatenate(
+            [self.apart[top:bottom, left:right].ravel() for left, top, right, bottom in cut]
+        )
         colours, geoms = caster.cast(T, [part.reshape(-1, 3) for part in parts], apart)
         start = 0
         for (a, b, c, d), (left, top, _, _), part in zip(tiles, cut, parts, strict=True):
             end = start + part.shape[0] * part.shape[1]
             drawn = colours[start:end].reshape(part.shape)
             if grow:
-                self._refine(drawn, geoms[start:end].reshape(part.shape[:2]), (left, top), caster, T)
+                self._refine(
+                    drawn, geoms[start:end].reshape(part.shape[:2]), (left, top), caster, T
+                )
             image[b:d, a:c] = drawn[b - top : d - top, a - left : c - left]
             start = end
 
-    def _refine(self, drawn: Image, geoms: NDArray[np.int32], corner: tuple[int, int], caster: Caster, T: Array) -> None:
+    def _refine(
+        self,
+        drawn: Image,
+        geoms: NDArray[np.int32],
+        corner: tuple[int, int],
+        caster: Caster,
+        T: Array,
+    ) -> None:
         # pixels with a neighbour, of eight, that shows another geom
         (height, width), wide = geoms.shape, np.pad(geoms, 1, mode="edge")
         near = [wide[i : i + height, j : j + width] for i in range(3) for j in range(3)]
@@ -214,7 +283,9 @@ class Raster:
             uv, n = at[:, None] + self.within, len(self.within)
             apart = np.repeat(self.apart[at[:, 1], at[:, 0]] / math.sqrt(n), n)
             colours, _ = caster.cast(T, [self._of(uv).reshape(-1, 3)], apart)
-            drawn[row, column] = (colours.reshape(len(row), -1, 3).mean(axis=1) + 0.5).astype(np.uint8)
+            drawn[row, column] = (colours.reshape(len(row), -1, 3).mean(axis=1) + 0.5).astype(
+                np.uint8
+            )
 
 
 def tiles_of(window: Window) -> Iterator[Window]:
@@ -226,18 +297,29 @@ def tiles_of(window: Window) -> Iterator[Window]:
 
 
 class RayRenderer:
-    """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
+    """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s,
+    where both can render them.
 
-    Only the regions of interest are cast. There are no shadows and mirrors (`refuse`); `Paint` says which textures are mapped. Raises
-    ParameterError, EnvironmentLackError: rays cannot draw what the scene or the camera asks for.
+    Only the regions of interest are cast. There are no shadows and mirrors (`refuse`); `Paint` says
+    which textures are mapped. Raises ParameterError, EnvironmentLackError: rays cannot draw what
+    the scene or the camera asks for.
 
     Args:
         stage: the scene. camera: the lens.
-        noisy: noise will be added to the images: the rows from which detectors estimate its level are always cast.
-        share: images for films are smaller (see `Raster`), without antialiasing. eye: name of the camera in the scene.
+        noisy: noise will be added to the images: the rows from which detectors estimate its level
+            are always cast.
+        share: images for films are smaller (see `Raster`), without antialiasing. eye: name of the
+            camera in the scene.
     """
 
-    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0, eye: str = "eye"):
+    def __init__(
+        self,
+        stage: Scene,
+        camera: Camera,
+        noisy: bool = False,
+        share: float = 1.0,
+        eye: str = "eye",
+    ):
         self._stage, self._camera, self._eye, self._share = stage, camera, eye, share
         self._caster = Caster(stage, outside=stage.parts.stands(eye))
         refuse(camera, stage.parts.world.floor.mirror)
@@ -248,24 +330,41 @@ class RayRenderer:
 
     def full_image(self) -> Image:
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy."""
-        # A lens with panels is cast through its own projection here; number -1 keeps that raster beside those of the panels.
-        return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
+        # A lens with panels is cast through its own projection here; number -1 keeps that raster
+        # beside those of the panels.
+        return self._draw(
+            Panel(self._camera, np.eye(3)),
+            -1 if self._camera.panels[0].lens is not self._camera else 0,
+            None,
+        )
 
-    def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
-        """See `Renderer.images`; copies. A panel without a window is None, others are blank outside of theirs."""
-        start, images, (regions, rows) = time.perf_counter(), [], (None, None) if with_depth else (regions, rows)
+    def images(
+        self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None
+    ) -> tuple[Image | None, ...]:
+        """See `Renderer.images`; copies. A panel without a window is None, others are blank outside
+        of theirs.
+        """
+        start, images, (regions, rows) = (
+            time.perf_counter(),
+            [],
+            (None, None) if with_depth else (regions, rows),
+        )
         for i, panel in enumerate(self._camera.panels):
             windows = None if regions is None else regions[i]
             images.append(None if windows == () else self._draw(panel, i, windows, rows))
         if with_depth:
-            self.depth = ray_depth(self._depth_rays, self._stage.camera_pose(self._eye), self._caster.hits)
+            self.depth = ray_depth(
+                self._depth_rays, self._stage.camera_pose(self._eye), self._caster.hits
+            )
         self.whole = regions is None and rows is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
 
     @cached_property
     def _depth_rays(self) -> Array:
-        """Unit rays (H, W, 3) of the depth picture: those of the colour picture, or of as many pixels of the depth camera's own lens."""
+        """Unit rays (H, W, 3) of the depth picture: those of the colour picture, or of as many
+        pixels of the depth camera's own lens.
+        """
         width, height = self._camera.width, self._camera.height
         lens = self._camera.depth_sensor.lens if self._camera.depth_sensor else None
         if lens is None:
@@ -274,7 +373,9 @@ class RayRenderer:
         ray = np.concatenate([xy, np.ones((height, width, 1))], axis=-1)
         return ray / lengths(ray)
 
-    def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None, rows: Rows | None = None) -> Image:
+    def _draw(
+        self, panel: Panel, name: int, windows: tuple[Window, ...] | None, rows: Rows | None = None
+    ) -> Image:
         if name not in self._rasters:
             samples = self._camera.multisampling if self._share == 1 else 0
             self._rasters[name] = Raster(panel.lens, panel.R_camera_panel, samples, self._share)
@@ -285,11 +386,17 @@ class RayRenderer:
         elif self._noisy:
             windows += tuple((0, v, raster.width, v + 1) for v in noise_rows(raster.height))
         if rows is not None:
-            windows = tuple((a, max(b, rows[0]), c, min(d, rows[1])) for a, b, c, d in windows if b < rows[1] and d > rows[0])
+            windows = tuple(
+                (a, max(b, rows[0]), c, min(d, rows[1]))
+                for a, b, c, d in windows
+                if b < rows[1] and d > rows[0]
+            )
         self._fill(image, raster, panel, windows)
         return image
 
-    def _fill(self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]) -> None:
+    def _fill(
+        self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]
+    ) -> None:
         """Draw windows of an image (H, W, 3), the picture of a panel, in place."""
         raster.draw(image, windows, self._caster, self._stage.camera_pose(self._eye))
 
@@ -297,9 +404,16 @@ class RayRenderer:
 def refuse(camera: Camera, mirror: float = 0.0) -> None:
     """Refuse shadows and a floor that mirrors, which rays cannot draw.
 
-    Raises ParameterError: rays were asked for. EnvironmentLackError: they are what is left without OpenGL.
+    Raises ParameterError: rays were asked for. EnvironmentLackError: they are what is left without
+    OpenGL.
     """
-    what = "shadows need OpenGL" if camera.shadows else "a floor that mirrors needs OpenGL" if mirror else ""
+    what = (
+        "shadows need OpenGL"
+        if camera.shadows
+        else "a floor that mirrors needs OpenGL"
+        if mirror
+        else ""
+    )
     if what and camera.renderer == "rays":
         raise ParameterError.fixed("camera.renderer", "gl or auto", camera.renderer, why=what)
     if what:
@@ -307,17 +421,25 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
 
 
 class RaySceneCamera:
-    """A camera of a stage that films from outside, by rays, without shadows; while it is at rest, only changed tiles are cast.
+    """A camera of a stage that films from outside, by rays, without shadows; while it is at rest,
+    only changed tiles are cast.
 
-    stage: the scene. camera: name in the scene. width, height: size of the image [px]. samples: antialiasing, see `Raster`.
+    stage: the scene. camera: name in the scene. width, height: size of the image [px]. samples:
+    antialiasing, see `Raster`.
     """
 
     def __init__(self, stage: Scene, camera: str, width: int, height: int, samples: int = 0):
         self._stage, self._camera, self._caster = stage, camera, Caster(stage, outside=True)
-        lens = Perspective(width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0]))
+        lens = Perspective(
+            width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0])
+        )
         self._raster = Raster(lens, np.eye(3), samples)
-        self._tiles = [(tile, cone_of(self._raster.rays(tile).reshape(-1, 3))) for tile in tiles_of((0, 0, width, height))]
-        self._pixel = 2 / lens.f if samples else 0.0  # angle by which antialiasing looks beyond a tile [rad]
+        self._tiles = [
+            (tile, cone_of(self._raster.rays(tile).reshape(-1, 3)))
+            for tile in tiles_of((0, 0, width, height))
+        ]
+        # angle by which antialiasing looks beyond a tile [rad]
+        self._pixel = 2 / lens.f if samples else 0.0
         self._image = np.empty((height, width, 3), np.uint8)
         self._before: tuple[Array, Array, Array] | None = None
         self._lamp, self._lit = lamp_of(stage.model, stage.data), b""
@@ -338,7 +460,9 @@ class RaySceneCamera:
         return None
 
     def _changed(self, T: Array, cone: tuple[Array, float]) -> bool:
-        """Whether a geom within a cone of the camera (axis in its frame) has moved since the last image."""
+        """Whether a geom within a cone of the camera (axis in its frame) has moved since the last
+        image.
+        """
         if self._before is None or not np.array_equal(self._before[0], T):
             return True
         data, bound = self._stage.data, self._stage.model.geom_rbound

@@ -12,7 +12,8 @@ from vstestbed.sim.scene.meshes import TARGET_GROUP, own_colours, texels_of
 
 
 class Mipmap:
-    """A texture (H, W, 3) uint8 and its copies of half the size, a quarter, ... down to one texel, one after another in one table.
+    """A texture (H, W, 3) uint8 and its copies of half the size, a quarter, ... down to one texel,
+    one after another in one table.
 
     It repeats itself beyond its edges.
     """
@@ -22,7 +23,9 @@ class Mipmap:
         while max(levels[-1].shape[:2]) > 1:
             levels.append(_halved(levels[-1]))
         self.table = np.concatenate([level.reshape(-1, 3) for level in levels])
-        self._height, self._width = (np.array([level.shape[axis] for level in levels]) for axis in (0, 1))
+        self._height, self._width = (
+            np.array([level.shape[axis] for level in levels]) for axis in (0, 1)
+        )
         self._start = np.concatenate([[0], np.cumsum(self._height * self._width)[:-1]])
 
     @property
@@ -33,13 +36,17 @@ class Mipmap:
     @property
     def levels(self) -> list[tuple[int, int, int]]:
         """Of each level its first texel in the table, width and height."""
-        return list(zip(self._start.tolist(), self._width.tolist(), self._height.tolist(), strict=True))
+        return list(
+            zip(self._start.tolist(), self._width.tolist(), self._height.tolist(), strict=True)
+        )
 
     def at(self, place: Array, texels: Array) -> NDArray[np.float32]:
-        """Colours (N, 3), 1 for full brightness, at places (N, 2), as shares of the width from the left and of the height from the top.
+        """Colours (N, 3), 1 for full brightness, at places (N, 2), as shares of the width from the
+        left and of the height from the top.
 
-        texels: across a pixel there, (N,). Linear between the centres of texels, and between the two levels whose texels are next to
-        a pixel's size (trilinear); the first level where a texel is larger than a pixel.
+        texels: across a pixel there, (N,). Linear between the centres of texels, and between the
+        two levels whose texels are next to a pixel's size (trilinear); the first level where a
+        texel is larger than a pixel.
 
         Reference: Williams 1983, Pyramidal parametrics, doi:10.1145/800059.801126.
         """
@@ -50,32 +57,43 @@ class Mipmap:
         mixed = np.flatnonzero(part)
         if len(mixed):
             share = part[mixed, None]
-            colours[mixed] = (1 - share) * colours[mixed] + share * self._between(place[mixed], fine[mixed] + 1)
+            colours[mixed] = (1 - share) * colours[mixed] + share * self._between(
+                place[mixed], fine[mixed] + 1
+            )
         return colours
 
     def aslant(self, place: Array, steps: tuple[Array, Array], most: int) -> NDArray[np.float32]:
-        """Colours (N, 3) of pixels that cover a long strip of the texture: means of up to `most` samples along it, each by `at`.
+        """Colours (N, 3) of pixels that cover a long strip of the texture: means of up to `most`
+        samples along it, each by `at`.
 
-        steps: from one pixel to the next along two axes, as shares of the texture's width and height, (N, 2) each.
+        steps: from one pixel to the next along two axes, as shares of the texture's width and
+            height, (N, 2) each.
 
-        Reference: McCormack, Perry, Farkas & Jouppi 1999, Feline: fast elliptical lines for anisotropic texture mapping,
-        doi:10.1145/311535.311562.
+        Reference: McCormack, Perry, Farkas & Jouppi 1999, Feline: fast elliptical lines for
+        anisotropic texture mapping, doi:10.1145/311535.311562.
         """
         lengths = [np.hypot(step[:, 0] * self.size[0], step[:, 1] * self.size[1]) for step in steps]
         first = (lengths[0] >= lengths[1])[:, None]
         along = np.where(first, *steps)
         longer, shorter = np.maximum(*lengths), np.minimum(*lengths)
         samples = np.clip(np.ceil(longer / np.maximum(shorter, 1e-9) - 0.01), 1, most).astype(int)
-        texels, colours = np.maximum(longer / samples, shorter), np.zeros((len(place), 3), np.float32)
+        texels, colours = (
+            np.maximum(longer / samples, shorter),
+            np.zeros((len(place), 3), np.float32),
+        )
         for k in range(int(samples.max(initial=0))):
             on = np.flatnonzero(samples > k)
             n = samples[on]
             there = place[on] + along[on] * ((k + 0.5) / n - 0.5)[:, None]
-            colours[on] += self.at(there - np.floor(there), texels[on]) / n[:, None].astype(np.float32)
+            colours[on] += self.at(there - np.floor(there), texels[on]) / n[:, None].astype(
+                np.float32
+            )
         return colours
 
     def _between(self, place: Array, level: NDArray[np.int_]) -> NDArray[np.float32]:
-        """Linear interpolation between the four texels round places (N, 2), each at its level (N,)."""
+        """Linear interpolation between the four texels round places (N, 2),
+        each at its level (N,).
+        """
         width, height, start = self._width[level], self._height[level], self._start[level]
         u, v = place[:, 0] * width - 0.5, place[:, 1] * height - 0.5
         left, top = np.floor(u).astype(int), np.floor(v).astype(int)
@@ -83,12 +101,17 @@ class Mipmap:
         columns = left % width, (left + 1) % width
         rows = start + top % height * width, start + (top + 1) % height * width
         table = self.table
-        upper, lower = ((1 - across) * table[row + columns[0]] + across * table[row + columns[1]] for row in rows)
+        upper, lower = (
+            (1 - across) * table[row + columns[0]] + across * table[row + columns[1]]
+            for row in rows
+        )
         return np.asarray(((1 - down) * upper + down * lower) / 255, np.float32)
 
 
 def _halved(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Half of the rows and columns: means of two by two texels; of an odd number, interpolated so that nothing is shifted."""
+    """Half of the rows and columns: means of two by two texels; of an odd number, interpolated so
+    that nothing is shifted.
+    """
     half = texels.astype(np.float32)
     for axis in (0, 1):
         n = half.shape[axis]
@@ -103,23 +126,31 @@ def _halved(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
-DIRECTIONAL, SPOT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL), int(mujoco.mjtLightType.mjLIGHT_SPOT)
+DIRECTIONAL, SPOT = (
+    int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL),
+    int(mujoco.mjtLightType.mjLIGHT_SPOT),
+)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX  # shapes on whose faces a texture lies flat
 
 
 class Paint:
-    """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, mirrors, and highlights but of pictures and floor.
+    """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, mirrors, and
+    highlights but of pictures and floor.
 
-    colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
+    colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture,
+    l towards the light.
 
-    A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
-    cos(angle)^exponent within its cutoff. OpenGL has that at the corners of a surface alone, and its mean between them. On planes and boxes
-    a flat texture (`type="2d"`) lies as it is (the floor's checker, tags, pictures); any other textured geom, round, of a mesh or with a
-    cube texture, has its texture's mean colour (`averaged`).
+    A light that is not directional has l and its brightness by the place: over the attenuation a +
+    b d + c d^2, of a spot light times cos(angle)^exponent within its cutoff. OpenGL has that at the
+    corners of a surface alone, and its mean between them. On planes and boxes a flat texture
+    (`type="2d"`) lies as it is (the floor's checker, tags, pictures); any other textured geom,
+    round, of a mesh or with a cube texture, has its texture's mean colour (`averaged`).
 
-    model, data: the scene; lights are where `data` has them. Its attributes are what the kernels of `warp_kernels` work with.
-    anisotropy: samples of a texture that is not repeated in a pixel that sees it aslant, see `Camera`.
+    model, data: the scene; lights are where `data` has them. Its attributes are what the kernels of
+    `warp_kernels` work with.
+    anisotropy: samples of a texture that is not repeated in a pixel that sees it aslant, see
+    `Camera`.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, anisotropy: int = 1):
@@ -129,11 +160,17 @@ class Paint:
         rgb = own_colours(model)[:, :3]
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
+        flat = (
+            (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE)
+            if model.ntex
+            else texture >= 0
+        )
         printed = flat & np.isin(model.geom_type, FLAT)
         self.printed: list[int] = np.flatnonzero(printed).tolist()
         self.averaged: list[int] = np.flatnonzero((texture >= 0) & ~printed).tolist()
-        self.mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self.printed})}
+        self.mipmaps = {
+            i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self.printed})
+        }
         self.texture, self.repeated = texture, repeated(model)
         floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
         shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == floor)
@@ -146,9 +183,16 @@ class Paint:
         self.sky = _sky(model)
 
     def colours(
-        self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array, apart: Array
+        self,
+        origin: Array,
+        rays: Array,
+        geom: NDArray[np.int32],
+        distance: Array,
+        normal: Array,
+        apart: Array,
     ) -> NDArray[np.uint8]:
-        """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for the sky, with outward normals (N, 3).
+        """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for
+        the sky, with outward normals (N, 3).
 
         apart: angle from each ray to the next (N,) [rad], by which textures are smoothed.
         """
@@ -158,7 +202,10 @@ class Paint:
             for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
                 to, share = self._towards(int(i), points)
                 facing = np.maximum((to * normal).sum(axis=1), 0.0)
-                light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
+                light += (
+                    share
+                    * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)
+                ).astype(np.float32)
         light += self.glow[geom]
         light *= self.rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
@@ -166,9 +213,13 @@ class Paint:
             at = np.flatnonzero(geom == printed)
             if len(at):
                 points = origin + rays[at] * distance[at, None]
-                colour[:, at] *= self._print(printed, points, rays[at], normal[at], apart[at] * distance[at]).T
+                colour[:, at] *= self._print(
+                    printed, points, rays[at], normal[at], apart[at] * distance[at]
+                ).T
                 if printed in self.glossy:
-                    colour[:, at] = np.minimum(1, colour[:, at] + self._highlight(printed, points, rays[at], normal[at]))
+                    colour[:, at] = np.minimum(
+                        1, colour[:, at] + self._highlight(printed, points, rays[at], normal[at])
+                    )
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self.sky
@@ -180,12 +231,15 @@ class Paint:
         return np.ascontiguousarray(colour.T.astype(np.uint8))
 
     def _light(self, normal: Array) -> NDArray[np.float32]:
-        """Irradiance of surfaces with outward normals (N, 3) by directional lights: (3, N), 1 for full brightness."""
+        """Irradiance of surfaces with outward normals (N, 3) by directional lights: (3, N), 1 for
+        full brightness.
+        """
         model = self._model
         light = np.empty((3, len(normal)), np.float32)
         on = np.flatnonzero(model.light_active & (model.light_type == DIRECTIONAL))
         light[:] = model.light_ambient[on].sum(axis=0)[:, None]
-        # Channels first and single floats: three long contiguous rows, which numpy adds up quickest.
+        # Channels first and single floats: three long contiguous rows, which numpy adds up
+        # quickest.
         x, y, z = np.ascontiguousarray(normal.T, dtype=np.float32)
         for i in on:
             a, b, c = -self._data.light_xdir[i].astype(np.float32)
@@ -194,21 +248,31 @@ class Paint:
                 channel += facing * np.float32(brightness)
         return light
 
-    def _print(self, geom: int, points: Array, rays: Array, normal: Array, across: Array) -> NDArray[np.float32]:
-        """The texture of a plane or a box at points (N, 3) [m] in the world with normals (N, 3), seen by unit rays (N, 3): colours (N, 3).
+    def _print(
+        self, geom: int, points: Array, rays: Array, normal: Array, across: Array
+    ) -> NDArray[np.float32]:
+        """The texture of a plane or a box at points (N, 3) [m] in the world with normals (N, 3),
+        seen by unit rays (N, 3): colours (N, 3).
 
-        On a face with axes i < j it is stretched over its width from the upper left corner on, upright along j. It is repeated texrepeat
-        times, with texuniform as often again as the geom's half sizes x and y have metres. On an endless plane it begins in the middle.
+        On a face with axes i < j it is stretched over its width from the upper left corner on,
+        upright along j. It is repeated texrepeat times, with texuniform as often again as the
+        geom's half sizes x and y have metres. On an endless plane it begins in the middle.
 
         across: size of a pixel there, across the ray (N,) [m].
         """
         model, data = self._model, self._data
         R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
         local, k = (points - data.geom_xpos[geom]) @ R, np.arange(len(points))
-        faces = np.abs(normal @ R).argmax(axis=1) if model.geom_type[geom] == BOX else np.full(len(points), 2)
+        faces = (
+            np.abs(normal @ R).argmax(axis=1)
+            if model.geom_type[geom] == BOX
+            else np.full(len(points), 2)
+        )
         i, j = np.array([1, 0, 0])[faces], np.array([2, 2, 1])[faces]
         size = np.where(half > 0, half, 1.0)
-        times = model.mat_texrepeat[(m := model.geom_matid[geom])] * (size[:2] if model.mat_texuniform[m] else 1.0)
+        times = model.mat_texrepeat[(m := model.geom_matid[geom])] * (
+            size[:2] if model.mat_texuniform[m] else 1.0
+        )
         begins = np.where(half[:2] > 0, 0.5 * times, 0.5)
         edges = 2 * np.column_stack([size[i], size[j]])
         place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
@@ -217,17 +281,24 @@ class Paint:
         if self.anisotropy == 1 or self.repeated[self.texture[geom]]:
             texels = across / cosine * (times * mipmap.size / edges).max(axis=1)
             return mipmap.at(place - np.floor(place), texels)
-        # A pixel covers `across` / cosine along the ray's shadow on the face, and `across` at a right angle to it.
+        # A pixel covers `across` / cosine along the ray's shadow on the face, and `across` at a
+        # right angle to it.
         shadow = rays - np.einsum("ni,ni->n", rays, normal)[:, None] * normal
-        steep = np.linalg.norm(shadow, axis=1) < 1e-9  # seen at a right angle: any direction on the face will do
+        # seen at a right angle: any direction on the face will do
+        steep = np.linalg.norm(shadow, axis=1) < 1e-9
         shadow[steep] = R.T[i[steep]]
         shadow /= np.linalg.norm(shadow, axis=1)[:, None]
-        two = (shadow * (across / cosine)[:, None]) @ R, (np.cross(normal, shadow) * across[:, None]) @ R
+        two = (
+            (shadow * (across / cosine)[:, None]) @ R,
+            (np.cross(normal, shadow) * across[:, None]) @ R,
+        )
         first, second = (np.column_stack([step[k, i], -step[k, j]]) / edges * times for step in two)
         return mipmap.aslant(place, (first, second), self.anisotropy)
 
     def _towards(self, i: int, points: Array) -> tuple[Array, Array]:
-        """Unit vectors (N, 3) from points (N, 3) to light i, which has a place, and what share of its light gets there (N,)."""
+        """Unit vectors (N, 3) from points (N, 3) to light i, which has a place, and what share of
+        its light gets there (N,).
+        """
         model, data = self._model, self._data
         to = data.light_xpos[i] - points
         far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
@@ -236,40 +307,57 @@ class Paint:
         share = 1.0 / np.maximum(a + b * far + c * far * far, 1e-9)
         if model.light_type[i] == SPOT:
             along = np.clip(-(to @ data.light_xdir[i]), 0.0, 1.0)
-            share *= np.where(along >= np.cos(np.radians(model.light_cutoff[i])), along ** model.light_exponent[i], 0.0)
+            share *= np.where(
+                along >= np.cos(np.radians(model.light_cutoff[i])),
+                along ** model.light_exponent[i],
+                0.0,
+            )
         return to, share
 
-    def _highlight(self, geom: int, points: Array, rays: Array, normal: Array) -> NDArray[np.float32]:
-        """What a glossy geom mirrors of the lights at points (N, 3) with normals (N, 3), seen by unit rays (N, 3): (3, N).
+    def _highlight(
+        self, geom: int, points: Array, rays: Array, normal: Array
+    ) -> NDArray[np.float32]:
+        """What a glossy geom mirrors of the lights at points (N, 3) with normals (N, 3), seen by
+        unit rays (N, 3): (3, N).
 
-        specular (h . n)^(128 shininess), with h halfway between the directions to the light and to the camera.
+        specular (h . n)^(128 shininess), with h halfway between the directions to the light and to
+        the camera.
 
-        Reference: Blinn 1977, Models of light reflection for computer synthesized pictures, doi:10.1145/563858.563893.
+        Reference: Blinn 1977, Models of light reflection for computer synthesized pictures,
+            doi:10.1145/563858.563893.
         """
         model, total = self._model, np.zeros((3, len(points)))
         material = model.geom_matid[geom]
         for i in np.flatnonzero(model.light_active & (model.light_specular > 0).any(axis=1)):
             sun = model.light_type[i] == DIRECTIONAL
-            to, share = (-self._data.light_xdir[i], np.ones(len(points))) if sun else self._towards(int(i), points)
+            to, share = (
+                (-self._data.light_xdir[i], np.ones(len(points)))
+                if sun
+                else self._towards(int(i), points)
+            )
             half = to - rays
             half /= np.maximum(np.linalg.norm(half, axis=1), 1e-9)[:, None]
             lit = (
                 share
                 * ((to * normal).sum(axis=-1) > 0)
-                * np.clip((half * normal).sum(axis=1), 0, 1) ** (128 * model.mat_shininess[material])
+                * np.clip((half * normal).sum(axis=1), 0, 1)
+                ** (128 * model.mat_shininess[material])
             )
             total += model.mat_specular[material] * model.light_specular[i][:, None] * lit
         return total.astype(np.float32)
 
 
 def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
-    """A sky that depends on the elevation alone: sines (M,) of elevations, rising, and colours (M, 3) there; black without a skybox."""
+    """A sky that depends on the elevation alone: sines (M,) of elevations, rising, and colours (M,
+    3) there; black without a skybox.
+    """
     for texture in np.flatnonzero(model.tex_type == SKYBOX):
         faces = texels_of(model, int(texture)).astype(np.float32) / np.float32(255)
         side = faces.shape[1]
         if len(faces) != 6 * side:  # right, left, up, down, front, back
             continue
-        middle, along = side // 2, 1 - (2 * np.arange(side) + 1) / side  # the middle column, from 1 (top) to -1
+        # the middle column, from 1 (top) to -1
+        middle, along = side // 2, 1 - (2 * np.arange(side) + 1) / side
         sine = along / np.sqrt(1 + along * along)  # of rows of a wall
         slope = 1 / np.sqrt(1 + along * along)  # and of the ceiling's, which rise to its middle
         right, _, up, down, _, _ = np.split(faces, 6)

@@ -1,4 +1,6 @@
-"""A view of a scene that is drawn again only where something in it, or its lamp, has moved by a visible part of a pixel."""
+"""A view of a scene that is drawn again only where something in it, or its lamp, has moved by a
+visible part of a pixel.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from vstestbed.core.geometry import Array, lengths
 from vstestbed.sim.scene.world import LAMP
 
 UNSEEN_PX = 0.5  # motion in the image below which the last image is shown again [px]
-SLIGHT_PX = 0.05  # Motion of the camera or of a geom below which it counts as at rest when only a part is drawn again [px]
+# Motion of the camera or of a geom below which it counts as at rest when only a part is drawn again
+# [px]
+SLIGHT_PX = 0.05
 NEAR_M = 0.1  # least distance that is assumed between a view and what it shows [m]
 FLOOR_M = 0.5  # the same for planes, which have no bounding sphere [m]
 CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
@@ -22,25 +26,32 @@ ASIDE = 1.02  # margin of the tangents beyond which a geom is out of sight
 
 
 def lamp_of(model: mujoco.MjModel, data: mujoco.MjData) -> Callable[[], bytes]:
-    """Place and direction of a scene's lamp (`world.light`) now, to be compared: where it has moved, light and shadows differ everywhere.
+    """Place and direction of a scene's lamp (`world.light`) now, to be compared: where it has
+    moved, light and shadows differ everywhere.
 
     Empty where the scene has no lamp that moves.
     """
-    lights = np.flatnonzero(model.light_bodyid == mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, LAMP))
+    lights = np.flatnonzero(
+        model.light_bodyid == mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, LAMP)
+    )
     return lambda: data.light_xpos[lights].tobytes() + data.light_xdir[lights].tobytes()
 
 
 class StillView:
-    """A view that is drawn again only if something has moved by UNSEEN_PX since it was drawn last, and only there if the camera rests.
+    """A view that is drawn again only if something has moved by UNSEEN_PX since it was drawn last,
+    and only there if the camera rests.
 
-    A point of a geom at p in the camera's frame, with a bounding sphere of radius r, has moved by at most |dp| + r dphi for a turn by dphi,
-    and its image by f times that over its distance |p| - r.
+    A point of a geom at p in the camera's frame, with a bounding sphere of radius r, has moved by
+    at most |dp| + r dphi for a turn by dphi, and its image by f times that over its distance |p| -
+    r.
 
     Args:
-        view: draws the whole image. model, data: the scene. camera: the view's camera by its name in the scene. f: pixels per radian.
+        view: draws the whole image. model, data: the scene. camera: the view's camera by its name
+            in the scene. f: pixels per radian.
         part: draws a perspective image within a window alone, or returns None where it cannot.
-        sides: tangents of half the angles of view (see `half_tangents`). What is beyond them, before and now, may move unseen: most of an
-            arm that carries the camera. None where everything counts.
+        sides: tangents of half the angles of view (see `half_tangents`). What is beyond them,
+            before and now, may move unseen: most of an arm that carries the camera. None where
+            everything counts.
     """
 
     def __init__(
@@ -68,13 +79,23 @@ class StillView:
             return self._image.copy()
         of_geoms, of_camera = self._motion(state)
         seen = max(of_geoms.max(), of_camera) > UNSEEN_PX
-        if seen and (of_camera > SLIGHT_PX or not self._renewed(self._image, state, np.flatnonzero(of_geoms > SLIGHT_PX))):
+        if seen and (
+            of_camera > SLIGHT_PX
+            or not self._renewed(self._image, state, np.flatnonzero(of_geoms > SLIGHT_PX))
+        ):
             self._image, self._drawn = self._view(), state
         return self._image.copy()
 
-    def _renewed(self, image: Image, state: tuple[NDArray[Any], ...], moved: NDArray[np.intp]) -> bool:
-        """Draw an image again, in place, where the geoms that have moved are and were; False where that is not possible."""
-        window = self._window(np.concatenate([state[0][moved], self._drawn[0][moved]]), np.tile(self._model.geom_rbound[moved], 2))
+    def _renewed(
+        self, image: Image, state: tuple[NDArray[Any], ...], moved: NDArray[np.intp]
+    ) -> bool:
+        """Draw an image again, in place, where the geoms that have moved are and were; False where
+        that is not possible.
+        """
+        window = self._window(
+            np.concatenate([state[0][moved], self._drawn[0][moved]]),
+            np.tile(self._model.geom_rbound[moved], 2),
+        )
         part = None if window is None else self._part(window)
         if window is None or part is None:
             return False
@@ -85,7 +106,9 @@ class StillView:
         return True
 
     def _window(self, p: Array, radius: Array) -> Window | None:
-        """The part of the image that holds spheres at p (N, 3) in the camera's frame (x right, y up, z backwards)."""
+        """The part of the image that holds spheres at p (N, 3) in the camera's frame (x right, y
+        up, z backwards).
+        """
         assert self._image is not None
         near, far = -p[:, 2] - radius, radius - p[:, 2]
         if near.min() < NEAR_M:
@@ -99,50 +122,69 @@ class StillView:
         return (left, top, right, bottom) if left < right and top < bottom else None
 
     def _state(self) -> tuple[NDArray[Any], ...]:
-        """Places (G, 3), axes (G, 3, 3) and sight (G,) of the geoms in the camera's frame; the camera's place (3,) and axes (3, 3)."""
+        """Places (G, 3), axes (G, 3, 3) and sight (G,) of the geoms in the camera's frame; the
+        camera's place (3,) and axes (3, 3).
+        """
         data, i = self._data, self._camera
         place, axes = data.cam_xpos[i].copy(), data.cam_xmat[i].reshape(3, 3).copy()
         p, Q = (data.geom_xpos - place) @ axes, axes.T @ data.geom_xmat.reshape(-1, 3, 3)
         return p, Q, self._in_sight(p, Q), place, axes
 
     def _in_sight(self, p: Array, Q: Array) -> NDArray[np.bool_]:
-        """Whether geoms (G,) may be in the image: their boxes are not all beyond one side of it, nor behind the camera."""
+        """Whether geoms (G,) may be in the image: their boxes are not all beyond one side of it,
+        nor behind the camera.
+        """
         if self._sides is None:
             return np.ones(len(p), bool)
         x, y, z = np.moveaxis(p[:, None] + self._corners @ Q.transpose(0, 2, 1), -1, 0)
         wide, high = (-tangent * z for tangent in self._sides)
-        return ~np.logical_or.reduce([(beyond > 0).all(axis=1) for beyond in (z, x - wide, -x - wide, y - high, -y - high)])
+        return ~np.logical_or.reduce(
+            [(beyond > 0).all(axis=1) for beyond in (z, x - wide, -x - wide, y - high, -y - high)]
+        )
 
     def _motion(self, state: tuple[NDArray[Any], ...]) -> tuple[Array, float]:
-        """Bounds of the motion in the image since it was drawn: of each geom (G,), and of planes as the camera moves [px]."""
+        """Bounds of the motion in the image since it was drawn: of each geom (G,), and of planes as
+        the camera moves [px].
+        """
         (p, Q, seen, c, R), (p_drawn, Q_drawn, seen_drawn, c_drawn, R_drawn) = state, self._drawn
         radius = self._model.geom_rbound
         moved = lengths(p - p_drawn)[:, 0] + radius * _turn(Q - Q_drawn)
         distance = lengths(p)[:, 0] - radius
-        of_geoms = np.where((radius > 0) & (seen | seen_drawn), moved / np.maximum(distance, NEAR_M), 0.0)
+        of_geoms = np.where(
+            (radius > 0) & (seen | seen_drawn), moved / np.maximum(distance, NEAR_M), 0.0
+        )
         of_planes = _turn(R - R_drawn) + lengths(c - c_drawn)[0] / FLOOR_M
         return self._f * of_geoms, self._f * float(of_planes)
 
 
 def _turn(difference: Array) -> Array:
-    """Angle between axes from their difference (..., 3, 3), for small angles: the Frobenius norm is sqrt(2) times it [rad]."""
+    """Angle between axes from their difference (..., 3, 3), for small angles: the Frobenius norm is
+    sqrt(2) times it [rad].
+    """
     return lengths(difference.reshape(*difference.shape[:-2], 9))[..., 0] / np.sqrt(2)
 
 
 def pixels_per_radian(lens: Camera) -> float:
-    """Pixels per radian, from one pixel to the next, that three quarters of a lens's image do not exceed.
+    """Pixels per radian, from one pixel to the next, that three quarters of a lens's image do not
+    exceed.
 
     Not the most: at the poles of an equirectangular image there is no limit.
     """
     u, v = np.meshgrid(np.linspace(0, lens.width - 2, 9), np.linspace(0, lens.height - 2, 9))
     uv = np.stack([u, v], axis=-1)
-    angles = [np.linalg.norm(lens.ray(uv + step) - lens.ray(uv), axis=-1) for step in ([1, 0], [0, 1])]
+    angles = [
+        np.linalg.norm(lens.ray(uv + step) - lens.ray(uv), axis=-1) for step in ([1, 0], [0, 1])
+    ]
     return 1 / float(np.nanpercentile(angles, 25))
 
 
 def half_tangents(lens: Camera) -> tuple[float, float] | None:
-    """Tangents of the angles from a lens's axis to the sides of its image, with a margin; None if it sees sideways."""
-    u, v = np.meshgrid(np.linspace(-0.5, lens.width - 0.5, 9), np.linspace(-0.5, lens.height - 0.5, 9))
+    """Tangents of the angles from a lens's axis to the sides of its image, with a margin; None if
+    it sees sideways.
+    """
+    u, v = np.meshgrid(
+        np.linspace(-0.5, lens.width - 0.5, 9), np.linspace(-0.5, lens.height - 0.5, 9)
+    )
     rays = lens.ray(np.stack([u, v], axis=-1))
     with np.errstate(invalid="ignore"):
         if not (rays[..., 2] > 0.1).all():

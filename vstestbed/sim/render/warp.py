@@ -1,7 +1,8 @@
-"""Pictures of many runs drawn together on a device: rays cast by MuJoCo Warp, shaded by the kernels of `warp_kernels`.
+"""Pictures of many runs drawn together on a device: rays cast by MuJoCo Warp, shaded by the kernels
+of `warp_kernels`.
 
-The same tiles, lenses, materials and antialiasing as `rays`, in single floats. A run asks for its picture with a `PictureRequest`;
-whoever has those of many runs draws them all by one `Device.draw`.
+The same tiles, lenses, materials and antialiasing as `rays`, in single floats. A run asks for its
+picture with a `PictureRequest`; whoever has those of many runs draws them all by one `Device.draw`.
 """
 
 from __future__ import annotations
@@ -37,9 +38,21 @@ MOST_TILES = 16  # of a slot
 SIDE = math.isqrt(PLACES) - 2  # of a square tile without its rim [px]
 LIGHTS = "place", "along", "ambient", "diffuse", "specular"  # of `warp_kernels.Lamps`
 SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together, at most
-MOST_LOOKS, MOST_LENSES = 4, 16  # that are kept on the device: a look with its buffers is 150 MB of a card, a lens up to 20
-LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")  # prefixes of the arrays of a model that say what its pictures show
-MOVED = ("geom_pos", "geom_quat", "light_pos", "light_dir", "light_pos0", "light_poscom0", "light_dir0", "geom_friction", "geom_margin")
+# that are kept on the device: a look with its buffers is 150 MB of a card, a lens up to 20
+MOST_LOOKS, MOST_LENSES = 4, 16
+# prefixes of the arrays of a model that say what its pictures show
+LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")
+MOVED = (
+    "geom_pos",
+    "geom_quat",
+    "light_pos",
+    "light_dir",
+    "light_pos0",
+    "light_poscom0",
+    "light_dir0",
+    "geom_friction",
+    "geom_margin",
+)
 """Those among them that do not, or whose effect is in the state."""
 
 
@@ -47,8 +60,9 @@ MOVED = ("geom_pos", "geom_quat", "light_pos", "light_dir", "light_pos0", "light
 class PictureRequest:
     """A picture that a run asks for, of which `tiles` are wanted.
 
-    stage: the scene in its state, which stays until the picture is drawn, with what identifies its `look` and its paint. T_world_camera:
-    pose (4, 4). raster: the rays of its pixels, with `lens` what identifies them. outside: show what encloses the servo camera's lens.
+    stage: the scene in its state, which stays until the picture is drawn, with what identifies its
+    `look` and its paint. T_world_camera: pose (4, 4). raster: the rays of its pixels, with `lens`
+    what identifies them. outside: show what encloses the servo camera's lens.
     """
 
     stage: Scene
@@ -61,11 +75,14 @@ class PictureRequest:
     outside: bool
 
 
-Draw = Callable[[PictureRequest], Sequence[Image]]  # draws the tiles of a picture, among those of other runs
+# draws the tiles of a picture, among those of other runs
+Draw = Callable[[PictureRequest], Sequence[Image]]
 
 
 def cut(window: Window) -> Iterator[Window]:
-    """Tiles of a window, each of PLACES pixels at most with a rim of one pixel: wide ones of few rows, else squares."""
+    """Tiles of a window, each of PLACES pixels at most with a rim of one pixel: wide ones of few
+    rows, else squares.
+    """
     left, top, right, bottom = window
     across = min(right - left, max(SIDE, PLACES // (bottom - top + 2) - 2))
     down = PLACES // (across + 2) - 2
@@ -75,29 +92,61 @@ def cut(window: Window) -> Iterator[Window]:
 
 
 class WarpRenderer(RayRenderer):
-    """The servo camera's images through any lens, of the same rays as `RayRenderer`, drawn together with those of other runs.
+    """The servo camera's images through any lens, of the same rays as `RayRenderer`, drawn together
+    with those of other runs.
 
-    draw: draws them; other arguments as of `RayRenderer`. The depth of a depth camera is cast by MuJoCo. Raises as `RayRenderer`.
+    draw: draws them; other arguments as of `RayRenderer`. The depth of a depth camera is cast by
+    MuJoCo. Raises as `RayRenderer`.
     """
 
-    def __init__(self, stage: Scene, camera: Camera, draw: Draw, name: str, noisy: bool = False, share: float = 1.0, eye: str = "eye"):
+    def __init__(
+        self,
+        stage: Scene,
+        camera: Camera,
+        draw: Draw,
+        name: str,
+        noisy: bool = False,
+        share: float = 1.0,
+        eye: str = "eye",
+    ):
         super().__init__(stage, camera, noisy, share, eye)
-        self.name, self._ask, self._outside, self._look = name, draw, stage.parts.stands(eye), look_of(stage)
+        self.name, self._ask, self._outside, self._look = (
+            name,
+            draw,
+            stage.parts.stands(eye),
+            look_of(stage),
+        )
 
-    def _fill(self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]) -> None:
-        tiles = tuple(tile for window in windows for tile in cut(window) if window[0] < window[2] and window[1] < window[3])
+    def _fill(
+        self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]
+    ) -> None:
+        tiles = tuple(
+            tile
+            for window in windows
+            for tile in cut(window)
+            if window[0] < window[2] and window[1] < window[3]
+        )
         if not tiles:
             return
         lens = repr(panel.lens), panel.R_camera_panel.tobytes(), raster.width, raster.height
         shot = PictureRequest(
-            self._stage, self._look, self._caster.paint, self._stage.camera_pose(self._eye), raster, lens, tiles, self._outside
+            self._stage,
+            self._look,
+            self._caster.paint,
+            self._stage.camera_pose(self._eye),
+            raster,
+            lens,
+            tiles,
+            self._outside,
         )
         for (left, top, right, bottom), drawn in zip(tiles, self._ask(shot), strict=True):
             image[top:bottom, left:right] = drawn
 
 
 class _Table:
-    """The rays of a raster on the device: through the centres of pixels, and through their parts where edges are smoothed."""
+    """The rays of a raster on the device: through the centres of pixels, and through their parts
+    where edges are smoothed.
+    """
 
     def __init__(self, raster: Raster):
         self.width = raster.width
@@ -110,15 +159,20 @@ class _Table:
     @cached_property
     def within(self) -> Any:
         """Rays (pixels, n) through the parts of pixels."""
-        return wp.array(self._raster.parts().reshape(-1, self.n, 3).astype(np.float32), dtype=wp.vec3)
+        return wp.array(
+            self._raster.parts().reshape(-1, self.n, 3).astype(np.float32), dtype=wp.vec3
+        )
 
 
 class _Filling:
-    """What is drawn in a slot: some tiles of one picture. number: the picture's. places: taken up."""
+    """What is drawn in a slot: some tiles of one picture. number: the picture's.
+    places: taken up.
+    """
 
     def __init__(self, number: int, shot: PictureRequest):
         self.number, self.shot, self.places = number, shot, 0
-        self.tiles: list[tuple[int, Window, Window]] = []  # first place, pixels with the rim, pixels
+        # first place, pixels with the rim, pixels
+        self.tiles: list[tuple[int, Window, Window]] = []
 
     def takes(self, tile: Window, grown: Window) -> bool:
         """Take a tile, if there is room."""
@@ -132,8 +186,11 @@ class _Filling:
     def images(self, drawn: Image) -> Iterator[Image]:
         """The tiles' pixels, as copies, of the colours (PLACES, 3) that the device has drawn."""
         for start, (left, top, right, bottom), (a, b, c, d) in self.tiles:
-            whole = drawn[start : start + (right - left) * (bottom - top)].reshape(bottom - top, right - left, 3)
-            yield whole[b - top : d - top, a - left : c - left].copy()  # the next tiles are drawn into the same memory
+            whole = drawn[start : start + (right - left) * (bottom - top)].reshape(
+                bottom - top, right - left, 3
+            )
+            # the next tiles are drawn into the same memory
+            yield whole[b - top : d - top, a - left : c - left].copy()
 
 
 def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
@@ -141,7 +198,12 @@ def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
     rim, slot = int(len(shot.raster.within) > 0), _Filling(number, shot)
     for tile in shot.tiles:
         left, top, right, bottom = tile
-        grown = max(left - rim, 0), max(top - rim, 0), min(right + rim, shot.raster.width), min(bottom + rim, shot.raster.height)
+        grown = (
+            max(left - rim, 0),
+            max(top - rim, 0),
+            min(right + rim, shot.raster.width),
+            min(bottom + rim, shot.raster.height),
+        )
         if not slot.takes(tile, grown):
             yield slot
             slot = _Filling(number, shot)
@@ -150,7 +212,8 @@ def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
 
 
 class _World:
-    """Scenes of one look on the device, one in each slot: their shapes, materials and textures are the same, and their states their own.
+    """Scenes of one look on the device, one in each slot: their shapes, materials and textures are
+    the same, and their states their own.
 
     paint, stage: of one of them. slots: how many.
     """
@@ -159,7 +222,9 @@ class _World:
         model = stage.model
         self._model = mjw.put_model(model)
         self._data = mjw.make_data(model, nworld=slots, nconmax=1, njmax=1)
-        self._context = mjw.create_render_context(model, nworld=slots, cam_active=[], enabled_geom_groups=[0, 1, 2, 3, 4, 5])
+        self._context = mjw.create_render_context(
+            model, nworld=slots, cam_active=[], enabled_geom_groups=[0, 1, 2, 3, 4, 5]
+        )
         self._on = np.flatnonzero(model.light_active)
         self._look = _look(model, paint, self._on)
         shape, n = (slots, PLACES), len(self._on)
@@ -169,13 +234,21 @@ class _World:
         for dtype, names in kinds.items():
             for name in names:
                 setattr(self._rays, name, wp.zeros(shape, dtype=dtype))
-        self._views, self._tiles = wp.zeros(slots, dtype=kernels.SlotView), wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
-        self._lamps, self._lights = kernels.Lamps(), [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
+        self._views, self._tiles = (
+            wp.zeros(slots, dtype=kernels.SlotView),
+            wp.zeros((slots, MOST_TILES), dtype=kernels.Tile),
+        )
+        self._lamps, self._lights = (
+            kernels.Lamps(),
+            [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS],
+        )
         for name, lights in zip(LIGHTS, self._lights, strict=True):
             setattr(self._lamps, name, lights)
 
     def draw(self, table: _Table, outside: bool, work: Sequence[_Filling]) -> NDArray[np.uint8]:
-        """The colours (n, places) of what is in n slots, as many as there are at most, all of pictures with the same rays."""
+        """The colours (n, places) of what is in n slots, as many as there are at most, all of
+        pictures with the same rays.
+        """
         self._put(work)
         hidden = (RANGE_GROUP,) if outside else (RANGE_GROUP, LENS_GROUP)
         seen = wp.types.vector(6, float)(*(0.0 if group in hidden else 1.0 for group in range(6)))
@@ -189,7 +262,9 @@ class _World:
             self._smooth(table, shape, lit, seen)
         return self._drawn[: shape[0], : shape[1]].numpy()
 
-    def _smooth(self, table: _Table, shape: tuple[int, int], lit: tuple[Any, ...], seen: Any) -> None:
+    def _smooth(
+        self, table: _Table, shape: tuple[int, int], lit: tuple[Any, ...], seen: Any
+    ) -> None:
         """Draw the pixels at edges again, by the means of the rays through their parts."""
         (slots, places), where = shape, (self._views, self._tiles)
         count, found = wp.zeros(slots, dtype=int), wp.empty(shape, dtype=int)
@@ -199,7 +274,11 @@ class _World:
             return
         total = wp.zeros((slots, most, 3), dtype=int)
         for first in range(0, most * table.n, places):
-            wp.launch(kernels.aim_within, shape, [*where, table.width, table.within, table.apart, count, found, first, self._rays])
+            wp.launch(
+                kernels.aim_within,
+                shape,
+                [*where, table.width, table.within, table.apart, count, found, first, self._rays],
+            )
             self._cast(shape, seen)
             wp.launch(kernels.add_up, shape, [*lit, count, first, table.n, total])
         wp.launch(kernels.smooth, (slots, most), [count, found, table.n, total, self._drawn])
@@ -211,10 +290,16 @@ class _World:
         at = [of[id(slot.shot)] for slot in work]
         poses = np.array([shot.T_world_camera for shot in shots], np.float32)[at]
         views = np.empty((n, 13), np.int32)
-        views[:, :12] = np.concatenate([poses[:, :3, 3], poses[:, :3, :3].reshape(n, 9)], axis=1).view(np.int32)
+        views[:, :12] = np.concatenate(
+            [poses[:, :3, 3], poses[:, :3, :3].reshape(n, 9)], axis=1
+        ).view(np.int32)
         views[:, 12] = [len(slot.tiles) for slot in work]
         tiles = np.zeros((n, MOST_TILES, 9), np.int32)
-        rows = [(i, k, start, *grown, *tile) for i, slot in enumerate(work) for k, (start, grown, tile) in enumerate(slot.tiles)]
+        rows = [
+            (i, k, start, *grown, *tile)
+            for i, slot in enumerate(work)
+            for k, (start, grown, tile) in enumerate(slot.tiles)
+        ]
         filled = np.array(rows, np.int32)
         tiles[filled[:, 0], filled[:, 1]] = filled[:, 2:]
         datas = [shot.stage.data for shot in shots]
@@ -225,10 +310,22 @@ class _World:
             (self._data.geom_xmat, np.array([data.geom_xmat for data in datas], np.float32)[at]),
         ]
         if len(self._on):
-            put += [(lights, values[at]) for lights, values in zip(self._lights, self._lit(shots), strict=True)]
-        for there, values in put:  # bytes for bytes; CUDA returns when it has read memory that is not pinned
+            put += [
+                (lights, values[at])
+                for lights, values in zip(self._lights, self._lit(shots), strict=True)
+            ]
+        # bytes for bytes; CUDA returns when it has read memory that is not pinned
+        for there, values in put:
             held = np.ascontiguousarray(values)
-            wp.copy(there, wp.array(ptr=held.ctypes.data, shape=(held.nbytes // there.strides[-1],), dtype=there.dtype, device="cpu"))
+            wp.copy(
+                there,
+                wp.array(
+                    ptr=held.ctypes.data,
+                    shape=(held.nbytes // there.strides[-1],),
+                    dtype=there.dtype,
+                    device="cpu",
+                ),
+            )
         mjw.refit_bvh(self._model, replace(self._data, nworld=n), self._context)
 
     def _lit(self, shots: Sequence[PictureRequest]) -> NDArray[np.float32]:
@@ -236,26 +333,58 @@ class _World:
         found = []
         for shot in shots:
             data, model = shot.stage.data, shot.stage.model
-            own = data.light_xpos, data.light_xdir, model.light_ambient, model.light_diffuse, model.light_specular
+            own = (
+                data.light_xpos,
+                data.light_xdir,
+                model.light_ambient,
+                model.light_diffuse,
+                model.light_specular,
+            )
             found.append([values[self._on] for values in own])
         return np.array(found, np.float32).swapaxes(0, 1)
 
     def _cast(self, shape: tuple[int, int], seen: Any) -> None:
         n, m = shape
         rays, data = self._rays, replace(self._data, nworld=n)
-        origin, ray, distance, geom, normal = (a[:n, :m] for a in (rays.origin, rays.ray, rays.distance, rays.geom, rays.normal))
-        mjw.rays(self._model, data, origin, ray, seen, True, self._everything[:m], distance, geom, normal, self._context)
+        origin, ray, distance, geom, normal = (
+            a[:n, :m] for a in (rays.origin, rays.ray, rays.distance, rays.geom, rays.normal)
+        )
+        mjw.rays(
+            self._model,
+            data,
+            origin,
+            ray,
+            seen,
+            True,
+            self._everything[:m],
+            distance,
+            geom,
+            normal,
+            self._context,
+        )
 
 
 def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
-    """What all worlds of a scene share, as the shading kernel reads it. on: the lights that are lit."""
+    """What all worlds of a scene share, as the shading kernel reads it. on: the lights that are
+    lit.
+    """
     look, n = kernels.Look(), model.ngeom
     material, printed = model.geom_matid, paint.printed
     textures = {texture: i for i, texture in enumerate(paint.mipmaps)}
-    texture, times, uniform, gloss, samples = np.full(n, -1), np.ones((n, 2)), np.zeros(n), np.zeros((n, 2)), np.ones(n)
+    texture, times, uniform, gloss, samples = (
+        np.full(n, -1),
+        np.ones((n, 2)),
+        np.zeros(n),
+        np.zeros((n, 2)),
+        np.ones(n),
+    )
     for g in printed:
         m, number = material[g], int(paint.texture[g])
-        texture[g], times[g], uniform[g] = textures[number], model.mat_texrepeat[m], model.mat_texuniform[m]
+        texture[g], times[g], uniform[g] = (
+            textures[number],
+            model.mat_texrepeat[m],
+            model.mat_texuniform[m],
+        )
         samples[g] = 1 if paint.repeated[number] else paint.anisotropy
         if g in paint.glossy:
             gloss[g] = model.mat_specular[m], 128 * model.mat_shininess[m]
@@ -274,12 +403,29 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
 
     look.rgb, look.glow = put(paint.rgb[:n], wp.vec3, (1, 3)), put(paint.glow[:n], float, (1,))
     look.box = put((model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).astype(np.int32), int, (1,))
-    look.half, look.texture = put(model.geom_size.astype(np.float32), wp.vec3, (1, 3)), put(texture.astype(np.int32), int, (1,))
-    look.times, look.uniform = put(times.astype(np.float32), wp.vec2, (1, 2)), put(uniform.astype(np.int32), int, (1,))
-    look.gloss, look.samples = put(gloss.astype(np.float32), wp.vec2, (1, 2)), put(samples.astype(np.int32), int, (1,))
-    look.level, look.size = put(np.array(levels, np.int32), wp.vec2i, (1, 2)), put(np.array(sizes, np.int32), wp.vec3i, (1, 3))
-    look.texels = put(np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8), wp.vec3ub, (1, 3))
-    look.elevation, look.tint = put(elevation.astype(np.float32), float, (1,)), put(tint.astype(np.float32), wp.vec3, (1, 3))
+    look.half, look.texture = (
+        put(model.geom_size.astype(np.float32), wp.vec3, (1, 3)),
+        put(texture.astype(np.int32), int, (1,)),
+    )
+    look.times, look.uniform = (
+        put(times.astype(np.float32), wp.vec2, (1, 2)),
+        put(uniform.astype(np.int32), int, (1,)),
+    )
+    look.gloss, look.samples = (
+        put(gloss.astype(np.float32), wp.vec2, (1, 2)),
+        put(samples.astype(np.int32), int, (1,)),
+    )
+    look.level, look.size = (
+        put(np.array(levels, np.int32), wp.vec2i, (1, 2)),
+        put(np.array(sizes, np.int32), wp.vec3i, (1, 3)),
+    )
+    look.texels = put(
+        np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8), wp.vec3ub, (1, 3)
+    )
+    look.elevation, look.tint = (
+        put(elevation.astype(np.float32), float, (1,)),
+        put(tint.astype(np.float32), wp.vec3, (1, 3)),
+    )
     look.light_type = put(model.light_type[on].astype(np.int32), int, (0,))
     look.attenuation = put(model.light_attenuation[on].astype(np.float32), wp.vec3, (0, 3))
     look.cone = put(cone.astype(np.float32), wp.vec2, (0, 2))
@@ -308,7 +454,12 @@ class Device:
         drawn: list[list[Image]] = [[] for _ in shots]
         for (look, lens, outside), work in alike.items():
             first = work[0].shot
-            world = _kept(self._worlds, look, lambda of=first: _World(of.stage, of.paint, self.slots), MOST_LOOKS)
+            world = _kept(
+                self._worlds,
+                look,
+                lambda of=first: _World(of.stage, of.paint, self.slots),
+                MOST_LOOKS,
+            )
             table = _kept(self._tables, lens, lambda of=first: _Table(of.raster), MOST_LENSES)
             for start in range(0, len(work), self.slots):
                 some = work[start : start + self.slots]
@@ -318,7 +469,9 @@ class Device:
 
 
 def _kept(store: dict[Any, T], key: Any, make: Callable[[], T], most: int) -> T:
-    """What a store has of a key, made where it is missing; of more than `most` the one that was asked for longest ago goes."""
+    """What a store has of a key, made where it is missing; of more than `most` the one that was
+    asked for longest ago goes.
+    """
     found = store.pop(key) if key in store else make()
     store[key] = found
     if len(store) > most:
@@ -327,7 +480,9 @@ def _kept(store: dict[Any, T], key: Any, make: Callable[[], T], most: int) -> T:
 
 
 def look_of(stage: Scene) -> bytes:
-    """What identifies scenes whose pictures show the same shapes, materials, textures and lights, by as many samples of a texture."""
+    """What identifies scenes whose pictures show the same shapes, materials, textures and lights,
+    by as many samples of a texture.
+    """
     model = stage.model
     names = [n for n in dir(model) if n.startswith(LOOKS) and n not in MOVED]
     found = hashlib.blake2b(str(stage.parts.camera.anisotropy).encode(), digest_size=16)

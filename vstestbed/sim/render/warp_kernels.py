@@ -1,7 +1,8 @@
-"""Kernels of pictures drawn on a device: rays of tiles, the edges among their hits, and `shade`'s colours, by Warp.
+"""Kernels of pictures drawn on a device: rays of tiles, the edges among their hits, and `shade`'s
+colours, by Warp.
 
-A launch works on W slots of C places each: a slot holds some tiles of one picture, a place one of their pixels, or one of the rays through
-an edge's pixel.
+A launch works on W slots of C places each: a slot holds some tiles of one picture, a place one of
+their pixels, or one of the rays through an edge's pixel.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ DIRECTIONAL, SPOT = 1, 0  # as `mjtLightType` has them
 
 @wp.struct
 class Tile:
-    """A tile of a picture: its first place, its pixels with the rim by which edges are found (left, top, right, bottom), and the wanted."""
+    """A tile of a picture: its first place, its pixels with the rim by which edges are found (left,
+    top, right, bottom), and the wanted.
+    """
 
     start: int
     grown: wp.vec4i
@@ -33,7 +36,9 @@ class SlotView:
 
 @wp.struct
 class Look:
-    """What all worlds of a scene share: colours, textures with their mipmaps one after another, the sky, fixed properties of lights."""
+    """What all worlds of a scene share: colours, textures with their mipmaps one after another, the
+    sky, fixed properties of lights.
+    """
 
     rgb: wp.array(dtype=wp.vec3)
     glow: wp.array(dtype=float)
@@ -88,7 +93,9 @@ def _tile(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: int
 
 
 @wp.func
-def _pixel(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: int, j: int, width: int) -> int:
+def _pixel(
+    views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: int, j: int, width: int
+) -> int:
     """Number of the pixel of place j in the picture; -1 for a place beyond all tiles."""
     k = _tile(views, tiles, w, j)
     if k < 0:
@@ -100,7 +107,9 @@ def _pixel(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: in
 
 @wp.func
 def _aim(rays: Rays, w: int, j: int, view: SlotView, ray: wp.vec3, apart: float):
-    """Point place j along a ray in the camera's frame; away from everything where the lens has none."""
+    """Point place j along a ray in the camera's frame; away from everything where the lens has
+    none.
+    """
     if wp.isnan(ray[0]):
         rays.origin[w, j] = wp.vec3(AWAY, AWAY, AWAY)
         rays.ray[w, j] = wp.vec3(1.0, 0.0, 0.0)
@@ -129,7 +138,13 @@ def aim(
 
 
 @wp.kernel
-def blind(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), width: int, table: wp.array(dtype=wp.vec3), rays: Rays):
+def blind(
+    views: wp.array(dtype=SlotView),
+    tiles: wp.array2d(dtype=Tile),
+    width: int,
+    table: wp.array(dtype=wp.vec3),
+    rays: Rays,
+):
     """Mark the pixels that have no ray, which are not the sky."""
     w, j = wp.tid()
     pixel = _pixel(views, tiles, w, j, width)
@@ -140,9 +155,15 @@ def blind(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), width:
 
 @wp.kernel
 def edges(
-    views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), rays: Rays, count: wp.array(dtype=int), found: wp.array2d(dtype=int)
+    views: wp.array(dtype=SlotView),
+    tiles: wp.array2d(dtype=Tile),
+    rays: Rays,
+    count: wp.array(dtype=int),
+    found: wp.array2d(dtype=int),
 ):
-    """The wanted places of each tile with a neighbour, of eight, that shows another geom: how many, and which."""
+    """The wanted places of each tile with a neighbour, of eight, that shows another geom: how many,
+    and which.
+    """
     w, j = wp.tid()
     k = _tile(views, tiles, w, j)
     if k >= 0:
@@ -151,11 +172,18 @@ def edges(
         rows = tile.grown[3] - tile.grown[1]
         row, column = (j - tile.start) // columns, (j - tile.start) % columns
         u, v = tile.grown[0] + column, tile.grown[1] + row
-        if u >= tile.wanted[0] and u < tile.wanted[2] and v >= tile.wanted[1] and v < tile.wanted[3]:
+        if (
+            u >= tile.wanted[0]
+            and u < tile.wanted[2]
+            and v >= tile.wanted[1]
+            and v < tile.wanted[3]
+        ):
             own, other = rays.geom[w, j], int(0)
             for dv in range(-1, 2):
                 for du in range(-1, 2):
-                    near = wp.clamp(row + dv, 0, rows - 1) * columns + wp.clamp(column + du, 0, columns - 1)
+                    near = wp.clamp(row + dv, 0, rows - 1) * columns + wp.clamp(
+                        column + du, 0, columns - 1
+                    )
                     if rays.geom[w, tile.start + near] != own:
                         other = 1
             if other == 1:
@@ -196,7 +224,9 @@ def aim_within(
 
 @wp.func
 def _between(look: Look, level: int, place: wp.vec2) -> wp.vec3:
-    """Linear interpolation between the four texels round a place of a level, which repeats itself beyond its edges."""
+    """Linear interpolation between the four texels round a place of a level, which repeats itself
+    beyond its edges.
+    """
     size = look.size[level]
     u, v = place[0] * float(size[1]) - 0.5, place[1] * float(size[2]) - 0.5
     left, top = wp.floor(u), wp.floor(v)
@@ -217,7 +247,9 @@ def _between(look: Look, level: int, place: wp.vec2) -> wp.vec3:
 
 @wp.func
 def _texel(look: Look, texture: int, place: wp.vec2, texels: float) -> wp.vec3:
-    """A texture at a place, linear between the two levels whose texels are next to a pixel's size; see `shade.Mipmap.at`."""
+    """A texture at a place, linear between the two levels whose texels are next to a pixel's size;
+    see `shade.Mipmap.at`.
+    """
     at = wp.vec2(place[0] - wp.floor(place[0]), place[1] - wp.floor(place[1]))
     level = look.level[texture]
     height = wp.clamp(wp.log2(wp.max(texels, 1.0e-9)), 0.0, float(level[1] - 1))
@@ -238,7 +270,16 @@ def _on_face(v: wp.vec3, face: int, edges: wp.vec2, times: wp.vec2) -> wp.vec2:
 
 
 @wp.func
-def _print(look: Look, g: int, x: wp.vec3, R: wp.mat33, point: wp.vec3, ray: wp.vec3, normal: wp.vec3, across: float) -> wp.vec3:
+def _print(
+    look: Look,
+    g: int,
+    x: wp.vec3,
+    R: wp.mat33,
+    point: wp.vec3,
+    ray: wp.vec3,
+    normal: wp.vec3,
+    across: float,
+) -> wp.vec3:
     """The texture of a plane or a box; see `shade.Paint._print`."""
     turned = wp.transpose(R)
     local, n = turned @ (point - x), turned @ normal
@@ -249,11 +290,17 @@ def _print(look: Look, g: int, x: wp.vec3, R: wp.mat33, point: wp.vec3, ray: wp.
             face = 1
         if wp.abs(n[2]) > wp.max(wp.abs(n[0]), wp.abs(n[1])):
             face = 2
-    size = wp.vec3(wp.where(half[0] > 0.0, half[0], 1.0), wp.where(half[1] > 0.0, half[1], 1.0), wp.where(half[2] > 0.0, half[2], 1.0))
+    size = wp.vec3(
+        wp.where(half[0] > 0.0, half[0], 1.0),
+        wp.where(half[1] > 0.0, half[1], 1.0),
+        wp.where(half[2] > 0.0, half[2], 1.0),
+    )
     times = look.times[g]
     if look.uniform[g] == 1:
         times = wp.vec2(times[0] * size[0], times[1] * size[1])
-    begins = wp.vec2(wp.where(half[0] > 0.0, 0.5 * times[0], 0.5), wp.where(half[1] > 0.0, 0.5 * times[1], 0.5))
+    begins = wp.vec2(
+        wp.where(half[0] > 0.0, 0.5 * times[0], 0.5), wp.where(half[1] > 0.0, 0.5 * times[1], 0.5)
+    )
     i, j = wp.where(face == 0, 1, 0), wp.where(face == 2, 1, 2)
     edges = wp.vec2(2.0 * size[i], 2.0 * size[j])
     place = _on_face(local, face, edges, times) + begins
@@ -263,10 +310,15 @@ def _print(look: Look, g: int, x: wp.vec3, R: wp.mat33, point: wp.vec3, ray: wp.
     cosine = wp.max(wp.abs(wp.dot(ray, normal)), 1.0e-6)
     most = look.samples[g]
     if most == 1:
-        texels = across / cosine * wp.max(times[0] * pixels[0] / edges[0], times[1] * pixels[1] / edges[1])
+        texels = (
+            across
+            / cosine
+            * wp.max(times[0] * pixels[0] / edges[0], times[1] * pixels[1] / edges[1])
+        )
         return _texel(look, texture, place, texels)
     shadow = ray - wp.dot(ray, normal) * normal
-    if wp.length(shadow) < 1.0e-6:  # seen at a right angle: any direction on the face will do; single floats give no less
+    # seen at a right angle: any direction on the face will do; single floats give no less
+    if wp.length(shadow) < 1.0e-6:
         shadow = wp.vec3(R[0, i], R[1, i], R[2, i])
     shadow = wp.normalize(shadow)
     first = _on_face(turned @ (shadow * (across / cosine)), face, edges, times)
@@ -279,13 +331,17 @@ def _print(look: Look, g: int, x: wp.vec3, R: wp.mat33, point: wp.vec3, ray: wp.
     texels = wp.max(long / float(samples), short)
     total = wp.vec3(0.0, 0.0, 0.0)
     for k in range(samples):
-        total += _texel(look, texture, place + along * ((float(k) + 0.5) / float(samples) - 0.5), texels)
+        total += _texel(
+            look, texture, place + along * ((float(k) + 0.5) / float(samples) - 0.5), texels
+        )
     return total / float(samples)
 
 
 @wp.func
 def _share(look: Look, lamps: Lamps, w: int, i: int, to: wp.vec3, far: float) -> float:
-    """What share of light i, which has a place, gets to a point from which it is `far` away along `to`."""
+    """What share of light i, which has a place, gets to a point from which it is `far` away along
+    `to`.
+    """
     a = look.attenuation[i]
     share = 1.0 / wp.max(a[0] + a[1] * far + a[2] * far * far, 1.0e-9)
     if look.light_type[i] == SPOT:
@@ -317,10 +373,21 @@ def _sky(look: Look, up: float) -> wp.vec3:
 
 @wp.func
 def _colour(
-    look: Look, lamps: Lamps, xpos: wp.array2d(dtype=wp.vec3), xmat: wp.array2d(dtype=wp.mat33), rays: Rays, w: int, j: int
+    look: Look,
+    lamps: Lamps,
+    xpos: wp.array2d(dtype=wp.vec3),
+    xmat: wp.array2d(dtype=wp.mat33),
+    rays: Rays,
+    w: int,
+    j: int,
 ) -> wp.vec3:
     """The colour of what a ray hits, from 0 to 1; see `shade.Paint.colours`."""
-    g, ray, distance, normal = rays.geom[w, j], rays.ray[w, j], rays.distance[w, j], rays.normal[w, j]
+    g, ray, distance, normal = (
+        rays.geom[w, j],
+        rays.ray[w, j],
+        rays.distance[w, j],
+        rays.normal[w, j],
+    )
     if g == SKY:
         return _sky(look, ray[2])
     point = rays.origin[w, j] + ray * distance
@@ -337,10 +404,20 @@ def _colour(
         light += share * (lamps.ambient[w, i] + wp.max(facing, 0.0) * lamps.diffuse[w, i])
         if gloss[0] > 0.0 and facing > 0.0:
             half = wp.normalize(to - ray)
-            mirrored += gloss[0] * share * wp.pow(wp.clamp(wp.dot(half, normal), 0.0, 1.0), gloss[1]) * lamps.specular[w, i]
+            mirrored += (
+                gloss[0]
+                * share
+                * wp.pow(wp.clamp(wp.dot(half, normal), 0.0, 1.0), gloss[1])
+                * lamps.specular[w, i]
+            )
     colour = wp.min(wp.cw_mul(light, look.rgb[g]), wp.vec3(1.0, 1.0, 1.0))
     if look.texture[g] >= 0:
-        colour = wp.cw_mul(colour, _print(look, g, xpos[w, g], xmat[w, g], point, ray, normal, rays.apart[w, j] * distance))
+        colour = wp.cw_mul(
+            colour,
+            _print(
+                look, g, xpos[w, g], xmat[w, g], point, ray, normal, rays.apart[w, j] * distance
+            ),
+        )
     return wp.min(colour + mirrored, wp.vec3(1.0, 1.0, 1.0))
 
 
@@ -363,7 +440,9 @@ def shade(
     colour = wp.vec3(0.0, 0.0, 0.0)
     if rays.geom[w, j] != NO_RAY and rays.origin[w, j][0] < 0.5 * AWAY:
         colour = _colour(look, lamps, xpos, xmat, rays, w, j)
-    out[w, j] = wp.vec3ub(wp.uint8(_grey(colour[0])), wp.uint8(_grey(colour[1])), wp.uint8(_grey(colour[2])))
+    out[w, j] = wp.vec3ub(
+        wp.uint8(_grey(colour[0])), wp.uint8(_grey(colour[1])), wp.uint8(_grey(colour[2]))
+    )
 
 
 @wp.kernel
@@ -378,7 +457,9 @@ def add_up(
     n: int,
     total: wp.array3d(dtype=int),
 ):
-    """Add the grey levels of the rays within the pixels at edges to those of their pixel: whole numbers, whose order does not count."""
+    """Add the grey levels of the rays within the pixels at edges to those of their pixel: whole
+    numbers, whose order does not count.
+    """
     w, j = wp.tid()
     edge = _edge(count[w], first, j, n)
     if edge >= 0 and rays.origin[w, j][0] < 0.5 * AWAY:
@@ -389,9 +470,15 @@ def add_up(
 
 @wp.kernel
 def smooth(
-    count: wp.array(dtype=int), found: wp.array2d(dtype=int), n: int, total: wp.array3d(dtype=int), out: wp.array2d(dtype=wp.vec3ub)
+    count: wp.array(dtype=int),
+    found: wp.array2d(dtype=int),
+    n: int,
+    total: wp.array3d(dtype=int),
+    out: wp.array2d(dtype=wp.vec3ub),
 ):
-    """The means of the rays within the pixels at edges, rounded, in place of the ray through their centre."""
+    """The means of the rays within the pixels at edges, rounded, in place of the ray through their
+    centre.
+    """
     w, edge = wp.tid()
     if edge < count[w]:
         mean = wp.vec3ub()

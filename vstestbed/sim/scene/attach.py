@@ -1,4 +1,6 @@
-"""Attaches robots to a scene: their MJCF under a prefix, with the chosen servos and the floor's friction."""
+"""Attaches robots to a scene: their MJCF under a prefix, with the chosen servos and the floor's
+friction.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ UNBOUNDED = 1e6  # range of the integrated position of a joint that turns withou
 
 
 def choose_servos(model: mujoco.MjSpec, chosen: Actuation | None) -> None:
-    """Keep the actuators of the chosen profile, or add the servos, and apply gravity compensation and friction."""
+    """Keep the actuators of the chosen profile, or add the servos, and apply gravity compensation
+    and friction.
+    """
     if chosen is None:
         return
     if chosen.prefix is not None:
@@ -48,16 +52,24 @@ def _keep(model: mujoco.MjSpec, prefix: str) -> None:
 
 
 def _add(model: mujoco.MjSpec, servo: Servo) -> None:
-    there = [a for a in model.actuators if a.target == servo.joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    there = [
+        a
+        for a in model.actuators
+        if a.target == servo.joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT
+    ]
     if servo.torque is None:
         _feed(there[0], servo)
         return
     for actuator in there:
         model.delete(actuator)
-    made = model.add_actuator(name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    made = model.add_actuator(
+        name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
     if not (servo.kp or servo.kv):
         made.set_to_motor()
-        made.ctrllimited = made.forcelimited = False  # whatever the file's defaults for actuators are
+        made.ctrllimited = made.forcelimited = (
+            False  # whatever the file's defaults for actuators are
+        )
     elif servo.kp:
         made.set_to_intvelocity(kp=servo.kp, kv=servo.kv)
         made.actlimited, made.actrange = True, [-UNBOUNDED, UNBOUNDED]
@@ -74,7 +86,9 @@ def _feed(own: mujoco.MjsActuator, servo: Servo) -> None:
     own.name = servo.joint
     if own.biasprm[1] != 0 and own.dyntype == mujoco.mjtDyn.mjDYN_NONE:
         own.dyntype, own.actlimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True
-        own.actrange = own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
+        own.actrange = (
+            own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
+        )
     own.ctrllimited, own.ctrlrange = True, [-servo.speed, servo.speed]
 
 
@@ -82,15 +96,22 @@ AUTO = mujoco.mjtJacobian.mjJAC_AUTO
 
 
 def add_robot(
-    scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float | None, assets: dict[str, bytes] | None = None
+    scene: mujoco.MjSpec,
+    robot: Robot,
+    prefix: str,
+    friction: float | None,
+    assets: dict[str, bytes] | None = None,
 ) -> tuple[mujoco.MjsBody, Array]:
     """The body that carries the camera, and the pose (4, 4) of the flange in it.
 
     Args:
         scene: receives the robot, and the solver options of its model.
-        robot: to be attached; the ideal camera is a mocap body, which has no mass and is placed by the plant.
-        prefix: of all its names (`robot/`, `leader/`). friction: of the floor, where the scenario sets it.
-        assets: receives files in memory, which the scene is given last: MuJoCo warns of models that are attached to one with assets.
+        robot: to be attached; the ideal camera is a mocap body, which has no mass and is placed by
+            the plant.
+        prefix: of all its names (`robot/`, `leader/`). friction: of the floor, where the scenario
+            sets it.
+        assets: receives files in memory, which the scene is given last: MuJoCo warns of models that
+            are attached to one with assets.
 
     Raises ParameterError: the robot's model has no site `flange`.
     """
@@ -98,7 +119,10 @@ def add_robot(
     if body is None:
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
     if (found := flange_in(_compiled(body.file), body.flange)) is None:
-        words = f"has a model without a site `{body.flange}`, which carries the camera; add one to {body.file}"
+        words = (
+            f"has a model without a site `{body.flange}`, which carries the camera;"
+            f" add one to {body.file}"
+        )
         raise ParameterError("robot.kind", words)
     model = _spec(body.file, body.changes)
     choose_servos(model, body.actuation)
@@ -118,7 +142,8 @@ def add_robot(
         effect.edit(edited)
     files = carry_files(model, Path(body.file), scene, prefix)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
-    if files:  # after it: an attached model brings its own assets, under a prefix that nothing refers to
+    # after it: an attached model brings its own assets, under a prefix that nothing refers to
+    if files:
         scene.assets = {**scene.assets, **files}
     return _flange_body(scene, f"{prefix}{body.flange}"), edited.T_body_flange
 
@@ -130,18 +155,20 @@ def _flange_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
 
 
 def _share_options(scene: mujoco.MjSpec, model: mujoco.MjSpec, friction: float | None) -> None:
-    """Groups, solver options and the floor's friction of a model that will be attached to a scene."""
+    """Groups, solver options and the floor's friction of a model
+    that will be attached to a scene.
+    """
     for geom in model.geoms:
         geom.group = OF_FILES.get(geom.group, geom.group)
-    # `attach` leaves the child's options behind: what its contacts and air were tuned with must be copied. Of two robots the larger
-    # value serves both.
+    # `attach` leaves the child's options behind: what its contacts and air were tuned with must be
+    # copied. Of two robots the larger value serves both.
     model.option.timestep = scene.option.timestep
     for name in ("cone", "impratio", "density", "viscosity"):
         setattr(scene.option, name, max(getattr(scene.option, name), getattr(model.option, name)))
     if model.option.jacobian != AUTO:
         scene.option.jacobian = model.option.jacobian
-    # Both geoms of a contact: MuJoCo takes the larger friction of the two, or that of the geom with priority (a car's wheel), so
-    # a slippery floor alone would change nothing.
+    # Both geoms of a contact: MuJoCo takes the larger friction of the two, or that of the geom with
+    # priority (a car's wheel), so a slippery floor alone would change nothing.
     if friction is not None:
         for geom in [*model.geoms, scene.geom("floor")]:
             geom.friction[0] = min(geom.friction[0], friction)

@@ -1,11 +1,14 @@
 """Composes world, robot, camera and target into one MuJoCo model with MjSpec, under prefixes.
 
-Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that sees more
-than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the outside view
-`overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ... (of lines on the floor,
-which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle that carries the target `leader/...`,
-scenery `scenery/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by the servo camera, which in the textbook's
-scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range finders alone meet.
+Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its
+computer-vision axes; a lens that sees more than one pinhole picture holds has `eye_right`,
+`eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the outside view `overview`, the
+target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
+(of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates
+`plate_0`, ..., a vehicle that carries the target `leader/...`, scenery `scenery/...`. Geom groups:
+0 the room, 1 geoms that enclose the lens (not rendered by the servo camera, which in the textbook's
+scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range finders
+alone meet.
 """
 
 from __future__ import annotations
@@ -22,7 +25,15 @@ from vstestbed.effects.tool import SOFT_S
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.cube_map import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
-from vstestbed.sim.scene.meshes import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.meshes import (
+    FACE_VIEWER,
+    GLOW,
+    HAND_PLATE,
+    LENS_GROUP,
+    ROBOT_GROUP,
+    SITE_GROUP,
+    TARGET_GROUP,
+)
 from vstestbed.sim.scene.model_files import ASSETS, lay_picture
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.scenery import add_scenery
@@ -34,14 +45,31 @@ from vstestbed.targets.mesh import as_stl
 from vstestbed.targets.picture import SHARE, PictureTarget, place_of_picture, read_tile
 from vstestbed.vision.tags import printed
 
-SHININESS = 0.5  # Of a glossy picture, in MuJoCo's unit: the highlight of a lamp falls as cos^64, to a half at 8 degrees
-LIFT_M = 2e-4  # Height of the paint over the floor, against z-fighting [m]: seen from .3 m up at 60 degrees, it appears .35 mm too far out
-FACETS = 90  # Facets of a ball from pole to pole, and twice as many round it: its outline is within 2e-4 of its radius
-SEGMENT = 4  # Samples of the route, a centimetre apart, in a segment: its chord deviates from a bend of 2 m radius by .1 mm
+# Of a glossy picture, in MuJoCo's unit: the highlight of a lamp falls as cos^64, to a half at 8
+# degrees
+SHININESS = 0.5
+# Height of the paint over the floor, against z-fighting [m]: seen from .3 m up at 60 degrees, it
+# appears .35 mm too far out
+LIFT_M = 2e-4
+# Facets of a ball from pole to pole, and twice as many round it: its outline is within 2e-4 of its
+# radius
+FACETS = 90
+# Samples of the route, a centimetre apart, in a segment: its chord deviates from a bend of 2 m
+# radius by .1 mm
+SEGMENT = 4
 
 
-def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, Array], i: int, rgb: Array, lit: bool) -> None:
-    """Line i between its edges (K, 2) as a geom of `body`: a strip of triangles, visible from above, without collisions."""
+def add_stripe(
+    scene: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    edges: tuple[Array, Array],
+    i: int,
+    rgb: Array,
+    lit: bool,
+) -> None:
+    """Line i between its edges (K, 2) as a geom of `body`: a strip of triangles, visible from
+    above, without collisions.
+    """
     rgba, paint = _paint(scene, f"color_{i}", rgb, lit)
     left, right = edges
     kept = np.unique(np.append(np.arange(0, len(left), SEGMENT), len(left) - 1))
@@ -50,20 +78,33 @@ def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, A
     vertices[0::2, :2], vertices[1::2, :2] = left[kept], right[kept]
     at = 2 * np.arange(n - 1)[:, None]
     faces = np.concatenate([at + [0, 1, 2], at + [1, 3, 2]])  # counter-clockwise from above
-    mesh = scene.add_mesh(name=f"target/line_{i}", uservert=vertices.ravel(), userface=faces.ravel())
+    mesh = scene.add_mesh(
+        name=f"target/line_{i}", uservert=vertices.ravel(), userface=faces.ravel()
+    )
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a sheet has no volume
     geom = _visual(body, mesh.name, mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], rgba, TARGET_GROUP)
     geom.meshname, geom.material = mesh.name, paint.name
 
 
-def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: PictureTarget, front: float) -> float:
+def add_sheet(
+    scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: PictureTarget, front: float
+) -> float:
     """A picture with its face at z = front in the target's frame; where its back is [m]."""
     rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
     paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, (SHARE, SHARE)
     lay_picture(scene, paint, "target/picture", "target_picture.png", sheet.png)
     half = thin(sheet.width)
     size, pos = [sheet.width / 2, sheet.height / 2, half], [0, 0, front + half]
-    geom = _visual(body, "target/picture", mujoco.mjtGeom.mjGEOM_BOX, size, rgba, TARGET_GROUP, pos, FACE_VIEWER)
+    geom = _visual(
+        body,
+        "target/picture",
+        mujoco.mjtGeom.mjGEOM_BOX,
+        size,
+        rgba,
+        TARGET_GROUP,
+        pos,
+        FACE_VIEWER,
+    )
     geom.material = paint.name
     return front + 2 * half
 
@@ -72,9 +113,18 @@ def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
     """A target's solid, without collisions. MuJoCo smooths the shading of curved surfaces."""
     shape, rgb, lit = solid
     rgba, paint = _paint(scene, "solid", np.array(rgb), lit)
-    geom = body.add_geom(name="target/solid", rgba=rgba, material=paint.name, group=TARGET_GROUP, contype=0, conaffinity=0, mass=0)
+    geom = body.add_geom(
+        name="target/solid",
+        rgba=rgba,
+        material=paint.name,
+        group=TARGET_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
     if not isinstance(shape, np.ndarray):
-        # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a polygon .6 % of the radius too small.
+        # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a
+        # polygon .6 % of the radius too small.
         scene.visual.quality.numslices, scene.visual.quality.numstacks = 2 * FACETS, FACETS
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape, 0, 0]
         return
@@ -86,17 +136,31 @@ def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
 
 
 HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
-BEHIND_LENS_M = 0.03  # how far the housing of a camera in the room is moved back, so that the lens's picture does not show it [m]
+# how far the housing of a camera in the room is moved back, so that the lens's picture does not
+# show it [m]
+BEHIND_LENS_M = 0.03
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, anodised
-FREE_HOUSING = 6.0  # The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away
-NEAR_START_M, FAR_START_M = 0.5, 25.0  # a start farther than this and nearer than that leaves the planes as they are [m]
-GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
+# The free camera's housing is drawn this many times as large as the arm's: it is seen from farther
+# away
+FREE_HOUSING = 6.0
+# a start farther than this and nearer than that leaves the planes as they are [m]
+NEAR_START_M, FAR_START_M = 0.5, 25.0
+GEOMS = {
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+}
 DECOYS = {"ball": "sphere", "disc": "cylinder", "box": "box"}
 PAD_HALF_M = 0.01  # half of a landing pad's thickness [m]
 PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a hard floor
-BEHIND_SHEET_M = 1e-3  # How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the two far away
-SOCKET_SIDES, SOCKET_BOTTOM_M = 32, 0.002  # flat insides of a socket's hole, and half the thickness of its bottom [m]
-PITCH_M = 1e-5  # Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels
+# How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the
+# two far away
+BEHIND_SHEET_M = 1e-3
+# flat insides of a socket's hole, and half the thickness of its bottom [m]
+SOCKET_SIDES, SOCKET_BOTTOM_M = 32, 0.002
+# Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal
+# point are in pixels
+PITCH_M = 1e-5
 
 
 def compose(parts: SceneDescription) -> mujoco.MjSpec:
@@ -108,8 +172,12 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
     for plane in ("floor", "ground"):
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
     scenery = parts.world.scenery
-    carried = add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
-    body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction, carried)
+    carried = (
+        add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
+    )
+    body, T_body_flange = add_robot(
+        scene, parts.robot, "robot/", parts.world.floor_friction, carried
+    )
     housing = 1.0
     if parts.robot.body is None:
         # A target round the camera, which begins within it, is one of a metre.
@@ -124,25 +192,40 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
         _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
         if parts.robot.base == "planar":
             _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
-        carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction, carried)[0] if parts.leader else None
+        carrier = (
+            add_robot(scene, parts.leader, "leader/", parts.world.floor_friction, carried)[0]
+            if parts.leader
+            else None
+        )
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     for other in parts.others:
         if other.stands:
-            _add_camera(scene.worldbody, other.camera.mount.T, other.camera, housing, other.name, ROBOT_GROUP)
+            _add_camera(
+                scene.worldbody,
+                other.camera.mount.T,
+                other.camera,
+                housing,
+                other.name,
+                ROBOT_GROUP,
+            )
         else:
-            _add_camera(body, T_body_flange @ other.camera.mount.T, other.camera, housing, other.name)
+            _add_camera(
+                body, T_body_flange @ other.camera.mount.T, other.camera, housing, other.name
+            )
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world, parts.glossy)
-    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
+    # last: MuJoCo warns of models that are attached to one with assets
+    scene.assets = {**scene.assets, **carried}
     return scene
 
 
 def _fit_planes(scene: mujoco.MjSpec, away: float) -> None:
     """Planes between which the ideal camera sees, `away` [m] from its target at the start.
 
-    Nearer and farther ones than NEAR_START_M to FAR_START_M take them along, by powers of two, which move no point of an image.
-    (The lens of an arm's camera lies within the wrist, which would be seen.)
+    Nearer and farther ones than NEAR_START_M to FAR_START_M take them along, by powers of two,
+    which move no point of an image. (The lens of an arm's camera lies within the wrist, which would
+    be seen.)
     """
     planes, ratio = scene.visual.map, away / np.array([NEAR_START_M, FAR_START_M])
     factor = 2.0 ** (min(0.0, np.floor(np.log2(ratio[0]))) + max(0.0, np.ceil(np.log2(ratio[1]))))
@@ -152,15 +235,34 @@ def _fit_planes(scene: mujoco.MjSpec, away: float) -> None:
 
 def _add_plates(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
     for i, plate in enumerate(parts.world.plates):
-        # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
-        holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
-        _visual(holder, f"plate_{i}", GEOMS["box"], [plate.width / 2, plate.height / 2, 0.002], [0.45, 0.45, 0.47, 1], 0)
+        # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present,
+        # a plate is out of sight.
+        holder = scene.worldbody.add_body(
+            name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3])
+        )
+        _visual(
+            holder,
+            f"plate_{i}",
+            GEOMS["box"],
+            [plate.width / 2, plate.height / 2, 0.002],
+            [0.45, 0.45, 0.47, 1],
+            0,
+        )
     if half := parts.plate_m / 2:
         holder = scene.worldbody.add_body(name=HAND_PLATE, mocap=True, pos=AWAY)
-        _visual(holder, HAND_PLATE, mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.002], [0.45, 0.45, 0.47, 1], 0)
+        _visual(
+            holder,
+            HAND_PLATE,
+            mujoco.mjtGeom.mjGEOM_BOX,
+            [half, half, 0.002],
+            [0.45, 0.45, 0.47, 1],
+            0,
+        )
     for i, decoy in enumerate(parts.world.distractors):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
-        _visual(holder, f"decoy_{i}", GEOMS[DECOYS[decoy.shape]], decoy.half_sizes, [*decoy.color, 1], 0)
+        _visual(
+            holder, f"decoy_{i}", GEOMS[DECOYS[decoy.shape]], decoy.half_sizes, [*decoy.color, 1], 0
+        )
 
 
 def _show_hand(scene: mujoco.MjSpec) -> None:
@@ -177,7 +279,9 @@ def _show_hand(scene: mujoco.MjSpec) -> None:
 
 
 def _frame_overview(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
-    """Fit the outside view to the path of a moving base; world.xml's own view shows an arm at the origin."""
+    """Fit the outside view to the path of a moving base; world.xml's own view shows an arm at the
+    origin.
+    """
     robot, target = parts.robot, parts.target
     if robot.body is None:
         frame_flight(scene, robot, target)
@@ -188,12 +292,19 @@ def _frame_overview(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
 
 
 def _add_camera(
-    body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float, eye: str = "eye", group: int = LENS_GROUP
+    body: mujoco.MjsBody,
+    T_body_camera: Array,
+    camera: Camera,
+    housing: float,
+    eye: str = "eye",
+    group: int = LENS_GROUP,
 ) -> None:
-    """The servo camera `eye` (MuJoCo axes), or a further one, the site `eye` (computer-vision axes), and a visible housing of 5 cm times
-    `housing`, which in a group that the camera itself sees lies behind the lens.
+    """The servo camera `eye` (MuJoCo axes), or a further one, the site `eye` (computer-vision
+    axes), and a visible housing of 5 cm times `housing`, which in a group that the camera itself
+    sees lies behind the lens.
 
-    A lens that sees beyond a plane has a camera for each face of the cube that it sees: `eye` ahead, `eye_right`, ...
+    A lens that sees beyond a plane has a camera for each face of the cube that it sees: `eye`
+    ahead, `eye_right`, ...
     """
     pos = T_body_camera[:3, 3]
     quat_cv = quaternion_wxyz(T_body_camera[:3, :3])
@@ -207,38 +318,71 @@ def _add_camera(
             resolution=[view.width, view.height],
             sensor_size=[view.width * PITCH_M, view.height * PITCH_M],
             focal_pixel=[view.f, view.f],
-            # cx = W/2 - 0.5 - principal_pixel_x: MuJoCo counts from the image's middle, and pixel centres are at whole numbers here
-            principal_pixel=[view.width / 2 - 0.5 - view.centre[0], view.height / 2 - 0.5 - view.centre[1]],
+            # cx = W/2 - 0.5 - principal_pixel_x: MuJoCo counts from the image's middle, and pixel
+            # centres are at whole numbers here
+            principal_pixel=[
+                view.width / 2 - 0.5 - view.centre[0],
+                view.height / 2 - 0.5 - view.centre[1],
+            ],
         )
     body.add_site(name=eye, pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
-    box, glass, back = [0.025, 0.02, 0.03], [0.013, 0.012, 0], 0.0 if group == LENS_GROUP else BEHIND_LENS_M
+    box, glass, back = (
+        [0.025, 0.02, 0.03],
+        [0.013, 0.012, 0],
+        0.0 if group == LENS_GROUP else BEHIND_LENS_M,
+    )
     for name, kind, size, grey, along in (
         (f"{eye}_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
         (f"{eye}_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
     ):
         centre = pos + T_body_camera[:3, 2] * ((along - back) * housing)
-        _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], group, centre, quat_cv)
+        _visual(
+            body,
+            name,
+            kind,
+            [x * housing for x in size],
+            [grey, grey, grey, 1],
+            group,
+            centre,
+            quat_cv,
+        )
 
 
 def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: Array) -> None:
-    """The post of a vehicle's camera, from the nearest point of the deck; in LENS_GROUP, which the camera does not render."""
+    """The post of a vehicle's camera, from the nearest point of the deck; in LENS_GROUP, which the
+    camera does not render.
+    """
     if deck is None:  # a vehicle of one's own need not have one
         return
     middle, half = np.asarray(deck.pos, dtype=float), np.asarray(deck.size, dtype=float)
     head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
     foot = np.clip(head, middle - half, middle + half)
     if np.linalg.norm(head - foot) > POST_RADIUS_M:
-        post = _visual(body, "eye_post", mujoco.mjtGeom.mjGEOM_CAPSULE, [POST_RADIUS_M, 0, 0], POST_GREY, LENS_GROUP)
+        post = _visual(
+            body,
+            "eye_post",
+            mujoco.mjtGeom.mjGEOM_CAPSULE,
+            [POST_RADIUS_M, 0, 0],
+            POST_GREY,
+            LENS_GROUP,
+        )
         post.fromto = [*foot, *head]
 
 
-def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array) -> None:
-    """A body with one site and one geom for each marker, its picture, solid, board or pad; of lines on the floor, their paint.
+def _add_target(
+    scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array
+) -> None:
+    """A body with one site and one geom for each marker, its picture, solid, board or pad; of lines
+    on the floor, their paint.
 
     It is a mocap body in the world, or fixed to its carrier, at the pose T (4, 4) there.
     """
-    body = (carrier or scene.worldbody).add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
-    if target.on_gripper:  # MuJoCo gives the velocity of a site in its own axes, which the truth needs of a target in motion
+    body = (carrier or scene.worldbody).add_body(
+        name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])
+    )
+    # MuJoCo gives the velocity of a site in its own axes, which the truth needs of a target in
+    # motion
+    if target.on_gripper:
         body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
     points_a_line = len(target.points) // max(len(target.stripes), 1)
     for i, edges in enumerate(target.stripes):
@@ -255,26 +399,50 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
 
 
 def _add_socket(body: mujoco.MjsBody, socket: Socket) -> None:
-    """A tube of boxes, whose flat insides touch a circle of the hole's radius, and its bottom; the front of a target collides nowhere
-    else.
+    """A tube of boxes, whose flat insides touch a circle of the hole's radius, and its bottom; the
+    front of a target collides nowhere else.
     """
-    middle, half = socket.radius + socket.wall / 2, (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES)
+    middle, half = (
+        socket.radius + socket.wall / 2,
+        (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES),
+    )
     grey, friction = [0.45, 0.47, 0.5, 1.0], [socket.friction, 0.005, 0.0001]
-    parts: list[tuple[list[float], list[float], float]] = [([*socket.xy, SOCKET_BOTTOM_M], [middle, middle, SOCKET_BOTTOM_M], 0.0)]
+    parts: list[tuple[list[float], list[float], float]] = [
+        ([*socket.xy, SOCKET_BOTTOM_M], [middle, middle, SOCKET_BOTTOM_M], 0.0)
+    ]
     for k in range(SOCKET_SIDES):
         angle = 2 * math.pi * k / SOCKET_SIDES
-        at = [socket.xy[0] + middle * math.cos(angle), socket.xy[1] + middle * math.sin(angle), -socket.depth / 2]
+        at = [
+            socket.xy[0] + middle * math.cos(angle),
+            socket.xy[1] + middle * math.sin(angle),
+            -socket.depth / 2,
+        ]
         parts.append((at, [socket.wall / 2, half, socket.depth / 2], angle))
     for k, (at, size, angle) in enumerate(parts):
         quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
-        geom = body.add_geom(name=f"target/socket_{k}", type=GEOMS["box"], size=size, pos=at, quat=quat, rgba=grey, group=TARGET_GROUP)
+        geom = body.add_geom(
+            name=f"target/socket_{k}",
+            type=GEOMS["box"],
+            size=size,
+            pos=at,
+            quat=quat,
+            rgba=grey,
+            group=TARGET_GROUP,
+        )
         geom.mass, geom.friction, geom.solref = 0.0, friction, [SOFT_S, 1.0]
 
 
 def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
     if pad := target.pad:  # the only part of a target that collides
         size, grey = [pad.side / 2, pad.side / 2, PAD_HALF_M], [0.62, 0.63, 0.62, 1]
-        geom = body.add_geom(name="target/pad", type=GEOMS["box"], size=size, pos=[0, 0, PAD_HALF_M], rgba=grey, group=TARGET_GROUP)
+        geom = body.add_geom(
+            name="target/pad",
+            type=GEOMS["box"],
+            size=size,
+            pos=[0, 0, PAD_HALF_M],
+            rgba=grey,
+            group=TARGET_GROUP,
+        )
         geom.mass, geom.friction = pad.weight, PAD_FRICTION
     elif target.board_half_m is not None:
         half, marker = target.board_half_m, target.marker
@@ -283,12 +451,27 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
         if target.sheet is not None:
             front = add_sheet(scene, body, target.sheet, front)
         board = [0, 0, front + 0.01]
-        _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [*half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, board)
+        _visual(
+            body,
+            "target/board",
+            mujoco.mjtGeom.mjGEOM_BOX,
+            [*half, 0.01],
+            [0.86, 0.86, 0.85, 1],
+            TARGET_GROUP,
+            board,
+        )
 
 
-def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid) -> None:
+def _add_marker(
+    scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid
+) -> None:
     marker, normal = target.marker, target.normals[i]
-    rgba, paint = _paint(scene, f"color_{i}", np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
+    rgba, paint = _paint(
+        scene,
+        f"color_{i}",
+        np.full(3, marker.albedo) if marker.textured else target.colors[i],
+        marker.lit,
+    )
     if marker.textured:
         name, png = printed(marker, i)  # in memory; `scene_files` writes it beside model.xml
         lay_picture(scene, paint, f"target/{name}", f"{name}.png", png)
@@ -296,23 +479,41 @@ def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: i
     # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
     thickness = half_sizes[2] or half_sizes[1]
     inwards = 0.0 if marker.height_m else thickness if target.body is None else -thickness
-    geom = _visual(body, f"target/marker_{i}", GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP, p - inwards * normal, _facing(normal))
+    geom = _visual(
+        body,
+        f"target/marker_{i}",
+        GEOMS[shape],
+        list(half_sizes),
+        rgba,
+        TARGET_GROUP,
+        p - inwards * normal,
+        _facing(normal),
+    )
     geom.material = paint.name
 
 
 def _facing(normal: Array) -> tuple[float, ...]:
-    """Quaternion (wxyz) of a frame whose z axis is a unit normal (3,) of the target; FACE_VIEWER for markers in the target's plane."""
+    """Quaternion (wxyz) of a frame whose z axis is a unit normal (3,) of the target; FACE_VIEWER
+    for markers in the target's plane.
+    """
     if normal[2] < -1 + 1e-9:
         return FACE_VIEWER
-    turn = np.array([1 + normal[2], -normal[1], normal[0], 0.0])  # the shortest turn of z: (1 + z . n, z x n)
+    # the shortest turn of z: (1 + z . n, z x n)
+    turn = np.array([1 + normal[2], -normal[1], normal[0], 0.0])
     return tuple(turn / np.linalg.norm(turn))
 
 
-def _paint(scene: mujoco.MjSpec, name: str, rgb: Array, lit: bool) -> tuple[list[float], mujoco.MjsMaterial]:
-    """A colour shaded by the scene's lights, or of constant brightness: rgba, and the material `target/<name>`."""
+def _paint(
+    scene: mujoco.MjSpec, name: str, rgb: Array, lit: bool
+) -> tuple[list[float], mujoco.MjsMaterial]:
+    """A colour shaded by the scene's lights, or of constant brightness: rgba, and the material
+    `target/<name>`.
+    """
     rgba = [*(rgb if lit else rgb / GLOW), 1.0]
     emission = 0.0 if lit else GLOW
-    return rgba, scene.add_material(name=f"target/{name}", rgba=rgba, specular=0, shininess=0, emission=emission)
+    return rgba, scene.add_material(
+        name=f"target/{name}", rgba=rgba, specular=0, shininess=0, emission=emission
+    )
 
 
 def _visual(
@@ -325,24 +526,48 @@ def _visual(
     pos: object = (0, 0, 0),
     quat: object = (1, 0, 0, 0),
 ) -> mujoco.MjsGeom:
-    """A geom without mass and collisions, and without the material of its body's class, which has another name here."""
-    geom = body.add_geom(name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0)
+    """A geom without mass and collisions, and without the material of its body's class, which has
+    another name here.
+    """
+    geom = body.add_geom(
+        name=name,
+        type=kind,
+        size=size,
+        pos=pos,
+        quat=quat,
+        rgba=rgba,
+        group=group,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
     geom.material = ""
     return geom
 
 
-# The lights of a scene: `world.light` in place of the room's own, windows, and what is seen of their light on the floor.
-SUN_M = 6.0  # Distance of a lamp that is as far as the sun, from the room's middle [m]: shadows are drawn from there
+# The lights of a scene: `world.light` in place of the room's own, windows, and what is seen of
+# their light on the floor.
+
+# Distance of a lamp that is as far as the sun, from the room's middle [m]: shadows are drawn from
+# there
+SUN_M = 6.0
 FINE_QUADS = 48
-"""Parts of a box's face along each edge where light differs within it, which OpenGL computes at their corners alone; else MuJoCo's 4."""
+"""Parts of a box's face along each edge where light differs within it, which OpenGL computes at
+their corners alone; else MuJoCo's 4.
+"""
 FINE_FLOOR_M, FINE_GRID_M = 10.0, 0.05
-"""Half the floor's edge, and the distance of its corners, where light differs within it [m]: in OpenGL the peak of a highlight of exponent
-100 is up to 4 % too low, and found within 0.07 m of its place."""
-PANE_HALF_M = 1e-3  # Half the thickness of a window's pane [m]; its lamp is as far before its face as that is before its middle
+"""Half the floor's edge, and the distance of its corners, where light differs within it [m]: in
+OpenGL the peak of a highlight of exponent 100 is up to 4 % too low, and found within 0.07 m of its
+place.
+"""
+# Half the thickness of a window's pane [m]; its lamp is as far before its face as that is before
+# its middle
+PANE_HALF_M = 1e-3
 
 
 def light_scene(scene: mujoco.MjSpec, world: World, glossy: bool) -> None:
-    """Give the scene a lamp and an even light in place of all its own lights, where the world has them, its windows, and its floor.
+    """Give the scene a lamp and an even light in place of all its own lights, where the world has
+    them, its windows, and its floor.
 
     glossy: the target shows highlights.
     """
@@ -359,33 +584,57 @@ def light_scene(scene: mujoco.MjSpec, world: World, glossy: bool) -> None:
 
 
 def _replace_lights(scene: mujoco.MjSpec, light: Light) -> None:
-    """The lamp and the even light of `world.light` in place of all lights; a lamp that moves is on a body, `LAMP`."""
+    """The lamp and the even light of `world.light` in place of all lights; a lamp that moves is on
+    a body, `LAMP`.
+    """
     for other in scene.lights:
         other.active = other.name in ("key", "fill")
     key, fill = scene.light("key"), scene.light("fill")
-    along, colour = np.array(light.direction) / np.linalg.norm(light.direction), np.array(light.color)
+    along, colour = (
+        np.array(light.direction) / np.linalg.norm(light.direction),
+        np.array(light.color),
+    )
     fill.ambient, fill.diffuse = light.ambient * colour, [0, 0, 0]
     place = np.zeros(3) if light.xyz is None else np.array(light.xyz)
     if light.motion.moves:
         scene.delete(key)
         holder = scene.worldbody.add_body(name=LAMP, mocap=True, pos=place)
         key, place = holder.add_light(name="key", castshadow=True), np.zeros(3)
-    key.type, key.dir, key.pos, key.ambient = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, along, -SUN_M * along, [0, 0, 0]
-    if light.xyz is not None:  # a spot light of half a space: MuJoCo's OpenGL draws its point lights as spots of 45 degrees
+    key.type, key.dir, key.pos, key.ambient = (
+        mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        along,
+        -SUN_M * along,
+        [0, 0, 0],
+    )
+    # a spot light of half a space: MuJoCo's OpenGL draws its point lights as spots of 45 degrees
+    if light.xyz is not None:
         key.type, key.pos, key.attenuation = mujoco.mjtLightType.mjLIGHT_SPOT, place, [1, 0, 0]
         key.exponent, key.cutoff = 0, 90
     key.diffuse = key.specular = light.brightness * colour
 
 
 def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float) -> None:
-    """A pane of constant brightness, and its light, as `WindowPane` has it, for highlights of an exponent."""
+    """A pane of constant brightness, and its light, as `WindowPane` has it, for highlights of an
+    exponent.
+    """
     T, grey = pane.pose.T, min(pane.brightness, 1.0) / GLOW
     name = f"window_{i}"
-    paint = scene.add_material(name=name, rgba=[grey, grey, grey, 1], specular=0, shininess=0, emission=GLOW)
+    paint = scene.add_material(
+        name=name, rgba=[grey, grey, grey, 1], specular=0, shininess=0, emission=GLOW
+    )
     body = scene.worldbody.add_body(name=name, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
     size = [pane.width / 2, pane.height / 2, PANE_HALF_M]
     kind = mujoco.mjtGeom.mjGEOM_BOX
-    body.add_geom(name=name, type=kind, size=size, rgba=paint.rgba, material=name, contype=0, conaffinity=0, mass=0)
+    body.add_geom(
+        name=name,
+        type=kind,
+        size=size,
+        rgba=paint.rgba,
+        material=name,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
     # cos(b)^1 of a spot light is Lambert's law, 1/(1 + pi d^2/A) its attenuation
     body.add_light(
         name=name,
@@ -404,7 +653,11 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
 
 def _paint_floor(scene: mujoco.MjSpec, floor: Floor) -> None:
     paint = scene.material("floor")
-    paint.specular, paint.shininess, paint.reflectance = floor.gloss, floor.sharpness / 128, floor.mirror
+    paint.specular, paint.shininess, paint.reflectance = (
+        floor.gloss,
+        floor.sharpness / 128,
+        floor.mirror,
+    )
     if floor.texture is None:
         return
     png, (width, height) = read_tile(place_of_picture(floor.texture), floor.albedo)

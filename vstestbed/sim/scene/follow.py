@@ -1,4 +1,6 @@
-"""The camera of films from outside: it follows a robot that moves and shows robot, target and goal in each frame."""
+"""The camera of films from outside: it follows a robot that moves and shows robot, target and goal
+in each frame.
+"""
 
 from __future__ import annotations
 
@@ -10,25 +12,47 @@ import numpy as np
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.sim.scene.joint_chain import before, turned
 from vstestbed.sim.scene.meshes import RANGE_GROUP
-from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, extremes, eye_of, holds, slanting
+from vstestbed.sim.scene.overview import (
+    AZIMUTHS,
+    LEAST_REACH,
+    ROOM,
+    Axes,
+    extremes,
+    eye_of,
+    holds,
+    slanting,
+)
 from vstestbed.sim.scene.scene import Scene
 
 ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
 """Elevations from which the view may look down [rad]; of equally good ones the first is taken."""
 ENOUGH = 0.12
-"""Share of the picture's width beyond which a moving robot need not appear larger: views from nearer the ground show less of the floor."""
-SIDES = np.radians([0.0, 10.0, 20.0, -10.0, -20.0])  # Turns of the view of a free camera about its vertical, from the composed one [rad]
-AROUND = 2.2  # Extent shown round a moving robot over its own: it never fills the picture, and the floor beside it shows its motion
+"""Share of the picture's width beyond which a moving robot need not appear larger: views from
+nearer the ground show less of the floor.
+"""
+# Turns of the view of a free camera about its vertical, from the composed one [rad]
+SIDES = np.radians([0.0, 10.0, 20.0, -10.0, -20.0])
+# Extent shown round a moving robot over its own: it never fills the picture, and the floor beside
+# it shows its motion
+AROUND = 2.2
 LEAST_SHARE = 0.08
-"""Least extent of the robot over the picture's width. Where robot, target and goal are too far apart for it, the others may be cut off."""
-RATE = 2.5  # Natural frequency of the filter that smooths the following [rad/s]: the camera starts and stops within about a second
+"""Least extent of the robot over the picture's width. Where robot, target and goal are too far
+apart for it, the others may be cut off.
+"""
+# Natural frequency of the filter that smooths the following [rad/s]: the camera starts and stops
+# within about a second
+RATE = 2.5
 ROOM_TO_MOVE, SLACK = 1.2, 1.02
-"""Margin of the view of a robot that stays, and what is left of it when the view is taken anew: until then it rests, and of the picture
-only what has moved must be drawn again."""
+"""Margin of the view of a robot that stays, and what is left of it when the view is taken anew:
+until then it rests, and of the picture only what has moved must be drawn again.
+"""
 SHOWN = "robot/", "leader/", "target/", "eye"
-"""Beginnings of the names of bodies, or of geoms in the world, that are in the picture, and not of plates, decoys and the floor."""
+"""Beginnings of the names of bodies, or of geoms in the world, that are in the picture, and not of
+plates, decoys and the floor.
+"""
 STRIPE = "target/line_"  # but not these: lines on the floor reach far
-HIDDEN_M = 0.12  # a ray that ends so near before its point has reached it: the lens lies within a housing [m]
+# a ray that ends so near before its point has reached it: the lens lies within a housing [m]
+HIDDEN_M = 0.12
 CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 RING = np.array([[math.cos(a), math.sin(a), 0.0] for a in np.arange(8) * math.pi / 4])
 UP = np.array([0.0, 0.0, 1.0])
@@ -57,24 +81,38 @@ class Things:
     def __init__(self, model: mujoco.MjModel):
         # A robot may have geoms that are fixed to the world; those of a body may have no name.
         roots = [model.body(int(model.body_rootid[body])).name for body in model.geom_bodyid]
-        names = [model.geom(i).name if root == "world" else f"{root} {model.geom(i).name}" for i, root in enumerate(roots)]
+        names = [
+            model.geom(i).name if root == "world" else f"{root} {model.geom(i).name}"
+            for i, root in enumerate(roots)
+        ]
         named = np.array([name.startswith(SHOWN) and STRIPE not in name for name in names])
-        shown = np.flatnonzero(named & (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0))
+        shown = np.flatnonzero(
+            named & (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0)
+        )
         self.geoms = shown
         self.own = np.array([names[i].startswith("robot/") for i in shown])
         shape = np.array([ROUND.get(kind, BOXES) for kind in model.geom_type[shown].tolist()])
         self._local = model.geom_aabb[shown, None, :3] + model.geom_aabb[shown, None, 3:] * shape
 
     def points(self, data: mujoco.MjData) -> Array:
-        """Points (G, 16, 3) in the world whose convex hulls are nearly the geoms (of a mesh, the box round it)."""
-        return data.geom_xpos[self.geoms, None] + self._local @ data.geom_xmat[self.geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
+        """Points (G, 16, 3) in the world whose convex hulls are nearly the geoms (of a mesh, the
+        box round it).
+        """
+        return data.geom_xpos[self.geoms, None] + self._local @ data.geom_xmat[self.geoms].reshape(
+            -1, 3, 3
+        ).transpose(0, 2, 1)
 
 
 def put_overview(stage: Scene, eye: Array, view: Axes, middle: Array) -> None:
-    """Set the camera `overview` of a placed stage, and the light that casts shadows over the middle (3,) of what is shown."""
+    """Set the camera `overview` of a placed stage, and the light that casts shadows over the middle
+    (3,) of what is shown.
+    """
     model, data = stage.model, stage.data
     camera, light = model.camera("overview").id, model.light("key").id
-    data.cam_xpos[camera], data.cam_xmat[camera] = eye, np.column_stack([view.right, view.up, -view.ahead]).ravel()
+    data.cam_xpos[camera], data.cam_xmat[camera] = (
+        eye,
+        np.column_stack([view.right, view.up, -view.ahead]).ravel(),
+    )
     data.light_xpos[light] = middle - LEAST_REACH * data.light_xdir[light]
 
 
@@ -82,28 +120,35 @@ class FixedView:
     """The camera `overview` where somebody wants it, as MuJoCo's viewer names a place.
 
     Args:
-        azimuth_deg, elevation_deg: of the direction in which it looks; 0, 0 is along the world's x, and elevation -90 straight down [deg].
-        distance_m: from the point that it looks at [m]. at: that point (3,) [m]; None: the middle of what is in the first picture.
+        azimuth_deg, elevation_deg: of the direction in which it looks; 0, 0 is along the world's x,
+            and elevation -90 straight down [deg].
+        distance_m: from the point that it looks at [m]. at: that point (3,) [m]; None: the middle
+            of what is in the first picture.
     """
 
-    def __init__(self, azimuth_deg: float, elevation_deg: float, distance_m: float, at: Array | None = None):
+    def __init__(
+        self, azimuth_deg: float, elevation_deg: float, distance_m: float, at: Array | None = None
+    ):
         (sa, se), (ca, ce) = (f(np.radians([azimuth_deg, elevation_deg])) for f in (np.sin, np.cos))
         self._view = Axes.of(np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]))
         self._distance, self._at = distance_m, at
 
     def place(self, stage: Scene, things: Things) -> None:
         """Set the camera of a placed stage."""
-        self._at = things.points(stage.data).reshape(-1, 3).mean(axis=0) if self._at is None else self._at
+        self._at = (
+            things.points(stage.data).reshape(-1, 3).mean(axis=0) if self._at is None else self._at
+        )
         put_overview(stage, self._at - self._distance * self._view.ahead, self._view, self._at)
 
 
 class FollowCamera:
     """Pose of the scene's camera `overview` at each frame, from the frames so far.
 
-    Its direction is chosen at the first frame, as that with the largest robot that is not hidden. A robot on a fixed base, or a free
-    camera, is shown with all the places where something has been; a moving one is followed, smoothed by a g-h filter without lag at
-    constant velocity (critically damped: g = 1 - th^2, h = (1 - th)^2, th = exp(-RATE dt); Brookner 1998, Tracking and Kalman Filtering
-    Made Easy, section 1.2.6).
+    Its direction is chosen at the first frame, as that with the largest robot that is not hidden. A
+    robot on a fixed base, or a free camera, is shown with all the places where something has been;
+    a moving one is followed, smoothed by a g-h filter without lag at constant velocity (critically
+    damped: g = 1 - th^2, h = (1 - th)^2, th = exp(-RATE dt); Brookner 1998, Tracking and Kalman
+    Filtering Made Easy, section 1.2.6).
 
     stage: the scene. things: in it. aspect: width over height of the picture.
     free: share of the picture's width, from the left, that nothing is drawn over.
@@ -116,14 +161,19 @@ class FollowCamera:
         self._width = 2 * half * aspect
         tangents = np.array([half * aspect, half * aspect * (2 * free - 1), half, half])
         self._moving = stage.parts.robot.base != "fixed"
-        self._tangents, self._edges = tangents / (ROOM if self._moving else ROOM_TO_MOVE), tangents / SLACK
+        self._tangents, self._edges = (
+            tangents / (ROOM if self._moving else ROOM_TO_MOVE),
+            tangents / SLACK,
+        )
         self._things = things
         self._view: Axes | None = None
         self._extremes, self._framed = np.full((2, 4), -np.inf), np.zeros(3)
         self._t, self._eye, self._velocity = 0.0, np.zeros(3), np.zeros(3)
 
     def place(self, t: float, T_world_goal: Array | None) -> None:
-        """Set the camera for a placed stage at a time [s]; T_world_goal: pose (4, 4) of the servo camera at its goal, if it has one."""
+        """Set the camera for a placed stage at a time [s]; T_world_goal: pose (4, 4) of the servo
+        camera at its goal, if it has one.
+        """
         around, beside = self._contents(T_world_goal)
         first = self._view is None
         if self._view is None:
@@ -142,20 +192,34 @@ class FollowCamera:
     def _contents(self, T_world_goal: Array | None) -> tuple[Array, Array]:
         """Points (N, 3) round the robot, and (M, 3) round what else must be in the picture."""
         points, camera = self._things.points(self._stage.data), self._stage.camera_pose()
-        robot, beside = points[self._things.own].reshape(-1, 3), points[~self._things.own].reshape(-1, 3)
+        robot, beside = (
+            points[self._things.own].reshape(-1, 3),
+            points[~self._things.own].reshape(-1, 3),
+        )
         if not self._moving:
             robot = np.vstack([robot, camera[None, :3, 3]])
         if T_world_goal is not None:
-            at_goal = transform(T_world_goal @ inverse(camera), robot) if self._moving else T_world_goal[None, :3, 3]
+            at_goal = (
+                transform(T_world_goal @ inverse(camera), robot)
+                if self._moving
+                else T_world_goal[None, :3, 3]
+            )
             beside = np.vstack([beside, at_goal])
         return robot, beside
 
     def _eye_for(self, view: Axes, around: Array, beside: Array) -> Array:
-        """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its least size."""
+        """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its
+        least size.
+        """
         if not self._moving:
             points = np.vstack([around, beside])
-            now = np.array([extremes(points, view, tangents) for tangents in (self._tangents, self._edges)])
-            first, self._extremes = not np.isfinite(self._extremes).all(), np.maximum(self._extremes, now)
+            now = np.array(
+                [extremes(points, view, tangents) for tangents in (self._tangents, self._edges)]
+            )
+            first, self._extremes = (
+                not np.isfinite(self._extremes).all(),
+                np.maximum(self._extremes, now),
+            )
             if first or not holds(self._framed, self._extremes[1], view, self._edges):
                 self._framed = eye_of(self._extremes[0], view, self._tangents)
             return self._framed
@@ -164,51 +228,89 @@ class FollowCamera:
         for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):
             share = (near + far) / 2
             eye = self._showing(view, around, middle + share * (beside - middle))
-            near, far = (share, far) if self._share(eye, view, around) >= LEAST_SHARE else (near, share)
+            near, far = (
+                (share, far) if self._share(eye, view, around) >= LEAST_SHARE else (near, share)
+            )
         return eye
 
     def _showing(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, with room beside a robot that moves."""
         across = np.array(view[:2])
-        room = (AROUND - 1) * (around - around.mean(axis=0)) @ across.T @ across if self._moving else 0.0
-        return eye_of(extremes(np.vstack([around + room, beside]), view, self._tangents), view, self._tangents)
+        room = (
+            (AROUND - 1) * (around - around.mean(axis=0)) @ across.T @ across
+            if self._moving
+            else 0.0
+        )
+        return eye_of(
+            extremes(np.vstack([around + room, beside]), view, self._tangents), view, self._tangents
+        )
 
     def _share(self, eye: Array, view: Axes, around: Array) -> float:
         extent = max(float(np.ptp(around @ axis)) for axis in view[:2])
         return extent / (self._width * max(float((around.mean(axis=0) - eye) @ view.ahead), 1e-6))
 
     def _chosen(self, around: Array, beside: Array) -> Axes:
-        """The direction of the film's view; near that of the composed scene for a free camera, which has no upright."""
+        """The direction of the film's view; near that of the composed scene for a free camera,
+        which has no upright.
+        """
         if self._stage.parts.robot.body is None:
             right, up, _ = turned(self._stage.model.cam_quat[self._camera]).T
             back = np.cross(right, up)
             views = [Axes.of(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
         else:
-            views = [Axes.of(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS[::2]]
+            views = [
+                Axes.of(*slanting(azimuth, elevation))
+                for elevation in ELEVATIONS
+                for azimuth in AZIMUTHS[::2]
+            ]
         return max(views, key=lambda view: self._merit(view, around, beside))
 
     def _merit(self, view: Axes, around: Array, beside: Array) -> float:
         """Extent of the robot, times how much of it all one sees.
 
-        The share of the markers that are not hidden, and of the camera on a robot that stays; how much the markers' faces, or the
-        floor with its lines, are turned to the viewer; for a robot that stays, how much one sees the way from camera to target from
-        the side, for one that moves, of the floor.
+        The share of the markers that are not hidden, and of the camera on a robot that stays; how
+        much the markers' faces, or the floor with its lines, are turned to the viewer; for a robot
+        that stays, how much one sees the way from camera to target from the side, for one that
+        moves, of the floor.
         """
-        eye, target, T_target = self._showing(view, around, beside), self._stage.parts.target, self._stage.target_pose()
+        eye, target, T_target = (
+            self._showing(view, around, beside),
+            self._stage.parts.target,
+            self._stage.target_pose(),
+        )
         size, at = self._share(eye, view, around), self._stage.camera_pose()[:3, 3]
-        seen = [self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places)]
+        seen = [
+            self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places)
+        ]
         away = -T_target[:3, :3] @ target.normals.mean(axis=0)
-        faces = float((away if len(target.places) else -UP) @ view.ahead) if not target.marker.height_m else 1.0
+        faces = (
+            float((away if len(target.places) else -UP) @ view.ahead)
+            if not target.marker.height_m
+            else 1.0
+        )
         if self._moving:
             size, aside = min(size, ENOUGH) + 0.05 * size, 1.0
             size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)
         else:
             way = T_target[:3, 3] - at
             seen = [*seen, self._sees(eye, at, HIDDEN_M)]
-            aside = float(np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9))
-        merit = size * (0.1 + sum(seen) / max(len(seen), 1)) ** 2 * (0.4 + 0.6 * max(faces, 0.0)) * (0.4 + 0.6 * aside)
-        return round(merit, 6)  # of views that are equally good the first wins, whatever the last bit of a sum is
+            aside = float(
+                np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9)
+            )
+        merit = (
+            size
+            * (0.1 + sum(seen) / max(len(seen), 1)) ** 2
+            * (0.4 + 0.6 * max(faces, 0.0))
+            * (0.4 + 0.6 * aside)
+        )
+        # of views that are equally good the first wins, whatever the last bit of a sum is
+        return round(merit, 6)
 
     def _sees(self, eye: Array, point: Array, slack: float) -> bool:
         """Whether nothing hides a point (3,) from the eye."""
-        return bool(before(self._stage.model, self._stage.data, eye, (point - eye)[None], slack, (RANGE_GROUP,))[0] < 0)
+        return bool(
+            before(
+                self._stage.model, self._stage.data, eye, (point - eye)[None], slack, (RANGE_GROUP,)
+            )[0]
+            < 0
+        )

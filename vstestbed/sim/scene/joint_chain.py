@@ -1,4 +1,6 @@
-"""Reads an arm's joints from its MJCF or URDF file into plain numbers; says what cannot be used; makes one file of arm and platform."""
+"""Reads an arm's joints from its MJCF or URDF file into plain numbers; says what cannot be used;
+makes one file of arm and platform.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,17 @@ from vstestbed.robots.chain import JointChain, Load
 from vstestbed.sim.scene.model_files import cannot_compile, check_options, files_in, read_model
 
 MOST_JOINTS = 7
-WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
+WORDS = {
+    int(mujoco.mjtJoint.mjJNT_FREE): "a free joint",
+    int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint",
+}
 
 
 @functools.lru_cache(maxsize=8)
 def compiled(file: str) -> mujoco.MjModel:
-    """The model of a file on its own. Raises ParameterError: `file` is not there, or MuJoCo cannot compile it."""
+    """The model of a file on its own. Raises ParameterError: `file` is not there, or MuJoCo cannot
+    compile it.
+    """
     path = place_of_file(file)
     try:
         spec = read_model(path)
@@ -40,14 +47,23 @@ def compiled(file: str) -> mujoco.MjModel:
 def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     """The joints from the root to a flange.
 
-    file: the model's. flange: one of its sites or bodies. names: the joints, in their order; () for all between root and flange. Raises
+    file: the model's. flange: one of its sites or bodies. names: the joints, in their order; () for
+    all between root and flange. Raises
     ParameterError: `file`, `flange` or `joints`, with what would work.
     """
     model = compiled(file)
     if (at := flange_in(model, flange)) is None:
-        there = [model.site(i).name for i in range(model.nsite)] or [model.body(i).name for i in range(1, model.nbody)]
+        there = [model.site(i).name for i in range(model.nsite)] or [
+            model.body(i).name for i in range(1, model.nbody)
+        ]
         kind, known = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
-        known = f"its {kind}: {known}" if known else f"its {kind} have no names" if there else "it has none"
+        known = (
+            f"its {kind}: {known}"
+            if known
+            else f"its {kind} have no names"
+            if there
+            else "it has none"
+        )
         raise ParameterError.unknown("flange", "site and no body of the file", known, flange)
     body, T_body_flange = at
     joints = _joints_to(model, body)
@@ -72,8 +88,12 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
 
 
 @functools.lru_cache(maxsize=64)
-def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The mass matrix (n, n) of joints at positions q [rad, m], and what of its diagonal are rotors, the armature (n,) [kg m^2, kg]."""
+def inertia_at(
+    file: str, joints: tuple[str, ...], q: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The mass matrix (n, n) of joints at positions q [rad, m], and what of its diagonal are
+    rotors, the armature (n,) [kg m^2, kg].
+    """
     model = compiled(str(model_path(file)))
     data, (places, dofs) = mujoco.MjData(model), places_of(model, joints)
     data.qpos[places] = q
@@ -84,7 +104,8 @@ def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tupl
 
 
 class Masses:
-    """Masses of an arm on its own (`robots.chain.ArmDynamics`), by recursive Newton-Euler and the composite rigid body algorithm.
+    """Masses of an arm on its own (`robots.chain.ArmDynamics`), by recursive Newton-Euler and the
+    composite rigid body algorithm.
 
     file, flange, joints, load: as of `dynamics`.
     """
@@ -94,8 +115,15 @@ class Masses:
         if load is not None:
             mass, *com, edge = load
             at, (_, T_body_flange) = spec.site(flange), self._flange(file, flange)
-            body = (at.parent if at else spec.body(flange)).add_body(name="load", pos=T_body_flange[:3, :3] @ com + T_body_flange[:3, 3])
-            body.mass, body.inertia, body.explicitinertial, body.ipos = mass, [mass * edge**2 / 6] * 3, True, np.zeros(3)
+            body = (at.parent if at else spec.body(flange)).add_body(
+                name="load", pos=T_body_flange[:3, :3] @ com + T_body_flange[:3, 3]
+            )
+            body.mass, body.inertia, body.explicitinertial, body.ipos = (
+                mass,
+                [mass * edge**2 / 6] * 3,
+                True,
+                np.zeros(3),
+            )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._places, self._dofs = places_of(self._model, joints)
@@ -148,30 +176,49 @@ def turned(quat: np.ndarray) -> np.ndarray:
 
 
 def before(
-    model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, ways: np.ndarray, slack: float = 0.0, left_out: tuple[int, ...] = ()
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    eye: np.ndarray,
+    ways: np.ndarray,
+    slack: float = 0.0,
+    left_out: tuple[int, ...] = (),
 ) -> np.ndarray:
-    """The geom that hides each of the points eye + ways (N, 3) from an eye (3,), shape (N,); -1 for none, and where a point is NaN.
+    """The geom that hides each of the points eye + ways (N, 3) from an eye (3,), shape (N,); -1 for
+    none, and where a point is NaN.
 
-    slack: a geom that the ray hits less than this before the point does not hide it [m]. left_out: groups of geoms that hide nothing.
+    slack: a geom that the ray hits less than this before the point does not hide it [m]. left_out:
+    groups of geoms that hide nothing.
     """
-    groups, geom, found = np.ones(6, dtype=np.uint8), np.zeros(1, dtype=np.int32), np.full(len(ways), -1)
+    groups, geom, found = (
+        np.ones(6, dtype=np.uint8),
+        np.zeros(1, dtype=np.int32),
+        np.full(len(ways), -1),
+    )
     groups[list(left_out)] = 0
     reach = np.linalg.norm(ways, axis=1)
     for i in np.flatnonzero(np.isfinite(reach)):
-        if 0 <= mujoco.mj_ray(model, data, eye, ways[i] / max(reach[i], 1e-9), groups, 1, -1, geom) < reach[i] - slack:
+        if (
+            0
+            <= mujoco.mj_ray(model, data, eye, ways[i] / max(reach[i], 1e-9), groups, 1, -1, geom)
+            < reach[i] - slack
+        ):
             found[i] = geom[0]
     return found
 
 
 def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | None:
-    """The body that carries the flange, a site or a body, and the flange's pose (4, 4) in it; None where the model has neither.
+    """The body that carries the flange, a site or a body, and the flange's pose (4, 4) in it; None
+    where the model has neither.
 
-    As the compiler has it: a spec keeps an orientation as the file writes it (quat, euler, axisangle, xyaxes, zaxis), and its `quat` is
-    the identity where the file writes another of these.
+    As the compiler has it: a spec keeps an orientation as the file writes it (quat, euler,
+    axisangle, xyaxes, zaxis), and its `quat` is the identity where the file writes another of
+    these.
     """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, flange)
     if site >= 0:
-        return int(model.site_bodyid[site]), placed(model.site_pos[site], turned(model.site_quat[site]))
+        return int(model.site_bodyid[site]), placed(
+            model.site_pos[site], turned(model.site_quat[site])
+        )
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, flange)
     return (body, np.eye(4)) if body > 0 else None
 
@@ -185,38 +232,61 @@ def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
     return joints
 
 
-def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[str, ...], names: tuple[str, ...]) -> None:
+def _check(
+    model: mujoco.MjModel,
+    flange: str,
+    joints: list[int],
+    found: tuple[str, ...],
+    names: tuple[str, ...],
+) -> None:
     for i, name in zip(joints, found, strict=True):
         if (word := WORDS.get(int(model.jnt_type[i]))) is not None:
-            words = f"must be hinges and slides, and {name or 'one of them'} is {word}: an arm stands on a base that is fixed in the world"
+            words = (
+                f"must be hinges and slides, and {name or 'one of them'} is {word}:"
+                " an arm stands on a base that is fixed in the world"
+            )
             raise ParameterError("joints", words)
     if names and names != found:
         words = f"must be those between the root and {flange}, in their order: {', '.join(found)}"
         raise ParameterError("joints", words, list(names))
     if not 2 <= len(found) <= MOST_JOINTS:
-        raise ParameterError.count("flange", f"after 2 to {MOST_JOINTS}", f"joints, and {flange} is after {len(found)}")
+        raise ParameterError.count(
+            "flange", f"after 2 to {MOST_JOINTS}", f"joints, and {flange} is after {len(found)}"
+        )
     if not all(found):
-        raise ParameterError("file", f"must name each joint before {flange}; joint {found.index('') + 1} of them has no name")
+        raise ParameterError(
+            "file",
+            (
+                f"must name each joint before {flange};"
+                f" joint {found.index('') + 1} of them has no name"
+            ),
+        )
     for i, name in zip(joints, found, strict=True):
         _check_numbers(model, i, name)
     _check_free(model, joints)
 
 
 def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
-    """Refuse constraints of the file that couple the arm's joints, with one another or with what stands: each is moved by itself here.
-    Those of a gripper, beyond the flange or beside it, stay.
+    """Refuse constraints of the file that couple the arm's joints, with one another or with what
+    stands: each is moved by itself here. Those of a gripper, beyond the flange or beside it, stay.
     """
     for i in np.flatnonzero(model.eq_active0).tolist():
         if coupled := sorted(_coupled(model, i) & set(joints)):
             kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
             names = ", ".join(model.joint(j).name for j in coupled)
             of = "joint, such as a URDF's <mimic>" if kind == "joint" else kind
-            words = f"couples {names} (equality {of}), and each joint of an arm is moved by itself here"
-            raise ParameterError("file", f"{words}; works: the file without it, or a flange before these joints")
+            words = (
+                f"couples {names} (equality {of}), and each joint of an arm is moved by itself here"
+            )
+            raise ParameterError(
+                "file", f"{words}; works: the file without it, or a flange before these joints"
+            )
 
 
 def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
-    """The joints that an equality does not leave free: those that follow another one, and those of a closed loop."""
+    """The joints that an equality does not leave free: those that follow another one, and those of
+    a closed loop.
+    """
     kind = mujoco.mjtEq(model.eq_type[equality])
     one, other = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
     if kind == mujoco.mjtEq.mjEQ_JOINT:
@@ -227,7 +297,8 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
         return set()
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
         one, other = int(model.site_bodyid[one]), int(model.site_bodyid[other])
-    return set(_joints_to(model, one)) ^ set(_joints_to(model, other))  # what moves both changes nothing between them
+    # what moves both changes nothing between them
+    return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
 
 
 def _wrapped(model: mujoco.MjModel, tendon: int) -> set[int]:
@@ -238,14 +309,27 @@ def _wrapped(model: mujoco.MjModel, tendon: int) -> set[int]:
 
 
 def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
-    """Refuse what MuJoCo passes over: a range with its ends exchanged, which is none to it, and friction or inertia under zero."""
+    """Refuse what MuJoCo passes over: a range with its ends exchanged, which is none to it, and
+    friction or inertia under zero.
+    """
     dof, (low, high) = model.jnt_dofadr[joint], model.jnt_range[joint].tolist()
     if low > high:
-        raise ParameterError("file", f"must give {name} a range from its lower to its upper end, got {low:.4g} to {high:.4g}")
+        raise ParameterError(
+            "file",
+            (
+                f"must give {name} a range from its lower to its upper end,"
+                f" got {low:.4g} to {high:.4g}"
+            ),
+        )
     # Damping may be: of the Panda's joint 6 it was identified as -0.013 Nm s/rad.
-    for word, values in {"armature": model.dof_armature, "frictionloss": model.dof_frictionloss}.items():
+    for word, values in {
+        "armature": model.dof_armature,
+        "frictionloss": model.dof_frictionloss,
+    }.items():
         if values[dof] < 0:
-            raise ParameterError("file", f"must give {name} {word} of 0 or more, got {values[dof]:g}")
+            raise ParameterError(
+                "file", f"must give {name} {word} of 0 or more, got {values[dof]:g}"
+            )
 
 
 def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -255,17 +339,24 @@ def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
-    """Largest torque of each joint: its own, and that of the actuators on it, by their force or a motor's control; else infinite."""
+    """Largest torque of each joint: its own, and that of the actuators on it, by their force or a
+    motor's control; else infinite.
+    """
     torque = np.full(len(joints), np.inf)
     for k, i in enumerate(joints):
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
         for a in drivers(model, i):
-            gear, motor = abs(model.actuator_gear[a, 0]), model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
+            gear, motor = (
+                abs(model.actuator_gear[a, 0]),
+                model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE,
+            )
             if model.actuator_forcelimited[a]:
                 torque[k] = min(torque[k], gear * model.actuator_forcerange[a, 1])
             if motor and model.actuator_ctrllimited[a]:
-                torque[k] = min(torque[k], gear * model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a, 1])
+                torque[k] = min(
+                    torque[k], gear * model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a, 1]
+                )
     return torque
 
 
@@ -291,11 +382,15 @@ PREFIX = "arm_"  # of all names of the arm in the model of both
 
 
 @functools.lru_cache(maxsize=8)
-def mounted(platform: str, changes: tuple[Change, ...], arm: str, place: tuple[float, float, float]) -> str:
-    """The path of an MJCF file of a platform with an arm on it, among the temporary files, where it stays; its name is that of its content.
+def mounted(
+    platform: str, changes: tuple[Change, ...], arm: str, place: tuple[float, float, float]
+) -> str:
+    """The path of an MJCF file of a platform with an arm on it, among the temporary files, where it
+    stays; its name is that of its content.
 
-    platform, arm: their files. changes: of the platform. place: of the arm's base in the platform's frame [m]. The platform has no
-    actuators there; those of the arm keep the word before their names by which profiles of servos are chosen.
+    platform, arm: their files. changes: of the platform. place: of the arm's base in the platform's
+    frame [m]. The platform has no actuators there; those of the arm keep the word before their
+    names by which profiles of servos are chosen.
     """
     file = place_of_file(str(model_path(arm)))
     base, upper = read_model(model_path(platform)), read_model(file)

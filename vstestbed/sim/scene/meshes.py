@@ -1,4 +1,6 @@
-"""The visible geoms of a scene: their groups, and their triangles for viewers that have no MuJoCo."""
+"""The visible geoms of a scene: their groups,
+and their triangles for viewers that have no MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from vstestbed.core.geometry import FLIP, Array
 from vstestbed.effects.base import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed, turned
 
-PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom, for which its material's is used
+# MuJoCo's default colour of a geom, for which its material's is used
+PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 PAPER_RGB = (0.96, 0.96, 0.96)
 PRINT_M = 2e-4  # distance of a print before its box [m]
 ENDLESS_M = 20.0
@@ -24,7 +27,8 @@ AROUND, ALONG = 24, 8  # facets of round geoms round the axis, and from the equa
 class Solid:
     """Triangles of one colour that are fixed to a body.
 
-    body: number of the body. vertices: (V, 3) in its frame [m]. faces: (F, 3) counter-clockwise from outside.
+    body: number of the body. vertices: (V, 3) in its frame [m]. faces: (F, 3) counter-clockwise
+    from outside.
     """
 
     body: int
@@ -37,7 +41,8 @@ class Solid:
 class Pane:
     """A picture on a flat geom that is fixed to a body.
 
-    body: number of the body. T_body_pane: its middle, x to the picture's right, y down, z away from who sees it, shape (4, 4).
+    body: number of the body. T_body_pane: its middle, x to the picture's right, y down, z away from
+    who sees it, shape (4, 4).
     width, height: [m]. image: (H, W, 3) uint8 RGB.
     """
 
@@ -56,53 +61,86 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
         if texture < 0 or not _shows_print(model, int(i)):
             continue
         R, half = turned(model.geom_quat[i]), model.geom_size[i].astype(float)
-        T = placed(model.geom_pos[i] + (half[2] + PRINT_M) * R[:, 2], R) @ FLIP  # of a geom's texture y is up
+        # of a geom's texture y is up
+        T = placed(model.geom_pos[i] + (half[2] + PRINT_M) * R[:, 2], R) @ FLIP
         share = np.minimum(model.mat_texrepeat[model.geom_matid[i]], 1.0)
         image = texels_of(model, texture)
-        columns, rows = (max(1, round(n * part)) for n, part in zip(image.shape[1::-1], share.tolist(), strict=True))
-        found.append(Pane(int(model.geom_bodyid[i]), T, 2 * float(half[0]), 2 * float(half[1]), image[:rows, :columns].copy()))
+        columns, rows = (
+            max(1, round(n * part))
+            for n, part in zip(image.shape[1::-1], share.tolist(), strict=True)
+        )
+        found.append(
+            Pane(
+                int(model.geom_bodyid[i]),
+                T,
+                2 * float(half[0]),
+                2 * float(half[1]),
+                image[:rows, :columns].copy(),
+            )
+        )
     return found
 
 
 def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     """A texture's pixels (H, W, 3), which may be written to where it has colours."""
-    height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    height, width, channels = (
+        model.tex_height[texture],
+        model.tex_width[texture],
+        model.tex_nchannel[texture],
+    )
     start = model.tex_adr[texture]
-    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
+    pixels = model.tex_data[start : start + height * width * channels].reshape(
+        height, width, channels
+    )
     return pixels[..., :3] if channels >= 3 else np.broadcast_to(pixels, (height, width, 3))
 
 
 def _shows_print(model: mujoco.MjModel, i: int) -> bool:
-    return bool(model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP)
+    return bool(
+        model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP
+    )
 
 
 def texture_of(model: mujoco.MjModel, i: int) -> int:
     """The number of the texture on a geom; -1 for none."""
     material = int(model.geom_matid[i])
-    return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+    return (
+        int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+    )
 
 
 def solids(model: mujoco.MjModel) -> list[Solid]:
-    """The visible geoms of a scene but its own floor, joined by body and colour; of infinite planes ENDLESS_M to each side.
+    """The visible geoms of a scene but its own floor, joined by body and colour; of infinite planes
+    ENDLESS_M to each side.
 
     What is printed on a target is in `panes`.
     """
     found: dict[tuple[int, tuple[float, float, float]], list[Array]] = {}
     for i in range(model.ngeom):
-        unseen = model.geom_group[i] == RANGE_GROUP or model.geom_rgba[i, 3] == 0 or model.geom(i).name == HAND_PLATE
-        if unseen or (model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE and model.geom(i).name == "floor"):  # viewers have their own
+        unseen = (
+            model.geom_group[i] == RANGE_GROUP
+            or model.geom_rgba[i, 3] == 0
+            or model.geom(i).name == HAND_PLATE
+        )
+        # viewers have their own
+        if unseen or (
+            model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE and model.geom(i).name == "floor"
+        ):
             continue
         triangles = _triangles(model, i) @ turned(model.geom_quat[i]).T + model.geom_pos[i]
         found.setdefault((int(model.geom_bodyid[i]), _colour(model, i)), []).append(triangles)
     joined = []
     for (body, rgb), parts in found.items():
-        vertices = np.concatenate(parts).reshape(-1, 3)  # corners are not shared: every face keeps its own normal
+        # corners are not shared: every face keeps its own normal
+        vertices = np.concatenate(parts).reshape(-1, 3)
         joined.append(Solid(body, vertices, np.arange(len(vertices)).reshape(-1, 3), rgb))
     return joined
 
 
 def own_colours(model: mujoco.MjModel) -> Array:
-    """The colours (G, 4) of the geoms, without light and textures: their own, or where that is the default their material's."""
+    """The colours (G, 4) of the geoms, without light and textures: their own, or where that is the
+    default their material's.
+    """
     rgba, painted = model.geom_rgba.astype(float), model.geom_matid >= 0
     plain = painted & np.isclose(rgba, PLAIN_RGBA).all(axis=1)
     rgba[plain] = model.mat_rgba[model.geom_matid[plain]]
@@ -143,7 +181,10 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
         radius, z = _arc(size[1] / size[0])
         return _turned(radius, z) * size[0]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return _turned(np.array([0.0, 1.0, 1.0, 0.0]), np.array([-1.0, -1.0, 1.0, 1.0])) * size[[0, 0, 1]]
+        return (
+            _turned(np.array([0.0, 1.0, 1.0, 0.0]), np.array([-1.0, -1.0, 1.0, 1.0]))
+            * size[[0, 0, 1]]
+        )
     return np.zeros((0, 3, 3))  # height fields and the like, which no bundled scene has
 
 
@@ -152,14 +193,20 @@ def _box() -> Array:
     for axis in range(3):
         for side in (-1.0, 1.0):
             corners = np.full((4, 3), side)
-            corners[:, (axis + 1) % 3], corners[:, (axis + 2) % 3] = (-1, 1, 1, -1), (-1, -1, 1, 1)  # counter-clockwise seen from +axis
+            # counter-clockwise seen from +axis
+            corners[:, (axis + 1) % 3], corners[:, (axis + 2) % 3] = (
+                (-1, 1, 1, -1),
+                (-1, -1, 1, 1),
+            )
             turned = corners[:: int(side)]
             faces += [turned[[0, 1, 2]], turned[[0, 2, 3]]]
     return np.array(faces)
 
 
 def _arc(half: float) -> tuple[Array, Array]:
-    """Profile of a capsule of radius 1 whose cylinder has this half length, from pole to pole: radii and heights."""
+    """Profile of a capsule of radius 1 whose cylinder has this half length, from pole to pole:
+    radii and heights.
+    """
     angle = np.linspace(0, math.pi / 2, ALONG + 1)
     radius, z = np.sin(angle), half + np.cos(angle)
     return np.concatenate([radius, radius[::-1]])[::-1], np.concatenate([z, -z[::-1]])[::-1]
@@ -168,21 +215,42 @@ def _arc(half: float) -> tuple[Array, Array]:
 def _turned(radius: Array, z: Array) -> Array:
     """The surface of revolution of a profile from below to above, (F, 3, 3)."""
     turn = np.linspace(0, 2 * math.pi, AROUND + 1)
-    points = np.stack([radius[:, None] * np.cos(turn), radius[:, None] * np.sin(turn), np.repeat(z[:, None], AROUND + 1, axis=1)], axis=-1)
+    points = np.stack(
+        [
+            radius[:, None] * np.cos(turn),
+            radius[:, None] * np.sin(turn),
+            np.repeat(z[:, None], AROUND + 1, axis=1),
+        ],
+        axis=-1,
+    )
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]
-    faces = np.concatenate([np.stack([a, b, c], axis=-2).reshape(-1, 3, 3), np.stack([a, c, d], axis=-2).reshape(-1, 3, 3)])
+    faces = np.concatenate(
+        [
+            np.stack([a, b, c], axis=-2).reshape(-1, 3, 3),
+            np.stack([a, c, d], axis=-2).reshape(-1, 3, 3),
+        ]
+    )
     area = np.linalg.norm(np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]), axis=1)
     return faces[area > 1e-12]
 
 
-# Groups of the scene's geoms, by which renderers and rays choose (0 the room, and these), a name, and how flat things face and glow.
+# Groups of the scene's geoms, by which renderers and rays choose (0 the room, and these), a name,
+# and how flat things face and glow.
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
-"""What encloses the lens, the robot, the target, sites; besides them RANGE_GROUP, which no picture shows."""
+"""What encloses the lens, the robot, the target, sites; besides them RANGE_GROUP, which no picture
+shows.
+"""
 OF_FILES = {0: ROBOT_GROUP, 3: RANGE_GROUP, 4: RANGE_GROUP}
-"""Groups of a robot's file in the scene: by the usual custom 0 to 2 are drawn, and from 3 on there are shapes for contacts alone."""
+"""Groups of a robot's file in the scene: by the usual custom 0 to 2 are drawn, and from 3 on there
+are shapes for contacts alone.
+"""
 HAND_PLATE = "hand_plate"  # name of the plate in reserve
 FACE_VIEWER = (0, 1, 0, 0)
-"""A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
+"""A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks
+at the viewer, y down.
+"""
 GLOW = 1000.0
-"""Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
-the scene's lights add (the plain colour times their brightness) is under half a grey level."""
+"""Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour
+255 * rgba, and what the scene's lights add (the plain colour times their brightness) is under half
+a grey level.
+"""

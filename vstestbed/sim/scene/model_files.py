@@ -1,4 +1,6 @@
-"""Meshes and textures of a robot's file, or of scenery, carried into the scene, so that a run's folder holds all of it."""
+"""Meshes and textures of a robot's file, or of scenery, carried into the scene, so that a run's
+folder holds all of it.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,23 @@ from vstestbed.targets.picture import as_png
 JPEG = ".jpg", ".jpeg"
 
 
-def lay_picture(scene: mujoco.MjSpec, paint: mujoco.MjsMaterial, name: str, file: str, png: bytes) -> None:
-    """Lay a picture in memory on a material of the scene, as a texture of a name and as a file among the scene's assets."""
+def lay_picture(
+    scene: mujoco.MjSpec, paint: mujoco.MjsMaterial, name: str, file: str, png: bytes
+) -> None:
+    """Lay a picture in memory on a material of the scene, as a texture of a name and as a file
+    among the scene's assets.
+    """
     scene.texturedir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/{file}": png}
     scene.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
     paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
 
 
-def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: str) -> dict[str, bytes]:
-    """The files that a model refers to, under names of their own, for the scene's assets; keyframes, which fit no other scene, go.
+def carry_files(
+    model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: str
+) -> dict[str, bytes]:
+    """The files that a model refers to, under names of their own, for the scene's assets;
+    keyframes, which fit no other scene, go.
 
     model: of the file, not attached yet. prefix: of its names in the scene (`robot/`).
     """
@@ -41,7 +50,9 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
             if thing.file:
                 thing.file = _carried(file, folder, thing.file, taken, prefix)
     for texture in model.textures:
-        texture.cubefiles = [_carried(file, model.texturedir, face, taken, prefix) for face in texture.cubefiles]
+        texture.cubefiles = [
+            _carried(file, model.texturedir, face, taken, prefix) for face in texture.cubefiles
+        ]
     if taken:
         model.meshdir = model.texturedir = scene.meshdir = scene.texturedir = ASSETS
     return taken
@@ -49,11 +60,17 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
 
 def files_in(model: mujoco.MjSpec) -> list[tuple[Any, str]]:
     """What in a model may be a file, with the folder of such files."""
-    return [(model.meshes, model.meshdir), (model.textures, model.texturedir), (model.hfields, model.meshdir)]
+    return [
+        (model.meshes, model.meshdir),
+        (model.textures, model.texturedir),
+        (model.hfields, model.meshdir),
+    ]
 
 
 def files_read(path: Path) -> list[Path]:
-    """The files that MuJoCo reads with a model: what it includes, meshes, textures, height fields, skins; none of what it cannot read."""
+    """The files that MuJoCo reads with a model: what it includes, meshes, textures, height fields,
+    skins; none of what it cannot read.
+    """
     names = _included(path)
     try:
         model = read_model(path)
@@ -73,25 +90,54 @@ def _named_in(model: mujoco.MjSpec, path: Path) -> list[Path]:
 
 
 def _are_regular(names: list[Path], path: Path) -> None:
-    """Refuse what is there and no regular file: of a pipe MuJoCo would read for ever. What is not there it tells itself."""
+    """Refuse what is there and no regular file: of a pipe MuJoCo would read for ever. What is not
+    there it tells itself.
+    """
     for name in names:
         with foreign(path, "names of files", of_field("file")):
             irregular = name.exists() and not name.is_file()
         if irregular:
-            raise ParameterError("file", f"names {name}, which is not a regular file; put a regular file there", str(path))
+            raise ParameterError(
+                "file",
+                f"names {name}, which is not a regular file; put a regular file there",
+                str(path),
+            )
 
 
-MOST = {"replicate": 10_000, "composite": 10_000, "flexcomp": 10_000, "texture": 1 << 26, "hfield": 1 << 24, "size": 1 << 32}
-COUNTS = {"count", "width", "height", "nrow", "ncol", "memory", "nuserdata", "nconmax", "njmax", "nstack", "nkey"}
-"""Attributes of these elements that say how much there is: of an element their product may be as above, of nested copies that of all."""
-COUNTED = re.compile(rf"""</replicate|<({"|".join(MOST)})((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*(/?)""")
+MOST = {
+    "replicate": 10_000,
+    "composite": 10_000,
+    "flexcomp": 10_000,
+    "texture": 1 << 26,
+    "hfield": 1 << 24,
+    "size": 1 << 32,
+}
+COUNTS = {
+    "count",
+    "width",
+    "height",
+    "nrow",
+    "ncol",
+    "memory",
+    "nuserdata",
+    "nconmax",
+    "njmax",
+    "nstack",
+    "nkey",
+}
+"""Attributes of these elements that say how much there is: of an element their product may be as
+above, of nested copies that of all.
+"""
+COUNTED = re.compile(
+    rf"""</replicate|<({"|".join(MOST)})((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*(/?)"""
+)
 ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*["']([^"']*)""")
 UNITS = {unit: 1 << 10 * (i + 1) for i, unit in enumerate("KMGTPE")}
 
 
 def _is_of_a_size(path: Path) -> None:
-    """Refuse a file that asks for more than a machine has, before MuJoCo makes it, which neither stops nor says why. Raises
-    ParameterError: `file`.
+    """Refuse a file that asks for more than a machine has, before MuJoCo makes it, which neither
+    stops nor says why. Raises ParameterError: `file`.
     """
     nested = [1.0]
     for found in COUNTED.finditer(_uncommented(path)):
@@ -105,34 +151,64 @@ def _is_of_a_size(path: Path) -> None:
                 for number in value.split() if name in COUNTS else ():
                     total *= max(float(number.rstrip("KMGTPE")), 1.0) * UNITS.get(number[-1], 1)
         if not total <= MOST[element]:
-            words = f"asks for {total:.3g} by <{element}{short(attributes)[1:-1]}>, at most {MOST[element]:.3g} are made; make it smaller"
+            words = (
+                f"asks for {total:.3g} by <{element}{short(attributes)[1:-1]}>,"
+                f" at most {MOST[element]:.3g} are made; make it smaller"
+            )
             raise ParameterError("file", words, str(path))
         if element == "replicate" and not empty:
             nested.append(total)
 
 
-HARMLESS = {"WARMSTART", "SENSOR", "MIDPHASE", "EULERDAMP", "AUTORESET", "NATIVECCD", "MULTICCD", "ISLAND", "ENERGY", "FWDINV", "SLEEP"}
-"""Flags that change no motion here: of reports, of speed, and of an integrator that the scene does not take over."""
+HARMLESS = {
+    "WARMSTART",
+    "SENSOR",
+    "MIDPHASE",
+    "EULERDAMP",
+    "AUTORESET",
+    "NATIVECCD",
+    "MULTICCD",
+    "ISLAND",
+    "ENERGY",
+    "FWDINV",
+    "SLEEP",
+}
+"""Flags that change no motion here: of reports, of speed, and of an integrator that the scene does
+not take over.
+"""
 
 
 def check_options(spec: mujoco.MjSpec, path: Path) -> None:
-    """Refuse options of a robot's model that a scene would lose, and that change how it moves. Others are taken over (`attach.py`), or are
-    of the solver, which is the scene's. Raises ParameterError: `file`.
+    """Refuse options of a robot's model that a scene would lose, and that change how it moves.
+    Others are taken over (`attach.py`), or are of the solver, which is the scene's. Raises
+    ParameterError: `file`.
     """
     option, plain = spec.option, mujoco.MjSpec().option
-    lost = [name for name in ("gravity", "wind") if tuple(getattr(option, name)) != tuple(getattr(plain, name))]
-    for bits, value in ((mujoco.mjtDisableBit, option.disableflags), (mujoco.mjtEnableBit, option.enableflags)):
+    lost = [
+        name
+        for name in ("gravity", "wind")
+        if tuple(getattr(option, name)) != tuple(getattr(plain, name))
+    ]
+    for bits, value in (
+        (mujoco.mjtDisableBit, option.disableflags),
+        (mujoco.mjtEnableBit, option.enableflags),
+    ):
         for name, bit in bits.__members__.items():
             _, _, flag = name.partition("_")
             if flag and flag not in HARMLESS and value & int(bit):
                 lost.append(f"flag {flag.lower()}")
     if lost:
-        words = f"sets the option {lost[0]}, which is not taken over, and changes how the robot moves; remove it from the file"
+        words = (
+            f"sets the option {lost[0]}, which is not taken over, and changes how the robot moves;"
+            " remove it from the file"
+        )
         raise ParameterError("file", words, str(path))
 
 
 def _included(path: Path) -> list[Path]:
-    """The files that a model includes, and those that these include, all from the model's folder; comments include none."""
+    """The files that a model includes, and those that these include, all from the model's folder;
+    comments include none.
+    """
     names, waiting = list[Path](), [path]
     while waiting:
         for name in INCLUDE.findall(_uncommented(waiting.pop())):
@@ -143,7 +219,8 @@ def _included(path: Path) -> list[Path]:
 
 
 def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
-    """The textures of a model in `file` that are JPEG files, which MuJoCo does not read, as PNG among the model's assets, to compile it.
+    """The textures of a model in `file` that are JPEG files, which MuJoCo does not read, as PNG
+    among the model's assets, to compile it.
 
     Raises ParameterError: one is no picture.
     """
@@ -151,7 +228,10 @@ def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
         path = file.parent / model.texturedir / texture.file
         if path.suffix.lower() in JPEG and path.is_file():
             texture.file = f"{number}_{path.stem}.png"
-            model.assets = {**model.assets, str(Path(model.texturedir) / texture.file): as_png(path)}
+            model.assets = {
+                **model.assets,
+                str(Path(model.texturedir) / texture.file): as_png(path),
+            }
 
 
 LIBRARY = re.compile(r"(lib)?mujoco\.(so|dll|dylib|\d)")
@@ -161,8 +241,8 @@ LONG = re.compile(r"-?\d+\.\d{9,}(e[-+]\d+)?")
 def exact_xml(spec: mujoco.MjSpec) -> str:
     """A compiled spec as MJCF with all digits of its numbers.
 
-    MuJoCo writes six: with a step of 1/510 s, or drawn masses, the file would be another system. Its library has a function for more, which
-    its Python does not have; without it, they are six.
+    MuJoCo writes six: with a step of 1/510 s, or drawn masses, the file would be another system.
+    Its library has a function for more, which its Python does not have; without it, they are six.
     """
     folder = Path(mujoco.__file__).parent
     library = ctypes.CDLL(str(next(path for path in folder.iterdir() if LIBRARY.match(path.name))))
@@ -175,21 +255,31 @@ def exact_xml(spec: mujoco.MjSpec) -> str:
 
 
 def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix: str) -> str:
-    """Take up a file that a model in `file` refers to; its name in the scene's assets, "" for none."""
+    """Take up a file that a model in `file` refers to;
+    its name in the scene's assets, "" for none.
+    """
     if not name:
         return ""
     path = model_path(str(file)).parent / folder / name
     own = path.with_suffix(".png").name if path.suffix.lower() in JPEG else path.name
-    new = f"{prefix.strip('/')}_{len(taken)}_{own[-60:]}"  # its end: file systems take 255 bytes, of which its own name may have all
+    # its end: file systems take 255 bytes, of which its own name may have all
+    new = f"{prefix.strip('/')}_{len(taken)}_{own[-60:]}"
     taken[f"{ASSETS}/{new}"] = as_png(path) if path.suffix.lower() in JPEG else path.read_bytes()
     return new
 
 
-PARSING = re.compile(r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line number=(\d+)(?:.*?XMLElement name=(\w+))?", re.DOTALL)
+PARSING = re.compile(
+    (
+        r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line"
+        r" number=(\d+)(?:.*?XMLElement name=(\w+))?"
+    ),
+    re.DOTALL,
+)
 LINE = re.compile(r",?\s*line (\d+)\s*$")
 ELEMENT = re.compile(r"\s*Element '(\w*)'(?:, id \d+)?\s*$|\s*Element name '([^']*)', id \d+\s*$")
 BEGINS = re.compile(r"^(?:XML )?Error:\s*(?:Schema violation:\s*)?")
-FOREIGN = "could not find decoder", "Unrecognized XML model type"  # How MuJoCo says that a file is of another format, such as SDF
+# How MuJoCo says that a file is of another format, such as SDF
+FOREIGN = "could not find decoder", "Unrecognized XML model type"
 MISSING = re.compile(r"Error opening file '([^']*)'")
 
 
@@ -198,28 +288,45 @@ def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
 
     error: MuJoCo's. path: of the file. works: what would work, such as `an MJCF file`.
 
-    Returns a ParameterError of `file`: FILE:LINE, where MuJoCo knows it, what is wrong, what would work.
+    Returns a ParameterError of `file`: FILE:LINE, where MuJoCo knows it, what is wrong, what would
+    work.
     """
     text = " ".join(str(error).split()).rstrip(".")
     if parsed := PARSING.search(text):
         what, line, element = parsed.groups()
         near = f", near the element {element}" if element else ""
         words = f"it is not well-formed XML ({what.replace('_', ' ').lower()}{near})"
-        return _told(_place(path, _ends_at(path) if what == "PARSING" else int(line)), words, f"works: {works}")
+        return _told(
+            _place(path, _ends_at(path) if what == "PARSING" else int(line)),
+            words,
+            f"works: {works}",
+        )
     text = BEGINS.sub("", text)
     line = int(found[1]) if (found := LINE.search(text)) else 0
     text = LINE.sub("", text)
     element = next(filter(None, found.groups()), "") if (found := ELEMENT.search(text)) else ""
-    words = (f"{element}: " if element else "") + ELEMENT.sub("", text).replace("attribute: '", "attribute '")
+    words = (f"{element}: " if element else "") + ELEMENT.sub("", text).replace(
+        "attribute: '", "attribute '"
+    )
     if named := MISSING.search(text):
         lines = enumerate(path.read_text(errors="replace").splitlines(), start=1)
         line = line or next((number for number, text in lines if named[1] in text), 0)
-        return _told(_place(path, line), f"it names the file {named[1]}, which is not there", "correct its name, or the folder it is in")
-    return _told(_place(path, line), words, f"works: {works}" if words.startswith(FOREIGN) else "correct it there")
+        return _told(
+            _place(path, line),
+            f"it names the file {named[1]}, which is not there",
+            "correct its name, or the folder it is in",
+        )
+    return _told(
+        _place(path, line),
+        words,
+        f"works: {works}" if words.startswith(FOREIGN) else "correct it there",
+    )
 
 
 def _ends_at(path: Path) -> int:
-    """The line where a file stops being XML, such as its last one where an element is not closed; MuJoCo tells the element's first."""
+    """The line where a file stops being XML, such as its last one where an element is not closed;
+    MuJoCo tells the element's first.
+    """
     try:
         ElementTree.parse(path)
     except ElementTree.ParseError as error:
@@ -232,7 +339,9 @@ def _told(place: str, words: str, remedy: str) -> ParameterError:
 
 
 def _place(path: Path, line: int) -> str:
-    """FILE:LINE; 0 for a line that is not known. A line may be that of an included file, which MuJoCo does not name."""
+    """FILE:LINE; 0 for a line that is not known. A line may be that of an included file, which
+    MuJoCo does not name.
+    """
     if line and "<include" in path.read_text(errors="replace"):
         return f"{path}, line {line} there or in a file that it includes"
     return f"{path}:{line}" if line else str(path)
@@ -245,11 +354,14 @@ XACRO = re.compile(r"<xacro:")
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 MESH = re.compile(r'(<mesh\b[^>]*\bfilename=")(package|file)://([^"]*)')
 UNREADABLE = re.compile(
-    r'<visual\b(?:(?!</visual>).)*\bfilename="[^"]*\.(?!stl"|obj")\w+"(?:(?!</visual>).)*</visual>', re.DOTALL | re.IGNORECASE
+    r'<visual\b(?:(?!</visual>).)*\bfilename="[^"]*\.(?!stl"|obj")\w+"(?:(?!</visual>).)*</visual>',
+    re.DOTALL | re.IGNORECASE,
 )
 """What is to be seen by a mesh in a format that MuJoCo does not read (dae, glb)."""
 KEEP = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
-"""MuJoCo by default throws away a URDF's `visual` shapes, and the names of links on fixed joints, such as `tool0`."""
+"""MuJoCo by default throws away a URDF's `visual` shapes, and the names of links on fixed joints,
+such as `tool0`.
+"""
 CONTACT_GROUP = 3
 
 
@@ -266,10 +378,11 @@ def _uncommented(path: Path) -> str:
 def read_model(path: Path) -> mujoco.MjSpec:
     """The spec of an MJCF or URDF file, as the file has it.
 
-    Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others. A
-    `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out. Raises ValueError:
-    MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, names a package whose folder is not found, or a
-    file that is no regular one.
+    Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision`
+    shapes only where it has no others. A `<mujoco>` block of its own counts instead. Meshes to look
+    at of other formats than STL and OBJ are left out. Raises ValueError: MuJoCo's, for a file that
+    it cannot read. ParameterError: `file`, where it is a xacro, names a package whose folder is not
+    found, or a file that is no regular one.
     """
     included = _included(path)
     _are_regular(included, path)
@@ -286,35 +399,52 @@ def _parsed(path: Path) -> mujoco.MjSpec:
     if (root := ROOT.search(text)) is None:
         return mujoco.MjSpec.from_file(str(path))
     if XACRO.search(text):
-        raise ParameterError("file", f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one", str(path))
+        raise ParameterError(
+            "file",
+            f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one",
+            str(path),
+        )
     if "<mujoco" not in text:
-        text = text[: root.end()] + KEEP + text[root.end() :]  # in the same line: MuJoCo's errors tell lines
+        # in the same line: MuJoCo's errors tell lines
+        text = text[: root.end()] + KEEP + text[root.end() :]
     text = UNREADABLE.sub(_blank, text)
-    spec = mujoco.MjSpec.from_string(MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text))
+    spec = mujoco.MjSpec.from_string(
+        MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text)
+    )
     spec.meshdir = str(path.parent.resolve() / spec.meshdir)
     for body in spec.bodies:
         touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
-        if not all(touch):  # shapes for contacts are left out of pictures where a link has others to be seen
+        # shapes for contacts are left out of pictures where a link has others to be seen
+        if not all(touch):
             for geom, touches in zip(body.geoms, touch, strict=True):
                 geom.group = CONTACT_GROUP if touches else geom.group
     return spec
 
 
 def speeds_in(path: Path) -> dict[str, float]:
-    """The `velocity` limits of a URDF's joints by their names [rad/s, m/s], which MuJoCo does not read; {} for an MJCF file."""
+    """The `velocity` limits of a URDF's joints by their names [rad/s, m/s], which MuJoCo does not
+    read; {} for an MJCF file.
+    """
     text = _uncommented(path)
     if ROOT.search(text) is None:
         return {}
     with foreign(path, "a URDF whose limits are numbers"):
         # MuJoCo, too, reads names with prefixes that are not declared.
         joints = expatbuilder.parseString(text, namespaces=False).getElementsByTagName("joint")
-        limits = [(joint, limit) for joint in joints for limit in joint.getElementsByTagName("limit")]
-        found = {joint.getAttribute("name"): float(limit.getAttribute("velocity") or 0) for joint, limit in limits}
+        limits = [
+            (joint, limit) for joint in joints for limit in joint.getElementsByTagName("limit")
+        ]
+        found = {
+            joint.getAttribute("name"): float(limit.getAttribute("velocity") or 0)
+            for joint, limit in limits
+        }
     return {name: speed for name, speed in found.items() if speed > 0}
 
 
 def _found(path: Path, scheme: str, name: str) -> str:
-    """The place of a mesh: of `package://NAME/rest` in the folder NAME beside the URDF or above it."""
+    """The place of a mesh: of `package://NAME/rest` in the folder NAME beside the URDF or
+    above it.
+    """
     if scheme == "file":
         return name
     for folder in path.resolve().parents:
@@ -322,5 +452,12 @@ def _found(path: Path, scheme: str, name: str) -> str:
             if place.is_file():
                 return str(place)
     package = name.partition("/")[0]
-    words = f"names the mesh package://{name}, and no folder {package} with it is beside the file or above it"
-    raise ParameterError("file", f"{words}; put the package's folder there, or write the mesh's path from the URDF's folder", str(path))
+    words = (
+        f"names the mesh package://{name},"
+        f" and no folder {package} with it is beside the file or above it"
+    )
+    raise ParameterError(
+        "file",
+        f"{words}; put the package's folder there, or write the mesh's path from the URDF's folder",
+        str(path),
+    )

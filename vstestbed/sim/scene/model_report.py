@@ -22,13 +22,23 @@ from vstestbed.sim.scene.joint_chain import before, compiled, drivers, inertia_a
 from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
-DRAWS, TRIED = 400, 100  # Postures that are drawn, and how many of them, the best first, are looked at more closely
+# Postures that are drawn, and how many of them, the best first, are looked at more closely
+DRAWS, TRIED = 400, 100
 DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)
-"""Distances of the target from the camera at the goal, and of the camera from the flange; the first with a good posture are taken [m]."""
-APART_DEG, APART_M = 4.0, 0.02  # How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that slides [m]
+"""Distances of the target from the camera at the goal, and of the camera from the flange; the first
+with a good posture are taken [m].
+"""
+# How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that
+# slides [m]
+APART_DEG, APART_M = (
+    4.0,
+    0.02,
+)
 CLEAR_M = 0.1  # height over the floor under which no joint, camera or marker shall be [m]
 SPEED, SLIDE_SPEED, SPEED_UP_S = 1.0, 0.25, 0.25
-"""Speed limits of such a scenario [rad/s], [m/s], and the time in which its servos must be able to reach them [s]."""
+"""Speed limits of such a scenario [rad/s], [m/s], and the time in which its servos must be able to
+reach them [s].
+"""
 
 
 @dataclass(frozen=True)
@@ -37,7 +47,8 @@ class Posture:
 
     Attributes:
         flange: what carries the camera. q: joint positions (n,) [rad, m].
-        mount, distance: of the camera from the flange, and of the target from the camera at the goal [m]. T_world_target: (4, 4).
+        mount, distance: of the camera from the flange, and of the target from the camera at the
+            goal [m]. T_world_target: (4, 4).
         floor_z: height of a floor under all of it [m].
     """
 
@@ -50,29 +61,52 @@ class Posture:
 
 
 def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
-    """A scenario as YAML that runs as it is: guessed limits of speed and torque, the camera at the flange, a square before it."""
+    """A scenario as YAML that runs as it is: guessed limits of speed and torque, the camera at the
+    flange, a square before it.
+    """
     target = Pose.of(start.T_world_target)
     own = speeds_in(place_of_file(file))
-    speeds = [own.get(name, SLIDE_SPEED if slides else SPEED) for name, slides in zip(chain.names, chain.slides, strict=True)]
+    speeds = [
+        own.get(name, SLIDE_SPEED if slides else SPEED)
+        for name, slides in zip(chain.names, chain.slides, strict=True)
+    ]
     random = "{q_deg: 5, slide_m: 0.02}" if chain.slides.any() else "{q_deg: 5}"
     q = np.where(chain.slides, start.q, np.degrees(start.q))
     side, radius = start.distance / 3, start.distance / 50
     pose = f"{{xyz: {_listed(target.xyz, 4)}, rpy_deg: {_listed(target.rpy_deg, 3)}}}"
-    lines = ["# limits of speed and torque that the file lacks are guessed: the maker's data sheet has them", "robot:"]
+    lines = [
+        (
+            "# limits of speed and torque that the file lacks are guessed:"
+            " the maker's data sheet has them"
+        ),
+        "robot:",
+    ]
     lines += ["  kind: mjcf", f"  file: {_quoted(file)}", f"  flange: {_quoted(start.flange)}"]
     lines += ["  actuation: velocity", f"  speed_limits: {_listed(speeds, 3)}"]
     if not np.isfinite(chain.torque).all():
         lines += [f"  torque_limits: {_listed(torques(file, chain), 6)}"]
     lines += [f"  start: {{nominal: {{q_deg: {_listed(q, 3)}}}, random: {random}}}"]
-    lines += [f"camera: {{kind: perspective, fovy_deg: 60, mount: {{xyz: [0, 0, {start.mount:g}]}}}}"]
-    lines += [f"target: {{kind: square, side: {side:.3g}, pose: {pose}, marker: {{kind: disc, radius: {radius:.2g}}}}}"]
-    lines += ["law: {kind: ibvs, gain: 0.8}", f"goal: {{T_camera_target: {{xyz: [0, 0, {start.distance:g}]}}}}"]
+    lines += [
+        f"camera: {{kind: perspective, fovy_deg: 60, mount: {{xyz: [0, 0, {start.mount:g}]}}}}"
+    ]
+    lines += [
+        f"target: {{kind: square, side: {side:.3g}, pose: {pose},"
+        f" marker: {{kind: disc, radius: {radius:.2g}}}}}"
+    ]
+    lines += [
+        "law: {kind: ibvs, gain: 0.8}",
+        f"goal: {{T_camera_target: {{xyz: [0, 0, {start.distance:g}]}}}}",
+    ]
     lines += ["stop: {duration_s: 30, converged: {error_px: 0.3, hold_s: 0.5}}"]
     return "\n".join([*lines, f"world: {{floor_z: {start.floor_z:g}}}"] if start.floor_z else lines)
 
 
 def _quoted(text: str) -> str:
-    return text if re.fullmatch(r"[A-Za-z_/][\w./:+-]*", text) else json.dumps(text, ensure_ascii=False)
+    return (
+        text
+        if re.fullmatch(r"[A-Za-z_/][\w./:+-]*", text)
+        else json.dumps(text, ensure_ascii=False)
+    )
 
 
 def _listed(numbers: Iterable[float], digits: int) -> str:
@@ -80,25 +114,32 @@ def _listed(numbers: Iterable[float], digits: int) -> str:
 
 
 def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
-    """The posture with the largest manipulability in which nothing touches, nothing is under the floor, and the camera's view is free.
+    """The posture with the largest manipulability in which nothing touches, nothing is under the
+    floor, and the camera's view is free.
 
-    The measure is the smallest singular value of the Jacobian, lengths in the arm's own unit, which the damping of `resolved_rate`
-    needs large. Of DRAWS random postures, the same ones at each call, all joints in the central INNER part of their ranges, the first
-    joint in its middle. Where none is so, the floor is put under the best one.
+    The measure is the smallest singular value of the Jacobian, lengths in the arm's own unit, which
+    the damping of `resolved_rate` needs large. Of DRAWS random postures, the same ones at each
+    call, all joints in the central INNER part of their ranges, the first joint in its middle. Where
+    none is so, the floor is put under the best one.
 
     Reference: Klein & Blaho 1987, doi:10.1177/027836498700600206.
     """
     drawn, scale = _drawn(chain), unit_scale(chain.unit_m)[:, None]
     least = [np.linalg.svd(scale * chain.kinematics(q)[1], compute_uv=False)[-1] for q in drawn]
     best = drawn[np.argsort(least)[::-1][:TRIED]]
-    ranked = np.where(chain.slides, best.round(3), np.radians(np.degrees(best).round(0)))  # as the scenario will have them
+    # as the scenario will have them
+    ranked = np.where(chain.slides, best.round(3), np.radians(np.degrees(best).round(0)))
     apart = [q for q in ranked if not touching(file, chain, q)] or [ranked[0]]
-    seen = (posture for posture in _views(file, flange, chain, apart) if _sees(file, chain, posture))
+    seen = (
+        posture for posture in _views(file, flange, chain, apart) if _sees(file, chain, posture)
+    )
     return next(seen, _placed(file, flange, chain, apart[0], MOUNTS_M[0], DISTANCES_M[0]))
 
 
 def _views(file: str, flange: str, chain: JointChain, apart: list[Array]) -> Iterator[Posture]:
-    """Views from postures (n,), the best first: those over a floor at z = 0, then with the floor put lower."""
+    """Views from postures (n,), the best first: those over a floor at z = 0, then with the floor
+    put lower.
+    """
     for distance, mount, q in itertools.product(DISTANCES_M, MOUNTS_M, apart):
         posture = _placed(file, flange, chain, q, mount, distance)
         if posture.floor_z == 0:
@@ -107,7 +148,8 @@ def _views(file: str, flange: str, chain: JointChain, apart: list[Array]) -> Ite
 
 
 def torques(file: str, chain: JointChain) -> list[float]:
-    """Largest torques (n,) [Nm, N]: the file's, and where it has none twice what weight, friction and a start within SPEED_UP_S ask for.
+    """Largest torques (n,) [Nm, N]: the file's, and where it has none twice what weight, friction
+    and a start within SPEED_UP_S ask for.
 
     Weight and inertia are the largest ones of TRIED postures.
     """
@@ -121,28 +163,55 @@ def torques(file: str, chain: JointChain) -> list[float]:
         mujoco.mj_fullM(model, data, M)
         weight = np.maximum(weight, np.abs(data.qfrc_bias[dofs]))
         inertia = np.maximum(inertia, M.diagonal()[dofs])
-    guess = 2 * (weight + chain.friction + inertia * np.where(chain.slides, SLIDE_SPEED, SPEED) / SPEED_UP_S)
-    return [float(f"{most:.2g}" if np.isinf(given) else f"{given:g}") for most, given in zip(guess, chain.torque, strict=True)]
+    guess = 2 * (
+        weight + chain.friction + inertia * np.where(chain.slides, SLIDE_SPEED, SPEED) / SPEED_UP_S
+    )
+    return [
+        float(f"{most:.2g}" if np.isinf(given) else f"{given:g}")
+        for most, given in zip(guess, chain.torque, strict=True)
+    ]
 
 
 def _drawn(chain: JointChain) -> Array:
-    """Random postures (DRAWS, n) in the central part of each range, 150 degrees to both sides for a joint that turns without end."""
+    """Random postures (DRAWS, n) in the central part of each range, 150 degrees to both sides for a
+    joint that turns without end.
+    """
     endless = np.radians([-150.0, 150.0])
     limits = np.where(np.isfinite(chain.limits), chain.limits, endless)
     middle, half = limits.mean(axis=1), INNER / 2 * np.ptp(limits, axis=1)
-    return middle + half * np.random.default_rng(0).uniform(-1, 1, (DRAWS, len(middle))) * (np.arange(len(middle)) > 0)
+    return middle + half * np.random.default_rng(0).uniform(-1, 1, (DRAWS, len(middle))) * (
+        np.arange(len(middle)) > 0
+    )
 
 
-def _placed(file: str, flange: str, chain: JointChain, q: Array, mount: float, distance: float) -> Posture:
-    """A target before the camera at a neighbouring posture, the goal's, which the arm so reaches also with few joints."""
-    apart = np.where(chain.slides, APART_M, np.radians(APART_DEG)) * np.where(np.arange(len(q)) % 2, -1, 1)
+def _placed(
+    file: str, flange: str, chain: JointChain, q: Array, mount: float, distance: float
+) -> Posture:
+    """A target before the camera at a neighbouring posture, the goal's, which the arm so reaches
+    also with few joints.
+    """
+    apart = np.where(chain.slides, APART_M, np.radians(APART_DEG)) * np.where(
+        np.arange(len(q)) % 2, -1, 1
+    )
     goal = np.clip(q + apart, *chain.limits.T)
     T_world_target = chain.kinematics(goal)[0] @ Pose(xyz=(0, 0, mount + distance)).T
     model, data = _at(file, chain, q)
-    moving = [model.joint(name).bodyid[0] for name in chain.names[1:]]  # the first one may be in the foot
-    heights = [*data.xpos[moving, 2], chain.kinematics(q)[0][2, 3], T_world_target[2, 3] - distance / 4]
+    # the first one may be in the foot
+    moving = [model.joint(name).bodyid[0] for name in chain.names[1:]]
+    heights = [
+        *data.xpos[moving, 2],
+        chain.kinematics(q)[0][2, 3],
+        T_world_target[2, 3] - distance / 4,
+    ]
     lowest = float(min(heights))
-    return Posture(flange, q, mount, distance, T_world_target, 0.0 if lowest > CLEAR_M else float(np.floor(lowest * 10) / 10 - 0.5))
+    return Posture(
+        flange,
+        q,
+        mount,
+        distance,
+        T_world_target,
+        0.0 if lowest > CLEAR_M else float(np.floor(lowest * 10) / 10 - 0.5),
+    )
 
 
 def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -157,7 +226,14 @@ def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.
 def touching(file: str, chain: JointChain, q: Array) -> str:
     """The bodies that touch at a posture (n,): `base and link`; "" for none."""
     model, data = _at(file, chain, q)
-    return " and ".join(model.body(model.geom_bodyid[g]).name or "a body without a name" for g in data.contact.geom[0]) if data.ncon else ""
+    return (
+        " and ".join(
+            model.body(model.geom_bodyid[g]).name or "a body without a name"
+            for g in data.contact.geom[0]
+        )
+        if data.ncon
+        else ""
+    )
 
 
 def _sees(file: str, chain: JointChain, posture: Posture) -> bool:
@@ -165,25 +241,35 @@ def _sees(file: str, chain: JointChain, posture: Posture) -> bool:
     model, data = _at(file, chain, posture.q)
     eye = (chain.kinematics(posture.q)[0] @ Pose(xyz=(0, 0, posture.mount)).T)[:3, 3]
     size = posture.distance / 6
-    points = [[x, y, 0, 1] for x, y in ((0, 0), (size, size), (size, -size), (-size, size), (-size, -size))]
+    points = [
+        [x, y, 0, 1]
+        for x, y in ((0, 0), (size, size), (size, -size), (-size, size), (-size, -size))
+    ]
     return bool((before(model, data, eye, points @ posture.T_world_target[:3].T - eye) < 0).all())
 
 
-FLANGE_NAME = re.compile(r"flange|attach|wrist|tool|tcp|hand|grip|end_?eff|(^|_)eef?(_|$)", re.IGNORECASE)
+FLANGE_NAME = re.compile(
+    r"flange|attach|wrist|tool|tcp|hand|grip|end_?eff|(^|_)eef?(_|$)", re.IGNORECASE
+)
 """Words by which files name the end of an arm."""
 
 EXCLUDE = 'leave the pair out by <contact><exclude body1="..." body2="..."/></contact> in the file'
 
-ARM, MEND = "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange", "correct it in the file"
+ARM, MEND = (
+    "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange",
+    "correct it in the file",
+)
 
-Line = tuple[str, bool, str, str]  # what was examined, whether it can be used, what was found, a remedy
+# what was examined, whether it can be used, what was found, a remedy
+Line = tuple[str, bool, str, str]
 
 
 def examine_model(file: str) -> Iterator[Line]:
-    """Examine a model for both of its uses, as the arm of robot `mjcf` and as scenery (`world.scenery`), and what stands against each.
+    """Examine a model for both of its uses, as the arm of robot `mjcf` and as scenery
+    (`world.scenery`), and what stands against each.
 
-    Of an arm: flanges, joints, torque limits, servos with their gains and their wind-up by friction, and a scenario to begin with. Raises
-    ParameterError: the file is not there.
+    Of an arm: flanges, joints, torque limits, servos with their gains and their wind-up by
+    friction, and a scenario to begin with. Raises ParameterError: the file is not there.
     """
     path = place_of_file(file)
     try:
@@ -192,8 +278,21 @@ def examine_model(file: str) -> Iterator[Line]:
         found, _, remedy = error.problem.rpartition("; ")
         yield "model", False, found, remedy
         return
-    parts = (model.njnt, "joint"), (model.nu, "actuator"), (model.nsite, "site"), (model.ngeom, "geom"), (model.nmesh, "mesh")
-    yield "model", True, ", ".join(f"{n} {word}{'' if n == 1 else 'es' if word == 'mesh' else 's'}" for n, word in parts), ""
+    parts = (
+        (model.njnt, "joint"),
+        (model.nu, "actuator"),
+        (model.nsite, "site"),
+        (model.ngeom, "geom"),
+        (model.nmesh, "mesh"),
+    )
+    yield (
+        "model",
+        True,
+        ", ".join(
+            f"{n} {word}{'' if n == 1 else 'es' if word == 'mesh' else 's'}" for n, word in parts
+        ),
+        "",
+    )
     usable, refused = _flanges(file, model)
     against = _against_scenery(file)
     if against and not usable:
@@ -209,7 +308,9 @@ def examine_model(file: str) -> Iterator[Line]:
         yield "as scenery", True, f"world: {{scenery: {file}}}", ""
 
 
-def _as_arm(file: str, model: mujoco.MjModel, usable: dict[str, JointChain], lines: list[str]) -> Iterator[Line]:
+def _as_arm(
+    file: str, model: mujoco.MjModel, usable: dict[str, JointChain], lines: list[str]
+) -> Iterator[Line]:
     """What robot `mjcf` makes of a file."""
     flange = likely_flange(model, usable)
     yield "as an arm", True, f"robot: {{kind: mjcf}}, for instance with flange: {flange}", ""
@@ -220,7 +321,12 @@ def _as_arm(file: str, model: mujoco.MjModel, usable: dict[str, JointChain], lin
     yield from _of_joints(chain, lines)
     yield from _of_servos(file, model, chain, start.q)
     if found := touching(file, chain, start.q):
-        yield "contact", False, f"{found} touch, in the best of {TRIED} postures, too", f"{EXCLUDE}; a run with a contact ends as collided"
+        yield (
+            "contact",
+            False,
+            f"{found} touch, in the best of {TRIED} postures, too",
+            f"{EXCLUDE}; a run with a contact ends as collided",
+        )
     words = "one to begin with; as a file my_arm.yaml it is run by `vstestbed run my_arm.yaml`"
     yield "scenario", True, f"{words}:\n{first_scenario(file, chain, start)}", ""
 
@@ -236,7 +342,9 @@ def _against_scenery(file: str) -> tuple[str, str] | None:
 
 
 def _flanges(file: str, model: mujoco.MjModel) -> tuple[dict[str, JointChain], str]:
-    """The sites and bodies that can be the flange of an arm, with the joints before each; and why others cannot, in words."""
+    """The sites and bodies that can be the flange of an arm, with the joints before each; and why
+    others cannot, in words.
+    """
     usable: dict[str, JointChain] = {}
     messages: dict[str, list[str]] = {}
     for name in _ends(model):
@@ -246,33 +354,53 @@ def _flanges(file: str, model: mujoco.MjModel) -> tuple[dict[str, JointChain], s
             messages.setdefault(f"{error.field} {error.problem}", []).append(name)
     if not model.njnt:
         return {}, "it has no joints"
-    return usable, "; ".join(f"{', '.join(names)}: {words}" for words, names in messages.items()) or "no site and no body has a name"
+    return usable, "; ".join(
+        f"{', '.join(names)}: {words}" for words, names in messages.items()
+    ) or "no site and no body has a name"
 
 
 def _ends(model: mujoco.MjModel) -> list[str]:
-    """Names that could be a flange: the sites, the bodies that carry no other body, and the one at which an arm ends."""
+    """Names that could be a flange: the sites, the bodies that carry no other body, and the one at
+    which an arm ends.
+    """
     parents = set(model.body_parentid.tolist())
     leaves = {i for i in range(1, model.nbody) if i not in parents} | ({_trunk_end(model)} - {0})
-    names = [*(model.site(i).name for i in range(model.nsite)), *(model.body(i).name for i in sorted(leaves))]
+    names = [
+        *(model.site(i).name for i in range(model.nsite)),
+        *(model.body(i).name for i in sorted(leaves)),
+    ]
     return list(dict.fromkeys(name for name in names if name))
 
 
 def _trunk_end(model: mujoco.MjModel) -> int:
-    """The body with the last joint before the joints branch, as they do at a gripper's fingers; 0 where they branch at the root."""
+    """The body with the last joint before the joints branch, as they do at a gripper's fingers; 0
+    where they branch at the root.
+    """
     moves = model.body_jntnum > 0
     for body in range(model.nbody - 1, 0, -1):  # children come after their parents
         moves[model.body_parentid[body]] |= moves[body]
     here = last = 0
-    while len(further := [b for b in range(here + 1, model.nbody) if model.body_parentid[b] == here and moves[b]]) == 1:
+    while (
+        len(
+            further := [
+                b
+                for b in range(here + 1, model.nbody)
+                if model.body_parentid[b] == here and moves[b]
+            ]
+        )
+        == 1
+    ):
         (here,) = further
         last = here if model.body_jntnum[here] else last
     return last
 
 
 def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
-    """Which of the usable ends carries the camera: at the end of the trunk, named as a flange, a site rather than a body, farthest out.
+    """Which of the usable ends carries the camera: at the end of the trunk, named as a flange, a
+    site rather than a body, farthest out.
 
-    The trunk are the joints before they branch. Where no end is at its end, the one with the most joints.
+    The trunk are the joints before they branch. Where no end is at its end, the one with the most
+    joints.
     """
     end = _trunk_end(model)
     carriers = {body := end}
@@ -283,52 +411,100 @@ def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
 
     def rank(name: str) -> tuple[bool, int, bool, bool, int]:
         joints, named = usable[name].names, FLANGE_NAME.search(name) is not None
-        return set(joints) == trunk, len(joints), named, name in sites, sites[name] if name in sites else model.body(name).id
+        return (
+            set(joints) == trunk,
+            len(joints),
+            named,
+            name in sites,
+            sites[name] if name in sites else model.body(name).id,
+        )
 
     return max(usable, key=rank)
 
 
 def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
-    """Ranges, torque limits and drives of the longest chain's joints, each with its line where something is missing."""
+    """Ranges, torque limits and drives of the longest chain's joints, each with its line where
+    something is missing.
+    """
     for i, name in enumerate(chain.names):
-        missing, drive = [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"], chain.drives[i]
+        missing, drive = (
+            [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"],
+            chain.drives[i],
+        )
         if drive not in ("velocity", "position"):
             missing.append(f"a {drive} actuator" if drive else "no actuator")
         wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(name)}"')
-        line = next((number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0)  # 0: in a file that it includes
+        # 0: in a file that it includes
+        line = next(
+            (number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0
+        )
         where = f", line {line}" if missing and line else ""
         note = f" [{'; '.join(missing)}{where}]" if missing else ""
         yield "joint", True, f"{name}: {_span(chain, i)}{note}", ""
 
 
 def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) -> Iterator[Line]:
-    """The gains of the servos that `actuation: velocity` adds for a start at q (n,), and of the file's own, with friction's effect."""
+    """The gains of the servos that `actuation: velocity` adds for a start at q (n,), and of the
+    file's own, with friction's effect.
+    """
     M, _ = inertia_at(file, chain.names, tuple(q.tolist()))
     for i, (name, m) in enumerate(zip(chain.names, M.diagonal().tolist(), strict=True)):
         friction, slides = float(chain.friction[i]), bool(chain.slides[i])
-        yield "servo", True, f"{name}: {_gains(*servo_gains(m, friction, slides), friction, slides)}, added by actuation: velocity", ""
+        yield (
+            "servo",
+            True,
+            (
+                f"{name}: {_gains(*servo_gains(m, friction, slides), friction, slides)},"
+                " added by actuation: velocity"
+            ),
+            "",
+        )
         if chain.drives[i] in ("velocity", "position"):
             (servo,) = drivers(model, model.joint(name).id)
-            kp, kv = (-model.actuator_biasprm[servo, 1:3]).tolist()  # the joint's damping not counted
-            yield "servo", True, f"{name}: {_gains(kp, kv, friction, slides)}, its own, used by actuation: file", ""
+            # the joint's damping not counted
+            kp, kv = (-model.actuator_biasprm[servo, 1:3]).tolist()
+            yield (
+                "servo",
+                True,
+                f"{name}: {_gains(kp, kv, friction, slides)}, its own, used by actuation: file",
+                "",
+            )
 
 
 def _gains(kp: float, kv: float, friction: float, slides: bool) -> str:
-    """Gains of a servo in words, and how far friction winds it up before the joint moves, with a warning where that is much."""
+    """Gains of a servo in words, and how far friction winds it up before the joint moves, with a
+    warning where that is much.
+    """
     force, length = ("N", "m") if slides else ("Nm", "rad")
     gains = f"kp {kp:.4g} {force}/{length}, " * (kp > 0) + f"kv {kv:.4g} {force} s/{length}"
     if kp == 0:
-        return f"{gains}; it does not move under {friction / kv:.2g} {length}/s" if friction else gains
+        return (
+            f"{gains}; it does not move under {friction / kv:.2g} {length}/s" if friction else gains
+        )
     size, unit = (1e3, "mm") if slides else (float(np.degrees(1.0)), "deg")
     most = size * (WIND_UP_M if slides else WIND_UP_RAD)
     found = size * friction / kp
-    warning = f" (WARNING: over {most:g} {unit} the joint begins late and turns back late)" if found > 1.01 * most else ""
-    return f"{gains}; friction of {friction:.3g} {force} winds it up by {found:.2g} {unit}{warning}" if friction else gains
+    warning = (
+        f" (WARNING: over {most:g} {unit} the joint begins late and turns back late)"
+        if found > 1.01 * most
+        else ""
+    )
+    return (
+        f"{gains}; friction of {friction:.3g} {force} winds it up by {found:.2g} {unit}{warning}"
+        if friction
+        else gains
+    )
 
 
 def _span(chain: JointChain, i: int) -> str:
     slides, torque = bool(chain.slides[i]), float(chain.torque[i])
     low, high = (chain.limits[i] * (1.0 if slides else np.degrees(1.0))).tolist()
-    spans = f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}" if np.isfinite(low) else "without end" if slides else "turns without end"
+    spans = (
+        f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}"
+        if np.isfinite(low)
+        else "without end"
+        if slides
+        else "turns without end"
+    )
     strength = f", at most {torque:.4g} {'N' if slides else 'Nm'}" if np.isfinite(torque) else ""
     return f"{'slide' if slides else 'hinge'}, {spans}{strength}"

@@ -1,4 +1,6 @@
-"""A compiled scene and its state, for the plant, for replays and for the renderers in `sim/render`."""
+"""A compiled scene and its state, for the plant,
+for replays and for the renderers in `sim/render`.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +27,25 @@ PLANAR = ("root_x", "root_y", "root_yaw")
 
 
 class Root:
-    """The movable base of the robot under a prefix. model: the compiled scene. prefix: the robot's (`robot/`)."""
+    """The movable base of the robot under a prefix. model: the compiled scene. prefix: the robot's
+    (`robot/`).
+    """
 
     def __init__(self, model: mujoco.MjModel, prefix: str):
         self.body = model.body(f"{prefix}base").id
         names = [model.joint(i).name for i in range(model.njnt)]
         self.free = f"{prefix}root" in names
         joints = [model.joint(prefix + name) for name in (("root",) if self.free else PLANAR)]
-        self._qpos = np.concatenate([np.arange(j.qposadr[0], j.qposadr[0] + (7 if self.free else 1)) for j in joints])
+        self._qpos = np.concatenate(
+            [np.arange(j.qposadr[0], j.qposadr[0] + (7 if self.free else 1)) for j in joints]
+        )
 
     def put(self, qpos: NDArray[np.float64], T_world_base: Array) -> None:
         """Write a pose (4, 4) into the state `qpos`; of a planar base x, y and yaw alone."""
         T = T_world_base
-        qpos[self._qpos] = np.concatenate([T[:3, 3], quaternion_wxyz(T[:3, :3])]) if self.free else place_of(T)
+        qpos[self._qpos] = (
+            np.concatenate([T[:3, 3], quaternion_wxyz(T[:3, :3])]) if self.free else place_of(T)
+        )
 
     def pose(self, data: mujoco.MjData) -> Array:
         """T_world_base (4, 4) now."""
@@ -45,19 +53,24 @@ class Root:
 
 
 CONFLICT = "Attach conflict"
-"""So MuJoCo begins to tell, twice, that options of a robot's file differ from the scene's: of those that matter `check_options` does."""
+"""So MuJoCo begins to tell, twice, that options of a robot's file differ from the scene's: of those
+that matter `check_options` does.
+"""
 logging.getLogger("absl").addFilter(lambda record: not record.getMessage().startswith(CONFLICT))
 
 
 class Scene:
-    """A compiled scene with a dm_control physics on it; `place` puts it into a state, the renderers of `sim/render` draw it.
+    """A compiled scene with a dm_control physics on it; `place` puts it into a state, the renderers
+    of `sim/render` draw it.
 
     Args:
         parts: what the scene is made of. samples: multisampling of this stage's pictures.
 
     Attributes:
-        at: where the robot's joints and actuators are in `data`. eye: number of the servo camera's site, in computer-vision axes.
-        root, leader: the free bases of the robot and of the vehicle that carries the target; None where there is none.
+        at: where the robot's joints and actuators are in `data`. eye: number of the servo camera's
+            site, in computer-vision axes.
+        root, leader: the free bases of the robot and of the vehicle that carries the target; None
+            where there is none.
         flange_body: number of the body that carries the camera, or eye to hand the target.
         hand_plate: number of the mocap body of the plate in reserve; None without one.
         held_site: number of the target's site in the gripper (eye to hand), else -1.
@@ -83,10 +96,19 @@ class Scene:
         self._plate_paths = list(movers.values())
         self._plates = [self.model.body(name).mocapid[0] for name in movers]
         self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
-        self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.body is None else None
+        self._free = (
+            self.model.body("robot/camera").mocapid[0] if parts.robot.body is None else None
+        )
         self.eye = self.model.site("eye").id
-        self._eyes = {name: self.model.site(name).id for name in ("eye", *(other.name for other in parts.others))}
-        self.flange_body = self.model.body_parentid[self._target.id] if parts.target.on_gripper else self.model.site_bodyid[self.eye]
+        self._eyes = {
+            name: self.model.site(name).id
+            for name in ("eye", *(other.name for other in parts.others))
+        }
+        self.flange_body = (
+            self.model.body_parentid[self._target.id]
+            if parts.target.on_gripper
+            else self.model.site_bodyid[self.eye]
+        )
         self._rest = parts.robot.body and parts.robot.body.rest_ctrl
         self._actuators = parts.robot.body.actuators if parts.robot.body else ()
         self.at = StateIndices.of(self.model, parts.robot.joints, self._actuators, "robot/")
@@ -98,12 +120,16 @@ class Scene:
     def body(self) -> RobotBody:
         """The robot, for its effects."""
         robot = self.parts.robot
-        return RobotBody(self.model, self.data, self.at, self.parts.step, robot.joints, self._actuators)
+        return RobotBody(
+            self.model, self.data, self.at, self.parts.step, robot.joints, self._actuators
+        )
 
     def step(self, steps: int) -> bool:
-        """Advance by physics steps and update what depends on positions and velocities; False where MuJoCo warns of an instability."""
-        # The order of dm_control's `Physics.step` (`mj_step1` has been called for this state), whose Python takes longer than MuJoCo's
-        # own step of a small craft.
+        """Advance by physics steps and update what depends on positions and velocities; False where
+        MuJoCo warns of an instability.
+        """
+        # The order of dm_control's `Physics.step` (`mj_step1` has been called for this state),
+        # whose Python takes longer than MuJoCo's own step of a small craft.
         mujoco.mj_step2(self.model, self.data)
         if steps > 1:
             mujoco.mj_step(self.model, self.data, steps - 1)
@@ -111,8 +137,12 @@ class Scene:
         before, self._warned = self._warned, self._warnings.tobytes()
         return self._warned == before
 
-    def place(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None) -> None:
-        """Put the scene into a state and update its kinematics: joints q (n,); T_world_camera (4, 4) for a movable base."""
+    def place(
+        self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None
+    ) -> None:
+        """Put the scene into a state and update its kinematics: joints q (n,); T_world_camera (4,
+        4) for a movable base.
+        """
         self.data.time = t
         self.place_target(T_world_target)
         self.place_plates(t)
@@ -136,7 +166,9 @@ class Scene:
             mujoco.mj_copyData(self.data, self.model, present)
 
     def rest(self) -> None:
-        """Set the controls and activations of a craft that hovers at its start; nothing for other robots."""
+        """Set the controls and activations of a craft that hovers at its start; nothing for other
+        robots.
+        """
         if self._rest is not None:
             self.data.ctrl[self.at.ctrl] = self.data.act[self.at.act] = self._rest
 
@@ -146,14 +178,17 @@ class Scene:
         return inverse(self.parts.camera.mount.T)
 
     def place_target(self, T: Array) -> None:
-        """Put the target at a pose (4, 4), with the vehicle that carries it; nothing for one in the gripper, which the joints place."""
+        """Put the target at a pose (4, 4), with the vehicle that carries it; nothing for one in the
+        gripper, which the joints place.
+        """
         if self.parts.target.on_gripper:
             return
         if self.leader is not None:
             self.leader.put(self.data.qpos, T @ self.target_inverse)
             return
         mocap = self._target.mocapid[0]
-        if not np.array_equal(T, self._turned[0]):  # most targets are at rest, and the quaternion takes .2 ms
+        # most targets are at rest, and the quaternion takes .2 ms
+        if not np.array_equal(T, self._turned[0]):
             self._turned = T.copy(), quaternion_wxyz(T[:3, :3])
         self.data.mocap_pos[mocap] = T[:3, 3]
         self.data.mocap_quat[mocap] = self._turned[1]
@@ -165,14 +200,19 @@ class Scene:
 
     def put(self, mocap: int, T_world_body: Array) -> None:
         """Put a mocap body, by its number among them, at a pose (4, 4)."""
-        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = T_world_body[:3, 3], quaternion_wxyz(T_world_body[:3, :3])
+        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = (
+            T_world_body[:3, 3],
+            quaternion_wxyz(T_world_body[:3, :3]),
+        )
 
     def target_pose(self) -> Array:
         """Pose (4, 4) of the target in the world."""
         return placed(self.data.xpos[self._target.id], self.data.xmat[self._target.id])
 
     def camera_pose(self, eye: str = "eye") -> Array:
-        """Pose (4, 4) of the servo camera, or of a further one by its name, in the world, computer-vision axes."""
+        """Pose (4, 4) of the servo camera, or of a further one by its name, in the world,
+        computer-vision axes.
+        """
         site = self._eyes[eye]
         return placed(self.data.site_xpos[site], self.data.site_xmat[site])
 
@@ -182,25 +222,39 @@ class Scene:
         return placed(data.xpos, data.xmat.reshape(3, 3) @ FLIP[:3, :3])
 
     def hidden(self, T_world_camera: Array, p_camera: Array, eye: str = "eye") -> NDArray[np.bool_]:
-        """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
+        """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them.
+        Not those that do not exist (NaN).
+        """
         return self._before(T_world_camera, p_camera, eye) >= 0
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
-        """What occludes each of marker centres (N, 3), by the name of its body, or the renderer's near plane; "" where nothing does."""
+        """What occludes each of marker centres (N, 3), by the name of its body, or the renderer's
+        near plane; "" where nothing does.
+        """
         geoms = self._before(T_world_camera, p_camera)
-        bodies = [self.model.body(int(self.model.geom_bodyid[g])).name if g >= 0 else "" for g in geoms]
+        bodies = [
+            self.model.body(int(self.model.geom_bodyid[g])).name if g >= 0 else "" for g in geoms
+        ]
         near_m = float(self.model.vis.map.znear) * float(self.model.stat.extent)
-        depth = np.abs(p_camera).max(axis=1)  # before the face of the camera's cube that shows the point
+        # before the face of the camera's cube that shows the point
+        depth = np.abs(p_camera).max(axis=1)
         plane = f"the near plane (nothing within {1e3 * near_m:.2g} mm of the lens is drawn)"
         return tuple(plane if z < near_m else body for z, body in zip(depth, bodies, strict=True))
 
-    def _before(self, T_world_camera: Array, p_camera: Array, name: str = "eye") -> NDArray[np.int_]:
-        """The geom that a ray from the lens hits before each of marker centres (N, 3); -1 for none."""
-        slack = self.parts.target.marker.clearance_m(p_camera)  # the ray hits the marker itself before its centre, by its height
+    def _before(
+        self, T_world_camera: Array, p_camera: Array, name: str = "eye"
+    ) -> NDArray[np.int_]:
+        """The geom that a ray from the lens hits before each of marker centres (N, 3);
+        -1 for none.
+        """
+        # the ray hits the marker itself before its centre, by its height
+        slack = self.parts.target.marker.clearance_m(p_camera)
         eye = np.ascontiguousarray(T_world_camera[:3, 3])
         # A lens on the flange lies inside the last of these groups; neither is in its picture.
         unseen = (RANGE_GROUP,) if self.parts.stands(name) else (RANGE_GROUP, LENS_GROUP)
-        return before(self.model, self.data, eye, p_camera @ T_world_camera[:3, :3].T, slack, unseen)
+        return before(
+            self.model, self.data, eye, p_camera @ T_world_camera[:3, :3].T, slack, unseen
+        )
 
     @property
     def body_names(self) -> list[str]:
@@ -209,7 +263,9 @@ class Scene:
 
     @property
     def body_poses(self) -> tuple[Array, Array]:
-        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in the state; valid until the next one."""
+        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in the state; valid
+        until the next one.
+        """
         return self.data.xpos, self.data.xquat
 
     def close(self) -> None:

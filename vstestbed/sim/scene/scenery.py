@@ -1,10 +1,13 @@
-"""Scenery: an MJCF file of one's own round the experiment. It stands still, collides as it says, and all renderers draw it.
+"""Scenery: an MJCF file of one's own round the experiment. It stands still, collides as it says,
+and all renderers draw it.
 
-Its names stand in the scene under `scenery/`, so that none can clash with the robot's or the target's. What it may have and what becomes
-of it: geoms, meshes, materials and textures are taken as they are (groups 3 and up are for contacts alone, as in a robot's file);
-its lights take the place of the scene's key light, and its skybox that of the scene's; a horizontal plane at the floor's height, or
-a geom named `floor`, is drawn in place of the floor, which stays what wheels and feet stand on. Cameras, sensors, keyframes, equalities,
-`<option>`, `<visual>` and `<statistic>` are left out: the scene has its own. Joints and actuators are refused.
+Its names stand in the scene under `scenery/`, so that none can clash with the robot's or the
+target's. What it may have and what becomes of it: geoms, meshes, materials and textures are taken
+as they are (groups 3 and up are for contacts alone, as in a robot's file); its lights take the
+place of the scene's key light, and its skybox that of the scene's; a horizontal plane at the
+floor's height, or a geom named `floor`, is drawn in place of the floor, which stays what wheels and
+feet stand on. Cameras, sensors, keyframes, equalities, `<option>`, `<visual>` and `<statistic>` are
+left out: the scene has its own. Joints and actuators are refused.
 """
 
 from __future__ import annotations
@@ -28,8 +31,12 @@ from vstestbed.sim.scene.model_files import cannot_compile, carry_files, read_mo
 
 PREFIX = "scenery/"
 SAME_HEIGHT_M = 1e-3  # faces nearer to one another than this flicker in pictures [m]
-BRIGHTEST = 1.3  # Brightness of a surface under the scene's lights, at most: its chroma in a picture is that of its colour times this
-CHROMA = 60  # of pictures, from which on detectors by default take a pixel for a marker's [grey levels]
+# Brightness of a surface under the scene's lights, at most: its chroma in a picture is that of its
+# colour times this
+BRIGHTEST = 1.3
+CHROMA = (
+    60  # of pictures, from which on detectors by default take a pixel for a marker's [grey levels]
+)
 MOST_TOLD = 3
 LEFT_OUT = "cameras", "sensors", "keys", "equalities", "tendons"
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -39,8 +46,9 @@ FLAT = PLANE, int(mujoco.mjtGeom.mjGEOM_BOX)
 def check_scenery(file: str, T: Array, floor_z: float) -> None:
     """Refuse a file that cannot stand round an experiment.
 
-    file: absolute, or inside a package. T: its pose in the world (4, 4). floor_z: height of the floor [m]. Raises ParameterError: `file`,
-    with what is wrong, its line where MuJoCo knows it, and what would work.
+    file: absolute, or inside a package. T: its pose in the world (4, 4). floor_z: height of the
+    floor [m]. Raises ParameterError: `file`, with what is wrong, its line where MuJoCo knows it,
+    and what would work.
     """
     _floors(_model(place_of_file(file)), T, floor_z)
 
@@ -63,46 +71,75 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
     for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
         if moving:
             name, line = moving[0].name or "without a name", _line(moving[0], path)
-            why = "nothing would drive it" if what == "actuator" else "scenery stands still, as a run's log has no place for its motion"
-            raise ParameterError("file", f"has the {what} {name}{line}, and {why}; remove it from the file", path)
+            why = (
+                "nothing would drive it"
+                if what == "actuator"
+                else "scenery stands still, as a run's log has no place for its motion"
+            )
+            raise ParameterError(
+                "file", f"has the {what} {name}{line}, and {why}; remove it from the file", path
+            )
     if not model.ngeom:
-        raise ParameterError.unreadable("file", "it has no geoms", "an MJCF file with geoms in its worldbody", path)
+        raise ParameterError.unreadable(
+            "file", "it has no geoms", "an MJCF file with geoms in its worldbody", path
+        )
     return model
 
 
 def _line(element: Any, path: str) -> str:
-    """` (line 7)`, where MuJoCo knows it, which it does not of a free joint, or the file itself has the name."""
+    """` (line 7)`, where MuJoCo knows it, which it does not of a free joint, or the file itself has
+    the name.
+    """
     if element.info:
         return f" ({element.info})"
     lines = Path(path).read_text(errors="replace").splitlines()
-    numbers = [number for number, text in enumerate(lines, start=1) if element.name and f'name="{element.name}"' in text]
+    numbers = [
+        number
+        for number, text in enumerate(lines, start=1)
+        if element.name and f'name="{element.name}"' in text
+    ]
     return f" (line {numbers[0]})" if numbers else ""
 
 
 def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
     """The geoms that are the floor, for a pose (4, 4) of the scenery.
 
-    Raises ParameterError: a horizontal plane at another height; or a face of a box that would flicker in the floor.
+    Raises ParameterError: a horizontal plane at another height; or a face of a box that would
+    flicker in the floor.
     """
     tops = {g: z for g in range(model.ngeom) if (z := _top(model, g, T)) is not None}
     for g, z in tops.items():
         if model.geom_type[g] == PLANE and abs(z - floor_z) > SAME_HEIGHT_M:
-            words = f"has the horizontal plane {_name(model, g)} at z = {z:g} m, and the floor is at world.floor_z = {floor_z:g} m"
+            words = (
+                f"has the horizontal plane {_name(model, g)} at z = {z:g} m,"
+                f" and the floor is at world.floor_z = {floor_z:g} m"
+            )
             raise ParameterError("file", f"{words}; set world.floor_z: {z:g}, or make a box of it")
     level = [g for g, z in tops.items() if abs(z - floor_z) <= SAME_HEIGHT_M]
     floors = [g for g in level if model.geom_type[g] == PLANE or model.geom(g).name == "floor"]
     if level and not floors:
-        words = f"has the geom {_name(model, level[0])}, whose upper face is at the height of the floor, where both would flicker"
-        raise ParameterError("file", f"{words}; lift it by 2 mm, or name it floor to have it drawn in place of the floor")
+        words = (
+            f"has the geom {_name(model, level[0])},"
+            " whose upper face is at the height of the floor, where both would flicker"
+        )
+        raise ParameterError(
+            "file",
+            f"{words}; lift it by 2 mm, or name it floor to have it drawn in place of the floor",
+        )
     return floors
 
 
 def _top(model: mujoco.MjModel, g: int, T: Array) -> float | None:
-    """Height of the upper face of a plane or a box [m]; None where it has no horizontal one that is drawn."""
+    """Height of the upper face of a plane or a box [m]; None where it has no horizontal one that is
+    drawn.
+    """
     if int(model.geom_type[g]) not in FLAT or model.geom_group[g] > 2:
         return None
     data = _placed(model)
-    normal, at = T[:3, :3] @ data.geom_xmat[g].reshape(3, 3), T[:3, :3] @ data.geom_xpos[g] + T[:3, 3]
+    normal, at = (
+        T[:3, :3] @ data.geom_xmat[g].reshape(3, 3),
+        T[:3, :3] @ data.geom_xpos[g] + T[:3, 3],
+    )
     axis = int(np.abs(normal[2]).argmax())
     if abs(normal[2, axis]) < 1 - 1e-6:
         return None
@@ -124,10 +161,14 @@ def _name(model: mujoco.MjModel, g: int) -> str:
     return model.geom(g).name or f"number {g + 1}{owner} (without a name)"
 
 
-def parts_before(file: str, T_scenery_camera: Array, p_camera: Array, slack: float) -> tuple[str, ...]:
-    """Which geom of a file hides each of points p_camera (N, 3) from a camera at a pose (4, 4) in the scenery's frame; "" for none.
+def parts_before(
+    file: str, T_scenery_camera: Array, p_camera: Array, slack: float
+) -> tuple[str, ...]:
+    """Which geom of a file hides each of points p_camera (N, 3) from a camera at a pose (4, 4) in
+    the scenery's frame; "" for none.
 
-    A ray from the camera hits it more than `slack` [m] before the point. Groups from 3 on are not drawn, and hide nothing.
+    A ray from the camera hits it more than `slack` [m] before the point. Groups from 3 on are not
+    drawn, and hide nothing.
     """
     model = _model(place_of_file(file))
     eye, ways = np.ascontiguousarray(T_scenery_camera[:3, 3]), p_camera @ T_scenery_camera[:3, :3].T
@@ -136,7 +177,8 @@ def parts_before(file: str, T_scenery_camera: Array, p_camera: Array, slack: flo
 
 
 def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> dict[str, bytes]:
-    """Attach the scenery of a file to the scene, at a pose (4, 4); returns its meshes and textures, for the scene's assets.
+    """Attach the scenery of a file to the scene, at a pose (4, 4); returns its meshes and textures,
+    for the scene's assets.
 
     floor_z: height of the scene's own floor [m].
     """
@@ -154,12 +196,18 @@ def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> di
         if not name.startswith("_"):
             setattr(spec.option, name, getattr(scene.option, name))
     files = carry_files(spec, path, scene, PREFIX)
-    scene.attach(spec, prefix=PREFIX, frame=scene.worldbody.add_frame(pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])))
+    scene.attach(
+        spec,
+        prefix=PREFIX,
+        frame=scene.worldbody.add_frame(pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])),
+    )
     return files
 
 
 def _take_parts(spec: mujoco.MjSpec, floors: list[int]) -> None:
-    """Remove what is left out, and give the geoms their groups; `floors`: the numbers of those that are the floor."""
+    """Remove what is left out, and give the geoms their groups; `floors`: the numbers of those that
+    are the floor.
+    """
     for kind in LEFT_OUT:
         for element in list(getattr(spec, kind)):
             spec.delete(element)
@@ -173,34 +221,48 @@ def _take_parts(spec: mujoco.MjSpec, floors: list[int]) -> None:
 
 @functools.cache
 def warn_of_colours(file: str, detector: str, chroma: int) -> None:
-    """Warn once of scenery whose colours a detector may take for markers, those above a chroma (max - min of r, g, b) [grey levels]."""
+    """Warn once of scenery whose colours a detector may take for markers, those above a chroma
+    (max - min of r, g, b) [grey levels].
+    """
     if words := _saturated(place_of_file(file), chroma, f"detector {detector}"):
         logging.getLogger("vstestbed").warning("world.scenery: %s", words)
 
 
 def _saturated(path: Path, chroma: int, who: str) -> str:
-    """What of a file is of a colour above a chroma in pictures, which `who` takes for a marker, and what would not be; "" for nothing."""
+    """What of a file is of a colour above a chroma in pictures, which `who` takes for a marker, and
+    what would not be; "" for nothing.
+    """
     model, limit = _model(path), chroma / 255 / BRIGHTEST
     found = {name: value for name, value in _saturations(model) if value > limit}
     if not found:
         return ""
-    names = ", ".join(list(found)[:MOST_TOLD]) + (f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else "")
+    names = ", ".join(list(found)[:MOST_TOLD]) + (
+        f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
+    )
     one = "has a saturated colour" if len(found) == 1 else "have saturated colours"
     words = f"{names} in {path.name} {one} (max - min of r, g, b up to {max(found.values()):.2g})"
-    return f"{words}, which {who} may take for markers; keep max - min under {limit:.2f}, or use detector tags"
+    return (
+        f"{words}, which {who} may take for markers;"
+        f" keep max - min under {limit:.2f}, or use detector tags"
+    )
 
 
 def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
     colours = own_colours(model)
     for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)):
         texture, rgb = texture_of(model, int(g)), colours[g, :3]
-        yield f"geom {_name(model, int(g))}", float(np.ptp(rgb)) if texture < 0 else _spread(texels_of(model, texture), rgb)
+        yield (
+            f"geom {_name(model, int(g))}",
+            float(np.ptp(rgb)) if texture < 0 else _spread(texels_of(model, texture), rgb),
+        )
     for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
         yield "the skybox", _spread(texels_of(model, int(texture)), np.ones(3))
 
 
 def _spread(texels: NDArray[np.uint8], rgb: Array) -> float:
-    """Largest less smallest of r, g, b of a texture (H, W, 3) on a colour (3,), which all but a thousandth of it stay under."""
+    """Largest less smallest of r, g, b of a texture (H, W, 3) on a colour (3,), which all but a
+    thousandth of it stay under.
+    """
     return float(np.quantile(np.ptp(texels / 255 * rgb, axis=-1), 0.999))
 
 
@@ -213,12 +275,28 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     model = _model(path)
     spec = read_model(path)
     solid = int(np.count_nonzero((model.geom_contype | model.geom_conaffinity) != 0))
-    yield "scenery", f"{model.ngeom} geoms, {solid} of which can be touched; {model.nmesh} meshes, {model.ntex} textures"
+    yield (
+        "scenery",
+        (
+            f"{model.ngeom} geoms, {solid} of which can be touched; {model.nmesh} meshes,"
+            f" {model.ntex} textures"
+        ),
+    )
     if spec.lights:
-        yield "lights", f"{len(spec.lights)}, in place of the scene's key light; the fill light stays"
-    found, plain = [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))], mujoco.MjSpec()
+        yield (
+            "lights",
+            f"{len(spec.lights)}, in place of the scene's key light; the fill light stays",
+        )
+    found, plain = (
+        [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))],
+        mujoco.MjSpec(),
+    )
     options = [name for name in dir(plain.option) if not name.startswith("_")]
-    changed = [name for name in options if not np.array_equal(getattr(spec.option, name), getattr(plain.option, name))]
+    changed = [
+        name
+        for name in options
+        if not np.array_equal(getattr(spec.option, name), getattr(plain.option, name))
+    ]
     if changed:
         found.append(f"<option> ({', '.join(changed)}), where the scene's own count")
     if found:
@@ -228,4 +306,7 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     from vstestbed.sim.render.shade import Paint
 
     if rays := [_name(model, g) for g in Paint(model, _placed(model)).averaged]:
-        yield "rays", f"draw {', '.join(rays)} in the mean colour of the texture; OpenGL draws it whole"
+        yield (
+            "rays",
+            f"draw {', '.join(rays)} in the mean colour of the texture; OpenGL draws it whole",
+        )

@@ -15,7 +15,17 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Angles, Length, Position, PositiveGain, PositiveLength, PositiveTime, TighterBounds, Time, check_range
+from vstestbed.core.quantity import (
+    Angles,
+    Length,
+    Position,
+    PositiveGain,
+    PositiveLength,
+    PositiveTime,
+    TighterBounds,
+    Time,
+    check_range,
+)
 from vstestbed.core.spec import Shorthand, spec
 from vstestbed.effects.wind import Wind
 from vstestbed.imaging.flicker import STEADY, Flicker
@@ -25,24 +35,28 @@ from vstestbed.targets.picture import picture_name, place_of_picture, read_rgb
 
 @spec
 class Floor:
-    """The surface of the floor, in place of the room's matte grey checker; scenery that has a floor of its own shows that.
+    """The surface of the floor, in place of the room's matte grey checker; scenery that has a floor
+    of its own shows that.
 
-    Rays compute the highlight in every pixel; OpenGL at the corners of a grid of 0.05 m, between which it interpolates, and for which
-    the floor is drawn for 10 m about the origin in place of 20 m. Of a picture of 640 x 480 in software OpenGL (6.5 ms) gloss or windows
-    take 12 ms more, a mirror 1.5 ms; by rays (115 ms) gloss takes 15 ms, a window 45 ms more. A texture costs nothing measurable.
+    Rays compute the highlight in every pixel; OpenGL at the corners of a grid of 0.05 m, between
+    which it interpolates, and for which the floor is drawn for 10 m about the origin in place of 20
+    m. Of a picture of 640 x 480 in software OpenGL (6.5 ms) gloss or windows take 12 ms more, a
+    mirror 1.5 ms; by rays (115 ms) gloss takes 15 ms, a window 45 ms more. A texture costs nothing
+    measurable.
 
     Args:
-        texture: a picture that covers the floor in tiles: a PNG or JPEG file, or a bundled texture as of target `picture`, such as
-            `texture:brick`; none: the room's checker. Where r, g and b differ by 60 grey levels the detectors `blobs` and `lines` may
-            take parts of it for markers; e.g. `texture:brick`.
+        texture: a picture that covers the floor in tiles: a PNG or JPEG file, or a bundled texture
+            as of target `picture`, such as `texture:brick`; none: the room's checker. Where r, g
+            and b differ by 60 grey levels the detectors `blobs` and `lines` may take parts of it
+            for markers; e.g. `texture:brick`.
         tile_m: width of one tile along x; its height follows from the picture [m].
         albedo: by which the colours of the texture are multiplied [1].
-        gloss: share of a lamp's light that the floor mirrors as a highlight (h . n)^`sharpness`, h halfway between the directions to the
-            lamp and to the camera [1].
-        sharpness: exponent of the highlight, which falls to a half at acos(2^(-1/sharpness)) from the mirror direction, as angle of h:
-            10 degrees at 45 [1].
-        mirror: by which the mirrored picture of what stands on the floor is multiplied and added to its colour; the sky is not mirrored.
-            It needs OpenGL, and rays refuse it [1].
+        gloss: share of a lamp's light that the floor mirrors as a highlight (h . n)^`sharpness`, h
+            halfway between the directions to the lamp and to the camera [1].
+        sharpness: exponent of the highlight, which falls to a half at acos(2^(-1/sharpness)) from
+            the mirror direction, as angle of h: 10 degrees at 45 [1].
+        mirror: by which the mirrored picture of what stands on the floor is multiplied and added to
+            its colour; the sky is not mirrored. It needs OpenGL, and rays refuse it [1].
 
     Reference: Blinn 1977, doi:10.1145/563858.563893.
     """
@@ -58,7 +72,8 @@ class Floor:
         """Read the texture, and remember where it is."""
         if self.texture is not None:
             try:
-                object.__setattr__(self, "texture", picture_name(self.texture))  # frozen; a run remembers where its picture is
+                # frozen; a run remembers where its picture is
+                object.__setattr__(self, "texture", picture_name(self.texture))
                 read_rgb(place_of_picture(self.texture))
             except ParameterError as error:
                 raise ParameterError("texture", error.problem, error.found) from None
@@ -106,14 +121,16 @@ class Decoy:
 
 @spec
 class Clutter:
-    """Distractors at random places in a box, drawn from the seed: each place uniform, each size uniform, each hue one of several.
+    """Distractors at random places in a box, drawn from the seed: each place uniform, each size
+    uniform, each hue one of several.
 
-    Object i is the same whatever their number. They may stand in each other and before the target: choose the box so that they do not, or
-    so that they do. 20 objects take 1 ms of a picture's 6.5 ms in software OpenGL.
+    Object i is the same whatever their number. They may stand in each other and before the target:
+    choose the box so that they do not, or so that they do. 20 objects take 1 ms of a picture's 6.5
+    ms in software OpenGL.
 
     Args:
-        pose: middle and axes of the box in the world; discs face along its z axis, and cubes stand turned about it;
-            e.g. `{xyz: [1.8, 0, 0.7], rpy_deg: [0, -90, 0]}`.
+        pose: middle and axes of the box in the world; discs face along its z axis, and cubes stand
+            turned about it; e.g. `{xyz: [1.8, 0, 0.7], rpy_deg: [0, -90, 0]}`.
         size_m: edges of the box along its axes [m].
         count: number of objects [1].
         shapes: what is drawn, each as often.
@@ -148,8 +165,14 @@ class Clutter:
             pose = Pose.of(self.pose.T @ T)
             kind = self.shapes[int(shape * len(self.shapes))]
             radius = self.radius_m[0] + size * (self.radius_m[1] - self.radius_m[0])
-            hue_deg = hues_deg[int(hue * len(hues_deg))] if self.hues == "markers" and hues_deg else 360 * hue
-            decoy = Decoy(xyz=pose.xyz, rpy_deg=pose.rpy_deg, shape=kind, radius=radius, hue_deg=hue_deg)
+            hue_deg = (
+                hues_deg[int(hue * len(hues_deg))]
+                if self.hues == "markers" and hues_deg
+                else 360 * hue
+            )
+            decoy = Decoy(
+                xyz=pose.xyz, rpy_deg=pose.rpy_deg, shape=kind, radius=radius, hue_deg=hue_deg
+            )
             decoys.append(replace(decoy, saturation=self.saturation, albedo=self.albedo))
         return tuple(decoys)
 
@@ -168,24 +191,33 @@ Colour = Annotated[tuple[Annotated[float, Ge(0), Le(1)], ...], Len(3, 3)]
 
 @spec
 class Light:
-    """One lamp and an even light from all sides, in place of the room's own light and of the lights of scenery.
+    """One lamp and an even light from all sides, in place of the room's own light and of the lights
+    of scenery.
 
-    A surface of colour c with normal n has c (ambient + brightness max(0, n . l)) for each channel, l towards the lamp, at most 1.
+    A surface of colour c with normal n has c (ambient + brightness max(0, n . l)) for each channel,
+    l towards the lamp, at most 1.
 
     Args:
-        direction: along its rays in the world, of any length; the room's own comes from behind the robots' side, from above [1].
-        xyz: place of the lamp, which shines into the half space along `direction`, equally far [m]; none: it is as far as the sun;
-            e.g. `[0.5, 1.2, 2]`.
+        direction: along its rays in the world, of any length; the room's own comes from behind the
+            robots' side, from above [1].
+        xyz: place of the lamp, which shines into the half space along `direction`, equally far [m];
+            none: it is as far as the sun; e.g. `[0.5, 1.2, 2]`.
         brightness: of what faces the lamp [1].
         ambient: of what does not [1].
-        color: of the lamp and of the light from all sides: red, green and blue, by which both are multiplied [1].
-        motion: displacement of the lamp from its place, along the world's axes; its angles turn `direction`. A lamp without `xyz` is
-            so far that they alone count. Shading and shadows (`camera.shadows`) move with it; a random walk is the same in all runs.
-            It costs no time.
+        color: of the lamp and of the light from all sides: red, green and blue, by which both are
+            multiplied [1].
+        motion: displacement of the lamp from its place, along the world's axes; its angles turn
+            `direction`. A lamp without `xyz` is so far that they alone count. Shading and shadows
+            (`camera.shadows`) move with it; a random walk is the same in all runs. It costs no
+            time.
         flicker: of both lights, against the camera's shutter.
     """
 
-    direction: Annotated[tuple[Annotated[float, Ge(-1e6), Le(1e6)], ...], Len(3, 3)] = (0.45, 0.45, -1.0)
+    direction: Annotated[tuple[Annotated[float, Ge(-1e6), Le(1e6)], ...], Len(3, 3)] = (
+        0.45,
+        0.45,
+        -1.0,
+    )
     xyz: Position | None = None
     brightness: Annotated[float, Ge(0), Le(5)] = 0.6
     ambient: Annotated[float, Ge(0), Le(5)] = 0.5
@@ -199,32 +231,45 @@ class Light:
         if self.xyz is None and self.motion.moves:
             path = self.path()
             if all(np.allclose(path(t)[:3, :3], np.eye(3), atol=1e-9) for t in SAMPLES_S):
-                words = "must turn a lamp that is as far as the sun; works: {kind: sinusoid, amplitude: {rpy_deg: [20, 0, 0]},"
-                raise ParameterError("motion", f"{words} frequency_hz: 0.2}}, or give the lamp a place, xyz", self.motion.kind)
+                words = (
+                    "must turn a lamp that is as far as the sun;"
+                    " works: {kind: sinusoid, amplitude: {rpy_deg: [20, 0, 0]},"
+                )
+                raise ParameterError(
+                    "motion",
+                    f"{words} frequency_hz: 0.2}}, or give the lamp a place, xyz",
+                    self.motion.kind,
+                )
 
     def path(self) -> Path:
-        """Pose (4, 4) of the lamp as a function of time [s], at rest along the world's axes; of one without a place about the origin."""
+        """Pose (4, 4) of the lamp as a function of time [s], at rest along the world's axes; of one
+        without a place about the origin.
+        """
         return path_from(Pose(xyz=self.xyz or (0.0, 0.0, 0.0)).T, self.motion)
 
 
 @spec
 class WindowPane:
-    """A bright pane, such as a window or a lamp's diffuser, which shines along its z axis by Lambert's law.
+    """A bright pane, such as a window or a lamp's diffuser, which shines along its z axis by
+    Lambert's law.
 
-    A surface of colour c whose normal makes an angle a with the direction to the pane's middle, at a distance d and at an angle b from the
-    pane's z axis, gets the light c brightness cos a cos b A / (A + pi d^2) of a pane of area A. It is the light of a small Lambertian
-    surface far away, and on its axis the exact one of a disc of this area. It casts no shadows; the pane itself is drawn with its
-    brightness, at most white. A glossy surface shows it as a highlight, gloss brightness cos b A/(A + pi d^2) (n + 1)/2 (h . n)^s of
-    `world.floor.sharpness` s: about the mirror direction a lobe cos^n, n = s/4, whose integral over the half space is 1.
+    A surface of colour c whose normal makes an angle a with the direction to the pane's middle, at
+    a distance d and at an angle b from the pane's z axis, gets the light c brightness cos a cos b A
+    / (A + pi d^2) of a pane of area A. It is the light of a small Lambertian surface far away,
+    and on its axis the exact one of a disc of this area. It casts no shadows; the pane itself is
+    drawn with its brightness, at most white. A glossy surface shows it as a highlight, gloss
+    brightness cos b A/(A + pi d^2) (n + 1)/2 (h . n)^s of `world.floor.sharpness` s: about the
+    mirror direction a lobe cos^n, n = s/4, whose integral over the half space is 1.
 
     Args:
         pose: its middle and axes in the world; it spans its x and y axes, and shines along z;
             e.g. `{xyz: [1, 2, 1.5], rpy_deg: [90, 0, 0]}`.
         width, height: size along x and y [m].
-        brightness: of the pane, 1 for white; the light that it sheds is in proportion to it, also above 1 [1].
+        brightness: of the pane, 1 for white; the light that it sheds is in proportion to it, also
+            above 1 [1].
 
-    Reference: Howell, Menguc, Daun & Siegel 2020, Thermal Radiation Heat Transfer, 7th ed., configuration factors (element to disc:
-    A/(A + pi d^2), with A = pi r^2).
+    Reference: Howell, Menguc, Daun & Siegel 2020, Thermal Radiation Heat Transfer, 7th ed.,
+    configuration factors (element to disc: A/(A + pi d^2), with A = pi r^2).
     """
 
     pose: Pose
@@ -235,10 +280,12 @@ class WindowPane:
 
 @spec
 class Plate:
-    """An opaque plate that stands in the room from `from_s` until `until_s`; it can hide markers, and touches nothing.
+    """An opaque plate that stands in the room from `from_s` until `until_s`; it can hide markers,
+    and touches nothing.
 
     Args:
-        pose: its centre in the world; the plate spans its x and y axes; e.g. `{xyz: [1.2, 0, 0.7], rpy_deg: [0, 90, 0]}`.
+        pose: its centre in the world; the plate spans its x and y axes; e.g.
+            `{xyz: [1.2, 0, 0.7], rpy_deg: [0, 90, 0]}`.
         width, height: size along x and y [m].
         from_s, until_s: when it is present [s].
         motion: displacement from its pose, in its own axes; a random walk is the same in all runs.
@@ -253,18 +300,21 @@ class Plate:
 
     def __post_init__(self) -> None:
         if self.until_s <= self.from_s:
-            raise ParameterError.bound("until_s", "after", f"from_s = {self.from_s:g} s", self.until_s)
+            raise ParameterError.bound(
+                "until_s", "after", f"from_s = {self.from_s:g} s", self.until_s
+            )
 
 
 @spec
 class Scenery:
-    """Tables, walls, floors and lights by an MJCF file, which stand still; `sim/scene/scenery.py` says what becomes of its parts.
+    """Tables, walls, floors and lights by an MJCF file, which stand still; `sim/scene/scenery.py`
+    says what becomes of its parts.
 
     In YAML its file's name alone is enough.
 
     Args:
-        file: an MJCF file, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package;
-            e.g. `scenery/workshop.xml`.
+        file: an MJCF file, absolute, relative to the scenario's file, or `package:NAME/path` inside
+            an installed package; e.g. `scenery/workshop.xml`.
         pose: place of its origin in the world.
     """
 
@@ -283,10 +333,12 @@ class World:
     Args:
         scenery: an MJCF file round the experiment: its name, or a block with a pose.
         floor_z: height of the floor [m]; scenes in a textbook's coordinates need it out of the way.
-        floor_friction: Coulomb friction between the floor and wheels or feet, an upper bound of their own [1]; .05 is ice; e.g. `0.3`.
+        floor_friction: Coulomb friction between the floor and wheels or feet, an upper bound of
+            their own [1]; .05 is ice; e.g. `0.3`.
         plates: can occlude markers, or cast a shadow on them (`camera.shadows`).
         decoys: can be taken for markers.
-        clutter: more of them, drawn from the seed; none: no more; e.g. `{pose: {xyz: [1.8, 0, 0.7]}, count: 5}`.
+        clutter: more of them, drawn from the seed; none: no more; e.g.
+            `{pose: {xyz: [1.8, 0, 0.7]}, count: 5}`.
         wind: acts on flying craft.
         light: in place of the room's own light; none: that light.
         windows: bright panes, which add to the light; OpenGL has lamps for four.
@@ -306,7 +358,8 @@ class World:
 
     def __post_init__(self) -> None:
         if self.scenery is not None:
-            from vstestbed.sim.scene.scenery import check_scenery  # here: MuJoCo is imported where there is any
+            # here: MuJoCo is imported where there is any
+            from vstestbed.sim.scene.scenery import check_scenery
 
             try:
                 check_scenery(self.scenery.file, self.scenery.pose.T, self.floor_z)
@@ -325,36 +378,58 @@ class World:
 
     @property
     def draws(self) -> bool:
-        """Whether a seed makes a difference: to the clutter, or to the turbulence that a craft meets."""
-        return (self.clutter is not None and not self.clutter.placed) or self.wind.turbulence_mps > 0
+        """Whether a seed makes a difference: to the clutter, or to the turbulence that a craft
+        meets.
+        """
+        return (
+            self.clutter is not None and not self.clutter.placed
+        ) or self.wind.turbulence_mps > 0
 
     @property
     def movers(self) -> dict[str, Path]:
-        """Poses (4, 4) as functions of time [s] of what may have another place at another time, by the names of their bodies."""
+        """Poses (4, 4) as functions of time [s] of what may have another place at another time, by
+        the names of their bodies.
+        """
         found = {f"plate_{i}": plate_path(plate) for i, plate in enumerate(self.plates)}
         for i, decoy in enumerate(self.distractors):
-            found[f"decoy_{i}"] = path_from(Pose(xyz=decoy.xyz, rpy_deg=decoy.rpy_deg).T, decoy.motion)
-        return found | ({LAMP: self.light.path()} if self.light is not None and self.light.motion.moves else {})
+            found[f"decoy_{i}"] = path_from(
+                Pose(xyz=decoy.xyz, rpy_deg=decoy.rpy_deg).T, decoy.motion
+            )
+        return found | (
+            {LAMP: self.light.path()} if self.light is not None and self.light.motion.moves else {}
+        )
 
     @property
     def light_differs(self) -> bool:
-        """Whether light differs within a flat surface, which OpenGL computes at corners alone: it must have many."""
-        return bool(self.windows or self.floor.gloss) or (self.light is not None and self.light.xyz is not None)
+        """Whether light differs within a flat surface, which OpenGL computes at corners alone: it
+        must have many.
+        """
+        return bool(self.windows or self.floor.gloss) or (
+            self.light is not None and self.light.xyz is not None
+        )
 
-    def scenery_before(self, T_world_camera: Array, p_camera: Array, slack: float) -> tuple[str, ...]:
-        """Which part of the scenery hides each of points p_camera (N, 3) from a camera at a pose (4, 4); "" where none does.
+    def scenery_before(
+        self, T_world_camera: Array, p_camera: Array, slack: float
+    ) -> tuple[str, ...]:
+        """Which part of the scenery hides each of points p_camera (N, 3) from a camera at a pose
+        (4, 4); "" where none does.
 
         slack: what is nearer to a point than this does not hide it [m].
         """
         if self.scenery is None:
             return ("",) * len(p_camera)
-        from vstestbed.sim.scene.scenery import parts_before  # here: MuJoCo is imported where there is any
+        # here: MuJoCo is imported where there is any
+        from vstestbed.sim.scene.scenery import parts_before
 
-        return parts_before(self.scenery.file, inverse(self.scenery.pose.T) @ T_world_camera, p_camera, slack)
+        return parts_before(
+            self.scenery.file, inverse(self.scenery.pose.T) @ T_world_camera, p_camera, slack
+        )
 
 
 AWAY = np.array([0.0, 0.0, -50.0])
-"""Place of plates outside of their time: under the floor [m]. MuJoCo cannot remove a geom from a compiled model."""
+"""Place of plates outside of their time: under the floor [m]. MuJoCo cannot remove a geom from a
+compiled model.
+"""
 
 
 def plate_path(plate: Plate) -> Path:

@@ -1,4 +1,6 @@
-"""Comparison of controllers: every scenario with every variation from every seed, in parallel; a table, a report, a film."""
+"""Comparison of controllers: every scenario with every variation from every seed, in parallel; a
+table, a report, a film.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,24 @@ from vstestbed.core.registry import REGISTRIES
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
-from vstestbed.studies.comparison.folder import GROUP, Baseline, ComparisonTable, finish, must_have_reference, table_of
-from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, Variant, Variants, chosen, controllers, read_comparison
+from vstestbed.studies.comparison.folder import (
+    GROUP,
+    Baseline,
+    ComparisonTable,
+    finish,
+    must_have_reference,
+    table_of,
+)
+from vstestbed.studies.comparison.plan import (
+    Comparison,
+    Job,
+    Jobs,
+    Variant,
+    Variants,
+    chosen,
+    controllers,
+    read_comparison,
+)
 from vstestbed.studies.comparison.record import (
     PLAN,
     Agreement,
@@ -34,7 +52,17 @@ from vstestbed.studies.comparison.shards import Shard, Share, gather, must_be_do
 from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
 
-__all__ = ["PLAN", "Baseline", "Comparison", "ComparisonTable", "Job", "Jobs", "Runner", "Shard", "Variant"]
+__all__ = [
+    "PLAN",
+    "Baseline",
+    "Comparison",
+    "ComparisonTable",
+    "Job",
+    "Jobs",
+    "Runner",
+    "Shard",
+    "Variant",
+]
 __all__ += ["chosen", "compare", "controllers", "merge", "must_be_known"]
 
 
@@ -62,34 +90,73 @@ def compare(
 ) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
-    In a script, call it under `if __name__ == "__main__":`, since worker processes import the script.
+    In a script, call it under `if __name__ == "__main__":`, since worker processes import the
+    script.
 
     Args:
         scenarios: paths or bundled names; or one comparison, by path or bundled name.
-        vary: lists of values by dotted path; every combination is run. seeds: number of seeds; None: only the nominal start.
-        jobs: worker processes; None: one per core. executor: `local`, `warp` (pictures by a device, without films), or `dask://HOST:PORT`.
-        out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
+        vary: lists of values by dotted path; every combination is run. seeds: number of seeds;
+            None: only the nominal start.
+        jobs: worker processes; None: one per core. executor: `local`, `warp` (pictures by a device,
+            without films), or `dask://HOST:PORT`.
+        out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in
+            `out`.
         set: values by dotted path for all scenarios. plugins: files or modules that add kinds.
         film: whether to film the first seed. report: whether to write the page.
-        on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
-        baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
+        on_done: called after every run with the job and its summary. force: allow more than 100,000
+            runs.
+        baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what
+            changed (`BaselineChanges`).
         limit: of each task only so many runs, spread evenly over its list.
-        figures: whether to draw the page's figures for a paper as well, as PDF, SVG and PNG in `figures/`.
+        figures: whether to draw the page's figures for a paper as well, as PDF, SVG and PNG in
+            `figures/`.
         primary, reference, first_seed: as of `Comparison`.
-        shard: only one of some equal shares of the runs, `3/64` the third of 64, in an `out` of its own; `merge` puts them together.
+        shard: only one of some equal shares of the runs, `3/64` the third of 64, in an `out` of its
+            own; `merge` puts them together.
 
-    Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the baseline is no comparison, or has none
-    of these runs. OutputError: `out` is taken, or another process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no
-    space, no cluster.
+    Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the
+    baseline is no comparison, or has none of these runs. OutputError: `out` is taken, or another
+    process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no space, no
+    cluster.
     """
     must_not_be_worker("compare")
     must_be_known(executor)
-    folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
-    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
+    folder, earlier = (
+        None if out is None else Path(out),
+        None if baseline is None else Baseline.read(baseline),
+    )
+    fields = {
+        "seeds": seeds,
+        "limit": limit,
+        "primary": primary,
+        "reference": reference,
+        "first_seed": first_seed,
+    }
     share = None if shard is None else Shard.read(shard)
-    with prepared(scenarios, vary or {}, folder, resume, set or {}, plugins, film, force, earlier, fields, shard=share) as found:
+    with prepared(
+        scenarios,
+        vary or {},
+        folder,
+        resume,
+        set or {},
+        plugins,
+        film,
+        force,
+        earlier,
+        fields,
+        shard=share,
+    ) as found:
         runner, comparison = found
-        return carry_out(runner, comparison, jobs, executor, on_done, report=report, baseline=earlier, figures=figures)
+        return carry_out(
+            runner,
+            comparison,
+            jobs,
+            executor,
+            on_done,
+            report=report,
+            baseline=earlier,
+            figures=figures,
+        )
 
 
 def carry_out(
@@ -103,14 +170,17 @@ def carry_out(
     baseline: Baseline | None = None,
     figures: bool = True,
 ) -> ComparisonTable:
-    """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
-    A shard has a table alone. Raises EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone: there is no result.
+    """Do the missing runs of a comparison, then table, film and report; `stage` is called with what
+    is being done after the runs. A shard has a table alone. Raises EnvironmentLackError,
+    OutputError: as of `compare`; or stored runs are gone: there is no result.
     """
     with ExitStack() as stack:
         pool = None
         try:
             if left := len(runner.jobs) - runner.done:
-                pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), runner.folder, runner.scenarios)))
+                pool = stack.enter_context(
+                    closing(pool_of(executor, workers(jobs, left), runner.folder, runner.scenarios))
+                )
                 runner.run(pool, on_done)
             else:
                 clear(runner.folder)  # of a process that was killed while it wrote the report
@@ -118,7 +188,10 @@ def carry_out(
             table = table_of(runner.folder, runner.jobs)
             write_table(runner.folder / "comparison", table, GROUP)
         if lost := len(runner.jobs) - len(table):
-            words = f"{lost} of {len(runner.jobs)} runs are not there any more, though each was stored when it was done"
+            words = (
+                f"{lost} of {len(runner.jobs)} runs are not there any more,"
+                " though each was stored when it was done"
+            )
             advice = "see what else writes there, then do them again with --resume"
             raise OutputError(runner.folder, words, advice, EnvironmentLackError.exit_code)
         changes = None
@@ -126,15 +199,28 @@ def carry_out(
             changes = baseline.changes(comparison, table, runner.folder)
             write_json(runner.folder / FILE, changes.plain())  # before the page, which reads it
         if report and Shard.in_folder(runner.folder).of == 1:
-            finish(runner.folder, comparison, table, stage, at_once if pool is None else pool.call, figures)
+            finish(
+                runner.folder,
+                comparison,
+                table,
+                stage,
+                at_once if pool is None else pool.call,
+                figures,
+            )
     return ComparisonTable.of(table, runner.folder, comparison, changes)
 
 
 def again(
-    place: Path, out: Path | None = None, jobs: int | None = None, executor: str = "local", on_done: OnDone = lambda job, summary: None
+    place: Path,
+    out: Path | None = None,
+    jobs: int | None = None,
+    executor: str = "local",
+    on_done: OnDone = lambda job, summary: None,
 ) -> tuple[Path, Agreement]:
-    """Fly a comparison's folder again, in a new one (`out`), with the copies of its files; the new folder, and whether both agree.
-    Raises RunFolderError: a file is not what flew. ParameterError: `place` is no comparison; others as of `compare`.
+    """Fly a comparison's folder again, in a new one (`out`), with the copies of its files; the new
+    folder, and whether both agree.
+    Raises RunFolderError: a file is not what flew. ParameterError: `place` is no comparison; others
+    as of `compare`.
     """
     must_be_comparison(place)
     with study_folder("compare", out) as folder:
@@ -146,12 +232,16 @@ def again(
 
 
 def merge(
-    places: Sequence[Path], out: Path | None = None, stage: Callable[[str], None] = lambda words: None, figures: bool = True
+    places: Sequence[Path],
+    out: Path | None = None,
+    stage: Callable[[str], None] = lambda words: None,
+    figures: bool = True,
 ) -> ComparisonTable:
-    """Put the shards of a comparison together into a new folder (`out`): the same runs, table and page as by one process.
+    """Put the shards of a comparison together into a new folder (`out`): the same runs, table and
+    page as by one process.
 
-    The runs are links to the shards' files where the file system has them. Raises RunFolderError: a folder is no shard of this comparison,
-    shards or runs are missing. OutputError: `out` is taken.
+    The runs are links to the shards' files where the file system has them. Raises RunFolderError: a
+    folder is no shard of this comparison, shards or runs are missing. OutputError: `out` is taken.
     """
     must_be_whole(places)
     comparison = read_comparison(places[0] / PLAN, moved_plugins(places[0], ()))
@@ -178,8 +268,9 @@ def prepared(
     requested: Comparison | None = None,
     shard: Shard | None = None,
 ) -> Iterator[tuple[Runner, Comparison]]:
-    """Check everything, make or open the folder, write the plan; the folder is held until the block ends. fields: as of `chosen`.
-    requested: the comparison, of which none is named by `scenarios`. shard: only this share of it; None: all, or what the folder is.
+    """Check everything, make or open the folder, write the plan; the folder is held until the block
+    ends. fields: as of `chosen`. requested: the comparison, of which none is named by `scenarios`.
+    shard: only this share of it; None: all, or what the folder is.
     """
     if shard is not None and out is None:
         raise ParameterError.needs("--shard", "a folder of its own", why="--out DIR")
@@ -194,12 +285,17 @@ def prepared(
             comparison, found = _resumed(folder, requested, force, plugins)
             there = Shard.in_folder(folder)
             if shard is not None and shard != there:
-                raise ParameterError("--resume", f"goes on with shard {there} of what the folder compares; leave --shard out", str(folder))
+                raise ParameterError(
+                    "--resume",
+                    f"goes on with shard {there} of what the folder compares; leave --shard out",
+                    str(folder),
+                )
             every = Share(Jobs(found, comparison.seeds, comparison.first_seed), there)
         elif requested is None:
             raise ParameterError.missing("SCENARIO", "name scenarios to compare, or a comparison")
         else:
-            comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
+            # before the folder is made: bad input leaves no folder
+            comparison, found = requested, controllers(requested, force)
             _check_workers_find(found)
             must_have_reference(comparison, found)
             every = Share(Jobs(found, comparison.seeds, comparison.first_seed), shard or Shard())
@@ -210,35 +306,51 @@ def prepared(
             (shard or Shard()).keep(folder)
             keep(folder)
         first = comparison.first_seed if comparison.seeds is not None else None
-        filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
+        # a film of a few starts would not show a task
+        filmed = (first,) if film and not comparison.tasks else ()
         yield Runner(folder, every, filmed), comparison
 
 
 def _check_workers_find(found: Variants) -> None:
-    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers."""
+    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a
+    script's are imported by workers.
+    """
     typed_in = not hasattr(sys.modules["__main__"], "__file__")
-    if typed_in and any(cls.__module__ == "__main__" for room in REGISTRIES for cls in room.members.values()):
+    if typed_in and any(
+        cls.__module__ == "__main__" for room in REGISTRIES for cls in room.members.values()
+    ):
         for variant in found:
             check_plugins(variant.scenario)
 
 
-def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Variants]:
+def _resumed(
+    folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]
+) -> tuple[Comparison, Variants]:
     """The comparison of a folder with its controllers."""
     comparison = read_comparison(folder / PLAN, plugins)
     found = controllers(comparison, force)
-    if requested is not None and not _same(requested, controllers(requested, force), comparison, found):
-        problem = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
+    if requested is not None and not _same(
+        requested, controllers(requested, force), comparison, found
+    ):
+        problem = (
+            "goes on with what the folder compares,"
+            " which is something else (its `scenarios` are copies); leave the rest out"
+        )
         raise ParameterError("--resume", problem, str(folder))
     return comparison, found
 
 
 def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
-    """Whether two comparisons are equal, wherever their files are: in seeds, scenarios as loaded, folders of the runs."""
+    """Whether two comparisons are equal, wherever their files are: in seeds, scenarios as loaded,
+    folders of the runs.
+    """
 
     def essence(c: Variant) -> tuple[object, ...]:
         return tuple(dump(s, defaults=True) for s in c.starts or [c.scenario]), c.folder, c.runs
 
-    same = (a.seeds, a.first_seed, a.limit) == (b.seeds, b.first_seed, b.limit) and len(of_a) == len(of_b)
+    same = (a.seeds, a.first_seed, a.limit) == (b.seeds, b.first_seed, b.limit) and len(
+        of_a
+    ) == len(of_b)
     return same and all(essence(x) == essence(y) for x, y in zip(of_a, of_b, strict=True))
 
 
@@ -253,11 +365,20 @@ def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True
 
 
 def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
-    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`."""
+    """The comparison of a folder, the table of its finished runs, and how many there are to be;
+    plugins: see `report_again`.
+    """
     comparison = read_comparison(folder / PLAN, (*plugins, *moved_plugins(folder, plugins)))
-    every = Share(Jobs(controllers(comparison, force=True), comparison.seeds, comparison.first_seed), Shard.in_folder(folder))
+    every = Share(
+        Jobs(controllers(comparison, force=True), comparison.seeds, comparison.first_seed),
+        Shard.in_folder(folder),
+    )
     # A damaged run is named, and not left out as if it were still to come.
     table = table_of(folder, every, damaged=False)
     if table.is_empty():
-        raise RunFolderError(folder, "has no finished run", f"`vstestbed compare --resume --out {folder}` does what is missing")
+        raise RunFolderError(
+            folder,
+            "has no finished run",
+            f"`vstestbed compare --resume --out {folder}` does what is missing",
+        )
     return comparison, table, len(every)

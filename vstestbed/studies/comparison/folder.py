@@ -1,4 +1,6 @@
-"""A comparison's folder: its runs, each stored complete or not at all, the table of all runs, its results, an earlier one as baseline."""
+"""A comparison's folder: its runs, each stored complete or not at all, the table of all runs, its
+results, an earlier one as baseline.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +32,28 @@ from vstestbed.studies.comparison.record import moved_plugins
 from vstestbed.studies.comparison.tuning_record import settings_of
 
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
-DEEPEST = 5  # folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)
+# folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where
+# there are more (`among`)
+DEEPEST = 5
 
 
 def summary_of(folder: Path, job: Job) -> dict[str, Any]:
-    """The summary of a stored run. Raises RunFolderError: the run is missing, or its summary is damaged."""
-    return read_summary(folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again")
+    """The summary of a stored run. Raises RunFolderError: the run is missing, or its summary is
+    damaged.
+    """
+    return read_summary(
+        folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again"
+    )
 
 
-def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[tuple[Job, dict[str, Any]]]:
-    """The jobs that are done, with their summaries, in the order of the plan, in a time that depends on how many are done.
+def finished(
+    folder: Path, jobs: Iterable[Job], damaged: bool = True
+) -> Iterator[tuple[Job, dict[str, Any]]]:
+    """The jobs that are done, with their summaries, in the order of the plan, in a time that
+    depends on how many are done.
 
-    folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again. Raises
+    folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be
+    read, which are done again. Raises
     RunFolderError: a summary cannot be read, and `damaged` is False.
     """
     there = stored_runs(folder)
@@ -60,7 +72,9 @@ def stored_runs(folder: Path) -> set[str]:
 
 
 def _with_summary(folder: str, place: str, depth: int) -> Iterator[str]:
-    """The folders of runs with a summary below `place` in a comparison's folder, down to a depth."""
+    """The folders of runs with a summary below `place` in a comparison's folder,
+    down to a depth.
+    """
     with os.scandir(f"{folder}/{place}") as found:
         for entry in found:
             if Path(f"{entry.path}/summary.json").exists():  # faster than to list a run's folder
@@ -71,19 +85,27 @@ def _with_summary(folder: str, place: str, depth: int) -> Iterator[str]:
 
 
 def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> pl.DataFrame:
-    """A row per `finished` run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts."""
-    # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
+    """A row per `finished` run, in the order of the plan: scenario, varied values, seed, folder,
+    the summary's names, attempts.
+    """
+    # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a
+    # table.
     found, parts = finished(folder, jobs, damaged), list[pl.DataFrame]()
     while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
         # in the order of the longest row: a crashed run has only a few of the summary's names
-        names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
+        names = list(
+            dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row)
+        )
         filled = [dict(zip(names, map(row.get, names), strict=True)) for row in rows]
         parts.append(pl.DataFrame(filled, infer_schema_length=None, strict=False))
     if not parts:
         return pl.DataFrame()
     table = pl.concat(parts, how="diagonal_relaxed")
     longest = max(parts, key=lambda part: part.width).columns
-    return table.select(*(name for name in dict.fromkeys([*longest, *table.columns]) if name != "attempts"), "attempts")
+    return table.select(
+        *(name for name in dict.fromkeys([*longest, *table.columns]) if name != "attempts"),
+        "attempts",
+    )
 
 
 def _row(job: Job, summary: dict[str, Any]) -> dict[str, Any]:
@@ -101,7 +123,11 @@ def _flat(block: Mapping[str, Any], before: str) -> dict[str, Any]:
     """A nested mapping flattened, its keys joined by dots."""
     flat: dict[str, Any] = {}
     for name, value in block.items():
-        flat |= _flat(value, f"{before}{name}.") if isinstance(value, dict) else {f"{before}{name}": value}
+        flat |= (
+            _flat(value, f"{before}{name}.")
+            if isinstance(value, dict)
+            else {f"{before}{name}": value}
+        )
     return flat
 
 
@@ -119,14 +145,22 @@ class ComparisonTable(pl.DataFrame):
     baseline: BaselineChanges | None
 
     @classmethod
-    def of(cls, table: pl.DataFrame, folder: Path, comparison: Comparison, baseline: BaselineChanges | None = None) -> ComparisonTable:
+    def of(
+        cls,
+        table: pl.DataFrame,
+        folder: Path,
+        comparison: Comparison,
+        baseline: BaselineChanges | None = None,
+    ) -> ComparisonTable:
         """The table of a comparison's folder."""
         made = cls(table)
         made.folder, made.comparison, made.baseline = folder, comparison, baseline
         return made
 
     def _repr_html_(self, **as_polars: bool) -> str:
-        """Who is better, the controllers' numbers and their differences, where a Jupyter notebook shows the table."""
+        """Who is better, the controllers' numbers and their differences, where a Jupyter notebook
+        shows the table.
+        """
         from vstestbed.report.comparison.page import comparison_cell
 
         return comparison_cell(self.folder, results_of(self, self.comparison))
@@ -138,13 +172,19 @@ FILMS = ("overview.mp4", "camera.mp4")  # films of a run, from top to bottom of 
 
 
 def finish(
-    folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Callable[[str], None], call: Call = at_once, paper: bool = False
+    folder: Path,
+    comparison: Comparison,
+    table: pl.DataFrame,
+    stage: Callable[[str], None],
+    call: Call = at_once,
+    paper: bool = False,
 ) -> None:
     """Make film and report of the finished runs; nothing if there is none.
 
-    folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is being done. call: does shares of the work
-    at the same time, in other processes. paper: whether to draw the figures for a paper as well. Raises OutputError, EnvironmentLackError:
-    a file cannot be written.
+    folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is
+    being done. call: does shares of the work at the same time, in other processes. paper: whether
+    to draw the figures for a paper as well. Raises OutputError, EnvironmentLackError: a file cannot
+    be written.
     """
     from vstestbed.report.comparison.page import write_comparison_report
 
@@ -155,44 +195,83 @@ def finish(
         from vstestbed.report.comparison.tasks import write_task_report
 
         stage("writing the report")
-        write_task_report(folder, results_of(table, comparison), command_of(comparison), call, paper)
+        write_task_report(
+            folder, results_of(table, comparison), command_of(comparison), call, paper
+        )
         return
     stage("joining the films")
     plugins = (*comparison.plugins, *moved_plugins(folder, comparison.plugins))
     film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
-    write_comparison_report(folder, results_of(table, comparison), command_of(comparison), film, plugins, call, paper)
+    write_comparison_report(
+        folder, results_of(table, comparison), command_of(comparison), film, plugins, call, paper
+    )
 
 
 def must_have_reference(comparison: Comparison, found: Iterable[Variant]) -> None:
-    """Refuse a reference that is none of the controllers, before anything runs. Raises ParameterError: with their names."""
+    """Refuse a reference that is none of the controllers, before anything runs. Raises
+    ParameterError: with their names.
+    """
     if comparison.reference:
-        rows = [{"scenario": variant.scenario.name, **_as_text(variant.values), "seed": 0} for variant in found]
+        rows = [
+            {"scenario": variant.scenario.name, **_as_text(variant.values), "seed": 0}
+            for variant in found
+        ]
         axes = tuple(axis for axis in comparison.varied if axis != TASK)
-        planned = ComparisonResults(pl.DataFrame(rows, infer_schema_length=None, strict=False), axes, reference=comparison.reference)
+        planned = ComparisonResults(
+            pl.DataFrame(rows, infer_schema_length=None, strict=False),
+            axes,
+            reference=comparison.reference,
+        )
         _ = planned.reference_index
 
 
 def results_of(table: pl.DataFrame, comparison: Comparison) -> ComparisonResults:
     """The results of a comparison as its report shows them."""
     metrics = comparison.metrics or (() if comparison.tasks else shown_by_default(table))
-    names = comparison.varied, metrics, comparison.description, comparison.primary, comparison.reference
-    return ComparisonResults(table, *names, margin=comparison.margin, settings=settings_of(comparison))
+    names = (
+        comparison.varied,
+        metrics,
+        comparison.description,
+        comparison.primary,
+        comparison.reference,
+    )
+    return ComparisonResults(
+        table, *names, margin=comparison.margin, settings=settings_of(comparison)
+    )
 
 
 def _film(folder: Path, table: pl.DataFrame, axes: tuple[str, ...]) -> Path | None:
-    """Make `comparison.mp4`: the first filmed run of each controller, up to six controllers; None if there are no films."""
+    """Make `comparison.mp4`: the first filmed run of each controller, up to six controllers; None
+    if there are no films.
+    """
     from vstestbed.report.video.side_by_side import MOST, Column, side_by_side
 
     columns = []
     for controller in ComparisonResults(table, axes).controllers[:MOST]:
         # crashed runs have no films
-        run = next((row for row in controller.runs.iter_rows(named=True) if _films(folder / row["folder"])), None)
+        run = next(
+            (
+                row
+                for row in controller.runs.iter_rows(named=True)
+                if _films(folder / row["folder"])
+            ),
+            None,
+        )
         if run is not None:
-            # the time to converge, as everywhere; a run that does not has the time at which it ended
-            time_s = run["sim_time_s"] if run["time_to_converge_s"] is None else run["time_to_converge_s"]
+            # the time to converge, as everywhere; a run that does not has the time at which it
+            # ended
+            time_s = (
+                run["sim_time_s"]
+                if run["time_to_converge_s"] is None
+                else run["time_to_converge_s"]
+            )
             ending = run["outcome"] if time_s is None else f"{run['outcome']} {time_s:.1f} s"
-            columns.append(Column(controller.label, _films(folder / run["folder"]), ending, bool(run["success"])))
+            columns.append(
+                Column(
+                    controller.label, _films(folder / run["folder"]), ending, bool(run["success"])
+                )
+            )
     return side_by_side(columns, folder / FILM) if columns else None
 
 
@@ -201,13 +280,21 @@ def _films(run: Path) -> tuple[Path, ...]:
 
 
 def command_of(comparison: Comparison) -> str:
-    """The command line that repeats a comparison; cases and tasks have no options, so that they need the plan in its folder."""
+    """The command line that repeats a comparison; cases and tasks have no options, so that they
+    need the plan in its folder.
+    """
     if comparison.cases or comparison.tasks:
         return "vstestbed compare comparison.yaml"
-    names = [Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base]
+    names = [
+        Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name
+        for name in comparison.base
+    ]
     words = ["vstestbed", "compare", *names, *(f"--plugin={name}" for name in comparison.plugins)]
     options = [("--set", f"{path}={flow_text(value)}") for path, value in comparison.set.items()]
-    options += [("--vary", f"{path}={flow_text(list(values))[1:-1]}") for path, values in comparison.axes.items()]
+    options += [
+        ("--vary", f"{path}={flow_text(list(values))[1:-1]}")
+        for path, values in comparison.axes.items()
+    ]
     single = {
         "--seeds": comparison.seeds,
         "--first-seed": comparison.first_seed,
@@ -218,7 +305,8 @@ def command_of(comparison: Comparison) -> str:
     return shlex.join(chain(words, *options))
 
 
-# An earlier comparison as the baseline of a new one: which of its runs are the same, and what changed in them.
+# An earlier comparison as the baseline of a new one: which of its runs are the same, and what
+# changed in them.
 TABLES = ("comparison.parquet", "comparison.csv")
 NEEDED = ("scenario", "seed", "outcome", "success")
 MOST_NAMED = 6  # most controllers of an earlier comparison that a message names
@@ -231,7 +319,8 @@ class Baseline:
     """The table of an earlier comparison.
 
     Attributes:
-        place: the folder or the file that was given. file: the table's file. table: one row per run.
+        place: the folder or the file that was given. file: the table's file. table: one row per
+            run.
     """
 
     place: Path
@@ -244,12 +333,22 @@ class Baseline:
         place = Path(place)
         file = next((place / name for name in TABLES if (place / name).is_file()), place)
         if file.is_dir() or not file.exists():
-            raise RunFolderError(place, "holds no comparison's results" if file.is_dir() else "no such folder or file", WORKS)
+            raise RunFolderError(
+                place,
+                "holds no comparison's results" if file.is_dir() else "no such folder or file",
+                WORKS,
+            )
         content = io.BytesIO(read_file(file, WORKS))
         with foreign(file, WORKS, RunFolderError):
-            table = pl.read_csv(content, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(content)
+            table = (
+                pl.read_csv(content, infer_schema_length=None)
+                if file.suffix == ".csv"
+                else pl.read_parquet(content)
+            )
         if missing := [name for name in NEEDED if name not in table.columns]:
-            raise RunFolderError(file, f"is no table of a comparison (it has no column {missing[0]})", WORKS)
+            raise RunFolderError(
+                file, f"is no table of a comparison (it has no column {missing[0]})", WORKS
+            )
         return cls(place, file, table)
 
     def must_match(self, comparison: Comparison, jobs: Iterable[Job]) -> None:
@@ -257,18 +356,30 @@ class Baseline:
         varied = comparison.varied
         there = set(_rows_by_key(self.table, varied))
         planned = ((job.controller, job.controller.scenario, job.seed) for job in jobs)
-        rows = ({"scenario": s.name, **c.values, "seed": s.seed if seed is None else seed} for c, s, seed in planned)
+        rows = (
+            {"scenario": s.name, **c.values, "seed": s.seed if seed is None else seed}
+            for c, s, seed in planned
+        )
         if not any(_key(_as_text(row), varied) in there for row in rows):
             names = list(dict.fromkeys(map(_words, _controllers(self.table))))
             more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
             seeds = sorted(set(self.table["seed"].to_list()))
             of = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else ", ".join(map(str, seeds))
-            words = f"has no run of this comparison; it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {of}"
-            raise RunFolderError(self.place, words, "compare the same scenarios with the same --vary and --seeds")
+            words = (
+                "has no run of this comparison;"
+                f" it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {of}"
+            )
+            raise RunFolderError(
+                self.place, words, "compare the same scenarios with the same --vary and --seeds"
+            )
 
     def changes(self, comparison: Comparison, table: pl.DataFrame, folder: Path) -> BaselineChanges:
-        """What changed in the runs that both have. comparison: the new one. table: of its runs. folder: its folder."""
-        results = ComparisonResults(table, comparison.varied, comparison.metrics or shown_by_default(table))
+        """What changed in the runs that both have. comparison: the new one. table: of its runs.
+        folder: its folder.
+        """
+        results = ComparisonResults(
+            table, comparison.varied, comparison.metrics or shown_by_default(table)
+        )
         metrics = list({m.name: m for m in (*results.shown, TIME)}.values())
         before = _rows_by_key(self.table, comparison.varied)
         left, only_now, found = dict(before), list[str](), []
@@ -279,8 +390,18 @@ class Baseline:
                 only_now.append(f"{controller.label}, {len(keys) - len(here)} of {len(keys)} runs")
             if here:
                 now, then = controller.runs[here], self.table[[before[keys[i]] for i in here]]
-                found.append(change_of(controller.label, then, now, metrics, self._settings(then, folder, now)))
-        return BaselineChanges(str(self.place), sum(c.runs for c in found), tuple(only_now), self._named(left.values()), tuple(found))
+                found.append(
+                    change_of(
+                        controller.label, then, now, metrics, self._settings(then, folder, now)
+                    )
+                )
+        return BaselineChanges(
+            str(self.place),
+            sum(c.runs for c in found),
+            tuple(only_now),
+            self._named(left.values()),
+            tuple(found),
+        )
 
     def _named(self, rows: Iterable[int]) -> tuple[str, ...]:
         """The controllers of some rows, each with how many there are."""
@@ -288,12 +409,16 @@ class Baseline:
         return tuple(f"{name}, {n} run{'s' * (n != 1)}" for name, n in counted.items())
 
     def _settings(self, then: pl.DataFrame, folder: Path, now: pl.DataFrame) -> tuple[str, ...]:
-        """Fields in which the scenario of the first matched run differs; none where one of the two files is not there."""
+        """Fields in which the scenario of the first matched run differs; none where one of the two
+        files is not there.
+        """
         from vstestbed.report.comparison.page import differing
 
         if "folder" not in then.columns:
             return ()
-        return differing([self.file.parent / str(then["folder"][0]), folder / str(now["folder"][0])])
+        return differing(
+            [self.file.parent / str(then["folder"][0]), folder / str(now["folder"][0])]
+        )
 
 
 def _rows_by_key(table: pl.DataFrame, varied: Sequence[str]) -> dict[Key, int]:
@@ -309,7 +434,9 @@ def _key(row: Mapping[str, Any], varied: Sequence[str]) -> Key:
 
 
 def _norm(value: object) -> object:
-    """A value as tables compare it: a number is the same in a column of numbers and in one of texts."""
+    """A value as tables compare it: a number is the same in a column of numbers and in one of
+    texts.
+    """
     if isinstance(value, bool) or value is None:
         return str(value).lower()
     try:
@@ -319,12 +446,19 @@ def _norm(value: object) -> object:
 
 
 def _as_text(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A planned run's values as in a table, whose columns hold numbers or text: blocks and lists as JSON."""
-    return {name: value if isinstance(value, int | float | str) else json.dumps(value) for name, value in row.items()}
+    """A planned run's values as in a table, whose columns hold numbers or text: blocks and lists as
+    JSON.
+    """
+    return {
+        name: value if isinstance(value, int | float | str) else json.dumps(value)
+        for name, value in row.items()
+    }
 
 
 def _named(table: pl.DataFrame) -> list[str]:
-    """The columns that name a controller, which stand before the seed: the scenario and what is varied."""
+    """The columns that name a controller, which stand before the seed: the scenario and what is
+    varied.
+    """
     return table.columns[: table.columns.index("seed")]
 
 
@@ -333,4 +467,9 @@ def _controllers(table: pl.DataFrame) -> list[dict[str, Any]]:
 
 
 def _words(row: Mapping[str, Any]) -> str:
-    return ", ".join([str(row["scenario"]), *(f"{name}={value}" for name, value in row.items() if name != "scenario")])
+    return ", ".join(
+        [
+            str(row["scenario"]),
+            *(f"{name}={value}" for name, value in row.items() if name != "scenario"),
+        ]
+    )

@@ -1,4 +1,6 @@
-"""The runs of a comparison: each in a worker process, which returns its folder as bytes; what is missing is done, stored, repeated."""
+"""The runs of a comparison: each in a worker process, which returns its folder as bytes; what is
+missing is done, stored, repeated.
+"""
 
 from __future__ import annotations
 
@@ -25,37 +27,54 @@ from vstestbed.studies.pools import MOST_TRIES, Pool, Request, WorkerLostError, 
 from vstestbed.studies.run_folder import ASSETS, Files, files_in, files_of_failure, run_into, store
 
 TILE_PX = (480, 270)
-"""Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
+"""Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of
+the work of the full size.
+"""
 
 
 def request_of(folder: str, scenario: Scenario, filmed: bool) -> Request[Files]:
-    """The request for a run, which needs no file of the sender's machine. folder: below the comparison's. filmed: whether to make films."""
-    return Request(folder, perform, (given_text(scenario), filmed), not filmed and is_light(scenario))
+    """The request for a run, which needs no file of the sender's machine. folder: below the
+    comparison's. filmed: whether to make films.
+    """
+    return Request(
+        folder, perform, (given_text(scenario), filmed), not filmed and is_light(scenario)
+    )
 
 
 def perform(text: str, filmed: bool, place: str | None = None) -> Files:
-    """Run a scenario as given and return its folder, which is made in `place` (None: where TMPDIR says).
+    """Run a scenario as given and return its folder, which is made in `place` (None: where TMPDIR
+    says).
 
-    An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback, a start at which an arm falls `unreachable`.
-    Raises EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well. PluginError: a plugin
-    of the scenario is not there on this machine.
+    An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback, a
+    start at which an arm falls `unreachable`.
+    Raises EnvironmentLackError: this machine has no OpenGL or no space, so that every other run
+    would fail as well. PluginError: a plugin of the scenario is not there on this machine.
     """
     scenario = parse(text, GIVEN)
-    # the run's folder is local: the worker may be on a machine without access to the comparison's folder
+    # the run's folder is local: the worker may be on a machine without access to the comparison's
+    # folder
     with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made, unflushed():
         folder = Path(made) / "run"
         folder.mkdir()
         try:
-            recording = uninterrupted(run_into(folder, scenario, "both" if filmed else "none", report=False, tile_px=TILE_PX))
-            # a picture of every failure for the report's gallery; films are made of the first seed only
+            recording = uninterrupted(
+                run_into(
+                    folder, scenario, "both" if filmed else "none", report=False, tile_px=TILE_PX
+                )
+            )
+            # a picture of every failure for the report's gallery; films are made of the first seed
+            # only
             if not recording.outcome.success and len(recording.rows):
                 picture_of_the_end(recording.scenario, recording.rows, folder)
         except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
         except UnreachableError as error:  # its motors cannot hold it there
             return files_of_failure(text, error.problem, outcome=Outcome.unreachable)
-        except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
-            return files_of_failure(text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder))
+        except (Exception, SystemExit) as error:
+            # a plugin that calls sys.exit ends its run, not the worker
+            return files_of_failure(
+                text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder)
+            )
         return files_in(folder)
 
 
@@ -63,9 +82,15 @@ MOST_FRAMES = 10_000  # of a light run, which then takes a second or two at most
 
 
 def is_light(scenario: Scenario) -> bool:
-    """Whether its runs take some hundredths of a second, by code of this package alone: of an ideal camera without pictures or plugins."""
+    """Whether its runs take some hundredths of a second, by code of this package alone: of an ideal
+    camera without pictures or plugins.
+    """
     short = scenario.stop.duration_s * scenario.camera.rate_hz <= MOST_FRAMES
-    package = type(scenario.law).__module__.startswith("vstestbed.") and scenario.law.kind != "policy" and not scenario.plugins
+    package = (
+        type(scenario.law).__module__.startswith("vstestbed.")
+        and scenario.law.kind != "policy"
+        and not scenario.plugins
+    )
     return short and package and scenario.robot.body is None and not scenario.detector.needs_image
 
 
@@ -77,7 +102,8 @@ def picture_of_the_end(scenario: Scenario, rows: Log, folder: Path) -> None:
     film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
 
 
-OnDone = Callable[[Job, dict[str, Any]], None]  # called after every finished run with the job and its summary
+# called after every finished run with the job and its summary
+OnDone = Callable[[Job, dict[str, Any]], None]
 
 
 @dataclass
@@ -85,7 +111,8 @@ class Runner:
     """The runs of a comparison.
 
     Args:
-        folder: the comparison's folder. jobs: all runs. filmed: the seeds whose runs are filmed; empty for a comparison without films.
+        folder: the comparison's folder. jobs: all runs. filmed: the seeds whose runs are filmed;
+            empty for a comparison without films.
     """
 
     folder: Path
@@ -103,11 +130,15 @@ class Runner:
 
     @cached_property
     def _done(self) -> set[str]:
-        """The folders of the jobs with a stored result: read once, then kept up to date; read again after Ctrl-C."""
+        """The folders of the jobs with a stored result: read once, then kept up to date; read again
+        after Ctrl-C.
+        """
         return {job.folder for job, _ in finished(self.folder, self.jobs)}
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
-        """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept."""
+        """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can
+        be written; finished runs are kept.
+        """
         again = list[tuple[Job, Request[Files]]]()
         try:
             for job, request, future in completed(pool, self._requests(pool, on_done), again):
@@ -117,10 +148,13 @@ class Runner:
                     if pool.tries(request) < MOST_TRIES:
                         again.append((job, request))
                         continue
-                    files = files_of_failure(request.arguments[0], f"{error}, and the one that tried again, too")
+                    files = files_of_failure(
+                        request.arguments[0], f"{error}, and the one that tried again, too"
+                    )
                 self._store(job, files, max(1, pool.tries(request)), on_done)
         except KeyboardInterrupt:
-            vars(self).pop("_done", None)  # it may have come after a run was stored and before it was counted
+            # it may have come after a run was stored and before it was counted
+            vars(self).pop("_done", None)
             raise
 
     def _store(self, job: Job, files: Files, attempts: int, on_done: OnDone) -> None:
@@ -129,7 +163,9 @@ class Runner:
         on_done(job, summary)
 
     def _requests(self, pool: Pool, on_done: OnDone) -> Iterator[tuple[Job, Request[Files]]]:
-        """All missing jobs with their requests, drawn when their turn comes; a job whose start cannot be drawn is stored at once."""
+        """All missing jobs with their requests, drawn when their turn comes; a job whose start
+        cannot be drawn is stored at once.
+        """
         for job in self.jobs:
             if job.folder in self._done:
                 continue

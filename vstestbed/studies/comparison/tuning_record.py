@@ -1,4 +1,6 @@
-"""Laws or settings of them: a comparison ranks laws where all gains of each come from searches of one budget, which its plan records."""
+"""Laws or settings of them: a comparison ranks laws where all gains of each come from searches of
+one budget, which its plan records.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,11 @@ from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.yaml_marks import build
 from vstestbed.studies.comparison.plan import Comparison, Tuned, Variant, Variants, changed
 
-MOST = 500  # laws of a comparison that are looked at, each of which takes a hundredth of a second to load
+# laws of a comparison that are looked at, each of which takes a hundredth of a second to load
+MOST = 500
 MOST_REASONS = 4  # groups of laws that the sentence names
-UNCOMPARED = ("name", "description", "law", "metrics")  # settings for all laws that change nothing of the world in which they fly
+# settings for all laws that change nothing of the world in which they fly
+UNCOMPARED = ("name", "description", "law", "metrics")
 
 
 def of_law(paths: Iterable[str]) -> bool:
@@ -25,20 +29,34 @@ def of_law(paths: Iterable[str]) -> bool:
 
 
 def is_gain(path: str) -> bool:
-    """Whether a dotted path is that of a gain: `law.gain`, `law.gain.at_zero`, `law.gain_z`, `law.k_rho`, `law.law.gain`."""
-    return of_law([path]) and any("gain" in part or part.startswith("k_") for part in path.split("."))
+    """Whether a dotted path is that of a gain: `law.gain`, `law.gain.at_zero`, `law.gain_z`,
+    `law.k_rho`, `law.law.gain`.
+    """
+    return of_law([path]) and any(
+        "gain" in part or part.startswith("k_") for part in path.split(".")
+    )
 
 
 def gains_of(law: Any) -> dict[str, float]:
-    """Every gain of a law by its dotted path, also of the laws in it, without those that do nothing in this form of it (`Law.idle`)."""
-    return {path: value for path, value in _values(law).items() if is_gain(path) and type(value) in (int, float)}
+    """Every gain of a law by its dotted path, also of the laws in it, without those that do nothing
+    in this form of it (`Law.idle`).
+    """
+    return {
+        path: value
+        for path, value in _values(law).items()
+        if is_gain(path) and type(value) in (int, float)
+    }
 
 
 def _values(part: Any, path: str = "law") -> dict[str, Any]:
-    """Every scalar of a spec by its dotted path; a constant gain by the path of the gain, as people write it."""
+    """Every scalar of a spec by its dotted path; a constant gain by the path of the gain, as people
+    write it.
+    """
     if is_dataclass(part):
         idle = getattr(part, "idle", ())
-        part = {f.name: getattr(part, f.name) for f in fields(part) if f.init and f.name not in idle}
+        part = {
+            f.name: getattr(part, f.name) for f in fields(part) if f.init and f.name not in idle
+        }
     elif isinstance(part, tuple):
         part = dict(enumerate(part))
     if not isinstance(part, Mapping):
@@ -56,16 +74,26 @@ def law_axes(comparison: Comparison) -> list[str]:
 
 
 def tunable(comparison: Comparison) -> bool:
-    """Whether its laws are one axis of `cases`, or its scenarios: `tune` searches for the gains of these."""
-    return len(law_axes(comparison)) + (len(comparison.base) > 1) < 2 and not of_law(comparison.axes)
+    """Whether its laws are one axis of `cases`, or its scenarios: `tune` searches for the gains of
+    these.
+    """
+    return len(law_axes(comparison)) + (len(comparison.base) > 1) < 2 and not of_law(
+        comparison.axes
+    )
 
 
 def laws_of(comparison: Comparison) -> dict[str, Variant]:
-    """A controller with each law, by name: of its scenario, its case, or both; of all else that is varied the first alternative."""
+    """A controller with each law, by name: of its scenario, its case, or both; of all else that is
+    varied the first alternative.
+    """
     axes, found = law_axes(comparison), dict[str, Variant]()
     few = {path: values if path in axes else values[:1] for path, values in comparison.axes.items()}
-    cases = {name: those if name in axes else _first(those) for name, those in comparison.cases.items()}
-    for variant in islice(Variants(changed(comparison, axes=few, cases=cases, tasks=_first(comparison.tasks))), MOST):
+    cases = {
+        name: those if name in axes else _first(those) for name, those in comparison.cases.items()
+    }
+    for variant in islice(
+        Variants(changed(comparison, axes=few, cases=cases, tasks=_first(comparison.tasks))), MOST
+    ):
         words = [flow_text(variant.values[axis]).strip("{}'\"") for axis in axes]
         if len(comparison.base) > 1 or not axes:
             words.insert(0, _scenario(variant))
@@ -83,11 +111,17 @@ def _scenario(variant: Variant) -> str:
 
 def world(comparison: Comparison) -> dict[str, Any]:
     """What a comparison sets for all its laws."""
-    return {path: value for path, value in comparison.set.items() if path.split(".")[0] not in UNCOMPARED}
+    return {
+        path: value
+        for path, value in comparison.set.items()
+        if path.split(".")[0] not in UNCOMPARED
+    }
 
 
 def ranges(laws: Mapping[str, Variant]) -> dict[str, str]:
-    """A range for each gain of any law, as `tune --vary` takes it: 0.3 to 8, or a quarter to four times one that is outside."""
+    """A range for each gain of any law, as `tune --vary` takes it: 0.3 to 8, or a quarter to four
+    times one that is outside.
+    """
     found = dict[str, str]()
     for variant in laws.values():
         for path, value in gains_of(variant.scenario.law).items():
@@ -97,11 +131,16 @@ def ranges(laws: Mapping[str, Variant]) -> dict[str, str]:
 
 
 def settings_of(comparison: Comparison) -> str:
-    """Why a comparison ranks settings, and which command makes them laws, in sentences; "" where it ranks laws, or all fly with one."""
+    """Why a comparison ranks settings, and which command makes them laws, in sentences; "" where it
+    ranks laws, or all fly with one.
+    """
     laws = laws_of(comparison)
     differ = _different([_values(variant.scenario.law) for variant in laws.values()])
     if all(map(is_gain, differ)):
-        words = f"one law flies with different {listed(differ)}. A larger gain converges sooner by itself, until delay or limits stop it."
+        words = (
+            f"one law flies with different {listed(differ)}."
+            " A larger gain converges sooner by itself, until delay or limits stop it."
+        )
         return f"These are settings, not laws: {words}".replace("law.", "") if differ else ""
     reasons = _reasons(comparison, laws)
     if not reasons:
@@ -123,8 +162,15 @@ def _reasons(comparison: Comparison, laws: Mapping[str, Variant]) -> list[str]:
     for name, variant in laws.items():
         for words in dict.fromkeys(_against(comparison, name, variant)):
             found[words].append(name)
-    said = [f"{listed(names)} {'fly' if len(names) > 1 else 'flies'} with {words}" for words, names in found.items()]
-    return said if len(said) <= MOST_REASONS else [*said[:MOST_REASONS], f"and {len(said) - MOST_REASONS} more such groups of laws"]
+    said = [
+        f"{listed(names)} {'fly' if len(names) > 1 else 'flies'} with {words}"
+        for words, names in found.items()
+    ]
+    return (
+        said
+        if len(said) <= MOST_REASONS
+        else [*said[:MOST_REASONS], f"and {len(said) - MOST_REASONS} more such groups of laws"]
+    )
 
 
 def _against(comparison: Comparison, name: str, variant: Variant) -> Iterator[str]:
@@ -138,9 +184,16 @@ def _against(comparison: Comparison, name: str, variant: Variant) -> Iterator[st
     now, then = {"law.kind": law.kind}, {"law.kind": record.law.get("kind")}
     if now == then:
         now = _values(law) | world(comparison) | {"scenario": _scenario(variant)}
-        then = _values(build(type(law), record.law, {}, "tuned")) | record.set | {"scenario": record.scenario}
+        then = (
+            _values(build(type(law), record.law, {}, "tuned"))
+            | record.set
+            | {"scenario": record.scenario}
+        )
     for path in _different([now, then]):
-        yield f"{path} {flow_text(now.get(path))} in place of {flow_text(then.get(path))}, as in the search"
+        yield (
+            f"{path} {flow_text(now.get(path))} in place of"
+            f" {flow_text(then.get(path))}, as in the search"
+        )
     yield from _unequal(record, comparison.tuned.values())
 
 
@@ -158,7 +211,11 @@ def _remedy(comparison: Comparison, laws: Mapping[str, Variant]) -> str:
     """The command that tunes all gains of all laws."""
     if not tunable(comparison):
         return "`vstestbed tune` makes laws of those that are scenarios, or one axis of `cases`."
-    files = {place.rsplit(":", 2)[0] for place in comparison.places.values()}  # of an option its name
+    # of an option its name
+    files = {place.rsplit(":", 2)[0] for place in comparison.places.values()}
     bundled = {str(path): name for name, path in bundled_comparisons().items()}
-    words = [bundled.get("".join(files), "comparison.yaml"), *(f"--vary {path}={own}" for path, own in ranges(laws).items())]
+    words = [
+        bundled.get("".join(files), "comparison.yaml"),
+        *(f"--vary {path}={own}" for path, own in ranges(laws).items()),
+    ]
     return f"`vstestbed tune {' '.join(words)}` makes them laws."
