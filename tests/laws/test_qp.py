@@ -44,13 +44,13 @@ def flown(
 
 WITHIN = [
     IBVS(),
-    IBVS(feature="polar", interaction="mean"),
-    IBVS(feature="line"),
-    IBVS(feature="spherical"),
+    IBVS(feature="polar", interaction="mean"),  # type: ignore[arg-type] - a kind's word
+    IBVS(feature="line"),  # type: ignore[arg-type] - a kind's word
+    IBVS(feature="spherical"),  # type: ignore[arg-type] - a kind's word
     PBVS(),
     Hybrid(),
     Partitioned(),
-]  # type: ignore[arg-type] # a kind's word
+]
 
 
 @pytest.mark.parametrize(

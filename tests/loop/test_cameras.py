@@ -340,8 +340,8 @@ class TestController:
                     if record.image is not None
                 }
                 shots.append(
-                    (frame.t, frame.image.copy(), exposure.reading, others, frame.twist.copy())
-                )  # type: ignore[union-attr] - pictures are taken
+                    (frame.t, frame.image.copy(), exposure.reading, others, frame.twist.copy())  # type: ignore[union-attr] - pictures are taken
+                )
                 frame = session.step()
         controller, known = vs.Controller(scenario), dict.fromkeys(("right", "room"), -1.0)
         readings = {t: reading for t, _, reading, _, _ in shots}

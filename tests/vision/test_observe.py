@@ -61,9 +61,8 @@ class TestRadius:
     """Apparent radii from the target's model and the depth that the law knows."""
 
     def seen(self, depth: Depth, **changes: object) -> Observation:
-        observer = replace(
-            _observer(depth), **({"required_fields": ("xy", "depth", "radius_px")} | changes)
-        )  # pyright: ignore[reportArgumentType]
+        given = {"required_fields": ("xy", "depth", "radius_px")} | changes
+        observer = replace(_observer(depth), **given)  # pyright: ignore[reportArgumentType]
         return observer.observe(
             observer.init(), 0.0, Detection(uv=observer.camera.project(P_START)), REST, RNG
         )[1]
