@@ -193,9 +193,8 @@ def test_dry_friction_winds_a_servo_up(tmp_path: Path) -> None:
         log.append((data.time, data.act[0] - data.qpos[at.qpos[0]], data.qvel[at.qvel[0]]))
     stage.close()
     t, behind, rate = np.array(log).T
-    assert behind[-1] == pytest.approx((friction + kv * w) / kp, rel=0.002) and rate[
-        -1
-    ] == pytest.approx(w, rel=0.002)
+    assert behind[-1] == pytest.approx((friction + kv * w) / kp, rel=0.002)
+    assert rate[-1] == pytest.approx(w, rel=0.002)
     creeps = (t > 0.25) & (t < 0.5)
     torque = kp * behind - kv * rate
     assert torque[creeps].max() < friction

@@ -125,9 +125,11 @@ def test_so_many_starts_decide_also_where_a_test_of_success_joins_that_of_time()
         return judge([found])[0]
 
     needs = decided(1).needs
-    assert needs is not None and [
-        decided(times).decision for times in (needs // 20 - 1, needs // 20 + 2)
-    ] == ["none", "better"]
+    assert needs is not None
+    assert [decided(times).decision for times in (needs // 20 - 1, needs // 20 + 2)] == [
+        "none",
+        "better",
+    ]
 
 
 def test_the_sign_test_is_scipys() -> None:
