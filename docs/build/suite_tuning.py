@@ -215,9 +215,8 @@ def tuned(entry: SuiteEntry, name: str, group: Group, law: str) -> list[dict[str
     if isinstance(block, str) or not paths or (law, group.plan) in entry.blank:
         return []
     task = entry.suite.tasks[group.plan]
-    limit = controllers(trial_plan(entry, group, {"as it is": block}, True))[
-        0
-    ].scenario.stop.duration_s
+    first, *_ = controllers(trial_plan(entry, group, {"as it is": block}, True))
+    limit = first.scenario.stop.duration_s
     worst = limit if task.metric == TO_GOAL else float(task.worst or math.inf)
     space = SearchSpace(tuple(Range(path, group.low, group.high, True) for path in paths), None)
     began, trials = time.process_time(), list[Trial]()

@@ -57,9 +57,8 @@ class TestSlip:
         ) == pytest.approx((0, 0), abs=1e-9)
 
     def test_none_in_the_first_frame_nor_without_time(self):
-        assert VehicleLog(Supervisor(), ORIGIN).row(state(0.0, [1, 2, 3], ORIGIN))[
-            -3:-1
-        ].tolist() == [0.0, 0.0]
+        row = VehicleLog(Supervisor(), ORIGIN).row(state(0.0, [1, 2, 3], ORIGIN))
+        assert row[-3:-1].tolist() == [0.0, 0.0]
         assert slip((ORIGIN, [1.0, 0, 0]), (ORIGIN, ORIGIN), 0.0) == (0.0, 0.0)
 
 

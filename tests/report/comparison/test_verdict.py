@@ -337,9 +337,8 @@ def test_success_alone_takes_seven_starts_and_sooner_six() -> None:
 
     def of(n: int) -> rule.Verdict:
         none, every = np.zeros(n, dtype=bool), np.ones(n, dtype=bool)
-        return judge([rule.test_of(Starts(none, every, np.full(n, 12.0), np.full(n, 1.0), 12.0))])[
-            0
-        ]
+        starts = Starts(none, every, np.full(n, 12.0), np.full(n, 1.0), 12.0)
+        return judge([rule.test_of(starts)])[0]
 
     assert [of(n).better for n in (6, 7)] == [None, "b"]
     assert [judge([nothing_fails(n, sd=0)])[0].sooner for n in (5, 6)] == [None, "b"]

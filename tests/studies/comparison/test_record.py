@@ -141,9 +141,8 @@ def planned(folder: Path, **files: Path) -> Path:
 def kept_by(folder: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     keep(folder)
     record = json.loads((folder / RECORD).read_text())
-    return {"/".join(Path(copy).parts[2:]): said for copy, said in record["files"].items()}, record[
-        "not_copied"
-    ]
+    files = {"/".join(Path(copy).parts[2:]): said for copy, said in record["files"].items()}
+    return files, record["not_copied"]
 
 
 @pytest.fixture
