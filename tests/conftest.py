@@ -184,11 +184,8 @@ def own_kinds() -> Iterator[None]:
 
 QUICK = """\
 description: The ideal camera with the oracle, there and at rest within a second of simulated time.
-robot:
-  kind: free
-  start:
-    nominal: {xyz: [0.1, -0.05, 0]}
-    random: {xyz: [0.1, 0.1, 0.1], rpy_deg: [2, 2, 10]}
+robot: {kind: free, start: {nominal: {xyz: [0.1, -0.05, 0]}, \
+random: {xyz: [0.1, 0.1, 0.1], rpy_deg: [2, 2, 10]}}}
 camera: {width: 320, height: 240}
 target: {kind: square, side: 0.4, pose: {xyz: [0, 0, 1.2]}}
 detector: oracle

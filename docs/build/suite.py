@@ -236,9 +236,8 @@ class Suite:
 
     def mean(self, task: str, law: str) -> float:
         """Mean of a law's number in a task."""
-        return float(
-            self.all.filter((pl.col("task") == task) & (pl.col("law") == law))["value"].mean()
-        )  # type: ignore[arg-type]  # numbers
+        own = self.all.filter((pl.col("task") == task) & (pl.col("law") == law))
+        return float(own["value"].mean())  # type: ignore[arg-type]  # numbers
 
     def agreement(self, one: str, other: str, but: tuple[str, ...] = ()) -> Agreement:
         """How far the laws' means of two tasks have the same order, without some of the laws."""

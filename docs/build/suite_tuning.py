@@ -84,7 +84,7 @@ GROUPS = {
     "latency": Group("latency", ("latency",), 4),
     # at 25 pictures a second a gain of 25 ends in one
     "ideal": Group("ideal", ("ideal",), 3, high=24.0, set={}),
-    "tracking": Group("tracking", ("tracking",), 3),
+    "tracking": Group("tracking", ("tracking",), 3, high=24.0),
     "base": Group("base", ("base",), 2),
     "craft": Group("craft", ("craft",), 2, low=0.1, high=4.0),
     "natural": Group("poster", ("poster", "boxes"), 6, set={}, by="pictures"),
@@ -215,9 +215,8 @@ def tuned(entry: SuiteEntry, name: str, group: Group, law: str) -> list[dict[str
     if isinstance(block, str) or not paths or (law, group.plan) in entry.blank:
         return []
     task = entry.suite.tasks[group.plan]
-    limit = controllers(trial_plan(entry, group, {"as it is": block}, True))[
-        0
-    ].scenario.stop.duration_s
+    first, *_ = controllers(trial_plan(entry, group, {"as it is": block}, True))
+    limit = first.scenario.stop.duration_s
     worst = limit if task.metric == TO_GOAL else float(task.worst or math.inf)
     space = SearchSpace(tuple(Range(path, group.low, group.high, True) for path in paths), None)
     began, trials = time.process_time(), list[Trial]()

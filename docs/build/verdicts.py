@@ -96,9 +96,8 @@ class Verdicts:
             .unique(maintain_order=True)
             .to_list()
         )
-        return self._shares.filter(what="power", name=names[POWER.index(letter)], n=n)[
-            column
-        ].item()
+        found = self._shares.filter(what="power", name=names[POWER.index(letter)], n=n)
+        return found[column].item()
 
     def power_name(self, letter: str) -> str:
         """What flies in a cell of the power."""

@@ -88,9 +88,8 @@ def test_items_of_lists_and_rows_of_definitions_stay_apart() -> None:
     # a source's indentation is not in the middle of a line
     assert not any("  " in line.strip() for line in lines[rows[1] + 1 : rows[2]])
     lines = shown("detector.keypoints").splitlines()
-    assert sum(line.startswith("- ") for line in lines) == 4 and not any(
-        " - With" in line for line in lines
-    )
+    assert sum(line.startswith("- ") for line in lines) == 4
+    assert not any(" - With" in line for line in lines)
     assert "  nearest." in shown("detector.keypoints", 100).splitlines()
 
 
@@ -265,7 +264,8 @@ def paths_of(
 
 def test_every_path_of_a_scenario_is_known_with_its_sentence() -> None:
     paths = list(paths_of(whole_schema(Scenario)))
-    assert len(paths) > 1500 and {
+    assert len(paths) > 1500
+    assert {
         "randomise",
         "robot.realism",
         "robot.gravity_error",
@@ -313,9 +313,8 @@ def test_a_field_that_says_different_things_in_different_blocks_has_a_row_for_ea
 def test_a_field_that_holds_a_block_is_followed_by_it() -> None:
     lines = field_shown("randomise")
     assert lines[3].startswith("randomise [] fields that are drawn anew")
-    assert "distribution" in lines and any(
-        line.startswith("uniform Uniform between two bounds") for line in lines
-    )
+    assert "distribution" in lines
+    assert any(line.startswith("uniform Uniform between two bounds") for line in lines)
 
 
 def test_a_field_in_a_list_has_an_example_that_set_does_not_take() -> None:

@@ -92,7 +92,8 @@ def test_a_comparisons_runs_are_files_or_episodes_in_the_order_of_its_table(comm
     }
     assert pl.read_csv(place / "comparison_csv/comparison.csv")["folder"].to_list() == runs
     episodes = pl.read_parquet(place / "comparison_lerobot/meta/episodes/*/*.parquet")
-    assert episodes["vstestbed/run"].to_list() == runs and episodes["vstestbed/seed"].to_list() == [
+    assert episodes["vstestbed/run"].to_list() == runs
+    assert episodes["vstestbed/seed"].to_list() == [
         0,
         1,
     ]

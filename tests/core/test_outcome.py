@@ -71,18 +71,16 @@ def test_a_map_of_basins_names_each_outcome_that_occurs() -> None:
 
 
 def test_a_batch_has_a_code_for_each_outcome() -> None:
-    assert {code.name for code in batch.CODES if code is not None} == NAMES and batch.CODES[
-        batch.GOING
-    ] is None
+    assert {code.name for code in batch.CODES if code is not None} == NAMES
+    assert batch.CODES[batch.GOING] is None
 
 
 def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
     pytest.importorskip("gymnasium")
     from vstestbed.env import vector_env
 
-    assert {outcome.name for outcome in vector_env.CODES} <= NAMES and vector_env.OUTCOMES[
-        0
-    ] is vector_env.GOING
+    assert {outcome.name for outcome in vector_env.CODES} <= NAMES
+    assert vector_env.OUTCOMES[0] is vector_env.GOING
 
 
 def test_an_outcome_is_a_word_of_the_package_where_one_is_written_as_text() -> None:

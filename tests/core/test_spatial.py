@@ -135,9 +135,8 @@ def test_a_rotation_of_six_digits_is_a_rotation() -> None:
 
 
 def test_matrices_and_twists() -> None:
-    assert pose_matrix([[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])[
-        :3, 3
-    ].tolist() == [1, 2, 3]
+    T = pose_matrix([[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    assert T[:3, 3].tolist() == [1, 2, 3]
     assert twist_numbers(Twist3([1, 2, 3, 4, 5, 6])).tolist() == [1, 2, 3, 4, 5, 6]
     assert twist_numbers([1, 2]) == [1, 2]
     with pytest.raises(ParameterError, match=r"command must be one twist: .*, got 2"):

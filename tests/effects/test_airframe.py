@@ -223,9 +223,14 @@ class TestVibration:
     def test_the_accelerometer_shows_tones_at_the_rotors_frequency_and_at_that_of_the_blades(self):
         craft = Craft(
             Quadrotor(
-                realism="none", imu=QUIET, vibration={"accel_sigma_mps2": 0, "gyro_sigma_radps": 0}
+                realism="none",
+                imu=QUIET,
+                vibration={  # pyright: ignore[reportArgumentType] - a block
+                    "accel_sigma_mps2": 0,
+                    "gyro_sigma_radps": 0,
+                },
             )
-        )  # pyright: ignore[reportArgumentType] - a block
+        )
         forces = np.array(
             craft.fly(2.0, each=lambda: craft.plant._sensors.read(craft.plant._steps).force)
         )

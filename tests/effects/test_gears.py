@@ -98,9 +98,8 @@ def test_a_small_load_winds_the_gears_up_to_the_side_that_it_pulls(tmp_path: Pat
         effect.settle(
             RobotBody(stage.model, stage.data, stage.at, stage.model.opt.timestep, (), ()), load
         )
-        assert stage.data.qpos[stage.at.motor_qpos[0]] - stage.data.qpos[
-            stage.at.qpos[0]
-        ] == pytest.approx(expected, abs=1e-12)
+        rotor, link = stage.data.qpos[[stage.at.motor_qpos[0], stage.at.qpos[0]]]
+        assert rotor - link == pytest.approx(expected, abs=1e-12)
         assert load[stage.at.motor_qvel[0]] == torque  # which then is the rotor's
         stage.close()
 
@@ -126,9 +125,8 @@ def test_a_strain_wave_gear_bends_and_vibrates_in_stages(
     model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
     model.dof_damping[at.motor_qvel[0]], data.qfrc_applied[at.qvel[0]] = 1e9, torque
     (first, second), T, stiffness = curve.bends, abs(torque), (curve.k1, curve.k2, curve.k3)[part]
-    torsion = (T / curve.k1, first + (T - curve.t1) / curve.k2, second + (T - curve.t2) / curve.k3)[
-        part
-    ]
+    in_third = second + (T - curve.t2) / curve.k3
+    torsion = (T / curve.k1, first + (T - curve.t1) / curve.k2, in_third)[part]
     rest = math.copysign(torsion, torque)
     data.qpos[at.qpos[0]] = rest + 1e-5
     rows = []
@@ -193,9 +191,8 @@ def test_dry_friction_winds_a_servo_up(tmp_path: Path) -> None:
         log.append((data.time, data.act[0] - data.qpos[at.qpos[0]], data.qvel[at.qvel[0]]))
     stage.close()
     t, behind, rate = np.array(log).T
-    assert behind[-1] == pytest.approx((friction + kv * w) / kp, rel=0.002) and rate[
-        -1
-    ] == pytest.approx(w, rel=0.002)
+    assert behind[-1] == pytest.approx((friction + kv * w) / kp, rel=0.002)
+    assert rate[-1] == pytest.approx(w, rel=0.002)
     creeps = (t > 0.25) & (t < 0.5)
     torque = kp * behind - kv * rate
     assert torque[creeps].max() < friction

@@ -301,7 +301,8 @@ class TestEnds:
             "converged",
         )
         assert rewards == [0.0] * (len(rewards) - 1) + [3.0]
-        assert info["error"] < info["error_limit"] == 0.2 < errors[0] and (
+        assert info["error"] < info["error_limit"] == 0.2 < errors[0]
+        assert (
             info["error_unit"],
             info["error_by"],
         ) == ("px", "pixels")
@@ -361,9 +362,8 @@ class TestEnds:
         )
         unseen = shown["seen"] == 0
         assert unseen.any() and not shown["markers"][unseen].any()
-        assert rewards[-1] == 0.0 and sum(
-            0.99**k * r for k, r in enumerate(rewards)
-        ) == pytest.approx(-nearness)
+        assert rewards[-1] == 0.0
+        assert sum(0.99**k * r for k, r in enumerate(rewards)) == pytest.approx(-nearness)
 
     def test_a_learner_may_lose_the_target_and_find_it_again(
         self, quick_env: Callable[..., gymnasium.Env[Any, Any]]
@@ -597,9 +597,8 @@ def test_observations_are_float32_within_the_pictures_borders() -> None:
     assert (space.low == -0.5).all() and (space.high == [639.5, 479.5]).all()
     # what noise puts beyond lies on them
     assert np.isin(shown["markers"], [-0.5, 639.5, 479.5]).any()
-    assert env.observation_space.contains(shown) and env.action_space.contains(
-        env.unwrapped.expert()
-    )
+    assert env.observation_space.contains(shown)
+    assert env.action_space.contains(env.unwrapped.expert())
     env.close()
     wide = GymServo(
         "ibvs_book", overrides={"detector": {"kind": "oracle", "field_of_view": "unlimited"}}
@@ -672,9 +671,8 @@ def test_lerobots_evaluation_gets_its_environments() -> None:
         and shown["agent_pos"].shape == (2, 6)
         and "markers" not in shown
     )
-    assert envs.call("task_description")[0] == vs.load("arm_ibvs").description and envs.call(
-        "_max_episode_steps"
-    ) == (5, 5)
+    assert envs.call("task_description")[0] == vs.load("arm_ibvs").description
+    assert envs.call("_max_episode_steps") == (5, 5)
     assert not info.get("is_success", np.zeros(2)).any()
     envs.close()
 

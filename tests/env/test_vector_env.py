@@ -55,15 +55,13 @@ def test_episodes_are_those_of_single_environments(settings: dict[str, Any], sha
     rng = np.random.default_rng(0)
     for k in range(160):
         for key, values in a[0].items():
-            assert values.dtype == np.float32 and values == pytest.approx(
-                b[0][key], rel=1e-6, abs=1e-3
-            )
+            assert values.dtype == np.float32
+            assert values == pytest.approx(b[0][key], rel=1e-6, abs=1e-3)
         assert arrays.observation_space.contains(a[0])
         for name in ("outcome", "is_success", "seed"):
             assert (a[-1][name] == b[-1][name]).all(), (k, name)
-        assert a[-1]["t"] == pytest.approx(b[-1]["t"], abs=1e-9) and a[-1][
-            "error"
-        ] == pytest.approx(b[-1]["error"], nan_ok=True, rel=1e-6)
+        assert a[-1]["t"] == pytest.approx(b[-1]["t"], abs=1e-9)
+        assert a[-1]["error"] == pytest.approx(b[-1]["error"], nan_ok=True, rel=1e-6)
         wild = rng.uniform(-1, 1, (N, 6)) * (
             0.6 if "stop.rest_after_s" not in settings.get("overrides", {}) else (k % 40 < 20)
         )
@@ -113,9 +111,8 @@ def test_a_mask_begins_some_of_them() -> None:
         seed=[9, None, None], options={"reset_mask": np.array([True, False, False])}
     )
     assert info["seed"].tolist() == [9, 6, 7] and info["t"][0] == 0 < info["t"][1]
-    assert (after["markers"][1:] == before["markers"][1:]).all() and not np.allclose(
-        after["markers"][0], before["markers"][0]
-    )
+    assert (after["markers"][1:] == before["markers"][1:]).all()
+    assert not np.allclose(after["markers"][0], before["markers"][0])
 
 
 def test_what_a_batch_leaves_out_is_not_left_out_silently() -> None:

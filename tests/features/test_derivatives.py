@@ -100,9 +100,8 @@ def seen(p: np.ndarray, inputs: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray
     if inputs == ("xy", "depth"):
         return p[..., :2] / p[..., 2:], p[..., 2]
     if inputs == ("xyw", "depth"):
-        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[
-            ..., 2
-        ]
+        xyw = np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1)
+        return xyw / p[..., 2:], p[..., 2]
     assert inputs == ("ray", "range")
     range_ = np.linalg.norm(p, axis=-1)
     return p / range_[..., None], range_

@@ -120,9 +120,8 @@ def matches(ours: np.ndarray, golden: np.ndarray) -> None:
 
 @pytest.mark.parametrize("of", ["points", "region"])
 def test_moments(of):
-    for case in GOLDEN["moments_discrete_points" if of == "points" else "moments_dense_polygon"][
-        "cases"
-    ]:
+    golden = GOLDEN["moments_discrete_points" if of == "points" else "moments_dense_polygon"]
+    for case in golden["cases"]:
         xy, plane = np.reshape(case["polygon_xy"], (-1, 2)), np.array(case["ABC"])
         if of == "region":
             xy = xy[:-1]  # the last vertex is the first again
@@ -148,9 +147,8 @@ def test_moments(of):
 @pytest.mark.parametrize("of", ["points", "region"])
 def test_rows_of_moments(of):
     feature = Moments(of=of, rows=("xg", "yg", "xn", "yn", "an", "alpha"))
-    for case in GOLDEN["moments_discrete_points" if of == "points" else "moments_dense_polygon"][
-        "cases"
-    ]:
+    golden = GOLDEN["moments_discrete_points" if of == "points" else "moments_dense_polygon"]
+    for case in golden["cases"]:
         xy, (A, B, C) = np.reshape(case["polygon_xy"], (-1, 2)), case["ABC"]
         xy = xy[:-1] if of == "region" else xy
         s, L = feature.measure(xy)[:6], feature.interaction(xy, 1 / (xy @ [A, B] + C))

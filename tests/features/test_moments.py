@@ -51,9 +51,8 @@ def test_every_row_is_the_derivative(of, rows):
     xy, depth = seen(p, feature.inputs)
     L = feature.interaction(xy, depth)
     calm = np.argsort(np.abs(L).max(axis=(-2, -1)))[:40]
-    after = seen(transform(moved(np.broadcast_to(np.eye(4), (40, 4, 4))), p[calm]), feature.inputs)[
-        0
-    ]
+    T = moved(np.broadcast_to(np.eye(4), (40, 4, 4)))
+    after = seen(transform(T, p[calm]), feature.inputs)[0]
     assert (
         worst(
             differences(feature.measure(after), feature.measure(xy[calm]), feature.error), L[calm]

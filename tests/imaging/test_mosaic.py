@@ -117,9 +117,8 @@ def test_a_cameras_pictures_have_it():
         noisy, clean = imaging.taken(0.0, (image,), None)[0], imaging.clean(0.0, (image,), None)[0]
         assert noisy is not None and clean is not None and noisy.shape == (48, 64, 3)
         # metered as without
-        assert noisy.mean() == pytest.approx(80, abs=1.5) and clean.mean() == pytest.approx(
-            80, abs=1.5
-        )
+        assert noisy.mean() == pytest.approx(80, abs=1.5)
+        assert clean.mean() == pytest.approx(80, abs=1.5)
         taken[mosaic] = noisy.astype(float) - clean
     mosaicked, plain = (taken[name][2:16, 2:-2].var() for name in ("rggb", "none"))
     assert 0.5 < mosaicked / plain < 0.8  # of the linear way 9/16 and 5/8, and rounding

@@ -159,9 +159,8 @@ def test_twist_limits_bound_each_component() -> None:
     group = twist_limits(0.2, None, robot.J)
     assert group.A.shape == (6, 6)
     rates = np.linalg.solve(robot.J, np.array([0.2, -0.2, 0.1, 1, 1, 1]))
-    assert (group.A @ rates >= group.low - 1e-9).all() and (
-        group.A @ (1.01 * rates) < group.low
-    ).any()
+    assert (group.A @ rates >= group.low - 1e-9).all()
+    assert (group.A @ (1.01 * rates) < group.low).any()
 
 
 def test_a_car_keeps_its_tightest_circle_forward_and_in_reverse() -> None:

@@ -51,10 +51,8 @@ def test_the_matrix_is_the_derivative_of_the_error():
 def test_homography_and_model_order_the_same(goal_pose: Array):
     goal = Goal.from_view(CAMERA, POINTS, goal_pose)
     o = view(AWAY, goal)
-    twists = [
-        (law := Hybrid(source=source)).step(law.init(goal), o, goal, np.eye(6))[1].twist
-        for source in ("homography", "model")
-    ]  # pyright: ignore[reportArgumentType]
+    laws = [Hybrid(source="homography"), Hybrid(source="model")]
+    twists = [law.step(law.init(goal), o, goal, np.eye(6))[1].twist for law in laws]
     # findHomography computes in single precision
     assert twists[0] == pytest.approx(twists[1], abs=1e-6)
 
@@ -96,9 +94,8 @@ SLANTED = ((-0.25, -0.25, 0.2), (0.25, -0.25, 0.4), (0.25, 0.25, 0.4), (-0.25, 0
 @pytest.mark.parametrize("at", [OFF_THE_ORIGIN, SLANTED], ids=["z = .5", "slanted"])
 @pytest.mark.study
 def test_markers_in_another_plane_than_the_origins(at: tuple[tuple[float, float, float], ...]):
-    runs = [
-        fly(Hybrid(source=source), (0.3, 0.3, -2), 0.4, at=at) for source in ("homography", "model")
-    ]  # pyright: ignore[reportArgumentType]
+    laws = [Hybrid(source="homography"), Hybrid(source="model")]
+    runs = [fly(law, (0.3, 0.3, -2), 0.4, at=at) for law in laws]
     assert all(r.outcome is vs.Outcome.converged for r in runs)
     assert len(runs[0]["t"]) == pytest.approx(len(runs[1]["t"]), abs=1)
 

@@ -178,9 +178,8 @@ class TestNoArea:
                 law.init(goal), Observation(0, hidden, hidden, p[:, 2]), goal, np.eye(6)
             )[1]
             assert command.rest_reason == NO_AREA and not command.twist.any()
-            assert not law.step(law.init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[
-                1
-            ].rest_reason
+            seen = Observation(0, xy, xy, p[:, 2])
+            assert not law.step(law.init(goal), seen, goal, np.eye(6))[1].rest_reason
 
     @pytest.mark.parametrize(
         "law",
@@ -302,9 +301,8 @@ class TestOtherPartitions:
 
     def twist(self, law: Partitioned) -> np.ndarray:
         xy, depth = self.view(self.T)
-        return law.step(law.init(self.GOAL), Observation(0, xy, xy, depth), self.GOAL, np.eye(6))[
-            1
-        ].twist
+        seen = Observation(0, xy, xy, depth)
+        return law.step(law.init(self.GOAL), seen, self.GOAL, np.eye(6))[1].twist
 
     def flow(self, twist: np.ndarray, h: float = 1e-6) -> np.ndarray:
         """Speeds of the points (4, 2) under a camera twist,

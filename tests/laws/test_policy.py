@@ -65,9 +65,8 @@ class TestWhatItSees:
             "seen": (4,),
             "goal": (4, 2),
         }
-        assert np.array_equal(seen["seen"], [1, 0, 1, 1]) and np.array_equal(
-            seen["markers"][1], [0, 0]
-        )
+        assert np.array_equal(seen["seen"], [1, 0, 1, 1])
+        assert np.array_equal(seen["markers"][1], [0, 0])
         assert np.array_equal(seen["markers"][0], frame.observation.uv[0].astype(np.float32))
         seen["goal"][:] = 0
         assert frame.goal.uv.any()
@@ -235,9 +234,8 @@ class TestMistakes:
             with pytest.raises(ScenarioError) as raised:
                 vs.load(place)
             assert len(raised.value.mistakes) == 1
-            assert str(raised.value).startswith(f"{place}:6:21: law.file: ") and words in str(
-                raised.value
-            )
+            assert str(raised.value).startswith(f"{place}:6:21: law.file: ")
+            assert words in str(raised.value)
 
 
 class TestWhereItIs:

@@ -205,9 +205,8 @@ class TestNoiseNearTheGoal:
         law = PoseController(k_alpha=4, k_beta=-2.5)
         weight = (np.hypot(0.15, 0.01) / 0.3) ** 3
         found = self.curvatures(law, 0.15, [0.0] * 10 + [0.01] * 25)
-        asked = self.curvatures(PoseController(k_alpha=4, k_beta=-2.5, average_m=0), 0.15, [0.01])[
-            0
-        ]
+        plain = PoseController(k_alpha=4, k_beta=-2.5, average_m=0)
+        asked = self.curvatures(plain, 0.15, [0.01])[0]
         assert found[-1] / asked == pytest.approx(1 - (1 - weight) ** 25, rel=1e-6)
 
     def test_a_vehicle_that_leaves_begins_anew(self):

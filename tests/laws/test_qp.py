@@ -44,13 +44,13 @@ def flown(
 
 WITHIN = [
     IBVS(),
-    IBVS(feature="polar", interaction="mean"),
-    IBVS(feature="line"),
-    IBVS(feature="spherical"),
+    IBVS(feature="polar", interaction="mean"),  # type: ignore[arg-type] - a kind's word
+    IBVS(feature="line"),  # type: ignore[arg-type] - a kind's word
+    IBVS(feature="spherical"),  # type: ignore[arg-type] - a kind's word
     PBVS(),
     Hybrid(),
     Partitioned(),
-]  # type: ignore[arg-type] # a kind's word
+]
 
 
 @pytest.mark.parametrize(
@@ -165,9 +165,8 @@ def test_markers_stay_in_the_picture(within: Any, seed: int) -> None:
 def test_a_twist_limit_is_kept_by_what_remains_of_the_motion() -> None:
     _, frames = flown(QP(limits=TwistLimits(speed_mps=0.1)), changes={"stop.duration_s": 1.0})
     speeds = [float(np.linalg.norm(frame.command.twist[:3])) for frame in frames]
-    assert max(speeds) == pytest.approx(0.1, abs=1e-6) and {
-        frame.command.mode for frame in frames
-    } <= {0, 1}
+    assert max(speeds) == pytest.approx(0.1, abs=1e-6)
+    assert {frame.command.mode for frame in frames} <= {0, 1}
 
 
 def test_contradicting_constraints_give_way_and_the_log_tells() -> None:

@@ -173,7 +173,8 @@ class TestFields:
         scenario = vs.load(name)
         fields = fields_of(scenario)
         keys = [(f.path, f.control == "choice") for f in fields]
-        assert len(keys) == len(set(keys)) and {f.path.partition(".")[0] for f in fields} >= {
+        assert len(keys) == len(set(keys))
+        assert {f.path.partition(".")[0] for f in fields} >= {
             "law",
             "camera",
             "noise",

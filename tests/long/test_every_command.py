@@ -336,9 +336,9 @@ def files_in(folder: Path) -> set[str]:
 def test_no_command_is_left_out() -> None:
     every = {
         name
-        for name, command in typer.main.get_command(program()).commands.items()
+        for name, command in typer.main.get_command(program()).commands.items()  # type: ignore[attr-defined] - a group
         if not command.hidden
-    }  # type: ignore[attr-defined] - a group
+    }
     assert {
         form.words[0] for experiment in (None, "arm_ibvs") for form in forms(experiment)
     } == every

@@ -163,9 +163,8 @@ def test_64_shards_of_a_thousand_runs_two_of_them_killed(
         for c in one.columns
         if c not in ("wall_time_s", "real_time_factor", "attempts") and not c.startswith("time_ms")
     ]
-    assert merged.columns == one.columns and merged.select(columns).equals(
-        one.select(columns), null_equal=True
-    )
+    assert merged.columns == one.columns
+    assert merged.select(columns).equals(one.select(columns), null_equal=True)
 
 
 def test_a_hundred_thousand_runs_are_merged_within_a_gigabyte(

@@ -95,9 +95,8 @@ class TestArmAsPrinted:
 
     def test_the_start_is_the_printed_one(self, printed: vs.Recording):
         assert way(printed)[0] == pytest.approx([0.596, -0.150, 0.657], abs=6e-4)
-        assert printed["u_goal_0"][0] == pytest.approx(299.5) and printed["v_goal_2"][
-            0
-        ] == pytest.approx(699.5)
+        assert printed["u_goal_0"][0] == pytest.approx(299.5)
+        assert printed["v_goal_2"][0] == pytest.approx(699.5)
 
     def test_every_frame_is_where_exact_kinematics_have_it(self, printed: vs.Recording):
         assert printed.outcome is vs.Outcome.converged
@@ -109,9 +108,8 @@ class TestArmAsPrinted:
     ):
         own = vs.run(vs.load("arm_book", {"law.depth": "oracle"}))
         depths = np.array([own[f"depth_{i}"] for i in range(4)])
-        assert depths.min() == pytest.approx(0.904, abs=1e-3) and depths.max() == pytest.approx(
-            1.040, abs=1e-3
-        )
+        assert depths.min() == pytest.approx(0.904, abs=1e-3)
+        assert depths.max() == pytest.approx(1.040, abs=1e-3)
         n = min(len(own["t"]), len(printed["t"]))
         assert np.linalg.norm(way(own)[:n] - self.integrated(None, n), axis=1).max() < 2e-5
         assert off_path(way(printed), way(own)).max() == pytest.approx(1.9e-3, abs=1e-4)
@@ -143,9 +141,8 @@ class TestPartitioned:
 
     def test_two_markers_leave_the_picture_and_stay_with_the_field(self):
         leaves, stays = self.run("partitioned_leaves"), self.run("partitioned_repelled")
-        assert leaves.outcome is vs.Outcome.target_lost and leaves.reason.startswith(
-            "too few markers in sight"
-        )
+        assert leaves.outcome is vs.Outcome.target_lost
+        assert leaves.reason.startswith("too few markers in sight")
         assert np.isfinite([leaves[f"u_{i}"][-1] for i in range(4)]).sum() < 3
         assert stays.outcome is vs.Outcome.converged and not stays["lost"].any()
         assert stays.summary()["min_border_margin_px"] > 50

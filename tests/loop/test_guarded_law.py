@@ -101,9 +101,8 @@ def test_also_at_the_next_goal_of_a_way(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(IBVS, "init", first_only)
     r = vs.run(vs.load("omni_via_points", {"robot.wheels": "planar", "detector": "oracle"}))
-    assert r.outcome is vs.Outcome.law_failed and r.reason.startswith(
-        "law ibvs raised ValueError: no such goal ("
-    )
+    assert r.outcome is vs.Outcome.law_failed
+    assert r.reason.startswith("law ibvs raised ValueError: no such goal (")
     assert len(begun) == 2
 
 

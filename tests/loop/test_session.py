@@ -191,7 +191,8 @@ def test_a_law_that_took_over_again_drives_to_the_goal() -> None:
             frame = session.step([0.1, 0, 0, 0, 0, 0])
         while frame.outcome is None:
             frame = session.step()
-    assert frame.outcome is vs.Outcome.converged and frame.verdict == (
+    assert frame.outcome is vs.Outcome.converged
+    assert frame.verdict == (
         session.recording().outcome,
         session.recording().reason,
     )

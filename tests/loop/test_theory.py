@@ -56,9 +56,8 @@ def test_to_lead_to_a_command_costs_half_a_period(d: int):
 
 def test_without_delay_to_lead_costs_no_gain():
     """The loop of held commands alternates at its limit, which the other averages out."""
-    assert led_form(0) == pytest.approx(2) == pytest.approx(closed_form(0)) and gain_limit(
-        0, (0.5, 0.5)
-    ) == pytest.approx(2, rel=1e-8)
+    assert led_form(0) == pytest.approx(2) == pytest.approx(closed_form(0))
+    assert gain_limit(0, (0.5, 0.5)) == pytest.approx(2, rel=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -314,9 +314,8 @@ class TestServos:
         # up.
         assert np.max(slope) < 1.2 and np.mean(slope[20:80]) == pytest.approx(1.0, abs=0.05)
         assert np.max(rate) < 0.55 and np.mean(rate[20:150]) == pytest.approx(0.5, abs=0.01)
-        assert speeds[-1] == pytest.approx(1.0, abs=0.01) and angles[-1] == pytest.approx(
-            1.0, abs=2e-3
-        )
+        assert speeds[-1] == pytest.approx(1.0, abs=0.01)
+        assert angles[-1] == pytest.approx(1.0, abs=2e-3)
 
     def test_it_brakes_to_a_stand(self, rubber):
         driver = Driver(rubber)
@@ -403,9 +402,8 @@ def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
     )
     apart = np.linalg.norm(np.array(places)[::5, None, :2] - ideal.place[:, :2], axis=2).min(axis=1)
     assert apart.max() < 0.04  # measured .008 and .018: less than a servo's lag of .05 s at 1 m/s
-    assert np.linalg.norm(places[-1][:2] - goal[:2]) < 0.03 and abs(
-        places[-1][2] - goal[2]
-    ) < np.radians(1)
+    assert np.linalg.norm(places[-1][:2] - goal[:2]) < 0.03
+    assert abs(places[-1][2] - goal[2]) < np.radians(1)
 
 
 def test_its_ends_and_its_tightest_circle_are_what_scenarios_are_checked_against():

@@ -70,9 +70,8 @@ class TestKinematics:
 
     def test_in_reverse_the_wheels_point_the_other_way(self):
         """Backwards and turning left: the nose swings left, so the front wheels point right."""
-        assert CAR.allocate(camera_twist(-0.5, 0.2), reading(), MOUNT, PERIOD).setpoint[
-            1
-        ] == pytest.approx(-np.arctan(0.4))
+        setpoint = CAR.allocate(camera_twist(-0.5, 0.2), reading(), MOUNT, PERIOD).setpoint
+        assert setpoint[1] == pytest.approx(-np.arctan(0.4))
 
     def test_what_a_car_cannot_do_is_left_out(self):
         aside = MOUNT.to_camera @ np.array([0.4, 0.3, -0.2, 0.1, 0.5, 0.1])

@@ -37,9 +37,8 @@ class TestSlip:
     def test_a_vehicle_that_turns_on_the_spot_unnoticed_slips_in_yaw_alone(self):
         # across the half turn
         linear, yaw = slip(([1.0, 2.0, 3.1], [1.0, 2.0, -3.1]), (ORIGIN, ORIGIN), 0.1)
-        assert linear == pytest.approx(0, abs=1e-12) and yaw == pytest.approx(
-            (2 * np.pi - 6.2) / 0.1
-        )
+        assert linear == pytest.approx(0, abs=1e-12)
+        assert yaw == pytest.approx((2 * np.pi - 6.2) / 0.1)
 
     def test_wheels_that_spin_while_it_stands_slip_too(self):
         assert slip((ORIGIN, ORIGIN), (ORIGIN, [0.03, 0.04, -0.2]), 0.1) == pytest.approx(
@@ -58,9 +57,8 @@ class TestSlip:
         ) == pytest.approx((0, 0), abs=1e-9)
 
     def test_none_in_the_first_frame_nor_without_time(self):
-        assert VehicleLog(Supervisor(), ORIGIN).row(state(0.0, [1, 2, 3], ORIGIN))[
-            -3:-1
-        ].tolist() == [0.0, 0.0]
+        row = VehicleLog(Supervisor(), ORIGIN).row(state(0.0, [1, 2, 3], ORIGIN))
+        assert row[-3:-1].tolist() == [0.0, 0.0]
         assert slip((ORIGIN, [1.0, 0, 0]), (ORIGIN, ORIGIN), 0.0) == (0.0, 0.0)
 
 

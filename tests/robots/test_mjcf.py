@@ -247,9 +247,8 @@ def test_jaco_from_an_installed_package_takes_its_meshes_along(tmp_path: Path) -
     }
     jaco = ROBOTS.members["mjcf"](**{k: v for k, v in robot.items() if k != "kind"})
     s = written(tmp_path, "jaco", robot, square_before(jaco, *SEEN["square"]), {"xyz": [0, 0, 0.6]})
-    assert np.isinf(s.robot.body.limits[0]).all() and s.robot.body.limits[1] == pytest.approx(
-        [0.820305, 5.462881]
-    )
+    assert np.isinf(s.robot.body.limits[0]).all()
+    assert s.robot.body.limits[1] == pytest.approx([0.820305, 5.462881])
     xml, assets = scene_files(s.scene)
     assert sum(name.endswith(".stl") for name in assets) == 5
     for name, content in assets.items():

@@ -79,9 +79,8 @@ def test_displacements_are_those_of_the_joints_in_the_log() -> None:
     q = np.array([frame.truth.q for frame in frames])
     for k in range(1, len(models)):
         np.testing.assert_allclose(models[k].moved, q[k] - q[k - 1], atol=1e-12)
-        assert models[k].since_s == pytest.approx(0.04) and models[k].underway_s == pytest.approx(
-            0.08
-        )
+        assert models[k].since_s == pytest.approx(0.04)
+        assert models[k].underway_s == pytest.approx(0.08)
     # two frames later the joints are where the model expected them when its command took effect,
     # but for the servos' lag
     ahead = np.array([model.underway for model in models[4:-2]])

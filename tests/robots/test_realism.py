@@ -147,9 +147,11 @@ def test_the_arm_has_it_in_python_as_in_a_file() -> None:
     arm = vs.robots.Puma560(realism="lab", gears=None)
     assert arm.gears is None
     assert arm.drives == CurrentLoops(bandwidth_hz=500.0)
-    assert vs.robots.Puma560(realism="field", drives={"delay_s": 0.002}).drives == CurrentLoops(
-        bandwidth_hz=200.0, delay_s=0.002
-    )  # pyright: ignore[reportArgumentType] - a block as YAML has it
+    field = vs.robots.Puma560(
+        realism="field",
+        drives={"delay_s": 0.002},  # pyright: ignore[reportArgumentType] - a block as YAML has it
+    )
+    assert field.drives == CurrentLoops(bandwidth_hz=200.0, delay_s=0.002)
     ideal = replace(vs.robots.Puma560(realism="lab"), payload={"mass_kg": 1}).idealised()
     assert (ideal.realism, ideal.gears) == ("none", None)
     assert ideal.geometry_error == arm.geometry_error

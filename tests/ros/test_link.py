@@ -238,9 +238,8 @@ def test_who_connects_listens_on_nothing_and_joins_no_multicast() -> None:
     before = sockets()
     with connected(LAW, "zenoh"):  # it finds the others by itself: the check sees that
         now = sockets()
-        assert len(now["listening"]) > len(before["listening"]) and len(now["udp"]) > len(
-            before["udp"]
-        )
+        assert len(now["listening"]) > len(before["listening"])
+        assert len(now["udp"]) > len(before["udp"])
     before = sockets()
     with connected(LAW, "zenoh", connect=["tcp/127.0.0.1:17003"]):  # nobody is there yet
         now = sockets()
@@ -353,7 +352,8 @@ def test_bytes_that_are_no_message_are_passed_over_counted_and_told(
             assert until(lambda: heard)
         assert len(heard) == 1 and law.passed_over == {"/cam": len(GARBAGE) + 2}
         told = [record.getMessage() for record in caplog.records]
-        assert len(told) == 1 and told[0].startswith(
+        assert len(told) == 1
+        assert told[0].startswith(
             "/cam: messages passed over: 1; the last one: message cannot be read"
         )
         with caplog.at_level(logging.WARNING, "vstestbed"):

@@ -126,9 +126,8 @@ class TestOverrides:
                 "robot.start.nominal": SE3(0, 0, 2) * SE3.Rz(0.5),
             },
         )
-        assert s.goal.goal_poses(s.target, np.eye(4))[1][
-            2, 3
-        ] == 3 and s.robot.start.nominal.yaw_deg == round(np.degrees(0.5), 12)
+        assert s.goal.goal_poses(s.target, np.eye(4))[1][2, 3] == 3
+        assert s.robot.start.nominal.yaw_deg == round(np.degrees(0.5), 12)
         assert vs.load("car_parking", {"goal.pose": SE2(0.5, 0, 0.1)}) == vs.load(
             "car_parking", {"goal.pose": SE3(0.5, 0, 0) * SE3.Rz(0.1)}
         )

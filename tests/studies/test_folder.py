@@ -60,9 +60,8 @@ def test_a_table_is_written_twice_whole_or_not_at_all(
 ):
     table = pl.DataFrame({"a": [1, 2, 3], "b": ["x", "y", None]})
     write_table(tmp_path / "of.runs", table, row_group_size=2)
-    assert pl.read_parquet(tmp_path / "of.runs.parquet").equals(table) and pl.read_csv(
-        tmp_path / "of.runs.csv"
-    ).equals(table)
+    assert pl.read_parquet(tmp_path / "of.runs.parquet").equals(table)
+    assert pl.read_csv(tmp_path / "of.runs.csv").equals(table)
     monkeypatch.setattr(
         pl.DataFrame,
         "write_csv",

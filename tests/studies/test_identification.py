@@ -54,9 +54,8 @@ def test_what_was_put_in_is_found_and_is_a_preset_of_the_robot(record, tmp_path,
     true = {"robot.drive_lag_s": 0.08, idn.COMMAND_LATENCY: 0.032, idn.STAMPS: 0.0}
     for p, value, half in zip(found.parameters, found.values, found.half, strict=True):
         assert value == pytest.approx(true[p.field], abs=max(half, 1e-6)) and half < 0.006, p.field
-    assert found.latency_s == pytest.approx(0.04) and found.noise["markers"] == pytest.approx(
-        0.3, rel=0.25
-    )
+    assert found.latency_s == pytest.approx(0.04)
+    assert found.noise["markers"] == pytest.approx(0.3, rel=0.25)
     assert found.residual < 1.5 and found.together == []
     page = idn.write(tmp_path, found, "record", "vstestbed identify").read_text(encoding="utf-8")
     assert "The simulator reads what the robot read" in page

@@ -104,9 +104,8 @@ def test_the_rows_handed_in_are_those_of_the_plan(world: SimpleNamespace) -> Non
     entry, given = unpacked(
         zipped(world.files, world.folder / "true.zip"), world.folder / "law", world.asked
     )
-    assert list(entry.plans) == ["only"] and given.rows() == [
-        ("only", "mine", row["start"], True, 5.0) for row in world.rows
-    ]
+    assert list(entry.plans) == ["only"]
+    assert given.rows() == [("only", "mine", row["start"], True, 5.0) for row in world.rows]
     shuffled = world.files | {"runs.csv": text_of(world.rows[::-1])}
     unpacked(
         zipped(shuffled, world.folder / "other_order.zip"), world.folder / "other", world.asked
@@ -169,9 +168,8 @@ def test_other_rows_are_refused_by_what_is_wrong_with_them(
     )
     with pytest.raises(RunFolderError, match=words) as refused:
         unpacked(file, world.folder / "law", world.asked)
-    assert str(refused.value).startswith(f"{file}: is no submission (") and "\n" not in str(
-        refused.value
-    )
+    assert str(refused.value).startswith(f"{file}: is no submission (")
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ["POINTS", "po\u0456nts", "my law", "mine\u200b"])
@@ -403,9 +401,8 @@ def test_a_run_of_which_nothing_is_left_here_is_otherwise(
 def test_distances_have_no_tolerance_of_a_time() -> None:
     """A tracking distance is of some millimetres: the 0.05 of times, in metres, would pass any."""
     row = {"success": True, "success_again": True, "value": 0.001, "value_again": 0.03}
-    assert not submission._agrees(row, 0.0) and submission._agrees(
-        row | {"value": 0.03 * (1 + 1e-6)}, 0.0
-    )
+    assert not submission._agrees(row, 0.0)
+    assert submission._agrees(row | {"value": 0.03 * (1 + 1e-6)}, 0.0)
 
 
 # Archives: one sentence each, before anything is unpacked.

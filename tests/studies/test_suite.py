@@ -104,7 +104,8 @@ def test_the_bundled_suite_is_whole_and_every_law_of_it_takes_part() -> None:
     assert len(entry.blank) == 13 * 11 - sum(map(len, took.values()))
     block = entry.plans["poster"].cases["law"]["points"]["law"]
     there = suite.laws["points"].tasks["poster"]
-    assert not isinstance(there, str) and (block["gain"], block["depth"]["kind"]) == (
+    assert not isinstance(there, str)
+    assert (block["gain"], block["depth"]["kind"]) == (
         there["gain"],
         "sensor",
     )

@@ -447,7 +447,8 @@ def test_all_gains_of_all_laws_are_tuned_where_none_is_named_and_the_record_make
     assert ended.code == 0, ended.err
     plan = read_comparison(Path("t/comparison/comparison.yaml"))
     points, partitioned = plan.tuned["points"], plan.tuned["partitioned"]
-    assert points.vary == {"law.gain": "0.3:8:log"} and (
+    assert points.vary == {"law.gain": "0.3:8:log"}
+    assert (
         points.trials,
         points.seeds,
         points.set,

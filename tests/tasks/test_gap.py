@@ -56,9 +56,8 @@ def test_the_goal_view_is_that_of_the_target_straight_ahead():
     assert scenario.goal_view.gap_m == 2.0
     origin = (mount @ pose)[:3, 3]
     np.testing.assert_allclose(origin, [2.0, 0.0, target.pose.xyz[2]], atol=1e-12)
-    assert heading == pytest.approx(0.0, abs=1e-12) and y == pytest.approx(
-        -target.pose.xyz[1], abs=1e-12
-    )
+    assert heading == pytest.approx(0.0, abs=1e-12)
+    assert y == pytest.approx(-target.pose.xyz[1], abs=1e-12)
     assert x == pytest.approx(2.0 - target.pose.xyz[0])
 
 

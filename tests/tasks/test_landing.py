@@ -132,9 +132,8 @@ class TestTouchdown:
             for k in range(30):
                 assert down.on_contact is None or k > 20
                 down.moved(0.04 * k, craft(k, offset_m, sink_mps), np.eye(4), feet=k >= 20)
-            assert down.offset_m == pytest.approx(offset_m) and down.speed_mps == pytest.approx(
-                sink_mps
-            )
+            assert down.offset_m == pytest.approx(offset_m)
+            assert down.speed_mps == pytest.approx(sink_mps)
             assert down.on_contact == (outcome, reason)
 
     def test_speed_is_against_a_pad_that_moves(self):

@@ -91,9 +91,8 @@ class TestConverged:
         assert not both.near(True, 1.0, 0.09, 0.1)
         assert not both.near(True, 0.9, 0.1, 0.1)
         assert not both.near(True, 0.9, 0.09, 0.2)  # 11.5 degrees
-        assert not both.near(True, float("nan"), 0.09, 0.1) and not both.near(
-            True, 0.9, float("nan"), 0.1
-        )
+        assert not both.near(True, float("nan"), 0.09, 0.1)
+        assert not both.near(True, 0.9, float("nan"), 0.1)
 
     def test_by_the_estimate_sight_does_not_matter(self):
         for given, near in (

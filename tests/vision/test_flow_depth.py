@@ -99,9 +99,8 @@ def test_a_frame_at_the_same_time_keeps_the_state_and_the_last_sight() -> None:
     )
     seen = np.array([[np.nan] * 3, [0.6, 0, 0.8]])
     found = update_flow(SETTINGS, state, 2.0, seen, np.ones(6))
-    assert found.inverse_range == pytest.approx([0.4, 0.4]) and found.information == pytest.approx(
-        [0.1, 0]
-    )
+    assert found.inverse_range == pytest.approx([0.4, 0.4])
+    assert found.information == pytest.approx([0.1, 0])
     assert (found.ray == [[0, 0, 1], [0.6, 0, 0.8]]).all()
 
 
@@ -111,7 +110,6 @@ def test_a_marker_that_is_lost_goes_on_by_the_motion_alone() -> None:
         SETTINGS, state, 0.1, np.full((1, 3), np.nan), np.array([0.3, 0, 1.0, 0, 0, 0])
     )
     # Straight ahead at 1 m/s: the range shrinks from 2 to 1.9 m.
-    assert 1 / found.inverse_range[0] == pytest.approx(1.9, abs=1e-4) and found.information[
-        0
-    ] == pytest.approx(0.2)
+    assert 1 / found.inverse_range[0] == pytest.approx(1.9, abs=1e-4)
+    assert found.information[0] == pytest.approx(0.2)
     assert np.isnan(found.ray).all()

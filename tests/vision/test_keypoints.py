@@ -141,9 +141,8 @@ def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_re
         "too little of it, or from too far aside, or too few points of it are looked for)"
     )
     noise = np.random.default_rng(1).integers(0, 255, (240, 320, 3), np.uint8)
-    detection = detector.detect(begun(detector), Picture(0.0, (noise,)), None, CAMERA, TARGET, RNG)[
-        1
-    ]
+    picture = Picture(0.0, (noise,))
+    detection = detector.detect(begun(detector), picture, None, CAMERA, TARGET, RNG)[1]
     assert re.search(
         (
             r"\d+ points match the goal's picture, of which 0 agree with one plane:"

@@ -61,9 +61,8 @@ class TestRadius:
     """Apparent radii from the target's model and the depth that the law knows."""
 
     def seen(self, depth: Depth, **changes: object) -> Observation:
-        observer = replace(
-            _observer(depth), **({"required_fields": ("xy", "depth", "radius_px")} | changes)
-        )  # pyright: ignore[reportArgumentType]
+        given = {"required_fields": ("xy", "depth", "radius_px")} | changes
+        observer = replace(_observer(depth), **given)  # pyright: ignore[reportArgumentType]
         return observer.observe(
             observer.init(), 0.0, Detection(uv=observer.camera.project(P_START)), REST, RNG
         )[1]
@@ -87,9 +86,8 @@ class TestRadius:
 
     def test_unseen_markers_have_none_and_laws_without_a_field_do_not_pay_for_it(self) -> None:
         observer = replace(_observer(AtGoal()), required_fields=("xy", "depth", "radius_px"))
-        found = observer.observe(observer.init(), 0.0, _detection(START, lost=(2,)), REST, RNG)[
-            1
-        ].radius_px
+        seen = _detection(START, lost=(2,))
+        found = observer.observe(observer.init(), 0.0, seen, REST, RNG)[1].radius_px
         assert found is not None and np.isfinite(found).tolist() == [True, True, False, True]
         assert _once(AtGoal(), _detection(START)).radius_px is None
 

@@ -63,9 +63,8 @@ FRONT = _view(0.3, 0.2, (0.02, -0.03, 0.8))
 def _detect(
     poster: PictureTarget, seen: Picture, camera: Camera = CAMERA, state: PatchState | None = None
 ) -> Detection:
-    return PatchDetector().detect(state or PatchDetector().init(), seen, None, camera, poster, RNG)[
-        1
-    ]
+    before = state or PatchDetector().init()
+    return PatchDetector().detect(before, seen, None, camera, poster, RNG)[1]
 
 
 def _known(poster: PictureTarget, T: Array, before: Array | None = None) -> PatchState:

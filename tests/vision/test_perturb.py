@@ -162,9 +162,8 @@ def test_a_seed_may_draw_perturbations_alone(quick):
     assert vs.load(quick, fixed | {"noise.perturb": ["outliers"]}, seed=3).seed == 3
     on_pictures = vs.load(quick, {"noise.perturb": ["erasing"]}).noise
     # an oracle's
-    assert on_pictures.draws(pictures=True, points=True) and not on_pictures.draws(
-        pictures=False, points=True
-    )
+    assert on_pictures.draws(pictures=True, points=True)
+    assert not on_pictures.draws(pictures=False, points=True)
 
 
 def test_a_picture_of_another_shape_is_said(own_kinds):

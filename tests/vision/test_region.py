@@ -139,9 +139,8 @@ def test_a_window_is_enough_and_gives_the_same():
 @pytest.mark.parametrize("hidden", [(150, 60, 162, 180), (170, 100, 200, 130)])
 def test_a_region_that_is_partly_hidden_is_lost(hidden: tuple[int, int, int, int]):
     for target in (shape(), Ball(pose=Pose(), radius=0.2)):
-        assert not found(target, painted(border_of(target, Pose(xyz=(0, 0, 1)).T), hidden=hidden))[
-            1
-        ].seen.any()
+        picture = painted(border_of(target, Pose(xyz=(0, 0, 1)).T), hidden=hidden)
+        assert not found(target, picture)[1].seen.any()
 
 
 def test_a_remnant_is_no_region_that_lies_along_a_side_of_its_outline():

@@ -195,7 +195,8 @@ def _lines(paragraph: str) -> Iterator[str]:
         whole = f"{whole} {line.strip()}" if whole else line
         # A line with room for the next word ends where its writer wanted it to end, as a line of an
         # equation does.
-        if len(line) + 1 + len(_WORD.match(following.lstrip())[0]) <= FILLED:
+        word = next(_WORD.finditer(following.lstrip()))
+        if len(line) + 1 + word.end() <= FILLED:
             yield whole
             whole = ""
     if whole:

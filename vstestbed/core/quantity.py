@@ -44,8 +44,10 @@ class Bounded:
             f" to {_shown(self.high)}{self.unit and ' '}{self.unit} ({self.why})"
         )
         bounds = core_schema.custom_error_schema(
-            number(ge=self.low, le=self.high), "out_of_bounds", custom_error_message=words
-        )  # pyright: ignore[reportArgumentType]
+            number(ge=self.low, le=self.high),  # pyright: ignore[reportArgumentType]
+            "out_of_bounds",
+            custom_error_message=words,
+        )
         return core_schema.chain_schema([handler(source), bounds])
 
     def __get_pydantic_json_schema__(

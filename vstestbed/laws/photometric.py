@@ -267,9 +267,8 @@ class GoalLevel:
         # the Schur complement H_mm - H_ml H_ll^-1 H_lm: the motion that solves it is that of the
         # whole system with light
         if len(b) > 6:
-            of_light = np.linalg.lstsq(H[6:, 6:], np.column_stack([H[6:, :6], b[6:]]), rcond=1e-9)[
-                0
-            ]
+            right = np.column_stack([H[6:, :6], b[6:]])
+            of_light = np.linalg.lstsq(H[6:, 6:], right, rcond=1e-9)[0]
             H, b = H[:6, :6] - H[:6, 6:] @ of_light[:, :6], b[:6] - H[:6, 6:] @ of_light[:, 6]
         e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e

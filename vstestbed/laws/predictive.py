@@ -468,8 +468,7 @@ def _inputs(p: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
     if names[0] == "xy":
         return p[..., :2] / p[..., 2:], p[..., 2]
     if names[0] == "xyw":
-        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[
-            ..., 2
-        ]
+        xyw = np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1)
+        return xyw / p[..., 2:], p[..., 2]
     reach = np.linalg.norm(p, axis=-1)
     return p / reach[..., None], reach

@@ -135,8 +135,10 @@ def _of(path: str, node: Node, value: Any) -> Iterator[Field]:
 
 
 GAINS = [
-    bound for quantity in (PositiveGain, GainOrZero, SignedGain) for bound in quantity.__metadata__
-]  # pyright: ignore[reportAttributeAccessIssue] - of Annotated
+    bound
+    for quantity in (PositiveGain, GainOrZero, SignedGain)
+    for bound in quantity.__metadata__  # pyright: ignore[reportAttributeAccessIssue] - of Annotated
+]
 
 
 def _number(path: str, value: float, node: Node) -> Field:

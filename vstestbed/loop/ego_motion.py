@@ -148,12 +148,8 @@ class OwnRates:
         twist = self._robot.measured_twist(
             before, after, duration, self._J @ ordered / duration, mount
         )
-        return np.asarray(
-            np.linalg.lstsq(self._robot.motion_basis(mount, after.q), twist * duration, rcond=None)[
-                0
-            ],
-            dtype=float,
-        )
+        basis = self._robot.motion_basis(mount, after.q)
+        return np.asarray(np.linalg.lstsq(basis, twist * duration, rcond=None)[0], dtype=float)
 
     def order(self, t_cmd: float, order: Order) -> None:
         """An order takes effect at t_cmd [s]."""

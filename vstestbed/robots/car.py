@@ -418,11 +418,11 @@ class Car(Vehicle, Onboard):
         *("rear_left", "rear_right", "front_left", "front_right"),
     )
     control_period_s: ClassVar[float] = 0.01
-    proprioception_names: ClassVar[tuple[str, ...]] = (
+    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
         *Vehicle.proprioception_names,
         "compass",
         "steering",
-    )  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    )
 
     def __post_init__(self) -> None:
         body, limits = self.parameters, self.limits

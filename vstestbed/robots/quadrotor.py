@@ -261,7 +261,7 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     max_yaw_rate_radps: PositiveRate = 0.8
 
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
-    proprioception_names: ClassVar[tuple[str, ...]] = (
+    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
         "roll",
         "pitch",
         "range",
@@ -271,7 +271,7 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         "wx",
         "wy",
         "wz",
-    )  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    )
     base: ClassVar[Base] = "floating"
     reading: ClassVar[type[Reading]] = FlightReading
     control_period_s: ClassVar[float] = STEP_S

@@ -71,12 +71,10 @@ def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np
         normalize=False,
         borderType=cv2.BORDER_CONSTANT,
     )
-    count = (
-        cv2.boxFilter(which, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)[at][
-            :, None
-        ]
-        / 255
+    counted = cv2.boxFilter(
+        which, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT
     )
+    count = counted[at][:, None] / 255
     overall = np.array(cv2.mean(part, which)[:3], np.float32)
     return np.where(count > 0, total[at] / np.maximum(count, 1), overall).astype(np.float32)
 

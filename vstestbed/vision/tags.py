@@ -171,9 +171,8 @@ def printed(marker: Marker, i: int) -> tuple[str, bytes]:
     if not isinstance(marker, Tag):
         raise TypeError(f"nothing is printed on a {marker.kind}")
     number = marker.first_id + i
-    return f"{marker.family}_{number}", cv2.imencode(".png", tag_picture(marker, number))[
-        1
-    ].tobytes()
+    _, file = cv2.imencode(".png", tag_picture(marker, number))
+    return f"{marker.family}_{number}", file.tobytes()
 
 
 # index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]

@@ -91,9 +91,8 @@ def repetitive(rng: np.random.Generator) -> Image:
     edge = np.minimum(np.minimum(u, big - 1 - u), np.minimum(v, big - 1 - v)) / 4
     tile *= (1 + 0.02 * noise(rng, big, big, 40, 8))[..., None]
     blend(tile, rgb("8d877a"), np.clip(1.6 - edge, 0, 1))
-    tile *= (1 + 0.12 * np.clip(1 - np.abs(edge - 3) / 2, 0, 1) * np.where(u + v < big, 1, -1))[
-        ..., None
-    ]
+    side_lit = np.where(u + v < big, 1, -1)
+    tile *= (1 + 0.12 * np.clip(1 - np.abs(edge - 3) / 2, 0, 1) * side_lit)[..., None]
     small = np.asarray(cv2.resize(tile, (side, side), interpolation=cv2.INTER_AREA), np.float32)
     return np.clip(np.tile(small, (12, 16, 1)), 0, 1)
 

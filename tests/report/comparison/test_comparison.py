@@ -172,9 +172,8 @@ def test_all_pairs_or_a_reference_and_of_many_controllers_each_with_the_first() 
     )
     assert [(p.a, p.b) for p in pairs(ComparisonResults(frame))] == [(0, b) for b in range(1, 30)]
     found = pairs(ComparisonResults(frame[:8]))
-    assert len(found) == 28 and [(p.a, p.b) for p in found if p.improvements] == [
-        (0, b) for b in range(1, 8)
-    ]
+    assert len(found) == 28
+    assert [(p.a, p.b) for p in found if p.improvements] == [(0, b) for b in range(1, 8)]
     assert [(p.a, p.b) for p in pairs(ComparisonResults(frame[:3], reference="s01"))] == [
         (1, 0),
         (1, 2),

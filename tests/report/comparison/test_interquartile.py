@@ -37,7 +37,8 @@ def test_the_interval_is_that_of_a_trimmed_mean_and_the_order_does_not_matter() 
     scipys = stats.mstats.trimmed_mean_ci(
         x, limits=(0.25, 0.25), inclusive=(True, True), alpha=0.05
     )
-    assert found.mean == pytest.approx(np.mean(scipys)) and (
+    assert found.mean == pytest.approx(np.mean(scipys))
+    assert (
         found.low,
         found.high,
     ) == pytest.approx(tuple(scipys), rel=0.05)

@@ -252,20 +252,19 @@ def test_a_primary_metric_of_ones_own_decides_and_the_others_are_exploratory() -
     )
     comparison = ComparisonResults(frame, (), ("time_to_converge_s",), primary="path_ratio")
     (pair,) = pairs(comparison)
-    assert pair.better == 1 and list(pair.exploratory) == [
+    assert pair.better == 1
+    assert list(pair.exploratory) == [
         (TIME.name, "difference"),
         (TIME.name, "improvement"),
     ]
     assert pair.sooner == 0  # who arrives first is always told by the time
     records = pair_records(comparison, [pair], ["words"])
-    assert records["role"].to_list() == ["primary", "primary", "exploratory"] and set(
-        records["better_one"]
-    ) == {"B"}
+    assert records["role"].to_list() == ["primary", "primary", "exploratory"]
+    assert set(records["better_one"]) == {"B"}
     failing = frame.with_columns(success=(pl.col("scenario") == "A") | (pl.col("seed") > 5))
     (pair,) = pairs(ComparisonResults(failing, (), (), primary="path_ratio"))
-    assert pair.test.worst == pytest.approx(1.549) and pair.differences[
-        "path_ratio"
-    ].mean == pytest.approx(-0.4 + (6 * 0.449 - 0.015) / 50)
+    assert pair.test.worst == pytest.approx(1.549)
+    assert pair.differences["path_ratio"].mean == pytest.approx(-0.4 + (6 * 0.449 - 0.015) / 50)
 
 
 def test_tasks_are_strata_so_that_their_means_do_not_count_as_spread() -> None:
@@ -375,9 +374,8 @@ def test_every_output_prints_the_same_sentences(
     )
     found = json.loads((tmp_path / "verdicts.json").read_text())
     sentences = [pair["sentence"] for pair in found["pairs"]]
-    assert len(sentences) == len(gains) * (len(gains) - 1) // 2 and len(set(sentences)) == len(
-        sentences
-    )
+    assert len(sentences) == len(gains) * (len(gains) - 1) // 2
+    assert len(set(sentences)) == len(sentences)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     text = page.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&")
     written = [

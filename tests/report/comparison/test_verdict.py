@@ -125,9 +125,11 @@ def test_so_many_starts_decide_also_where_a_test_of_success_joins_that_of_time()
         return judge([found])[0]
 
     needs = decided(1).needs
-    assert needs is not None and [
-        decided(times).decision for times in (needs // 20 - 1, needs // 20 + 2)
-    ] == ["none", "better"]
+    assert needs is not None
+    assert [decided(times).decision for times in (needs // 20 - 1, needs // 20 + 2)] == [
+        "none",
+        "better",
+    ]
 
 
 def test_the_sign_test_is_scipys() -> None:
@@ -335,9 +337,8 @@ def test_success_alone_takes_seven_starts_and_sooner_six() -> None:
 
     def of(n: int) -> rule.Verdict:
         none, every = np.zeros(n, dtype=bool), np.ones(n, dtype=bool)
-        return judge([rule.test_of(Starts(none, every, np.full(n, 12.0), np.full(n, 1.0), 12.0))])[
-            0
-        ]
+        starts = Starts(none, every, np.full(n, 12.0), np.full(n, 1.0), 12.0)
+        return judge([rule.test_of(starts)])[0]
 
     assert [of(n).better for n in (6, 7)] == [None, "b"]
     assert [judge([nothing_fails(n, sd=0)])[0].sooner for n in (5, 6)] == [None, "b"]

@@ -97,9 +97,8 @@ def test_info_describes_what_is_there(dataset: Path) -> None:
         features["action"]["names"][0] == "vx [1 m/s]"
         and features["observation.state"]["names"][5] == "joint_6 [rad]"
     )
-    assert data["index"].to_list() == list(range(16)) and data["frame_index"].to_list() == 2 * list(
-        range(8)
-    )
+    assert data["index"].to_list() == list(range(16))
+    assert data["frame_index"].to_list() == 2 * list(range(8))
     assert data["episode_index"].to_list() == [0] * 8 + [1] * 8
     np.testing.assert_allclose(data["timestamp"], np.tile(np.arange(8) / 25, 2), atol=1e-7)
 

@@ -157,7 +157,8 @@ def test_the_calibration_projects_the_target_through_the_transforms(
         "plumb_bob",
     )
     frames = {t.child_frame_id: t for t in found["/truth/transforms"][-1][1].transforms}
-    assert {t.parent_frame_id for t in frames.values()} == {"world"} and {
+    assert {t.parent_frame_id for t in frames.values()} == {"world"}
+    assert {
         "camera",
         "target",
         "goal",

@@ -90,9 +90,8 @@ def test_the_error_in_the_image_is_in_the_unit_that_is_measured(
     # first the one that decides
     assert [panel.labels[1].partition("[")[2].rstrip("]") for panel in panels] == labels
     for panel, unit in zip(panels, measured[::-1], strict=True):
-        assert not panel.title and any(
-            np.array_equal(curve.y, columns[f"error_{unit}"]) for curve in panel.curves
-        )
+        assert not panel.title
+        assert any(np.array_equal(curve.y, columns[f"error_{unit}"]) for curve in panel.curves)
         assert [c.label for c in panel.curves if c.label] == ["threshold 0.4 grey levels"] * (
             unit == "grey"
         )

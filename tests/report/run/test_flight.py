@@ -63,7 +63,8 @@ def test_attitude_follows_what_the_velocity_loop_asks(tracks: LogArrays, step: R
 
 def test_rates_follow_what_the_attitude_loop_asks(tracks: LogArrays):
     chart = figures.rates(tracks)
-    assert chart is not None and [panel.labels[1] for panel in chart.panels] == [
+    assert chart is not None
+    assert [panel.labels[1] for panel in chart.panels] == [
         "roll [deg/s]",
         "pitch [deg/s]",
         "yaw [deg/s]",

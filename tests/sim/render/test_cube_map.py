@@ -73,9 +73,8 @@ def test_rendered_balls_lie_where_the_lens_projects_them(name: str):
     # Balls all around leave no pose in one view: the bias of the centre, under .3 px, is taken from
     # the true one.
     state = BlobsState(T_camera_target=np.eye(4))
-    found = Blobs().detect(state, frame, None, lens, stage.parts.target, np.random.default_rng(0))[
-        1
-    ]
+    rng = np.random.default_rng(0)
+    found = Blobs().detect(state, frame, None, lens, stage.parts.target, rng)[1]
     stage.close()
     errors = found.uv - lens.project(points)
     assert found.seen.sum() >= BALLS - 1

@@ -76,15 +76,13 @@ def test_markers_have_their_colours_and_tags_their_print():
     s = vs.load("arm_tags")
     replay = Replay(s.scene)
     prints = replay.panes
-    assert len(prints) == 4 and {replay.body_names[pane.body] for pane in prints} == {
-        "target/frame"
-    }
+    assert len(prints) == 4
+    assert {replay.body_names[pane.body] for pane in prints} == {"target/frame"}
     for i, pane in enumerate(prints):
         size = (s.target.marker.modules + 2) * PX_PER_MODULE
         np.testing.assert_array_equal(pane.image[..., 0], tag_picture(s.target.marker, i))
-        assert pane.image.shape == (size, size, 3) and pane.width == pytest.approx(
-            s.target.marker.tile
-        )
+        assert pane.image.shape == (size, size, 3)
+        assert pane.width == pytest.approx(s.target.marker.tile)
         # upright for who looks along z
         np.testing.assert_allclose(pane.T_body_pane[:3, :3], np.eye(3), atol=1e-9)
     replay.close()
@@ -94,7 +92,8 @@ def test_a_picture_is_there_without_its_margin():
     s = vs.load("arm_picture")
     replay = Replay(s.scene)
     (pane,) = replay.panes
-    assert (pane.width, pane.height) == pytest.approx((0.6, 0.424)) and pane.image.shape == (
+    assert (pane.width, pane.height) == pytest.approx((0.6, 0.424))
+    assert pane.image.shape == (
         896,
         1792,
         3,

@@ -88,9 +88,8 @@ def test_the_options_of_the_file_do_not_count(tmp_path: Path, recwarn: pytest.Wa
     model = stage.model
     stage.close()
     assert (model.opt.timestep, model.opt.gravity[2], model.stat.extent) == (0.002, -9.81, 2)
-    assert model.nkey == 0 and "scenery/mine" not in [
-        model.camera(i).name for i in range(model.ncam)
-    ]
+    assert model.nkey == 0
+    assert "scenery/mine" not in [model.camera(i).name for i in range(model.ncam)]
     assert not recwarn.list
 
 

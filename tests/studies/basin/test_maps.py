@@ -191,7 +191,8 @@ def test_the_command_leaves_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
     assert told[0]["fixed"]["roll"]["unit"] == "deg" and told[0]["field_of_view"] == "unlimited"
     table = pl.read_parquet(out / "basin.parquet")
-    assert len(table) == 288 and {
+    assert len(table) == 288
+    assert {
         "law",
         "x",
         "yaw",
@@ -203,9 +204,8 @@ def test_the_command_leaves_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
         table.filter(pl.col("outcome") != "converged")["time_to_converge_s"].null_count()
         == (table["outcome"] != "converged").sum()
     )
-    assert (out / "basin.png").read_bytes()[:4] == b"\x89PNG" and (out / "basin.pdf").read_bytes()[
-        :4
-    ] == b"%PDF"
+    assert (out / "basin.png").read_bytes()[:4] == b"\x89PNG"
+    assert (out / "basin.pdf").read_bytes()[:4] == b"%PDF"
     page = (out / "report.html").read_text()
     assert (
         "in the frame of its goal; y 0 m, z -1 m, roll 0 deg, pitch 0 deg." in page
@@ -259,17 +259,15 @@ def test_a_start_that_the_simulation_ends_otherwise_is_listed(monkeypatch: pytes
         check=4,
     )
     assert made.checked == len(made.disagreements) == 4 + len(basin.ON_AXIS_DEG)
-    assert {d.batch for d in made.disagreements} == {"converged"} and {
-        d.full for d in made.disagreements
-    } <= {"diverged", "target_lost"}
+    assert {d.batch for d in made.disagreements} == {"converged"}
+    assert {d.full for d in made.disagreements} <= {"diverged", "target_lost"}
     assert [d.on_axis_deg for d in made.disagreements] == [None] * 4 + list(basin.ON_AXIS_DEG)
     assert {(d.x, d.y) for d in made.disagreements[:4]} == {
         (x, y) for x in (-0.1, 0.1) for y in (-0.1, 0.1)
     }
     words = [d["words"] for d in made.summary()["disagreements"]]
-    assert words[0].startswith("x ") and words[-1].startswith(
-        "frontal, centred, turned by 113 deg: converged here, "
-    )
+    assert words[0].startswith("x ")
+    assert words[-1].startswith("frontal, centred, turned by 113 deg: converged here, ")
 
 
 @pytest.mark.parametrize(
@@ -287,9 +285,8 @@ def test_frontal_centred_starts_end_as_in_the_time_loop(
     flown, views = basin.run, []
     monkeypatch.setattr(basin, "run", lambda one: views.append(start_of(one)) or flown(one))
     assert list(basin._on_axis(s)) == []  # pyright: ignore[reportPrivateUsage]
-    assert len(views) == len(basin.ON_AXIS_DEG) and all(
-        T[:2, 3] == pytest.approx(0, abs=1e-12) for T in views
-    )
+    assert len(views) == len(basin.ON_AXIS_DEG)
+    assert all(T[:2, 3] == pytest.approx(0, abs=1e-12) for T in views)
     assert all(
         T[2, :3] == pytest.approx([0, 0, 1], abs=1e-12) and T[2, 3] == pytest.approx(1)
         for T in views
@@ -355,7 +352,6 @@ def test_after_an_interrupt_the_part_that_was_flown_is_kept(
         folder=tmp_path,
     )
     assert found.interrupted and found.checked == 0
-    assert (found.endings == "interrupted").sum() == 14 and (
-        found.endings == "converged"
-    ).sum() == 2
+    assert (found.endings == "interrupted").sum() == 14
+    assert (found.endings == "converged").sum() == 2
     assert found.summary()["shares"] == {"converged": 1.0} and found.summary()["starts"] == 2

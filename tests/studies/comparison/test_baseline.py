@@ -98,9 +98,8 @@ def test_a_slower_law_is_worse_beyond_the_tolerance_only(tmp_path: Path) -> None
 
 def test_of_a_margin_less_is_worse_and_the_simulated_time_judges_nothing(tmp_path: Path) -> None:
     worse = changed(tmp_path, table(), table(margin_px=40.0)).regressions()
-    assert len(worse) == 2 and all(
-        "smallest margin to the border 42.5 px, before 52.5 px" in words for words in worse
-    )
+    assert len(worse) == 2
+    assert all("smallest margin to the border 42.5 px, before 52.5 px" in words for words in worse)
 
 
 @pytest.mark.parametrize(
@@ -192,9 +191,8 @@ def test_the_workflow_of_the_guide_passes_and_fails(command, quick: Path) -> Non
         Path(name).write_text(quick.read_text())
     assert command(*lines[0]).code == 0
     same = command(*lines[1])
-    assert same.code == 0 and same.err.endswith(
-        "20 runs without any difference\nnothing got worse\n"
-    )
+    assert same.code == 0
+    assert same.err.endswith("20 runs without any difference\nnothing got worse\n")
     Path(lines[1][1]).write_text(quick.read_text().replace("gain: 6", "gain: 4"))
     slower = command(*[word.replace("now", "later") for word in lines[1]], "--json")
     assert slower.code == 5 and "worse: mine: time to converge" in slower.err

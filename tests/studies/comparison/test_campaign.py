@@ -564,9 +564,8 @@ def test_the_name_of_a_case_is_no_path(
     before = {p.name for p in tmp_path.iterdir()}
     ended = command("compare", "hostile.yaml", "--out", "deep/c", "--no-film")
     assert ended.code == 0, ended.err
-    assert {p.name for p in tmp_path.iterdir()} == before and [
-        p.name for p in (tmp_path / "deep").iterdir()
-    ] == ["c"]
+    assert {p.name for p in tmp_path.iterdir()} == before
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["c"]
     assert sorted(p.name for p in tmp_path.glob("deep/c/runs/quick/*")) == [
         "esc=_con,a_b_c_d_e_f=x",
         "esc=a,a_b_c_d_e_f=x",
@@ -588,9 +587,8 @@ def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(
     shutil.copytree(whole, cut)
     every = Jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
     monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 10_000)
-    assert table.equals(table_of(whole, every)) and table.equals(
-        pl.read_parquet(whole / "comparison.parquet")
-    )
+    assert table.equals(table_of(whole, every))
+    assert table.equals(pl.read_parquet(whole / "comparison.parquet"))
     for place in ("0/0", "0/3", "8/11"):
         (cut / f"runs/quick/as_it_is/{place}/summary.json").unlink()
     again = compare([], out=cut, resume=True, film=False, report=False)

@@ -141,9 +141,8 @@ def planned(folder: Path, **files: Path) -> Path:
 def kept_by(folder: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     keep(folder)
     record = json.loads((folder / RECORD).read_text())
-    return {"/".join(Path(copy).parts[2:]): said for copy, said in record["files"].items()}, record[
-        "not_copied"
-    ]
+    files = {"/".join(Path(copy).parts[2:]): said for copy, said in record["files"].items()}
+    return files, record["not_copied"]
 
 
 @pytest.fixture
@@ -207,9 +206,8 @@ def test_a_urdf_has_the_meshes_of_its_package_and_no_others(tmp_path: Path, secr
     )
     (package / "urdf" / "arm.urdf").write_text(f'{comment}<robot name="r">{comment}{links}</robot>')
     copies, others = kept_by(planned(tmp_path / "c", robot__file=package / "urdf" / "arm.urdf"))
-    assert sorted(copies) == ["meshes/a.stl", "urdf/arm.urdf"] and others == [
-        str(secret.parent / "id_rsa.stl")
-    ]
+    assert sorted(copies) == ["meshes/a.stl", "urdf/arm.urdf"]
+    assert others == [str(secret.parent / "id_rsa.stl")]
 
 
 def test_a_law_has_the_files_below_its_folder_and_no_others(tmp_path: Path, secret: Path) -> None:
@@ -223,9 +221,8 @@ def test_a_law_has_the_files_below_its_folder_and_no_others(tmp_path: Path, secr
     folder = planned(tmp_path / "c")
     (folder / "scenarios" / "s.yaml").write_text(f"plugins: [{law}]\n")
     copies, others = kept_by(folder)
-    assert sorted(copies) == ["law.py", "weights.npy"] and {
-        Path(name).resolve() for name in others
-    } == {secret.with_suffix(".txt")}
+    assert sorted(copies) == ["law.py", "weights.npy"]
+    assert {Path(name).resolve() for name in others} == {secret.with_suffix(".txt")}
 
 
 def git(folder: Path, *words: str) -> str:
@@ -253,14 +250,12 @@ def test_the_commit_is_read_as_git_has_it(tmp_path: Path) -> None:
     git(top, "add", ".")
     git(top, "commit", "-qm", "one")
     (found,) = kept_by(planned(tmp_path / "c", robot__file=path))[0].values()
-    assert found["commit"] == git(top, "rev-parse", "HEAD") and found["blob"] == git(
-        top, "rev-parse", "HEAD:below/arm.xml"
-    )
+    assert found["commit"] == git(top, "rev-parse", "HEAD")
+    assert found["blob"] == git(top, "rev-parse", "HEAD:below/arm.xml")
     git(top, "commit", "-q", "--allow-empty", "-m", "two")
     git(top, "pack-refs", "--all")
-    assert not (top / ".git/refs/heads/some/branch").exists() and _commit(path) == git(
-        top, "rev-parse", "HEAD"
-    )
+    assert not (top / ".git/refs/heads/some/branch").exists()
+    assert _commit(path) == git(top, "rev-parse", "HEAD")
     git(top, "worktree", "add", "-q", "-b", "other", str(tmp_path / "tree"))
     git(tmp_path / "tree", "commit", "-q", "--allow-empty", "-m", "three")
     assert (

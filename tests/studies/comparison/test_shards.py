@@ -73,9 +73,8 @@ def test_merged_they_are_what_one_process_leaves(
         for name in alone.columns
         if name not in OF_THE_CLOCK and not name.startswith("time_ms")
     ]
-    assert together.columns == alone.columns and together.select(columns).equals(
-        alone.select(columns), null_equal=True
-    )
+    assert together.columns == alone.columns
+    assert together.select(columns).equals(alone.select(columns), null_equal=True)
     assert {p.name for p in (tmp_path / "all").iterdir()} == {
         p.name for p in (tmp_path / "one").iterdir()
     }

@@ -208,12 +208,10 @@ class TestFile:
             file=str(bundled_comparisons()["canonical"].with_name("vitvs_starts.json"))
         )
         away = np.array([rigid_error(p.T, np.eye(4)) for p in table.displacements])
-        assert table.runs == 500 and away.mean(axis=0) == pytest.approx(
-            [0.464, np.radians(74.1)], rel=1e-3
-        )
-        assert table.numbers(None) == table.numbers(900) == tuple(range(500)) and table.numbers(
-            4
-        ) == (62, 187, 312, 437)
+        assert table.runs == 500
+        assert away.mean(axis=0) == pytest.approx([0.464, np.radians(74.1)], rel=1e-3)
+        assert table.numbers(None) == table.numbers(900) == tuple(range(500))
+        assert table.numbers(4) == (62, 187, 312, 437)
         some = Jobs(controllers(chosen(["canonical"], {}, {}, limit=2)), None)
         first = [job for job in some if job.controller.values["law"] == "points"]
         assert [job.seed for job in first if job.controller.values["task"] == "about the axis"] == [
@@ -249,9 +247,8 @@ class TestFolder:
         page = (folder / "report.html").read_text()
         assert "Largest retreat [m]" in page
         assert "180 deg: diverged" in page and "vstestbed compare comparison.yaml" in page
-        assert (folder / "figures" / "tasks.png").is_file() and (
-            folder / "figures" / "tasks.pdf"
-        ).is_file()
+        assert (folder / "figures" / "tasks.png").is_file()
+        assert (folder / "figures" / "tasks.pdf").is_file()
 
     def test_other_metrics_have_a_table_of_median_and_largest(self, folder: Path):
         whole = (folder / "tasks.md").read_text()
@@ -270,9 +267,8 @@ class TestFolder:
         assert retreat.splitlines()[3].startswith("| `pose` | 0, 0 |")
         # The pose law turns by 45 and 180 degrees and no more, less what the threshold leaves.
         median, largest = rotation.splitlines()[3].split("|")[2].split(",")
-        assert float(median) == pytest.approx(112.5, abs=1) and float(largest) == pytest.approx(
-            180, abs=1
-        )
+        assert float(median) == pytest.approx(112.5, abs=1)
+        assert float(largest) == pytest.approx(180, abs=1)
 
     def test_its_plan_makes_the_same_again(self, folder: Path):
         again = controllers(chosen([str(folder / "comparison.yaml")], {}, {}))
@@ -408,9 +404,8 @@ def test_starts_are_what_their_amounts_say(comparison: str, base: tuple[str, ...
         )
     for amount, T in amounts_of(found["target turned"]):
         to_target = np.array([0, 0, goal_m]) - T[:3, 3]
-        assert np.linalg.norm(to_target) == pytest.approx(goal_m, abs=1e-5) and T[
-            :3, 2
-        ] == pytest.approx(to_target / goal_m, abs=1e-5)
+        assert np.linalg.norm(to_target) == pytest.approx(goal_m, abs=1e-5)
+        assert T[:3, 2] == pytest.approx(to_target / goal_m, abs=1e-5)
         assert math.degrees(rotation_angle(T[:3, :3])) == pytest.approx(amount, abs=1e-3)
 
 
@@ -446,9 +441,8 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
     with closing(LocalPool(1, tmp_path)) as pool:
         runner.run(pool)
     table = table_of(tmp_path, runner.jobs)
-    assert table["outcome"].to_list() == ["converged", "unreachable"] and table[
-        "success"
-    ].to_list() == [True, False]
+    assert table["outcome"].to_list() == ["converged", "unreachable"]
+    assert table["success"].to_list() == [True, False]
     assert table["seed"].to_list() == [0, 1]  # also of a start that cannot be drawn
     assert "is out of its reach: it stays" in table["reason"][1]
     meshes = list((tmp_path / table["folder"][0] / "assets").iterdir())

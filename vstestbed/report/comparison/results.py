@@ -36,9 +36,8 @@ def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
     runs, the scenarios' own.
     """
     # all laws work on grey levels, so that no run measured markers
-    grey = {"final_error_grey", "final_error_px"} <= set(table.columns) and table[
-        "final_error_px"
-    ].is_null().all()
+    both = {"final_error_grey", "final_error_px"} <= set(table.columns)
+    grey = both and table["final_error_px"].is_null().all()
     usual = [name for name in DEFAULT_METRICS if name != "final_error_px" or not grey]
     return (*usual, *(name for name in (*SOME_FIGURES, *own_metrics()) if name in table.columns))
 

@@ -218,9 +218,8 @@ def own_columns(tracks: LogArrays) -> Chart | None:
     """The first columns of the law's own and of the effects', by their names,
     which tell the unit.
     """
-    names = [name for name in tracks.setting.own if np.isfinite(tracks.column(name)).any()][
-        :MOST_OWN
-    ]
+    known = [name for name in tracks.setting.own if np.isfinite(tracks.column(name)).any()]
+    names = known[:MOST_OWN]
     if not names:
         return None
     chart = over_time(tracks, 0.9 + 1.5 * len(names), *names)
