@@ -582,6 +582,71 @@ class TestUrdf:
             assert session.reset().truth is not None
 
 
+class TestNumbersNoRobotHas:
+    """MuJoCo takes them: the report ended in a traceback of NumPy, or called a gain `nan` well."""
+
+    WRONG = (
+        ("seven.xml", 'pos="0 0 nan"', "pos='0 0 nan' in <body> link, line 4, and all its numbers"),
+        ("seven.xml", 'pos="0 0 1e400"', "pos='0 0 1e400' in <body> link, line 4"),
+        ("seven.xml", 'pos="0 2e6 0"', "and at most 1e+06 m can be"),
+        ("seven.xml", 'quat="1e200 0 0 0"', "and at most 1e+16 can be"),
+        ("arm.urdf", "<origin xyz='0 0 nan'/>", "xyz='0 0 nan' in <origin> after joint a, line 6"),
+        ("arm.urdf", "<origin rpy='0 0 -inf'/>", "rpy='0 0 -inf' in <origin> after joint a"),
+        ("arm.urdf", "<origin xyz='0 0 1e200'/>", "and at most 1e+06 m can be"),
+    )
+    MJCF = (
+        '<mujoco>\n<worldbody><body>\n<joint name="a" range="-1 1"/><geom size=".1"/>\n'
+        '<body name="link" {}><joint name="b" axis="0 1 0" range="-1 1"/><geom size=".1"/>'
+        "</body></body></worldbody></mujoco>"
+    )
+
+    def test_are_refused_with_their_element_and_attribute(self, tmp_path: Path) -> None:
+        urdf = TestUrdf().written(tmp_path, "one.dae")
+        text = urdf.read_text()
+        assert text.count('<origin xyz="0 0 .3"/>') == 2
+        for name, part, words in self.WRONG:
+            file = tmp_path / name if name.endswith("xml") else urdf
+            right = self.MJCF.format(part)
+            if file == urdf:
+                right = text.replace('<origin xyz="0 0 .3"/>', part, 1)
+            file.write_text(right)
+            compiled.cache_clear()
+            ((what, sound, found, remedy),) = examine_model(str(file))
+            assert (what, sound, remedy) == ("model", False, "correct it there")
+            assert words in found
+        urdf.write_text(text.replace('mass value="1"', 'mass value="1e12"'))
+        compiled.cache_clear()
+        with pytest.raises(ParameterError, match=r"<mass> after link one.*at most 1e\+09 kg"):
+            compiled(str(urdf))
+
+    def test_of_a_file_that_is_included_and_of_shapes_whose_masses_are(
+        self, tmp_path: Path
+    ) -> None:
+        (tmp_path / "part.xml").write_text(self.MJCF.format('pos="0 inf 0"'))
+        (tmp_path / "arm.xml").write_text('<mujoco><include file="part.xml"/></mujoco>')
+        with pytest.raises(ParameterError, match=r"pos='0 inf 0' in <body> link.*part\.xml"):
+            compiled(str(tmp_path / "arm.xml"))
+        big = self.MJCF.format('pos="0 0 1"').replace('size=".1"', 'size="1e5"')
+        (tmp_path / "arm.xml").write_text(big)
+        compiled.cache_clear()
+        with pytest.raises(ParameterError, match=r"gives the body 1 a mass of 4\.19e\+18 kg"):
+            compiled(str(tmp_path / "arm.xml"))
+
+    def test_limits_may_be_infinite_and_names_may_be_words_of_numbers(self, tmp_path: Path) -> None:
+        file = TestUrdf().written(tmp_path, "one.dae")
+        text = file.read_text().replace('effort="60"', 'effort="1.79769e+308"')
+        text = text.replace('"two"', '"nan"').replace("'two'", "'nan'")
+        file.write_text(text.replace('velocity="0.7"', 'velocity="inf"'))
+        assert joint_chain(str(file), "tool0", ()).names == ("a", "b")
+
+    def test_lengths_in_millimetres_are_told(self, tmp_path: Path) -> None:
+        file = TestUrdf().written(tmp_path, "one.dae")
+        file.write_text(file.read_text().replace("0 0 .2", "0 0 200").replace("0 0 .3", "0 0 300"))
+        words = r"at most 200 m from the first joint to tool0, and has 500 m:.*like millimetres"
+        with pytest.raises(ParameterError, match=words):
+            joint_chain(str(file), "tool0", ())
+
+
 class TestCoupledJoints:
     """Joints that the file couples were taken as free: the law's twists did not come about. A
     gripper's beyond the arm stay.

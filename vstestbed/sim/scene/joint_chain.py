@@ -18,9 +18,18 @@ from vstestbed.core.named_files import model_path, place_of_file
 from vstestbed.effects.base import places_of
 from vstestbed.effects.body import Change, reshape
 from vstestbed.robots.chain import JointChain, Load
-from vstestbed.sim.scene.model_files import cannot_compile, check_options, files_in, read_model
+from vstestbed.sim.scene.model_files import (
+    MOST_KG,
+    cannot_compile,
+    check_options,
+    files_in,
+    read_model,
+)
 
 MOST_JOINTS = 7
+MOST_INERTIA = 1e12  # of a body, about its own centre [kg m^2]
+# beyond this distance from its target a camera has diverged (`termination.FAR_M`)
+MOST_ARM_M = 200.0
 WORDS = {
     int(mujoco.mjtJoint.mjJNT_FREE): "a free joint",
     int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint",
@@ -36,11 +45,27 @@ def compiled(file: str) -> mujoco.MjModel:
     try:
         spec = read_model(path)
         check_options(spec, path)
-        return spec.compile()
+        model = spec.compile()
     except ParameterError:
         raise
     except (ValueError, mujoco.FatalError) as error:
         raise cannot_compile(error, path, "an MJCF or URDF file") from None
+    _check_masses(model, path)
+    return model
+
+
+def _check_masses(model: mujoco.MjModel, path: Path) -> None:
+    """Refuse masses that no robot has: of shapes and densities each of which might be."""
+    for body in range(1, model.nbody):
+        mass = float(model.body_mass[body])
+        inertia = float(model.body_inertia[body].max())
+        if not (mass <= MOST_KG and inertia <= MOST_INERTIA):
+            words = (
+                f"gives the body {model.body(body).name or body} a mass of {mass:.3g} kg and an"
+                f" inertia of up to {inertia:.3g} kg m^2, and at most {MOST_KG:g} kg and"
+                f" {MOST_INERTIA:g} kg m^2 can be; correct its shapes or densities there"
+            )
+            raise ParameterError("file", words, str(path))
 
 
 @functools.lru_cache(maxsize=8)
@@ -73,6 +98,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
     T_world_body = placed(data.xpos[body], data.xmat[body])
+    _check_length(np.array([*data.xanchor[joints], T_world_body[:3, 3]]), flange)
     bounded = model.jnt_limited[joints].astype(bool)[:, None]
     return JointChain(
         names=found,
@@ -264,6 +290,17 @@ def _check(
     for i, name in zip(joints, found, strict=True):
         _check_numbers(model, i, name)
     _check_free(model, joints)
+
+
+def _check_length(places: np.ndarray, flange: str) -> None:
+    """Refuse an arm whose lengths are not in metres. places: of joints and flange (n + 1, 3) [m]."""
+    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    if length > MOST_ARM_M:
+        words = (
+            f"must have at most {MOST_ARM_M:g} m from the first joint to {flange}, and has"
+            f" {length:.4g} m: lengths are in metres, and these look like millimetres"
+        )
+        raise ParameterError("file", words)
 
 
 def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:

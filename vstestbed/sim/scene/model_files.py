@@ -5,6 +5,7 @@ folder holds all of it.
 from __future__ import annotations
 
 import ctypes
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -158,6 +159,82 @@ def _is_of_a_size(path: Path) -> None:
             raise ParameterError("file", words, str(path))
         if element == "replicate" and not empty:
             nested.append(total)
+
+
+ELEMENT_WITH = re.compile(
+    r"""<([\w:.-]+)((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))+)"""
+)
+MOST_M, MOST_KG, MOST_ELSE = 1e6, 1e9, 1e16
+"""The largest lengths [m], masses and inertias [kg, kg m^2] and other numbers of a robot's file:
+of larger ones sums lose the rest, and products overflow.
+"""
+LARGEST = {
+    **dict.fromkeys(("pos", "xyz", "fromto", "size", "radius", "length"), (MOST_M, " m")),
+    **dict.fromkeys(("mass", "density", "armature"), (MOST_KG, " kg")),
+    **dict.fromkeys(("diaginertia", "fullinertia"), (MOST_KG, " kg m^2")),
+    **dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (MOST_KG, " kg m^2")),
+}
+"""By the attribute; others are at most MOST_ELSE."""
+LIMITS = {
+    "range",
+    "ctrlrange",
+    "forcerange",
+    "actrange",
+    "actuatorfrcrange",
+    "lower",
+    "upper",
+    "effort",
+    "velocity",
+    "soft_lower_limit",
+    "soft_upper_limit",
+}
+"""Attributes of which an infinite or huge number means that there is no limit."""
+
+
+def _has_real_numbers(path: Path) -> None:
+    """Refuse numbers that no robot has, which MuJoCo takes: what is not finite, and what is absurdly
+    large. Raises ParameterError: `file`, with the element and the attribute.
+    """
+    text = _uncommented(path)
+    names = {
+        value
+        for found in ELEMENT_WITH.finditer(text)
+        for name, value in ATTRIBUTE.findall(found[2])
+        if name == "name"
+    }
+    after = ""
+    for found in ELEMENT_WITH.finditer(text):
+        element, attributes = found.groups()
+        given = dict(ATTRIBUTE.findall(attributes))
+        where = f"<{element}>{after}"
+        if "name" in given:
+            where, after = f"<{element}> {given['name']}", f" after {element} {given['name']}"
+        for attribute, value in given.items():
+            if value not in names and (wrong := _wrong_number(element, attribute, value)):
+                line = text.count("\n", 0, found.start()) + 1
+                words = (
+                    f"has {attribute}={short(value)} in {where}, line {line},"
+                    f" and {wrong}; correct it there"
+                )
+                raise ParameterError("file", words, str(path))
+
+
+def _wrong_number(element: str, attribute: str, value: str) -> str:
+    """What is wrong with the numbers of an attribute; "" where they are right, or it has none."""
+    try:
+        numbers = [float(word) for word in value.split()]
+    except ValueError:
+        return ""
+    if any(map(math.isnan, numbers)):
+        return "all its numbers must be finite"
+    if attribute in LIMITS:
+        return ""
+    if any(map(math.isinf, numbers)):
+        return "all its numbers must be finite"
+    of = element if (element, attribute) == ("mass", "value") else attribute
+    most, unit = LARGEST.get(of, (MOST_ELSE, ""))
+    largest = max(map(abs, numbers), default=0.0)
+    return f"at most {most:g}{unit} can be" if largest > most else ""
 
 
 HARMLESS = {
@@ -389,6 +466,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
     for each in (path, *included):
         if is_there(each):
             _is_of_a_size(each)
+            _has_real_numbers(each)
     spec = _parsed(path)
     _are_regular(_named_in(spec, path), path)
     return spec
