@@ -704,6 +704,49 @@ class TestCoupledJoints:
             joint_chain(str(tmp_path / "arm.xml"), "hand", ())
         assert coupled in str(refused.value)
 
+    @pytest.mark.parametrize(
+        ("tendon", "coupled"),
+        [
+            ('<fixed name="s" limited="true" range="-.1 .1">{b}{c}</fixed>', "limits b, c by the"),
+            ('<fixed name="s" range="-.1 .1">{b}</fixed>', "limits b by the range of tendon s"),
+            (
+                '<spatial name="s" limited="true" range="0 1"><site site="foot"/>'
+                '<site site="hand"/></spatial>',
+                "limits a, b, c by the range of tendon s",
+            ),
+            ('<fixed name="s" stiffness="5">{b}{c}</fixed>', ""),
+            (
+                '<spatial name="s" stiffness="5"><site site="foot"/><site site="hand"/></spatial>',
+                "",
+            ),
+            ('<fixed name="s" range="0 1"><joint joint="l" coef="1"/></fixed>', "no"),
+        ],
+    )
+    def test_limited_tendons_are_refused_and_others_that_pull_are_told(
+        self, tmp_path: Path, tendon: str, coupled: str
+    ) -> None:
+        """A range of the sum of two joints was none to the law, whose servos fought with it."""
+        of = {name: f'<joint joint="{name}" coef="1"/>' for name in "bc"}
+        text = self.ARM.format(equality="", world='<site name="foot" pos=".3 0 0"/>')
+        file = tmp_path / "arm.xml"
+        file.write_text(text.replace("<tendon>", f"<tendon>{tendon.format(**of)}"))
+        compiled.cache_clear()
+        if coupled not in ("", "no"):
+            with pytest.raises(ParameterError, match=f"{coupled}.*works: the file without it"):
+                joint_chain(str(file), "hand", ())
+            return
+        joints = "a, b, c" if "spatial" in tendon else "b, c"
+        told = [f"s: pulls at {joints}, as its file has it; laws do not know of it"]
+        assert told_of(file).get("tendon", []) == ([] if coupled else told)
+
+    def test_an_equality_of_a_spatial_tendon_couples_too(self, tmp_path: Path) -> None:
+        text = self.ARM.format(equality='<tendon tendon1="s"/>', world='<site name="foot"/>')
+        spatial = '<spatial name="s"><site site="foot"/><site site="hand"/></spatial>'
+        (tmp_path / "arm.xml").write_text(text.replace("<tendon>", f"<tendon>{spatial}", 1))
+        compiled.cache_clear()
+        with pytest.raises(ParameterError, match=r"couples a, b, c \(equality tendon\)"):
+            joint_chain(str(tmp_path / "arm.xml"), "hand", ())
+
     def test_a_mimic_joint_of_a_urdf_is_one(self, tmp_path: Path) -> None:
         file = TestUrdf().written(tmp_path, "one.dae")
         head, second, rest = file.read_text().partition('<joint name="b"')

@@ -293,7 +293,9 @@ def _check(
 
 
 def _check_length(places: np.ndarray, flange: str) -> None:
-    """Refuse an arm whose lengths are not in metres. places: of joints and flange (n + 1, 3) [m]."""
+    """Refuse an arm whose lengths are not in metres.
+    places: of its joints and its flange, (n + 1, 3) [m].
+    """
     length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     if length > MOST_ARM_M:
         words = (
@@ -318,6 +320,29 @@ def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
             raise ParameterError(
                 "file", f"{words}; works: the file without it, or a flange before these joints"
             )
+    for i in np.flatnonzero(model.tendon_limited).tolist():
+        if coupled := sorted(_spanned(model, i) & set(joints)):
+            names = ", ".join(model.joint(j).name for j in coupled)
+            words = (
+                f"limits {names} by the range of tendon {model.tendon(i).name or i},"
+                " and each joint of an arm has a range of its own here"
+            )
+            raise ParameterError(
+                "file", f"{words}; works: the file without it, or a flange before these joints"
+            )
+
+
+def pulled(model: mujoco.MjModel, joints: list[int]) -> dict[str, list[str]]:
+    """The tendons that act with a force of their own on some of these joints, with the names of
+    these: springs, dampers, friction, rotors. A run keeps them; a law and its model know nothing.
+    """
+    found: dict[str, list[str]] = {}
+    strong = np.abs(model.tendon_stiffness) + np.abs(model.tendon_damping)
+    strong += np.abs(model.tendon_frictionloss) + np.abs(model.tendon_armature)
+    for i in np.flatnonzero(strong).tolist():
+        if there := sorted(_spanned(model, i) & set(joints)):
+            found[model.tendon(i).name or str(i)] = [model.joint(j).name for j in there]
+    return found
 
 
 def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
@@ -329,7 +354,7 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     if kind == mujoco.mjtEq.mjEQ_JOINT:
         return {one}  # the other one moves it
     if kind == mujoco.mjtEq.mjEQ_TENDON:
-        return _wrapped(model, one) | (_wrapped(model, other) if other >= 0 else set())
+        return _spanned(model, one) | (_spanned(model, other) if other >= 0 else set())
     if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
         return set()
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
@@ -338,11 +363,24 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
 
 
-def _wrapped(model: mujoco.MjModel, tendon: int) -> set[int]:
-    """The joints that a fixed tendon combines."""
+def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """The joints that change a tendon's length: those that a fixed one combines, and those between
+    the bodies along which a spatial one runs.
+    """
     first = model.tendon_adr[tendon]
     of = slice(first, first + model.tendon_num[tendon])
-    return set(model.wrap_objid[of][model.wrap_type[of] == mujoco.mjtWrap.mjWRAP_JOINT].tolist())
+    found, before = set[int](), list[set[int]]()
+    for kind, thing in zip(
+        model.wrap_type[of].tolist(), model.wrap_objid[of].tolist(), strict=True
+    ):
+        if kind == mujoco.mjtWrap.mjWRAP_JOINT:
+            found.add(thing)
+        elif kind == mujoco.mjtWrap.mjWRAP_SITE:
+            before.append(set(_joints_to(model, int(model.site_bodyid[thing]))))
+        elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
+            before.append(set(_joints_to(model, int(model.geom_bodyid[thing]))))
+    # what moves all of them changes nothing between them
+    return found | (set.union(*before) - set.intersection(*before) if before else set())
 
 
 def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:

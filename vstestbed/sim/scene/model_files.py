@@ -161,9 +161,7 @@ def _is_of_a_size(path: Path) -> None:
             nested.append(total)
 
 
-ELEMENT_WITH = re.compile(
-    r"""<([\w:.-]+)((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))+)"""
-)
+ELEMENT_WITH = re.compile(r"""<([\w:.-]+)((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))+)""")
 MOST_M, MOST_KG, MOST_ELSE = 1e6, 1e9, 1e16
 """The largest lengths [m], masses and inertias [kg, kg m^2] and other numbers of a robot's file:
 of larger ones sums lose the rest, and products overflow.
@@ -192,8 +190,8 @@ LIMITS = {
 
 
 def _has_real_numbers(path: Path) -> None:
-    """Refuse numbers that no robot has, which MuJoCo takes: what is not finite, and what is absurdly
-    large. Raises ParameterError: `file`, with the element and the attribute.
+    """Refuse numbers that no robot has, which MuJoCo takes: not finite, or absurdly large.
+    Raises ParameterError: `file`, with the element and the attribute.
     """
     text = _uncommented(path)
     names = {
