@@ -559,6 +559,43 @@ class TestUrdf:
         ):
             speeds_in(file)
 
+    @pytest.mark.parametrize(
+        ("given", "range_or_words"),
+        [
+            ("soft_lower_limit='-1' soft_upper_limit='.5' k_velocity='9'", (-1, 0.5)),
+            ("soft_lower_limit='-9' soft_upper_limit='.5'", (-2, 0.5)),
+            ("k_velocity='9'", (-2, 2)),
+            ("soft_lower_limit='-1'", "safety_controller of a with soft_lower_limit below"),
+            ("soft_lower_limit='0' soft_upper_limit='0'", "and has 0 and 0"),
+            ("soft_lower_limit='3' soft_upper_limit='4'", "limits of -2 to 2, and has 3 and 4"),
+            ("soft_lower_limit='x' soft_upper_limit='4'", "a URDF whose limits are numbers"),
+        ],
+    )
+    def test_a_safety_controller_narrows_the_range(
+        self, tmp_path: Path, given: str, range_or_words: Any
+    ) -> None:
+        """It was dropped without a word: the arm moved to where its driver would stop it."""
+        file = self.written(tmp_path, "one.dae")
+        soft = f"<safety_controller {given}/></joint>"
+        file.write_text(file.read_text().replace("</joint>", soft, 1))
+        if isinstance(range_or_words, str):
+            with pytest.raises(ParameterError, match=range_or_words):
+                joint_chain(str(file), "tool0", ())
+            return
+        limits = joint_chain(str(file), "tool0", ()).limits
+        assert limits.tolist() == [pytest.approx(range_or_words), [-2, 2]]
+
+    def test_a_safety_controller_gives_a_range_to_a_joint_that_turns_without_end(
+        self, tmp_path: Path
+    ) -> None:
+        file = self.written(tmp_path, "one.dae")
+        text = file.read_text().replace('"revolute"', '"continuous"')
+        text = text.replace('lower="-2" upper="2" ', "")
+        soft = "<safety_controller soft_lower_limit='-3' soft_upper_limit='4'/></joint>"
+        file.write_text(text.replace("</joint>", soft, 1))
+        limits = joint_chain(str(file), "tool0", ()).limits
+        assert limits.tolist() == [[-3, 4], [-np.inf, np.inf]]
+
     def test_what_stands_on_a_body_has_not_the_material_of_its_class(self, tmp_path: Path) -> None:
         """A class of the file with a material gave it to the camera's shape, whose material MuJoCo
         then did not find.

@@ -488,6 +488,7 @@ def _parsed(path: Path) -> mujoco.MjSpec:
         MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text)
     )
     spec.meshdir = str(path.parent.resolve() / spec.meshdir)
+    _limit_softly(spec, path)
     for body in spec.bodies:
         touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
         # shapes for contacts are left out of pictures where a link has others to be seen
@@ -501,20 +502,58 @@ def speeds_in(path: Path) -> dict[str, float]:
     """The `velocity` limits of a URDF's joints by their names [rad/s, m/s], which MuJoCo does not
     read; {} for an MJCF file.
     """
-    text = _uncommented(path)
-    if ROOT.search(text) is None:
-        return {}
     with foreign(path, "a URDF whose limits are numbers"):
-        # MuJoCo, too, reads names with prefixes that are not declared.
-        joints = expatbuilder.parseString(text, namespaces=False).getElementsByTagName("joint")
-        limits = [
-            (joint, limit) for joint in joints for limit in joint.getElementsByTagName("limit")
-        ]
         found = {
-            joint.getAttribute("name"): float(limit.getAttribute("velocity") or 0)
-            for joint, limit in limits
+            name: float(limit.get("velocity") or 0) for name, limit in _of_joints(path, "limit")
         }
     return {name: speed for name, speed in found.items() if speed > 0}
+
+
+def _of_joints(path: Path, element: str) -> list[tuple[str, dict[str, str]]]:
+    """The attributes of an element of a URDF's joints, with the joints' names; [] for an MJCF
+    file.
+    """
+    text = _uncommented(path)
+    if ROOT.search(text) is None:
+        return []
+    # MuJoCo, too, reads names with prefixes that are not declared.
+    joints = expatbuilder.parseString(text, namespaces=False).getElementsByTagName("joint")
+    return [
+        (joint.getAttribute("name"), dict(found.attributes.items()))
+        for joint in joints
+        for found in joint.getElementsByTagName(element)
+    ]
+
+
+SOFT = "soft_lower_limit", "soft_upper_limit"
+"""Ends of the range in which a URDF's `<safety_controller>` keeps a joint, which MuJoCo does not
+read. Without both, such as with `k_velocity` alone, it keeps none.
+"""
+
+
+def _limit_softly(spec: mujoco.MjSpec, path: Path) -> None:
+    """Narrow the ranges of a URDF's joints to those that their safety controllers keep."""
+    with foreign(path, "a URDF whose limits are numbers", of_field("file")):
+        soft = [
+            (name, [float(found[end]) for end in SOFT if end in found])
+            for name, found in _of_joints(path, "safety_controller")
+        ]
+    for name, ends in soft:
+        joint = spec.joint(name)
+        if not ends or joint is None:
+            continue
+        low, high = joint.range.tolist()
+        if low >= high:  # it turns without end
+            low, high = -math.inf, math.inf
+        wanted = [max(low, ends[0]), min(high, ends[-1])]
+        if len(ends) < len(SOFT) or not wanted[0] < wanted[1]:
+            words = (
+                f"must have a safety_controller of {name} with {' below '.join(SOFT)}, within"
+                f" its limits of {low:.4g} to {high:.4g}, and has"
+                f" {' and '.join(f'{end:.4g}' for end in ends)}"
+            )
+            raise ParameterError("file", words, str(path))
+        joint.range, joint.limited = wanted, mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _found(path: Path, scheme: str, name: str) -> str:
