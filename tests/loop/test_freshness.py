@@ -59,7 +59,7 @@ class Robot:
         self.controller = vs.Controller(replace(scenario, stop=replace(scenario.stop, **changes)))
         self.clock = self.controller.clock = Clock()
         self.began, self.fresh_at, self.newest = self.clock.now, math.nan, -math.inf
-        self.dither = itertools.cycle(range(7))
+        self.dither: Iterator[int] = itertools.cycle(range(251))
         self.notes: tuple[str, ...] = ()
 
     @property
@@ -581,6 +581,36 @@ class TestAFrozenCamera:
         assert 0.5 <= told.index(True) * PERIOD_S <= 0.62 and all(told[told.index(True) :])
         robot.hears(Message(40 * PERIOD_S, new=True))
         assert robot.notes == ()
+
+    @pytest.mark.parametrize("buffers", one_quick(2, 3, 8))
+    def test_that_repeats_its_buffers_in_turn_is_told_and_ends_the_task(
+        self, shown: Any, buffers: int
+    ) -> None:
+        """A, B, A, B with fresh stamps was new for ever."""
+        for more in ({}, {"frozen_after_s": 0.4}):
+            robot = Robot(shown, **more)
+            robot.dither = itertools.cycle(range(buffers))
+            orders, told = [], []
+            for k in range(40):
+                orders.append(robot.hears(Message(k * PERIOD_S, new=True)))
+                told.append(FROZEN in robot.notes)
+            assert all(moves(order) for order in orders[:10])
+            if more:
+                assert orders[-1].latched and "the camera is frozen" in orders[-1].reason
+            else:
+                # the first of each buffer is new
+                assert told.index(True) in range(12 + buffers, 15 + buffers)
+                assert all(told[told.index(True) :])
+
+    def test_that_repeats_more_pictures_than_buffers_or_each_twice_is_none(
+        self, shown: Any
+    ) -> None:
+        robot = Robot(shown, frozen_after_s=0.4)
+        robot.dither = itertools.chain(*([k, k] for k in range(40)))
+        assert all(moves(robot.hears(Message(k * PERIOD_S))) for k in range(40))
+        robot = Robot(shown, frozen_after_s=0.4)
+        robot.dither = itertools.cycle(range(9))
+        assert all(moves(robot.hears(Message(k * PERIOD_S))) for k in range(40))
 
     def test_is_told_by_the_own_clock_where_stamps_creep(self, shown: Any) -> None:
         robot = Robot(shown)
