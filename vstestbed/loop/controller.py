@@ -224,6 +224,7 @@ def _never_found(scenario: Scenario) -> str:
 FROZEN = (
     "the pictures are the same to the byte, although a velocity is ordered: is the camera frozen?"
 )
+CREEPS = 0.1  # stamps that advance by less in an order's time tell no time [camera periods]
 REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
@@ -260,7 +261,9 @@ class Controller:
     A picture that comes again is no new one: where the last new one is older than a command lasts,
     by the time of arrival or by the own clock (`clock`, of this machine unless somebody sets
     another), the robot stops as `without_picture` stops it. So it does where a step that was told
-    the time of arrival took as long.
+    the time of arrival took as long, and where stamps advance by less than a tenth of a camera
+    period while the own clock advances by as much. Where a simulator gives pictures more often
+    than that, in a time that passes more slowly, `simulates(True)` lets stamps alone tell it.
 
     goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
     Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that
@@ -343,6 +346,9 @@ class Controller:
         self._came: tuple[float, float] | None = (
             None  # when the last picture that was used came, by stamps and by the own clock [s]
         )
+        self._advanced: tuple[float, float] | None = (
+            None  # the last stamp that advanced, and the own clock then [s]
+        )
         self._sight = SightClock()
         self._silent = self._by_hand = False
         self._stillness: dict[str, Stillness] = {}
@@ -409,6 +415,10 @@ class Controller:
                 self._stop_if_old(t, arrived, now)
                 # Not the cycle's own order: since then, silence may have stopped the robot.
                 return replace(self._cycle, order=self._in_force(), notes=notes)
+            if creeps := self._creeps(t):
+                self._without(self._now(t if arrived is None else arrived), now)
+                if self._cycle is not None:
+                    return replace(self._cycle, order=self._in_force(), notes=(*notes, *creeps))
             at = t + self.scenario.camera.latency_s if arrived is None else seconds(arrived)
             # after an error: it is as old as it was
             came_again = self._given is not None and t <= self._given[0]
@@ -468,6 +478,24 @@ class Controller:
             arrived is not None and arrived - t > self._latest_s
         ):
             self._without(now, reading)
+
+    def _creeps(self, t: float) -> tuple[str, ...]:
+        """What to say of a picture whose stamp [s] has hardly advanced for as long as an order
+        lasts, by the own clock; () where it has, and where time is simulated. However slow a law
+        is in lockstep, the next picture's stamp is a period later.
+        """
+        if (
+            self._given is not None and t <= self._given[0]
+        ):  # after an error: `_given` knows its age
+            return ()
+        own_s = self._own.s()
+        if self._advanced is None or t - self._advanced[0] >= CREEPS * self.scenario.camera.period:
+            self._advanced = t, own_s
+        before, by_clock = self._advanced
+        if own_s - by_clock < self._order_s:
+            return ()
+        words = f"stamps have advanced by {t - before:.2g} s in {own_s - by_clock:.2g} s"
+        return (f"{words} of the own clock: the robot is told to stop",)
 
     def _now(self, t: float) -> float:
         """The time [s] that somebody says, or, where that is later, the one that the own clock
