@@ -242,10 +242,10 @@ def picture_of(message: Message) -> Image:
     that is not read, or too few bytes.
     """
     if message.__msgtype__ == COMPRESSED:
-        from vstestbed.core.lazy import cv2
+        from vstestbed.core.lazy import cv2, quiet
 
         raw = np.asarray(message.data, np.uint8)
-        with foreign("image", "JPEG or PNG"):
+        with foreign("image", "JPEG or PNG"), quiet():
             found = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
         if found is None:
             raise ParameterError(
@@ -542,7 +542,8 @@ def check_finite(topic: str, message: Message) -> None:
 
 def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
     """Positions and velocities (n,) [rad, m] of joints by their names; velocities that are not told
-    are NaN. ParameterError: one is not in the message, or has no position, or none that is finite.
+    are NaN. ParameterError: one is not in the message, or twice, or has no position, or none that
+    is finite; velocities are those of some joints alone.
     """
     there = {name: i for i, name in enumerate(message.name)}
     if missing := [name for name in names if name not in there]:
@@ -551,12 +552,18 @@ def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
             f" this robot's joints are {', '.join(names)}, in any order, with others or without"
         )
         raise ParameterError("joint_states", words, list(message.name))
+    if twice := [name for name in names if list(message.name).count(name) > 1]:
+        raise ParameterError("joint_states", f"have {', '.join(twice)} more than once")
     order = [there[name] for name in names]
     q, qd = np.asarray(message.position, dtype=float), np.asarray(message.velocity, dtype=float)
     if len(q) != len(message.name):
         raise ParameterError(
             "joint_states", f"have {len(q)} positions of {len(message.name)} joints"
         )
+    if len(qd) not in (0, len(q)):
+        raise ParameterError(
+            "joint_states", f"have {len(qd)} velocities of {len(q)} joints; valid: all or none"
+        )
     if not np.isfinite(q[order]).all():
         raise ParameterError.infinite("joint_states", q[order].tolist())
-    return q[order], qd[order] if len(qd) == len(message.name) else np.full(len(order), np.nan)
+    return q[order], qd[order] if len(qd) else np.full(len(order), np.nan)
