@@ -162,10 +162,10 @@ def _is_of_a_size(path: Path) -> None:
 
 
 ELEMENT_WITH = re.compile(r"""<([\w:.-]+)((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))+)""")
-MOST_M, MOST_KG, MOST_ELSE = 1e6, 1e9, 1e16
-"""The largest lengths [m], masses and inertias [kg, kg m^2] and other numbers of a robot's file:
-of larger ones sums lose the rest, and products overflow.
-"""
+# The largest numbers of a robot's file: of larger ones sums lose the rest, and products overflow.
+MOST_M = 1e6  # of a length [m]
+MOST_KG = 1e9  # of a mass [kg] and an inertia [kg m^2]
+MOST_ELSE = 1e16  # of all others, in whatever unit
 LARGEST = {
     **dict.fromkeys(("pos", "xyz", "fromto", "size", "radius", "length"), (MOST_M, " m")),
     **dict.fromkeys(("mass", "density", "armature"), (MOST_KG, " kg")),
