@@ -281,7 +281,7 @@ def test_a_mount_of_another_frame_is_refused_by_name(write):
         (EASY, "x", 5, "transformation excludes x"),
         (EASY, "rotation", MESSAGE["rotation"], "transformation excludes rotation"),
         (EASY, "R_cam2gripper", np.eye(3).tolist(), "transformation excludes R_cam2gripper"),
-        (EASY, "R", np.eye(3).tolist(), "transformation excludes R_cam2gripper"),
+        (EASY, "R", np.eye(3).tolist(), "transformation excludes rectification_matrix"),
         (MESSAGE, "t", [0, 0, 0], "translation_vector excludes translation"),
         (MESSAGE, "x", 5, "translation excludes x"),
         (STAMPED, "transform.qx", 0, "transformation.qx excludes translation and rotation"),

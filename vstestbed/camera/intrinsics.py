@@ -499,20 +499,22 @@ def _mount_in(plain: Mapping[str, Any]) -> Array | None:
     return T
 
 
+FORMS = (
+    ("transformation",),
+    ("R_cam2gripper", "rectification_matrix", "T_cam2gripper", "translation_vector"),
+    ("translation", "rotation"),
+    POSE,
+)
+"""Fields of a pose, by the form to which they belong."""
+
+
 def _check_one_pose(plain: Mapping[str, Any]) -> None:
     """Refuse a file that gives the pose twice, in whatever forms: the two may differ."""
-    turned = "R_cam2gripper" in plain or (
-        "rectification_matrix" in plain and "camera_matrix" not in plain
-    )
-    by_matrix = ["R_cam2gripper"] * turned
-    by_matrix += [name for name in ("T_cam2gripper", "translation_vector") if name in plain]
-    forms = (
-        [name for name in ("transformation",) if name in plain],
-        by_matrix,
-        [name for name in ("translation", "rotation") if name in plain],
-        [name for name in POSE if name in plain],
-    )
-    first, *others = [form[0] for form in forms if form] or [""]
+    there = {*plain}
+    if "camera_matrix" in there:
+        there.discard("rectification_matrix")  # ROS's
+    given = [next((name for name in form if name in there), "") for form in FORMS]
+    first, *others = list(filter(None, given)) or [""]
     if others:
         raise ParameterError.conflict(first, others[0])
 
@@ -598,6 +600,16 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
                 " or, for a camera with on: world, the pose in the scenario itself"
             )
             raise ParameterError(name, f"{words}; {works}", found)
+    _check_parent(plain, said)
+    for name, found in said:
+        if name in ("tracking_base_frame", "child_frame_id") and "optical" not in str(found):
+            words = "is not known as the camera's optical frame (x right, y down, z forward)"
+            works = "works: the pose of that frame, with a name such as camera_optical_frame"
+            raise ParameterError(name, f"{words}; {works}", found)
+
+
+def _check_parent(plain: Mapping[str, Any], said: list[tuple[str, Any]]) -> None:
+    """Refuse a pose in a frame that is not the flange's, by its name. said: fields of FRAMES."""
     header = _block(plain, "header", STAMP).get("frame_id", "")
     for name, found in (("header.frame_id", header), *said):
         frame = str(found).rpartition("/")[2]
@@ -607,11 +619,6 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
         if is_parent and NO_FLANGE.match(frame):
             words = "must be the flange's frame, and not one of a base, a room, a link or a camera"
             raise ParameterError(name, words, found)
-    for name, found in said:
-        if name in ("tracking_base_frame", "child_frame_id") and "optical" not in str(found):
-            words = "is not known as the camera's optical frame (x right, y down, z forward)"
-            works = "works: the pose of that frame, with a name such as camera_optical_frame"
-            raise ParameterError(name, f"{words}; {works}", found)
 
 
 def _read(

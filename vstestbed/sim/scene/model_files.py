@@ -535,25 +535,29 @@ def _limit_softly(spec: mujoco.MjSpec, path: Path) -> None:
     """Narrow the ranges of a URDF's joints to those that their safety controllers keep."""
     with foreign(path, "a URDF whose limits are numbers", of_field("file")):
         soft = [
-            (name, [float(found[end]) for end in SOFT if end in found])
+            (spec.joint(name), [float(found[end]) for end in SOFT if end in found])
             for name, found in _of_joints(path, "safety_controller")
         ]
-    for name, ends in soft:
-        joint = spec.joint(name)
-        if not ends or joint is None:
-            continue
-        low, high = joint.range.tolist()
-        if low >= high:  # it turns without end
-            low, high = -math.inf, math.inf
-        wanted = [max(low, ends[0]), min(high, ends[-1])]
-        if len(ends) < len(SOFT) or not wanted[0] < wanted[1]:
-            words = (
-                f"must have a safety_controller of {name} with {' below '.join(SOFT)}, within"
-                f" its limits of {low:.4g} to {high:.4g}, and has"
-                f" {' and '.join(f'{end:.4g}' for end in ends)}"
-            )
-            raise ParameterError("file", words, str(path))
-        joint.range, joint.limited = wanted, mujoco.mjtLimited.mjLIMITED_TRUE
+    for joint, ends in soft:
+        if joint is not None and ends:
+            joint.range = _narrowed(joint, ends, path)
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _narrowed(joint: mujoco.MjsJoint, ends: list[float], path: Path) -> list[float]:
+    """The range of a joint within the ends of another one [rad, m]."""
+    low, high = joint.range.tolist()
+    if low >= high:  # it turns without end
+        low, high = -math.inf, math.inf
+    wanted = [max(low, ends[0]), min(high, ends[-1])]
+    if len(ends) < len(SOFT) or not wanted[0] < wanted[1]:
+        words = (
+            f"must have a safety_controller of {joint.name} with {' below '.join(SOFT)}, within"
+            f" its limits of {low:.4g} to {high:.4g}, and has"
+            f" {' and '.join(f'{end:.4g}' for end in ends)}"
+        )
+        raise ParameterError("file", words, str(path))
+    return wanted
 
 
 def _found(path: Path, scheme: str, name: str) -> str:
