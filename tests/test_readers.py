@@ -203,6 +203,7 @@ USED = {
     "calibration_type": (POSE, "calibration_type", "eye_on_base"),
     "tracking_base_frame": (POSE, "tracking_base_frame", "camera_link"),
     "child_frame_id": (STAMPED, "child_frame_id", "camera_link"),
+    "robot_effector_frame": (EASY, "robot_effector_frame", "forearm_link"),
 }
 
 

@@ -262,6 +262,29 @@ def test_a_mount_of_another_frame_is_refused_by_name(write):
             "child_frame_id is not known as the camera's optical frame",
         ),
         (STAMPED, "header.frame_id", "base_link", "header.frame_id must be the flange's frame"),
+        (
+            STAMPED,
+            "header.frame_id",
+            "camera_link",
+            "header.frame_id must be the flange's frame, and not one of a base, a room, a link",
+        ),
+        (EASY, "parameters.robot_effector_frame", "forearm_link", "robot_effector_frame must be"),
+        (EASY, "parameters.robot_effector_frame", "r/camera_link", "robot_effector_frame must be"),
+        (EASY, "robot_effector_frame", "base_link", "robot_effector_frame must be the flange's"),
+        (EASY, "parameters.robot_effector_frame", "upper_arm", "robot_effector_frame must be"),
+        (
+            changed(EASY, "robot_effector_frame", "tool0"),
+            "parameters.robot_effector_frame",
+            "elbow",
+            "robot_effector_frame must be the flange's frame",
+        ),
+        (EASY, "x", 5, "transformation excludes x"),
+        (EASY, "rotation", MESSAGE["rotation"], "transformation excludes rotation"),
+        (EASY, "R_cam2gripper", np.eye(3).tolist(), "transformation excludes R_cam2gripper"),
+        (EASY, "R", np.eye(3).tolist(), "transformation excludes rectification_matrix"),
+        (MESSAGE, "t", [0, 0, 0], "translation_vector excludes translation"),
+        (MESSAGE, "x", 5, "translation excludes x"),
+        (STAMPED, "transform.qx", 0, "transformation.qx excludes translation and rotation"),
         (STAMPED, "transform.rotation.v", 0, "rotation.v is not read here"),
         (STAMPED, "transform.translation", [0, 0, 0.1], "translation must be a block of x, y, z"),
         (
@@ -285,6 +308,12 @@ def test_a_mount_of_another_frame_is_refused_by_name(write):
         ),
     ):
         assert words in refused(read_mount, write(changed(plain, path, value))), path
+    for frame in ("tool0", "panda_link8", "camera_mount", "wrist_3_link", "gripper_base"):
+        right = changed(EASY, "parameters.robot_effector_frame", frame)
+        assert read_mount(str(write(right)))["xyz"] == [0.01, -0.02, 0.11]
+    both = {**CAMERA_INFO, "header": {"frame_id": "camera_optical_frame"}}
+    both |= {"transformation": EASY["transformation"]}
+    assert read_mount(str(write(both)))["xyz"] == [0.01, -0.02, 0.11]
     for plain in (EASY, STAMPED, MESSAGE):
         assert read_mount(str(write(plain)))["xyz"] == [0.01, -0.02, 0.11]
 

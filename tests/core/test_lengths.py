@@ -36,7 +36,9 @@ REASONS = {
         sim/render/rays.py FAR
         scenario/cameras.py LEAST_BASELINE_M
         studies/calibration.py LEAST_M MOST_M
-        tasks/metrics.py LEAST"""
+        tasks/metrics.py LEAST
+        sim/scene/joint_chain.py MOST_ARM_M
+        sim/scene/model_files.py MOST_M"""
     ),
     (
         "the size of a robot that exists, of its parts and its sensors,"

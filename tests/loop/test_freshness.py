@@ -59,7 +59,7 @@ class Robot:
         self.controller = vs.Controller(replace(scenario, stop=replace(scenario.stop, **changes)))
         self.clock = self.controller.clock = Clock()
         self.began, self.fresh_at, self.newest = self.clock.now, math.nan, -math.inf
-        self.dither = itertools.cycle(range(7))
+        self.dither: Iterator[int] = itertools.cycle(range(251))
         self.notes: tuple[str, ...] = ()
 
     @property
@@ -258,6 +258,41 @@ def test_a_target_that_is_gone_is_lost_by_the_own_clock(name: str, creeps: str) 
         if blind_s > scenario.stop.lost_after[0] + 2 * PERIOD_S:
             # a car keeps its steering
             assert cycle.order.latched and not cycle.order.twist.any(), blind_s
+
+
+@pytest.mark.parametrize("step_s", [1e-9, 4e-5])
+@pytest.mark.parametrize("creeps", ["stamps", "arrivals, too"])
+def test_new_pictures_whose_stamps_hardly_advance_stop_the_robot(
+    shown: Any, step_s: float, creeps: str
+) -> None:
+    """Of another unit, or of a failed driver: 1 ns apart, they were all fresh. The target is in
+    sight.
+    """
+    robot = Robot(shown, lost_after_s=10.0)
+    told = creeps != "stamps"
+    for k in range(60):
+        t = k * step_s
+        order = robot.hears(Message(t, t + 0.01 if told else None))
+        assert moves(order) == (k * PERIOD_S < TIMEOUT_S - 1e-9), k
+    assert "of the own clock: the robot is told to stop" in " ".join(robot.notes)
+    for k in range(5):  # right stamps
+        assert moves(robot.hears(Message(10.0 + k * PERIOD_S)))
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_slow_law_in_lockstep_and_a_burst_of_pictures_are_none(shown: Any, told: bool) -> None:
+    robot = Robot(shown)
+    for k in range(30):  # time is simulated, and each step takes a minute
+        t = k * PERIOD_S
+        assert moves(robot.hears(Message(t, t + 0.01 if told else None), 60.0))
+    robot = Robot(shown)
+    times = [k * PERIOD_S + more for k in range(25) for more in (0.0, 1e-4, 2e-4)]
+    for t in times:
+        assert moves(robot.hears(Message(t), 0.013))
+    robot = Robot(shown)
+    robot.controller.simulates(True)
+    for k in range(40):  # stamps alone tell the time
+        assert moves(robot.hears(Message(1e-9 * k), 60.0))
 
 
 def test_times_of_other_units_are_refused_by_name(shown: Any) -> None:
@@ -582,11 +617,40 @@ class TestAFrozenCamera:
         robot.hears(Message(40 * PERIOD_S, new=True))
         assert robot.notes == ()
 
-    def test_is_told_by_the_own_clock_where_stamps_creep(self, shown: Any) -> None:
-        robot = Robot(shown)
-        for k in range(20):
-            robot.hears(Message(1e-6 * k, new=False))
-        assert FROZEN in robot.notes
+    @pytest.mark.parametrize("buffers", one_quick(2, 3, 8))
+    def test_that_repeats_its_buffers_in_turn_is_told_and_ends_the_task(
+        self, shown: Any, buffers: int
+    ) -> None:
+        """A, B, A, B with fresh stamps was new for ever."""
+        for more in ({}, {"frozen_after_s": 0.4}):
+            robot = Robot(shown, **more)
+            robot.dither = itertools.cycle(range(buffers))
+            orders, told = [], []
+            for k in range(40):
+                orders.append(robot.hears(Message(k * PERIOD_S, new=True)))
+                told.append(FROZEN in robot.notes)
+            assert all(moves(order) for order in orders[:10])
+            if more:
+                assert orders[-1].latched and "the camera is frozen" in orders[-1].reason
+            else:
+                # the first of each buffer is new
+                assert told.index(True) in range(12 + buffers, 15 + buffers)
+                assert all(told[told.index(True) :])
+
+    def test_that_repeats_more_pictures_than_buffers_or_each_twice_is_none(
+        self, shown: Any
+    ) -> None:
+        robot = Robot(shown, frozen_after_s=0.4)
+        robot.dither = itertools.chain(*([k, k] for k in range(40)))
+        assert all(moves(robot.hears(Message(k * PERIOD_S))) for k in range(40))
+        robot = Robot(shown, frozen_after_s=0.4)
+        robot.dither = itertools.cycle(range(9))
+        assert all(moves(robot.hears(Message(k * PERIOD_S))) for k in range(40))
+
+    def test_is_counted_by_the_own_clock_where_stamps_creep(self, shown: Any) -> None:
+        robot = Robot(shown, frozen_after_s=0.3)
+        orders = [robot.hears(Message(1e-6 * k, new=False)) for k in range(12)]
+        assert orders[-1].latched and "the camera is frozen" in orders[-1].reason
 
     @pytest.mark.parametrize("begin", [-1000.0, -5.0, 1.8e9])
     def test_is_told_whatever_the_stamps_begin_with(self, shown: Any, begin: float) -> None:
@@ -624,7 +688,7 @@ class TestAFrozenCamera:
         assert notes.index(True) <= 14
 
     @pytest.mark.parametrize("latency_s", [0.02, 0.05])
-    def test_is_told_where_stamps_creep_and_commands_are_late(self, latency_s: float) -> None:
+    def test_is_counted_where_stamps_creep_and_commands_are_late(self, latency_s: float) -> None:
         """By its stamps no picture is of a time at which the robot moved."""
         scenario = vs.load(
             "arm_ibvs",
@@ -632,11 +696,10 @@ class TestAFrozenCamera:
         )
         with vs.Session(scenario, pictures=True) as session:
             image = session.reset().image
-            robot = Robot((scenario, np.array(image), session.episode.plant.reading()))
-        notes = [
-            FROZEN in (robot.hears(Message(1e-6 * k, new=False)) and robot.notes) for k in range(24)
-        ]
-        assert TIMEOUT_S <= notes.index(True) * PERIOD_S <= TIMEOUT_S + 2 * latency_s + 3 * PERIOD_S
+            shown = scenario, np.array(image), session.episode.plant.reading()
+        robot = Robot(shown, frozen_after_s=0.2)
+        ended = [robot.hears(Message(1e-6 * k, new=False)).latched for k in range(12)]
+        assert 0.2 <= ended.index(True) * PERIOD_S <= 0.2 + 2 * latency_s + 3 * PERIOD_S
 
     def test_that_writes_into_one_array_and_changes_is_none(self, shown: Any) -> None:
         """The picture before is not at hand any more: it must not be compared with itself."""

@@ -558,6 +558,43 @@ class TestUrdf:
         ):
             speeds_in(file)
 
+    @pytest.mark.parametrize(
+        ("given", "range_or_words"),
+        [
+            ("soft_lower_limit='-1' soft_upper_limit='.5' k_velocity='9'", (-1, 0.5)),
+            ("soft_lower_limit='-9' soft_upper_limit='.5'", (-2, 0.5)),
+            ("k_velocity='9'", (-2, 2)),
+            ("soft_lower_limit='-1'", "safety_controller of a with soft_lower_limit below"),
+            ("soft_lower_limit='0' soft_upper_limit='0'", "and has 0 and 0"),
+            ("soft_lower_limit='3' soft_upper_limit='4'", "limits of -2 to 2, and has 3 and 4"),
+            ("soft_lower_limit='x' soft_upper_limit='4'", "a URDF whose limits are numbers"),
+        ],
+    )
+    def test_a_safety_controller_narrows_the_range(
+        self, tmp_path: Path, given: str, range_or_words: Any
+    ) -> None:
+        """It was dropped without a word: the arm moved to where its driver would stop it."""
+        file = self.written(tmp_path, "one.dae")
+        soft = f"<safety_controller {given}/></joint>"
+        file.write_text(file.read_text().replace("</joint>", soft, 1))
+        if isinstance(range_or_words, str):
+            with pytest.raises(ParameterError, match=range_or_words):
+                joint_chain(str(file), "tool0", ())
+            return
+        limits = joint_chain(str(file), "tool0", ()).limits
+        assert limits.tolist() == [pytest.approx(range_or_words), [-2, 2]]
+
+    def test_a_safety_controller_gives_a_range_to_a_joint_that_turns_without_end(
+        self, tmp_path: Path
+    ) -> None:
+        file = self.written(tmp_path, "one.dae")
+        text = file.read_text().replace('"revolute"', '"continuous"')
+        text = text.replace('lower="-2" upper="2" ', "")
+        soft = "<safety_controller soft_lower_limit='-3' soft_upper_limit='4'/></joint>"
+        file.write_text(text.replace("</joint>", soft, 1))
+        limits = joint_chain(str(file), "tool0", ()).limits
+        assert limits.tolist() == [[-3, 4], [-np.inf, np.inf]]
+
     def test_what_stands_on_a_body_has_not_the_material_of_its_class(self, tmp_path: Path) -> None:
         """A class of the file with a material gave it to the camera's shape, whose material MuJoCo
         then did not find.
@@ -579,6 +616,71 @@ class TestUrdf:
             written(tmp_path, "classed", robot, target, {"xyz": [0, 0, 0.7]})
         ) as session:
             assert session.reset().truth is not None
+
+
+class TestNumbersNoRobotHas:
+    """MuJoCo takes them: the report ended in a traceback of NumPy, or called a gain `nan` well."""
+
+    WRONG = (
+        ("seven.xml", 'pos="0 0 nan"', "pos='0 0 nan' in <body> link, line 4, and all its numbers"),
+        ("seven.xml", 'pos="0 0 1e400"', "pos='0 0 1e400' in <body> link, line 4"),
+        ("seven.xml", 'pos="0 2e6 0"', "and at most 1e+06 m can be"),
+        ("seven.xml", 'quat="1e200 0 0 0"', "and at most 1e+16 can be"),
+        ("arm.urdf", "<origin xyz='0 0 nan'/>", "xyz='0 0 nan' in <origin> after joint a, line 6"),
+        ("arm.urdf", "<origin rpy='0 0 -inf'/>", "rpy='0 0 -inf' in <origin> after joint a"),
+        ("arm.urdf", "<origin xyz='0 0 1e200'/>", "and at most 1e+06 m can be"),
+    )
+    MJCF = (
+        '<mujoco>\n<worldbody><body>\n<joint name="a" range="-1 1"/><geom size=".1"/>\n'
+        '<body name="link" {}><joint name="b" axis="0 1 0" range="-1 1"/><geom size=".1"/>'
+        "</body></body></worldbody></mujoco>"
+    )
+
+    def test_are_refused_with_their_element_and_attribute(self, tmp_path: Path) -> None:
+        urdf = TestUrdf().written(tmp_path, "one.dae")
+        text = urdf.read_text()
+        assert text.count('<origin xyz="0 0 .3"/>') == 2
+        for name, part, words in self.WRONG:
+            file = tmp_path / name if name.endswith("xml") else urdf
+            right = self.MJCF.format(part)
+            if file == urdf:
+                right = text.replace('<origin xyz="0 0 .3"/>', part, 1)
+            file.write_text(right)
+            compiled.cache_clear()
+            ((what, sound, found, remedy),) = examine_model(str(file))
+            assert (what, sound, remedy) == ("model", False, "correct it there")
+            assert words in found
+        urdf.write_text(text.replace('mass value="1"', 'mass value="1e12"'))
+        compiled.cache_clear()
+        with pytest.raises(ParameterError, match=r"<mass> after link one.*at most 1e\+09 kg"):
+            compiled(str(urdf))
+
+    def test_of_a_file_that_is_included_and_of_shapes_whose_masses_are(
+        self, tmp_path: Path
+    ) -> None:
+        (tmp_path / "part.xml").write_text(self.MJCF.format('pos="0 inf 0"'))
+        (tmp_path / "arm.xml").write_text('<mujoco><include file="part.xml"/></mujoco>')
+        with pytest.raises(ParameterError, match=r"pos='0 inf 0' in <body> link.*part\.xml"):
+            compiled(str(tmp_path / "arm.xml"))
+        big = self.MJCF.format('pos="0 0 1"').replace('size=".1"', 'size="1e5"')
+        (tmp_path / "arm.xml").write_text(big)
+        compiled.cache_clear()
+        with pytest.raises(ParameterError, match=r"gives the body 1 a mass of 4\.19e\+18 kg"):
+            compiled(str(tmp_path / "arm.xml"))
+
+    def test_limits_may_be_infinite_and_names_may_be_words_of_numbers(self, tmp_path: Path) -> None:
+        file = TestUrdf().written(tmp_path, "one.dae")
+        text = file.read_text().replace('effort="60"', 'effort="1.79769e+308"')
+        text = text.replace('"two"', '"nan"').replace("'two'", "'nan'")
+        file.write_text(text.replace('velocity="0.7"', 'velocity="inf"'))
+        assert joint_chain(str(file), "tool0", ()).names == ("a", "b")
+
+    def test_lengths_in_millimetres_are_told(self, tmp_path: Path) -> None:
+        file = TestUrdf().written(tmp_path, "one.dae")
+        file.write_text(file.read_text().replace("0 0 .2", "0 0 200").replace("0 0 .3", "0 0 300"))
+        words = r"at most 200 m from the first joint to tool0, and has 500 m:.*like millimetres"
+        with pytest.raises(ParameterError, match=words):
+            joint_chain(str(file), "tool0", ())
 
 
 class TestCoupledJoints:
@@ -637,6 +739,49 @@ class TestCoupledJoints:
         with pytest.raises(ParameterError) as refused:
             joint_chain(str(tmp_path / "arm.xml"), "hand", ())
         assert coupled in str(refused.value)
+
+    @pytest.mark.parametrize(
+        ("tendon", "coupled"),
+        [
+            ('<fixed name="s" limited="true" range="-.1 .1">{b}{c}</fixed>', "limits b, c by the"),
+            ('<fixed name="s" range="-.1 .1">{b}</fixed>', "limits b by the range of tendon s"),
+            (
+                '<spatial name="s" limited="true" range="0 1"><site site="foot"/>'
+                '<site site="hand"/></spatial>',
+                "limits a, b, c by the range of tendon s",
+            ),
+            ('<fixed name="s" stiffness="5">{b}{c}</fixed>', ""),
+            (
+                '<spatial name="s" stiffness="5"><site site="foot"/><site site="hand"/></spatial>',
+                "",
+            ),
+            ('<fixed name="s" range="0 1"><joint joint="l" coef="1"/></fixed>', "no"),
+        ],
+    )
+    def test_limited_tendons_are_refused_and_others_that_pull_are_told(
+        self, tmp_path: Path, tendon: str, coupled: str
+    ) -> None:
+        """A range of the sum of two joints was none to the law, whose servos fought with it."""
+        of = {name: f'<joint joint="{name}" coef="1"/>' for name in "bc"}
+        text = self.ARM.format(equality="", world='<site name="foot" pos=".3 0 0"/>')
+        file = tmp_path / "arm.xml"
+        file.write_text(text.replace("<tendon>", f"<tendon>{tendon.format(**of)}"))
+        compiled.cache_clear()
+        if coupled not in ("", "no"):
+            with pytest.raises(ParameterError, match=f"{coupled}.*works: the file without it"):
+                joint_chain(str(file), "hand", ())
+            return
+        joints = "a, b, c" if "spatial" in tendon else "b, c"
+        told = [f"s: pulls at {joints}, as its file has it; laws do not know of it"]
+        assert told_of(file).get("tendon", []) == ([] if coupled else told)
+
+    def test_an_equality_of_a_spatial_tendon_couples_too(self, tmp_path: Path) -> None:
+        text = self.ARM.format(equality='<tendon tendon1="s"/>', world='<site name="foot"/>')
+        spatial = '<spatial name="s"><site site="foot"/><site site="hand"/></spatial>'
+        (tmp_path / "arm.xml").write_text(text.replace("<tendon>", f"<tendon>{spatial}", 1))
+        compiled.cache_clear()
+        with pytest.raises(ParameterError, match=r"couples a, b, c \(equality tendon\)"):
+            joint_chain(str(tmp_path / "arm.xml"), "hand", ())
 
     def test_a_mimic_joint_of_a_urdf_is_one(self, tmp_path: Path) -> None:
         file = TestUrdf().written(tmp_path, "one.dae")

@@ -2,6 +2,8 @@
 against the classes of rosbags alone.
 """
 
+import copy
+
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.robots import Reading
 from vstestbed.robots.flight import FlightEstimate, FlightReading
 from vstestbed.ros import messages as m
+from vstestbed.ros.law import Senses
+from vstestbed.targets.picture import decoded
 
 ROS = get_typestore(Stores.ROS2_JAZZY)
 PICTURE = np.random.default_rng(1).integers(0, 256, (6, 8, 3), np.uint8)
@@ -133,6 +137,45 @@ def test_joints_go_by_their_names():
     assert q.tolist() == [1, 2] and qd.tolist() == [10, 20]
     with pytest.raises(ParameterError, match="have no c"):
         m.joints_of(message, ("a", "c"))
+    message.velocity = np.zeros(0)
+    assert np.isnan(m.joints_of(message, ("a", "b"))[1]).all()
+
+
+def test_joints_that_are_told_twice_or_velocities_of_some_are_passed_over_and_counted():
+    """The last of two positions was taken, and velocities of two of three joints were none."""
+    robot = vs.load("arm_ibvs").robot
+    right = m.readings(1.0, robot, vs.Reading(robot.start_joints(), np.zeros(6)))["joint_states"]
+    senses = Senses(robot, 1.0)
+    senses.hear("joint_states", right)
+    twice = copy.deepcopy(right)
+    twice.header = m.header(1.1, "")
+    twice.name = [*right.name, right.name[0]]
+    twice.position = np.append(right.position, 1.0)
+    twice.velocity = np.append(right.velocity, 0.0)
+    senses.hear("joint_states", twice)
+    some = copy.deepcopy(right)
+    some.header, some.velocity = m.header(1.2, ""), right.velocity[:2]
+    senses.hear("joint_states", some)
+    assert senses.at().q.tolist() == right.position.tolist()
+    ((topic, number, *_, words, _),) = senses.passed.rows()
+    assert (topic, number) == ("joint_states", "2")
+    assert f"have {right.name[0]} more than once" in words  # the first one's
+    with pytest.raises(ParameterError, match="have 2 velocities of 6 joints; valid: all or none"):
+        m.joints_of(some, robot.joints)
+
+
+def test_what_opencv_says_of_a_broken_picture_stays_out_of_the_terminal(capfd, tmp_path):
+    """Its log wrote lines of its own beside the sentence."""
+    level = cv2.utils.logging.getLogLevel()
+    raw = np.frombuffer(b"GIF89a" + b"\0" * 100, np.uint8)
+    message = m.made(m.COMPRESSED, header=m.header(0.0, ""), format="gif", data=raw)
+    (tmp_path / "a.png").write_bytes(raw.tobytes())
+    with pytest.raises(ParameterError, match="neither JPEG nor PNG"):
+        m.picture_of(message)
+    with pytest.raises(ParameterError, match="damaged"):
+        decoded(tmp_path / "a.png")
+    assert capfd.readouterr() == ("", "")
+    assert cv2.utils.logging.getLogLevel() == level
 
 
 def test_readings_of_every_robot_go_there_and_back():

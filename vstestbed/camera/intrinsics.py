@@ -8,6 +8,7 @@ import functools
 import json
 import logging
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
@@ -240,6 +241,7 @@ READ: Mapping[str, Sequence[str]] = {
     "calibration_type": (),
     "tracking_base_frame": (),
     "child_frame_id": (),
+    "robot_effector_frame": (),
 }
 """The fields that are read, with further names of each, in any spelling: `camera_matrix`,
 `cameraMatrix`, `Camera_Matrix`.
@@ -254,18 +256,31 @@ ABOUT = [
     "reprojection_error", "mean_reprojection_error", "avg_reprojection_error",
     "per_view_reprojection_errors", "per_view_errors", "extrinsic_parameters",
     "image_points", "grid_points",
-    "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
+    "robot_base_frame", "tracking_marker_frame",
 ]
 """Fields that say how a calibration was made, and change nothing."""
 SETUP = [
     "name", "namespace", "namespace_prefix", "move_group", "move_group_namespace",
     "freehand_robot_movement",
-    "robot_base_frame", "robot_effector_frame", "tracking_marker_frame",
+    "robot_base_frame", "tracking_marker_frame",
 ]
 # fmt: on
 """The same of the block `parameters` of easy_handeye."""
 STAMP = "frame_id", "seq", "stamp"
-FRAMES = "eye_on_hand", "calibration_type", "tracking_base_frame", "child_frame_id"
+FRAMES = (
+    "eye_on_hand",
+    "calibration_type",
+    "tracking_base_frame",
+    "child_frame_id",
+    "robot_effector_frame",
+)
+NO_FLANGE = re.compile(
+    r"(base|base_link|world|map|odom)$|.*(shoulder|upper_?arm|fore_?arm|elbow|optical)"
+    r"|(.*_)?camera(_(link|frame|(color|depth|rgb|infra\d?|left|right)\w*))?$",
+    re.IGNORECASE,
+)
+"""Names of frames that are no flange: of a base, a room, a camera, of a link before the wrist."""
+OF_CAMERA = re.compile("optical|camera", re.IGNORECASE)
 POSE = "x", "y", "z", "qw", "qx", "qy", "qz"
 OF_MOUNT = (
     "R_cam2gripper",
@@ -484,8 +499,29 @@ def _mount_in(plain: Mapping[str, Any]) -> Array | None:
     return T
 
 
+FORMS = (
+    ("transformation",),
+    ("R_cam2gripper", "rectification_matrix", "T_cam2gripper", "translation_vector"),
+    ("translation", "rotation"),
+    POSE,
+)
+"""Fields of a pose, by the form to which they belong."""
+
+
+def _check_one_pose(plain: Mapping[str, Any]) -> None:
+    """Refuse a file that gives the pose twice, in whatever forms: the two may differ."""
+    there = {*plain}
+    if "camera_matrix" in there:
+        there.discard("rectification_matrix")  # ROS's
+    given = [next((name for name in form if name in there), "") for form in FORMS]
+    first, *others = list(filter(None, given)) or [""]
+    if others:
+        raise ParameterError.conflict(first, others[0])
+
+
 def _mount_of(plain: Mapping[str, Any]) -> Array | None:
     """What R and t, a transformation, or a matrix says."""
+    _check_one_pose(plain)
     given = [
         name for name in ("transformation", "T_cam2gripper", "translation_vector") if name in plain
     ]
@@ -532,6 +568,8 @@ def _quaternion_in(plain: Mapping[str, Any], where: str) -> Array | None:
     """
     place, turn, before = plain, plain, "q"
     if "rotation" in plain or "translation" in plain:
+        if beside := [name for name in POSE if name in plain]:
+            raise ParameterError.conflict(f"{where}{beside[0]}", "translation and rotation")
         place, turn, before = (
             _block(plain, "translation", "xyz"),
             _block(plain, "rotation", "wxyz"),
@@ -548,12 +586,11 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
     """Refuse a pose of another camera than one on the flange, and of another frame of it than the
     optical one.
     """
-    said = {
-        **_block(plain, "parameters", FRAMES, SETUP),
-        **{name: plain[name] for name in FRAMES if name in plain},
-    }
-    for name, valid in (("eye_on_hand", (True, "true")), ("calibration_type", ("eye_in_hand",))):
-        if said.get(name, valid[0]) not in valid:
+    block = _block(plain, "parameters", FRAMES, SETUP)
+    said = [(name, of[name]) for of in (block, plain) for name in FRAMES if name in of]
+    alone = {"eye_on_hand": (True, "true"), "calibration_type": ("eye_in_hand",)}
+    for name, found in said:
+        if found not in alone.get(name, (found,)):
             words = (
                 "is of a camera that stands beside the robot,"
                 " and this is read as the mount on the flange"
@@ -562,17 +599,26 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
                 "works: a calibration eye in hand,"
                 " or, for a camera with on: world, the pose in the scenario itself"
             )
-            raise ParameterError(name, f"{words}; {works}", said[name])
-    parent = str(_block(plain, "header", STAMP).get("frame_id", ""))
-    if parent.rpartition("/")[2] in ("base", "base_link", "world", "map", "odom"):
-        raise ParameterError(
-            "header.frame_id", "must be the flange's frame, and not one of a base or a room", parent
-        )
-    for name in ("tracking_base_frame", "child_frame_id"):
-        if "optical" not in str(said.get(name, "optical")):
+            raise ParameterError(name, f"{words}; {works}", found)
+    _check_parent(plain, said)
+    for name, found in said:
+        if name in ("tracking_base_frame", "child_frame_id") and "optical" not in str(found):
             words = "is not known as the camera's optical frame (x right, y down, z forward)"
             works = "works: the pose of that frame, with a name such as camera_optical_frame"
-            raise ParameterError(name, f"{words}; {works}", said[name])
+            raise ParameterError(name, f"{words}; {works}", found)
+
+
+def _check_parent(plain: Mapping[str, Any], said: list[tuple[str, Any]]) -> None:
+    """Refuse a pose in a frame that is not the flange's, by its name. said: fields of FRAMES."""
+    header = _block(plain, "header", STAMP).get("frame_id", "")
+    for name, found in (("header.frame_id", header), *said):
+        frame = str(found).rpartition("/")[2]
+        # the header of a camera's intrinsics has the camera's frame
+        of_camera = "camera_matrix" in plain and OF_CAMERA.search(frame)
+        is_parent = name == "robot_effector_frame" or (name == "header.frame_id" and not of_camera)
+        if is_parent and NO_FLANGE.match(frame):
+            words = "must be the flange's frame, and not one of a base, a room, a link or a camera"
+            raise ParameterError(name, words, found)
 
 
 def _read(

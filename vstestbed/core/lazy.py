@@ -8,6 +8,9 @@ parallel runs do not fight for them.
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 MOST_PIXELS = 1 << 26
@@ -32,4 +35,23 @@ else:
 
     cv2 = _OpenCV()
 
-__all__ = ["MOST_PIXELS", "cv2"]
+_QUIET = threading.RLock()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep OpenCV's own log out of the terminal while it decodes what others wrote: an error of
+    this program says what is wrong. Its level is of the whole process; one thread at a time sets
+    it, and sets it back.
+    """
+    logging = cv2.utils.logging
+    with _QUIET:
+        before = logging.getLogLevel()
+        logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+        try:
+            yield
+        finally:
+            logging.setLogLevel(before)
+
+
+__all__ = ["MOST_PIXELS", "cv2", "quiet"]

@@ -224,6 +224,7 @@ def _never_found(scenario: Scenario) -> str:
 FROZEN = (
     "the pictures are the same to the byte, although a velocity is ordered: is the camera frozen?"
 )
+CREEPS = 0.1  # stamps that advance by less in an order's time tell no time [camera periods]
 REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
@@ -260,7 +261,9 @@ class Controller:
     A picture that comes again is no new one: where the last new one is older than a command lasts,
     by the time of arrival or by the own clock (`clock`, of this machine unless somebody sets
     another), the robot stops as `without_picture` stops it. So it does where a step that was told
-    the time of arrival took as long.
+    the time of arrival took as long, and where stamps advance by less than a tenth of a camera
+    period while the own clock advances by as much. Where a simulator gives pictures more often
+    than that, in a time that passes more slowly, `simulates(True)` lets stamps alone tell it.
 
     goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
     Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that
@@ -343,6 +346,8 @@ class Controller:
         self._came: tuple[float, float] | None = (
             None  # when the last picture that was used came, by stamps and by the own clock [s]
         )
+        # the last stamp that advanced, and the own clock then [s]
+        self._advanced = -math.inf, 0.0
         self._sight = SightClock()
         self._silent = self._by_hand = False
         self._stillness: dict[str, Stillness] = {}
@@ -404,11 +409,8 @@ class Controller:
                 (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
             for name, shot in others.items():
                 self.see(name, shot)
-            if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
-                self.refused += t < self._cycle.t
-                self._stop_if_old(t, arrived, now)
-                # Not the cycle's own order: since then, silence may have stopped the robot.
-                return replace(self._cycle, order=self._in_force(), notes=notes)
+            if (again := self._again(t, arrived, now, notes)) is not None:
+                return again
             at = t + self.scenario.camera.latency_s if arrived is None else seconds(arrived)
             # after an error: it is as old as it was
             came_again = self._given is not None and t <= self._given[0]
@@ -468,6 +470,45 @@ class Controller:
             arrived is not None and arrived - t > self._latest_s
         ):
             self._without(now, reading)
+
+    def _again(
+        self, t: float, arrived: float | None, reading: Reading, notes: tuple[str, ...]
+    ) -> Cycle | None:
+        """The last cycle, with the order in force, for a picture that came twice, that is refused,
+        or whose stamp tells no time; None for a new one.
+        """
+        if self._cycle is None:
+            self._advanced = t, self._own.s()
+            return None
+        if t <= self._cycle.t:
+            self.refused += t < self._cycle.t
+            self._stop_if_old(t, arrived, reading)
+        elif creeps := self._creeps(t):
+            notes = *notes, creeps
+            self._without(self._now(t if arrived is None else arrived), reading)
+        else:
+            return None
+        # Not the cycle's own order: since then, silence may have stopped the robot.
+        return replace(self._cycle, order=self._in_force(), notes=notes)
+
+    def _creeps(self, t: float) -> str:
+        """What to say of a picture whose stamp [s] has hardly advanced for as long as an order
+        lasts, by the own clock; "" where it has, and where time is simulated. However slow a law
+        is in lockstep, the next picture's stamp is a period later.
+        """
+        if (
+            self._given is not None and t <= self._given[0]
+        ):  # after an error: `_given` knows its age
+            return ""
+        own_s = self._own.s()
+        before, by_clock = self._advanced
+        if t - before >= CREEPS * self.scenario.camera.period:
+            self._advanced = t, own_s
+            return ""
+        if own_s - by_clock < self._order_s:
+            return ""
+        words = f"stamps have advanced by {t - before:.2g} s in {own_s - by_clock:.2g} s"
+        return f"{words} of the own clock: the robot is told to stop"
 
     def _now(self, t: float) -> float:
         """The time [s] that somebody says, or, where that is later, the one that the own clock

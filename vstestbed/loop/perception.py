@@ -5,6 +5,7 @@ cameras together.
 from __future__ import annotations
 
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -74,10 +75,14 @@ def _observer_of(eye: OtherCamera) -> Observer:
     )
 
 
+REPEATED = 8  # buffers of a driver, at most
+
+
 class Stillness:
     """For how long a camera's pictures have been the same to the byte while a velocity was in force
     [s], `for_s`: it may be frozen. Pictures of a robot at rest may be the same in simulation, where
-    nothing is noisy.
+    nothing is noisy. The same as one of the last REPEATED: a driver that hangs may repeat its
+    buffers in turn.
 
     until_seen: how many pictures may be taken from an order on until it acts; stamps that creep do
     not tell.
@@ -85,7 +90,7 @@ class Stillness:
 
     def __init__(self, until_seen: float) -> None:
         self.for_s, self._until_seen, self._moving = 0.0, until_seen, 0
-        self._checksum = -1
+        self._checksums = deque[int](maxlen=REPEATED)
         self._last: tuple[float, float] | None = None
 
     def add(
@@ -104,15 +109,17 @@ class Stillness:
         for image in images:
             if image is not None:
                 checksum = zlib.crc32(np.ascontiguousarray(image).data, checksum)
-        if checksum != self._checksum:
+        if checksum not in self._checksums:
             self.for_s = 0.0
         elif self._last is not None:
+            self._checksums.remove(checksum)
             before, own_before = self._last
             moved = self._moving > self._until_seen or bool(
                 (ordered.displacement(t) != ordered.displacement(before)).any()
             )
             self.for_s += max(t - before, own_s - own_before) if moved else 0.0
-        self._checksum, self._last = checksum, (t, own_s)
+        self._checksums.append(checksum)
+        self._last = t, own_s
 
 
 class Perception:

@@ -242,10 +242,10 @@ def picture_of(message: Message) -> Image:
     that is not read, or too few bytes.
     """
     if message.__msgtype__ == COMPRESSED:
-        from vstestbed.core.lazy import cv2
+        from vstestbed.core.lazy import cv2, quiet
 
         raw = np.asarray(message.data, np.uint8)
-        with foreign("image", "JPEG or PNG"):
+        with foreign("image", "JPEG or PNG"), quiet():
             found = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
         if found is None:
             raise ParameterError(
@@ -542,21 +542,32 @@ def check_finite(topic: str, message: Message) -> None:
 
 def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
     """Positions and velocities (n,) [rad, m] of joints by their names; velocities that are not told
-    are NaN. ParameterError: one is not in the message, or has no position, or none that is finite.
+    are NaN. ParameterError: one is not in the message, or twice, or has no position, or none that
+    is finite; velocities are those of some joints alone.
     """
+    _check_joints(message, names)
     there = {name: i for i, name in enumerate(message.name)}
-    if missing := [name for name in names if name not in there]:
+    order = [there[name] for name in names]
+    q, qd = np.asarray(message.position, dtype=float), np.asarray(message.velocity, dtype=float)
+    if not np.isfinite(q[order]).all():
+        raise ParameterError.infinite("joint_states", q[order].tolist())
+    return q[order], qd[order] if len(qd) else np.full(len(order), np.nan)
+
+
+def _check_joints(message: Message, names: Sequence[str]) -> None:
+    """Refuse joints that a message does not tell once each, and numbers of some of them alone."""
+    told, q, qd = list(message.name), len(message.position), len(message.velocity)
+    if missing := [name for name in names if name not in told]:
         words = (
             f"have no {', '.join(missing)};"
             f" this robot's joints are {', '.join(names)}, in any order, with others or without"
         )
-        raise ParameterError("joint_states", words, list(message.name))
-    order = [there[name] for name in names]
-    q, qd = np.asarray(message.position, dtype=float), np.asarray(message.velocity, dtype=float)
-    if len(q) != len(message.name):
+        raise ParameterError("joint_states", words, told)
+    if twice := [name for name in names if told.count(name) > 1]:
+        raise ParameterError("joint_states", f"have {', '.join(twice)} more than once")
+    if q != len(told):
+        raise ParameterError("joint_states", f"have {q} positions of {len(told)} joints")
+    if qd not in (0, q):
         raise ParameterError(
-            "joint_states", f"have {len(q)} positions of {len(message.name)} joints"
+            "joint_states", f"have {qd} velocities of {q} joints; valid: all or none"
         )
-    if not np.isfinite(q[order]).all():
-        raise ParameterError.infinite("joint_states", q[order].tolist())
-    return q[order], qd[order] if len(qd) == len(message.name) else np.full(len(order), np.nan)

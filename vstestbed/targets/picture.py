@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.lazy import cv2
+from vstestbed.core.lazy import cv2, quiet
 from vstestbed.core.named_files import absolute_file, folder, place_of_file
 from vstestbed.core.quantity import Pixel, PositiveLength
 from vstestbed.core.spec import spec
@@ -164,12 +164,13 @@ def decoded(path: Path) -> NDArray[np.uint8]:
     """
     raw = np.frombuffer(path.read_bytes(), np.uint8)
     try:
-        plain = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
-        full = (
-            cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
-            if plain is not None and raw[0] == 0x89
-            else None
-        )  # of PNG, which alone has transparency
+        with quiet():
+            plain = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
+            full = (
+                cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
+                if plain is not None and raw[0] == 0x89
+                else None
+            )  # of PNG, which alone has transparency
         why = "it is damaged, or another kind of file"
     except cv2.error as error:  # empty, or more pixels than OpenCV reads
         plain, full, why = None, None, " ".join(str(error.err).split())

@@ -18,9 +18,18 @@ from vstestbed.core.named_files import model_path, place_of_file
 from vstestbed.effects.base import places_of
 from vstestbed.effects.body import Change, reshape
 from vstestbed.robots.chain import JointChain, Load
-from vstestbed.sim.scene.model_files import cannot_compile, check_options, files_in, read_model
+from vstestbed.sim.scene.model_files import (
+    MOST_KG,
+    cannot_compile,
+    check_options,
+    files_in,
+    read_model,
+)
 
 MOST_JOINTS = 7
+MOST_INERTIA = 1e12  # of a body, about its own centre [kg m^2]
+# beyond this distance from its target a camera has diverged (`termination.FAR_M`)
+MOST_ARM_M = 200.0
 WORDS = {
     int(mujoco.mjtJoint.mjJNT_FREE): "a free joint",
     int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint",
@@ -36,11 +45,27 @@ def compiled(file: str) -> mujoco.MjModel:
     try:
         spec = read_model(path)
         check_options(spec, path)
-        return spec.compile()
+        model = spec.compile()
     except ParameterError:
         raise
     except (ValueError, mujoco.FatalError) as error:
         raise cannot_compile(error, path, "an MJCF or URDF file") from None
+    _check_masses(model, path)
+    return model
+
+
+def _check_masses(model: mujoco.MjModel, path: Path) -> None:
+    """Refuse masses that no robot has: of shapes and densities each of which might be."""
+    for body in range(1, model.nbody):
+        mass = float(model.body_mass[body])
+        inertia = float(model.body_inertia[body].max())
+        if not (mass <= MOST_KG and inertia <= MOST_INERTIA):
+            words = (
+                f"gives the body {model.body(body).name or body} a mass of {mass:.3g} kg and an"
+                f" inertia of up to {inertia:.3g} kg m^2, and at most {MOST_KG:g} kg and"
+                f" {MOST_INERTIA:g} kg m^2 can be; correct its shapes or densities there"
+            )
+            raise ParameterError("file", words, str(path))
 
 
 @functools.lru_cache(maxsize=8)
@@ -73,6 +98,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
     T_world_body = placed(data.xpos[body], data.xmat[body])
+    _check_length(np.array([*data.xanchor[joints], T_world_body[:3, 3]]), flange)
     bounded = model.jnt_limited[joints].astype(bool)[:, None]
     return JointChain(
         names=found,
@@ -266,6 +292,19 @@ def _check(
     _check_free(model, joints)
 
 
+def _check_length(places: np.ndarray, flange: str) -> None:
+    """Refuse an arm whose lengths are not in metres.
+    places: of its joints and its flange, (n + 1, 3) [m].
+    """
+    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    if length > MOST_ARM_M:
+        words = (
+            f"must have at most {MOST_ARM_M:g} m from the first joint to {flange}, and has"
+            f" {length:.4g} m: lengths are in metres, and these look like millimetres"
+        )
+        raise ParameterError("file", words)
+
+
 def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
     """Refuse constraints of the file that couple the arm's joints, with one another or with what
     stands: each is moved by itself here. Those of a gripper, beyond the flange or beside it, stay.
@@ -281,6 +320,29 @@ def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
             raise ParameterError(
                 "file", f"{words}; works: the file without it, or a flange before these joints"
             )
+    for i in np.flatnonzero(model.tendon_limited).tolist():
+        if coupled := sorted(_spanned(model, i) & set(joints)):
+            names = ", ".join(model.joint(j).name for j in coupled)
+            words = (
+                f"limits {names} by the range of tendon {model.tendon(i).name or i},"
+                " and each joint of an arm has a range of its own here"
+            )
+            raise ParameterError(
+                "file", f"{words}; works: the file without it, or a flange before these joints"
+            )
+
+
+def pulled(model: mujoco.MjModel, joints: list[int]) -> dict[str, list[str]]:
+    """The tendons that act with a force of their own on some of these joints, with the names of
+    these: springs, dampers, friction, rotors. A run keeps them; a law and its model know nothing.
+    """
+    found: dict[str, list[str]] = {}
+    strong = np.abs(model.tendon_stiffness) + np.abs(model.tendon_damping)
+    strong += np.abs(model.tendon_frictionloss) + np.abs(model.tendon_armature)
+    for i in np.flatnonzero(strong).tolist():
+        if there := sorted(_spanned(model, i) & set(joints)):
+            found[model.tendon(i).name or str(i)] = [model.joint(j).name for j in there]
+    return found
 
 
 def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
@@ -292,7 +354,7 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     if kind == mujoco.mjtEq.mjEQ_JOINT:
         return {one}  # the other one moves it
     if kind == mujoco.mjtEq.mjEQ_TENDON:
-        return _wrapped(model, one) | (_wrapped(model, other) if other >= 0 else set())
+        return _spanned(model, one) | (_spanned(model, other) if other >= 0 else set())
     if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
         return set()
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
@@ -301,11 +363,24 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
 
 
-def _wrapped(model: mujoco.MjModel, tendon: int) -> set[int]:
-    """The joints that a fixed tendon combines."""
+def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """The joints that change a tendon's length: those that a fixed one combines, and those between
+    the bodies along which a spatial one runs.
+    """
     first = model.tendon_adr[tendon]
     of = slice(first, first + model.tendon_num[tendon])
-    return set(model.wrap_objid[of][model.wrap_type[of] == mujoco.mjtWrap.mjWRAP_JOINT].tolist())
+    found, before = set[int](), list[set[int]]()
+    for kind, thing in zip(
+        model.wrap_type[of].tolist(), model.wrap_objid[of].tolist(), strict=True
+    ):
+        if kind == mujoco.mjtWrap.mjWRAP_JOINT:
+            found.add(thing)
+        elif kind == mujoco.mjtWrap.mjWRAP_SITE:
+            before.append(set(_joints_to(model, int(model.site_bodyid[thing]))))
+        elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
+            before.append(set(_joints_to(model, int(model.geom_bodyid[thing]))))
+    # what moves all of them changes nothing between them
+    return found | (set.union(*before) - set.intersection(*before) if before else set())
 
 
 def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:

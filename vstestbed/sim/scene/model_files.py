@@ -5,6 +5,7 @@ folder holds all of it.
 from __future__ import annotations
 
 import ctypes
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -158,6 +159,80 @@ def _is_of_a_size(path: Path) -> None:
             raise ParameterError("file", words, str(path))
         if element == "replicate" and not empty:
             nested.append(total)
+
+
+ELEMENT_WITH = re.compile(r"""<([\w:.-]+)((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))+)""")
+# The largest numbers of a robot's file: of larger ones sums lose the rest, and products overflow.
+MOST_M = 1e6  # of a length [m]
+MOST_KG = 1e9  # of a mass [kg] and an inertia [kg m^2]
+MOST_ELSE = 1e16  # of all others, in whatever unit
+LARGEST = {
+    **dict.fromkeys(("pos", "xyz", "fromto", "size", "radius", "length"), (MOST_M, " m")),
+    **dict.fromkeys(("mass", "density", "armature"), (MOST_KG, " kg")),
+    **dict.fromkeys(("diaginertia", "fullinertia"), (MOST_KG, " kg m^2")),
+    **dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (MOST_KG, " kg m^2")),
+}
+"""By the attribute; others are at most MOST_ELSE."""
+LIMITS = {
+    "range",
+    "ctrlrange",
+    "forcerange",
+    "actrange",
+    "actuatorfrcrange",
+    "lower",
+    "upper",
+    "effort",
+    "velocity",
+    "soft_lower_limit",
+    "soft_upper_limit",
+}
+"""Attributes of which an infinite or huge number means that there is no limit."""
+
+
+def _has_real_numbers(path: Path) -> None:
+    """Refuse numbers that no robot has, which MuJoCo takes: not finite, or absurdly large.
+    Raises ParameterError: `file`, with the element and the attribute.
+    """
+    text = _uncommented(path)
+    names = {
+        value
+        for found in ELEMENT_WITH.finditer(text)
+        for name, value in ATTRIBUTE.findall(found[2])
+        if name == "name"
+    }
+    after = ""
+    for found in ELEMENT_WITH.finditer(text):
+        element, attributes = found.groups()
+        given = dict(ATTRIBUTE.findall(attributes))
+        where = f"<{element}>{after}"
+        if "name" in given:
+            where, after = f"<{element}> {given['name']}", f" after {element} {given['name']}"
+        for attribute, value in given.items():
+            if value not in names and (wrong := _wrong_number(element, attribute, value)):
+                line = text.count("\n", 0, found.start()) + 1
+                words = (
+                    f"has {attribute}={short(value)} in {where}, line {line},"
+                    f" and {wrong}; correct it there"
+                )
+                raise ParameterError("file", words, str(path))
+
+
+def _wrong_number(element: str, attribute: str, value: str) -> str:
+    """What is wrong with the numbers of an attribute; "" where they are right, or it has none."""
+    try:
+        numbers = [float(word) for word in value.split()]
+    except ValueError:
+        return ""
+    if any(map(math.isnan, numbers)):
+        return "all its numbers must be finite"
+    if attribute in LIMITS:
+        return ""
+    if any(map(math.isinf, numbers)):
+        return "all its numbers must be finite"
+    of = element if (element, attribute) == ("mass", "value") else attribute
+    most, unit = LARGEST.get(of, (MOST_ELSE, ""))
+    largest = max(map(abs, numbers), default=0.0)
+    return f"at most {most:g}{unit} can be" if largest > most else ""
 
 
 HARMLESS = {
@@ -389,6 +464,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
     for each in (path, *included):
         if is_there(each):
             _is_of_a_size(each)
+            _has_real_numbers(each)
     spec = _parsed(path)
     _are_regular(_named_in(spec, path), path)
     return spec
@@ -412,6 +488,7 @@ def _parsed(path: Path) -> mujoco.MjSpec:
         MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text)
     )
     spec.meshdir = str(path.parent.resolve() / spec.meshdir)
+    _limit_softly(spec, path)
     for body in spec.bodies:
         touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
         # shapes for contacts are left out of pictures where a link has others to be seen
@@ -425,20 +502,62 @@ def speeds_in(path: Path) -> dict[str, float]:
     """The `velocity` limits of a URDF's joints by their names [rad/s, m/s], which MuJoCo does not
     read; {} for an MJCF file.
     """
-    text = _uncommented(path)
-    if ROOT.search(text) is None:
-        return {}
     with foreign(path, "a URDF whose limits are numbers"):
-        # MuJoCo, too, reads names with prefixes that are not declared.
-        joints = expatbuilder.parseString(text, namespaces=False).getElementsByTagName("joint")
-        limits = [
-            (joint, limit) for joint in joints for limit in joint.getElementsByTagName("limit")
-        ]
         found = {
-            joint.getAttribute("name"): float(limit.getAttribute("velocity") or 0)
-            for joint, limit in limits
+            name: float(limit.get("velocity") or 0) for name, limit in _of_joints(path, "limit")
         }
     return {name: speed for name, speed in found.items() if speed > 0}
+
+
+def _of_joints(path: Path, element: str) -> list[tuple[str, dict[str, str]]]:
+    """The attributes of an element of a URDF's joints, with the joints' names; [] for an MJCF
+    file.
+    """
+    text = _uncommented(path)
+    if ROOT.search(text) is None:
+        return []
+    # MuJoCo, too, reads names with prefixes that are not declared.
+    joints = expatbuilder.parseString(text, namespaces=False).getElementsByTagName("joint")
+    return [
+        (joint.getAttribute("name"), dict(found.attributes.items()))
+        for joint in joints
+        for found in joint.getElementsByTagName(element)
+    ]
+
+
+SOFT = "soft_lower_limit", "soft_upper_limit"
+"""Ends of the range in which a URDF's `<safety_controller>` keeps a joint, which MuJoCo does not
+read. Without both, such as with `k_velocity` alone, it keeps none.
+"""
+
+
+def _limit_softly(spec: mujoco.MjSpec, path: Path) -> None:
+    """Narrow the ranges of a URDF's joints to those that their safety controllers keep."""
+    with foreign(path, "a URDF whose limits are numbers", of_field("file")):
+        soft = [
+            (spec.joint(name), [float(found[end]) for end in SOFT if end in found])
+            for name, found in _of_joints(path, "safety_controller")
+        ]
+    for joint, ends in soft:
+        if joint is not None and ends:
+            joint.range = _narrowed(joint, ends, path)
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _narrowed(joint: mujoco.MjsJoint, ends: list[float], path: Path) -> list[float]:
+    """The range of a joint within the ends of another one [rad, m]."""
+    low, high = joint.range.tolist()
+    if low >= high:  # it turns without end
+        low, high = -math.inf, math.inf
+    wanted = [max(low, ends[0]), min(high, ends[-1])]
+    if len(ends) < len(SOFT) or not wanted[0] < wanted[1]:
+        words = (
+            f"must have a safety_controller of {joint.name} with {' below '.join(SOFT)}, within"
+            f" its limits of {low:.4g} to {high:.4g}, and has"
+            f" {' and '.join(f'{end:.4g}' for end in ends)}"
+        )
+        raise ParameterError("file", words, str(path))
+    return wanted
 
 
 def _found(path: Path, scheme: str, name: str) -> str:

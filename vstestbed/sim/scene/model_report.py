@@ -18,7 +18,14 @@ from vstestbed.effects.base import places_of
 from vstestbed.robots.arm import INNER, unit_scale
 from vstestbed.robots.chain import JointChain
 from vstestbed.robots.mjcf import WIND_UP_M, WIND_UP_RAD, servo_gains
-from vstestbed.sim.scene.joint_chain import before, compiled, drivers, inertia_at, joint_chain
+from vstestbed.sim.scene.joint_chain import (
+    before,
+    compiled,
+    drivers,
+    inertia_at,
+    joint_chain,
+    pulled,
+)
 from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
@@ -320,6 +327,9 @@ def _as_arm(
     start = first_posture(file, flange, chain)
     yield from _of_joints(chain, lines)
     yield from _of_servos(file, model, chain, start.q)
+    for name, joints in pulled(model, [model.joint(joint).id for joint in chain.names]).items():
+        found = f"{name}: pulls at {', '.join(joints)}, as its file has it; laws do not know of it"
+        yield "tendon", True, found, ""
     if found := touching(file, chain, start.q):
         yield (
             "contact",
