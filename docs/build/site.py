@@ -125,7 +125,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         uri = PAGES.get(target) or (
             within if files.get_file_from_path(within) else f"{FILES}/{target}"
         )
-        # else a folder, which is none of the site
+        # a folder is none of the site
         known = files.get_file_from_path(uri) is not None
         return (
             os.path.relpath(uri, here or ".").replace(os.sep, "/") + anchor if known else found[1]

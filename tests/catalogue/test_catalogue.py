@@ -148,7 +148,7 @@ def test_the_catalogue_is_whole():
     [pytest.param(k, marks=[pytest.mark.study] if k == "pursuit" else []) for k in LAWS.members],
 )
 def test_every_law(kind):
-    # which needs a picture with structure
+    # the photometric law needs a picture with structure
     loop = vs.load("camera_photometric", SMALL_PICTURES) if kind == "photometric" else None
     suites.check_law(loop.law if loop else LAWS.members[kind](**LAW_PARAMETERS.get(kind, {})), loop)
 
@@ -163,7 +163,7 @@ def test_every_target(kind):
     suites.check_target(TARGET_EXAMPLES[kind]())
 
 
-# which detects nothing
+# `none` detects nothing
 @pytest.mark.parametrize("kind", [kind for kind in DETECTORS.members if kind != "none"])
 def test_every_detector(kind):
     suites.check_detector(DETECTORS.members[kind]())

@@ -139,7 +139,7 @@ def test_moments(of):
         for name, (invariant, _) in INVARIANTS.items():
             i, row = list(INVARIANTS).index(name), invariant(m)[name]
             matches(np.atleast_1d(row.value), case["cinvariant"][i : i + 1])
-            # whose matrix is wrong there: it has a rate of turning, and c5 does not
+            # the matrix of c5 is wrong there: it has a rate of turning, and c5 does not
             if name != "c5":
                 matches(row.rate, case["L_cinvariant"][i])
 

@@ -92,7 +92,7 @@ def test_the_lag_of_a_changing_speed():
     ways = 0.5 * 0.2 * (DT * np.arange(300)) ** 2
     speed = 0.2 * DT * 299
     slow = followed(KalmanCV(bandwidth_hz=1), ways)
-    # and half a period of sampling
+    # to half a period of sampling
     assert (speed - slow.rate[0]) / 0.2 == pytest.approx(math.sqrt(2) / (2 * math.pi), abs=DT / 2)
     assert followed(KalmanCA(bandwidth_hz=1), ways).rate[0] == pytest.approx(speed, rel=1e-3)
 

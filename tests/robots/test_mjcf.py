@@ -829,7 +829,7 @@ class TestDoctor:
         )
         recording = vs.run(scenario)
         assert recording.outcome is vs.Outcome.converged, recording.reason
-        # and its random starts have the target in view
+        # its random starts have the target in view
         assert seeded(scenario, 1).resolved.robot != scenario.robot
 
     def test_a_sound_file(self, command: Any, tmp_path: Path) -> None:

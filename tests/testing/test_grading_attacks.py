@@ -267,7 +267,7 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(
     began = time.monotonic()
     mark = marked(lab, tmp_path, attack)
     left = [path.name for path in own.iterdir()]
-    # which Python cannot, of folders that are nested deeply
+    # Python cannot, of folders that are nested deeply
     subprocess.run(["rm", "-rf", own], check=True)
     assert mark.points == (0, 2) and mark.missing, mark.markdown()
     assert not [name for name in left if name.startswith("law_")]

@@ -188,8 +188,8 @@ def _guarded(command: Callable[[], object], debug: bool) -> int:
         take_early()
         code = command()
         if code == INTERRUPTED and not isinstance(code, Said):
-            # which typer turned into its 130, without a word: while modules are imported, for
-            # example
+            # typer turned an interrupt into its 130, without a word: while modules are imported,
+            # for example
             raise KeyboardInterrupt
         return code if isinstance(code, int) else GOAL_REACHED
     except VstestbedError as error:

@@ -218,7 +218,7 @@ class Controls:
         gui, hint = self._gui, f"--set {field.path}=..."
         handle: Any
         if field.control == "choice":
-            # whose number has a slider
+            # the number of a gain has a slider
             label = f"{field.label}.kind" if field.path == "law.gain" else field.label
             handle = gui.add_dropdown(label, field.choices, initial_value=field.value, hint=hint)
         elif field.control == "switch":

@@ -129,7 +129,7 @@ class LocalServer(viser.ViserServer):
     def __init__(self, port: int | None, label: str):
         if port is not None:
             _must_be_free(port)
-        # else of a malformed message
+        # a malformed message would make a warning alone
         warnings.filterwarnings("error", r"(?s)\[viser\].* does not match annotation", UserWarning)
         gate = Gate()
         # its own table of addresses

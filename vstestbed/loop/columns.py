@@ -22,7 +22,7 @@ from vstestbed.tasks.metrics import TWIST
 
 PER_MARKER = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-# which limit of the robot changed the command; only of runs in which one did
+# columns of which limit of the robot changed the command; only of runs in which one did
 LOSS = ("limit", "turned_rad")
 WORDS = tuple(LIMITS)  # of `limit`, by its number
 # the numbers and arrays of a frame that enter the log, by name; no picture

@@ -91,7 +91,7 @@ def step(
     ax, ay, az = fx - kx, fy - ky, fz - kz
     size = math.sqrt(ax * ax + ay * ay + az * az)
     ex = ey = ez = 0.0
-    # else (free fall, a hard pull) the direction is mostly not gravity's
+    # beyond (free fall, a hard pull) the direction is mostly not gravity's
     if 0.5 * GRAVITY < size < 1.5 * GRAVITY:
         ex, ey, ez = (ay * z - az * y) / size, (az * x - ax * z) / size, (ax * y - ay * x) / size
     k = filter.gain

@@ -365,8 +365,8 @@ class LawNode:
         self._order_of = -math.inf, math.nan
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self._of_clock = False  # the pictures are stamped by a `/clock` that has run
-        # and it runs: pictures, orders and the law's work are as old as it says, and in lockstep it
-        # stands
+        # that clock runs: pictures, orders and the law's work are as old as it says, and in
+        # lockstep it stands
         self._simulated = False
         self._news = threading.Condition()
         self._status = ""

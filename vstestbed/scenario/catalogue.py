@@ -142,7 +142,7 @@ def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     if word in entries:
         return entries[word]
     if "." in word:
-        # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
+        # a field, or the kind that the field before it may hold: `pnp` of `law.depth.pnp`
         field, _, kind = word.rpartition(".")
         inner = (f"{registry.name}.{kind}" for registry in _held_in(field, entries))
         held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]

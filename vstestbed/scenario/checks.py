@@ -549,7 +549,7 @@ def _alike(points: Array, hues: Sequence[float], order: list[int]) -> Iterator[l
     i, n = len(order), len(points)
     if i == n:
         centred = points - points.mean(axis=0)
-        # else a mirror image of a solid
+        # a negative one is of a mirror image of a solid
         if np.linalg.det(centred.T @ centred[order]) > -ON_ONE_LINE * np.ptp(points) ** 6:
             yield order
         return

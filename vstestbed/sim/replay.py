@@ -181,7 +181,7 @@ class Replay:
         Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of
         view [rad].
         """
-        # else the composed view, which shows the way there is
+        # others keep the composed view, which shows the way there is
         if T_world_goal is not None or self._parts.robot.base == "fixed":
             FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0).place(t, T_world_goal)
         T = self._stage.pose_of("overview")

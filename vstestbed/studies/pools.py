@@ -148,7 +148,7 @@ def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterato
     try:
         yield
     finally:
-        # these alone: another thread may have changed others meanwhile
+        # the changed ones alone: another thread may have changed others meanwhile
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -321,7 +321,7 @@ class LocalPool:
             return slot.executor.submit(function, *arguments).result()
         except (BrokenProcessPool, CancelledError):  # killed, after its last run or now
             slot.broken = True
-            # else what is interrupted would go on in this process, which could not end
+            # what is interrupted would go on in this process, which could not end
             if self._closed:
                 raise WorkerLostError("the pool is closed") from None
             return function(*arguments)

@@ -109,7 +109,7 @@ def pack(folder: Path, out: Path) -> Path:
         )
     with foreign(folder, "`vstestbed suite LAW_FILE --out DIR` makes one", RunFolderError):
         own = Path(json.loads((folder / ABOUT).read_bytes())["file"]).stem
-        # those beside it are in the suite
+        # the laws beside it are in the suite
         runs = pl.read_csv(folder / RUNS, infer_schema=False).filter(pl.col("law") == own)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:

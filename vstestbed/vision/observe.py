@@ -541,7 +541,7 @@ class Observer:
     ) -> Observation:
         """What the law requires of a view, with the errors of the calibration in its depths."""
         required = self.required_fields
-        # else the target's pose is known only while it is seen
+        # the pose of any other target is known only while it is seen
         predictable = not self.target.moves or self.target.on_gripper
         pose = view.T_camera_target if solved or predictable else None
         depth, reach, scale = view.depth, view.range, self.depth_scale

@@ -46,7 +46,7 @@ def test_words_stand_inside_the_figure_and_the_drawing_fills_it(
     words = re.findall(
         r'<text x="([\d.-]+)" y="([\d.-]+)" dy=".35em" text-anchor="(\w+)">([^<]*)<', drawing
     )
-    # and two numbers on each axis
+    # the letters, and two numbers on each axis
     assert {"x [m]", "y [m]", "z [m]"} <= {text for *_, text in words} and len(words) >= 9
     for x, y, anchor, text in words:
         # letters of 9.5 pt are about 6 pt wide

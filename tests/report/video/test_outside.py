@@ -165,7 +165,7 @@ def test_the_inset_shows_the_servo_cameras_picture_and_leaves_it_as_it_is() -> N
         picture = Pictures(s, "overview", replay, SIZE).picture(frame)
         width, height = round(0.26 * SIZE[0]), round(0.26 * SIZE[0] * 480 / 640)
         assert (picture[2 : height - 2, SIZE[0] - width + 2 : -2] == 77).all()
-        # and nothing below
+        # nothing is drawn below
         assert (picture[height + 4 : height + 8, SIZE[0] - width :] != 77).any(axis=2).all()
         assert frame.image is not None
         assert (frame.image == 77).all()

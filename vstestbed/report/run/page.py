@@ -245,7 +245,7 @@ def sentences(summary: Summary) -> str:
     reason = str(summary.get("reason") or "")
     found = [reason[:1].upper() + reason[1:].rstrip(".") + "."] if reason else []
     swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
-    # that outcome says so
+    # the outcome `unstable` says so itself
     if _is_number(swung_s) and _is_number(frames) and summary.get("outcome") != "unstable":
         found.append(
             f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s"

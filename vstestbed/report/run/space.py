@@ -270,7 +270,7 @@ def _draw_views(panel: ChartPanel, tracks: LogArrays, height: float, span: float
             # they are not filled
             outlines = np.insert(region, start[1:-1].astype(int), np.nan, axis=0).T
             panel.plot(*outlines, color=color, fill=color, linewidth=0, alpha=0.07, zorder=1)
-        # else all within reach is visible
+        # no line where all within reach is visible
         for line in generator.lines(0.5) if seen.min() < 1 else ():
             panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
 

@@ -385,7 +385,7 @@ def open_films(
     """Films of a run by the names of their cameras; they are finished at the end, and discarded on
     an exception.
     """
-    # else the servo camera is in an inset alone
+    # without a film of its own the servo camera is in an inset alone
     own = not {"eye", *scenario.eyes}.isdisjoint(paths)
     replay = replay_of(scenario, quality, None if own else size or quality.size, view)
     films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]

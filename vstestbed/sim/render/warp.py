@@ -38,7 +38,8 @@ MOST_TILES = 16  # of a slot
 SIDE = math.isqrt(PLACES) - 2  # of a square tile without its rim [px]
 LIGHTS = "place", "along", "ambient", "diffuse", "specular"  # of `warp_kernels.Lamps`
 SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together, at most
-# that are kept on the device: a look with its buffers is 150 MB of a card, a lens up to 20
+# looks and lenses that are kept on the device: a look with its buffers is 150 MB of a card, a lens
+# up to 20
 MOST_LOOKS, MOST_LENSES = 4, 16
 # prefixes of the arrays of a model that say what its pictures show
 LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")
