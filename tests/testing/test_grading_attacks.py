@@ -527,6 +527,8 @@ def test_where_linux_can_the_process_changes_nothing_of_others_by_calls_that_no_
     place = tempfile.mkdtemp()
     listening.bind(f"{place}/s")
     listening.listen()
+    box = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    box.bind(f"{place}/box")
     tries = f"""
 import ctypes, resource
 libc = ctypes.CDLL(None, use_errno=True)
@@ -535,6 +537,8 @@ def tried(name, act):
     try: found = act()
     except OSError: return ""
     return "" if found == -1 else name + ", "
+def datagrams(kind):
+    return socket.socketpair(socket.AF_UNIX, kind)[0].sendto(b"a secret", {place!r} + "/box")
 def traced():
     return libc.ptrace(16, above, None, None)
 raise ValueError("done: " + "".join([
@@ -552,10 +556,16 @@ raise ValueError("done: " + "".join([
     tried("namespace", lambda: libc.unshare(0x10000000)),
     tried("own limits", lambda: resource.setrlimit(resource.RLIMIT_CORE, (0, 0)) or -1),
     tried("own pair", lambda: socket.socketpair() and -1),
+    tried("own packets", lambda: socket.socketpair(type=socket.SOCK_SEQPACKET) and -1),
+    tried("own pair that waits for nothing", lambda: socket.socketpair(type=1 | 0x800) and -1),
+    tried("datagrams to a path", lambda: datagrams(socket.SOCK_DGRAM)),
+    tried("raw ones", lambda: datagrams(socket.SOCK_RAW)),
+    tried("by another family", lambda: socket.socketpair(socket.AF_INET)),
 ]) + ".")
 """
     mark = marked(lab, tmp_path, tries)
     listening.close()
+    box.close()
     assert "done: ." in mark.markdown(), mark.markdown()
     assert (marks.stat().st_mode, marks.stat().st_mtime_ns) == (before.st_mode, before.st_mtime_ns)
 
