@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -273,6 +274,27 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(
     assert not [name for name in left if name.startswith("law_")]
     # s: the task has 2, Python and the package take some to start on a loaded machine
     assert time.monotonic() - began < 60
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("check", [0, 1])
+def test_a_file_that_is_never_loaded_takes_no_longer_than_a_task_of_the_lab(
+    check: int, lab: Lab, own_kinds, tmp_path: Path, monkeypatch
+) -> None:
+    """Nor does a law in the suite of the room: both had limits of their own, which are longer."""
+    given = list[float]()
+    ask = isolated.Child.ask
+
+    def asked(self: Any, of: Any, seconds: float, method: str, *words: Any) -> Any:
+        if method in ("make", "init", "step"):
+            given.append(seconds)
+        return ask(self, of, seconds, method, *words)
+
+    monkeypatch.setattr(isolated.Child, "ask", asked)
+    never = "time.sleep(1e6)" if not check else "def attack(basis): time.sleep(1e6)"
+    mark = marked(replace(lab, check=check), tmp_path, never)
+    assert not mark.points[0] and mark.missing and "none within" in mark.markdown()
+    assert given and max(given) <= 2
 
 
 @pytest.mark.process
