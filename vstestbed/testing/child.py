@@ -227,8 +227,8 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
 
 
 # System calls that Landlock leaves open, by machine, each with its number; seccomp(2), bpf(2). A
-# connected pair of sockets of its own is none of them: it sends to no other address. On all machines: io_uring, mounts, pidfd_getfd,
-# quotactl_fd, memfd_secret, modes and attributes.
+# connected pair of sockets of its own is none of them: it sends to no other address.
+# On all machines: io_uring, mounts, pidfd_getfd, quotactl_fd, memfd_secret, modes and attributes.
 ALSO = 425, 428, 429, 430, 431, 432, 433, 438, 442, 443, 447, 452, 463, 466, 467, 469
 CALLS: dict[str, dict[str, tuple[int, ...]]] = {
     "x86_64": {
