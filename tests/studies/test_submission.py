@@ -35,7 +35,15 @@ from vstestbed.studies.submission import (
     pack,
     unpacked,
 )
-from vstestbed.studies.suite import NAME, SuiteEntry, TaskSuite, fingerprint, opened, read_suite
+from vstestbed.studies.suite import (
+    NAME,
+    SuiteEntry,
+    SuiteTask,
+    TaskSuite,
+    fingerprint,
+    opened,
+    read_suite,
+)
 
 # Two tasks, both from random starts: the bundled suite's tasks are these and longer ones.
 PLAN = """base: [ibvs_book]
@@ -156,6 +164,21 @@ FORGED_ROWS: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "an endless value": (lambda rows: changed(rows, 0, value=-math.inf), "value -inf"),
     "a value in words": (lambda rows: [r | {"value": "fast"} for r in rows], "is no submission"),
     "reached, without a value": (lambda rows: changed(rows, 0, value=None), "value None"),
+    "a time before the start": (lambda rows: changed(rows, 0, value=-1e6), "value -1000000"),
+    "a little before the start": (lambda rows: changed(rows, 0, value=-0.001), "value -0.001"),
+    "reached after the limit": (lambda rows: changed(rows, 0, value=21.0), "value 21.0"),
+    "a failure that is quick": (
+        lambda rows: changed(rows, 0, success="false"),
+        "success False and value 5.0",
+    ),
+    "a failure a little before the limit": (
+        lambda rows: changed(rows, 0, success="false", value=19.9),
+        "success False and value 19.9",
+    ),
+    "a failure after it": (
+        lambda rows: changed(rows, 0, success="false", value=20.1),
+        "success False and value 20.1",
+    ),
 }
 
 
@@ -201,6 +224,49 @@ def test_no_law_that_is_judged_takes_its_depths_from_the_truth(world: SimpleName
         ), entry.blank
     world.suite.write_text(SUITE.replace("gain: 1.0", "gain: 1.0, depth: oracle"))
     assert opened(None, str(world.suite)).plans
+
+
+def test_a_result_is_one_that_a_run_of_the_task_can_have(world: SimpleNamespace) -> None:
+    """By what the task asks for: (success, number) of what can be, and of what cannot."""
+    entry = opened(str(world.law), str(world.suite), alone=True)
+    flown = next(iter(entry.jobs("only").values())).controller.scenario
+    last = 20 + flown.camera.period
+    cases: list[tuple[dict[str, Any], list[tuple[bool, Any]], list[tuple[bool, Any]]]] = [
+        (
+            {},
+            # a run may end with the picture behind its limit; one that crashed has the longest
+            [(True, 0.0), (True, last), (False, 20 * (1 + 1e-6)), (False, 30.0)],
+            [(True, -1e-9), (True, last + 0.01), (False, 19.99), (False, 25.0), (False, None)],
+        ),
+        (
+            {"worst": 50.0},
+            [(True, 20.0), (False, 20.0), (False, 50.0)],
+            [(True, 21.0), (False, 30.0), (False, 49.0)],
+        ),
+        (
+            {"metric": "tracking_rms_m", "worst": 0.2},
+            [(True, 0.2), (False, 0.2), (False, 0.0115)],  # the last has timed out
+            [(True, 0.201), (False, 0.201), (True, -0.01), (False, -0.01), (False, None)],
+        ),
+        (
+            {"metric": "max_retreat_m"},
+            [(True, 1e3), (False, None), (False, 0.0)],
+            [(True, -0.01), (True, None), (False, math.inf)],
+        ),
+        (
+            {"metric": "saturated_fraction"},  # in per cent
+            [(True, 100.0), (False, 0.0)],
+            [(True, 100.1), (False, -1.0)],
+        ),
+        ({"metric": "min_border_margin_px"}, [(True, -9.0), (False, 9.0)], [(True, math.nan)]),
+        ({"metric": "time_to_converge_s"}, [(True, 20.0)], [(True, 21.0), (True, -1.0)]),
+        ({"metric": "wall_time_s"}, [(True, 2000.0)], [(True, -1.0)]),
+        ({"metric": "a_metric_of_a_plugin"}, [(True, -5.0)], [(True, math.nan)]),
+    ]
+    for asked, right, wrong in cases:
+        task = SuiteTask(plan="plan.yaml", **asked)
+        found = [submission._can_be(*one, task, flown, 30.0) for one in (*right, *wrong)]
+        assert found == [True] * len(right) + [False] * len(wrong), asked
 
 
 def test_a_run_that_crashed_has_the_tasks_limit_and_no_run_lacks_its_number(

@@ -12,6 +12,7 @@ import stat
 import unicodedata
 import zipfile
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -26,7 +27,8 @@ from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.loop.isolated import offered
 from vstestbed.report.scores import Score
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.plan import Job
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.comparison.plan import Job, Variants
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
 from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.pools import pool_of, workers
@@ -56,6 +58,12 @@ ONE_OF, MISSED = 10, 0.05
 at most.
 """
 MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
+ROUNDING = 1e-6
+"""Share by which numbers differ that are the same: of their last digits in text."""
+UNLIKELY, EVERY, RANDOM = 0.005, 14, 10_000
+"""Numbers that are better than those flown again with a probability under the first are no chance.
+Most differences of which all signs are tried, and how many are drawn of more (`chance`).
+"""
 MOST_TEXT, MOST_UNPACKED = 1 << 20, 128 << 20
 """Largest sizes [B] of a file beside the law, and of all that a submission holds."""
 WORKS = "`vstestbed submit DIR` makes one"
@@ -339,23 +347,51 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
             ),
             works,
         )
-    for task, _, start, reached, value in runs.iter_rows():
-        if not _can_be(reached, value, entry.suite.tasks[task]):
-            raise _refused(
-                file,
-                f"its {RUNS} says success {reached} and value {value} of {task} {start}",
-                works,
-            )
+    for task, _, start, reached, value in _impossible(runs, entry):
+        raise _refused(
+            file,
+            f"its {RUNS} says success {reached} and value {value} of {task} {start}",
+            works,
+        )
     return runs
 
 
-def _can_be(reached: bool | None, value: float | None, task: SuiteTask) -> bool:
-    """Whether a run can have a result: one that crashed alone has no number, where the task says
-    none for it.
+def _impossible(runs: pl.DataFrame, entry: SuiteEntry) -> Iterator[tuple[Any, ...]]:
+    """The rows with a result that their run cannot have."""
+    for task, plan in entry.plans.items():
+        asked, jobs = entry.suite.tasks[task], entry.jobs(task)
+        limit_s = max(each.scenario.stop.duration_s for each in Variants(plan))
+        for row in runs.filter(pl.col("task") == task).iter_rows():
+            _, _, start, reached, value = row
+            if not _can_be(reached, value, asked, jobs[start].controller.scenario, limit_s):
+                yield row
+
+
+def _can_be(
+    reached: bool | None, value: float | None, task: SuiteTask, flown: Scenario, limit_s: float
+) -> bool:
+    """Whether a run can have a result, as `SuiteEntry.rows_of` makes it: one that crashed alone has
+    no number, where the task says none for it. A success has a number that the metric can be, at
+    most the task's worst; a time is at most the limit, and a picture more, with which a run ends.
+    A failure's time to the goal is the limit, or the task's worst.
+
+    value: in the unit of display. flown: from this start. limit_s: the largest of the task [s],
+    which a run that crashed has.
     """
     if value is None:
         return reached is False and task.worst is None and task.metric != TO_GOAL
-    return reached is not None and math.isfinite(value)
+    if reached is None or not math.isfinite(value):
+        return False
+    metric, own_s = Metric.named(task.metric), flown.stop.duration_s
+    low, high = (bound * metric.scale for bound in metric.within)
+    worst = math.inf if task.worst is None else task.worst * metric.scale
+    if not reached and task.metric == TO_GOAL:
+        failed = (own_s, limit_s) if task.worst is None else (min(own_s, worst), worst)
+        return any(math.isclose(value, each, rel_tol=2 * ROUNDING) for each in failed)
+    if metric.of_flight:
+        high = own_s + flown.camera.period
+    most = min(high, worst) if reached or task.worst is None else worst
+    return low <= value <= most * (1 + 2 * ROUNDING)
 
 
 def draws(n: int) -> int:
