@@ -25,9 +25,10 @@ from vstestbed.core.errors import ParameterError, RunFolderError, short
 from vstestbed.core.files import allowed, make_folder, write_whole
 from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.loop.isolated import offered
+from vstestbed.report.comparison.statistics import holm
 from vstestbed.report.scores import Score
-from vstestbed.studies.comparison.folder import table_of
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import Job, Variants
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
 from vstestbed.studies.comparison.runs import Runner
@@ -57,13 +58,13 @@ ONE_OF, MISSED = 10, 0.05
 """A task of whose runs one of so many is forged passes the drawing with this probability
 at most.
 """
-MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
 ROUNDING = 1e-6
 """Share by which numbers differ that are the same: of their last digits in text."""
 UNLIKELY, EVERY, RANDOM = 0.005, 14, 10_000
 """Numbers that are better than those flown again with a probability under the first are no chance.
 Most differences of which all signs are tried, and how many are drawn of more (`chance`).
 """
+MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
 MOST_TEXT, MOST_UNPACKED = 1 << 20, 128 << 20
 """Largest sizes [B] of a file beside the law, and of all that a submission holds."""
 WORKS = "`vstestbed submit DIR` makes one"
@@ -89,12 +90,14 @@ ALL_STARTS = Asked()
 
 class Checked(NamedTuple):
     """Runs that were flown again: how many, and in words those that ended otherwise; the law's
-    scores, beside the suite's own, as handed in.
+    scores, beside the suite's own, as handed in. flattering: in words, where numbers that agree are
+    better too often, or by too much, for chance.
     """
 
     runs: int
     otherwise: tuple[str, ...]
     scores: list[Score]
+    flattering: tuple[str, ...] = ()
 
 
 def pack(folder: Path, out: Path) -> Path:
@@ -411,8 +414,8 @@ def check(
     asked: Asked = ALL_STARTS,
 ) -> Checked:
     """Fly drawn runs of each task of a submission again, as many as `draws` says, and compare them:
-    outcome, and the task's number. Writes the page of the runs as they were handed in, with scores
-    computed here.
+    outcome, and the task's number. Within the tolerance of each they may not all be better either
+    (`chance`). Writes the page of the runs as they were handed in, with scores computed here.
 
     folder: where they are flown; the law's files are elsewhere, and its code runs in processes of
     its own. seed: of what is drawn; None: nobody knows it before. asked: see there. Errors: as of
@@ -430,6 +433,7 @@ def _checked(
         list[str](),
         0,
     )
+    gains = dict[str, list[float]]()
     for task, plan in entry.plans.items():
         every = list(entry.jobs(task).items())
         drawn = [
@@ -445,9 +449,61 @@ def _checked(
         )
         # one that leaves no run here is otherwise, too
         both = asked_for.join(again, on=["task", "start"], how="left", suffix="_again")
-        least = LEAST if Metric.named(entry.suite.tasks[task].metric).unit == "s" else 0.0
-        otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row, least)]
-    return Checked(n, tuple(otherwise), entry.write(folder, given))
+        metric = Metric.named(entry.suite.tasks[task].metric)
+        least = LEAST if metric.unit == "s" else 0.0
+        alike = [_agrees(row, least) for row in both.iter_rows(named=True)]
+        otherwise += map(_words, both.filter(pl.Series(alike).not_()).iter_rows(named=True))
+        gains[task] = _gains(both.filter(pl.Series(alike)), metric.better == 1)
+    return Checked(n, tuple(otherwise), entry.write(folder, given), tuple(_flattering(gains)))
+
+
+def _gains(both: pl.DataFrame, more: bool) -> list[float]:
+    """By how much numbers that were handed in are better than those of the same runs flown again,
+    as shares of the larger of the two; of those that differ by more than rounding.
+
+    more: whether more is better.
+    """
+    pairs = both.select("value", "value_again").drop_nulls().iter_rows()
+    off = [(again - given) / (max(abs(given), abs(again)) or 1.0) for given, again in pairs]
+    return [-each if more else each for each in off if abs(each) > ROUNDING]
+
+
+def _flattering(gains: Mapping[str, list[float]]) -> Iterator[str]:
+    """Sentences that say where gains, by task, are no chance: over all, and in tasks of several."""
+    asked = {"": [gain for each in gains.values() for gain in each]}
+    if len(gains) > 1:
+        asked |= gains
+    p = {task: chance(each) for task, each in asked.items()}
+    adjusted = {"": p[""]} | dict(
+        zip(gains, holm([p.get(task, 1.0) for task in gains]), strict=True)
+    )
+    for task, each in asked.items():
+        if adjusted[task] < UNLIKELY:
+            better = sum(gain > 0 for gain in each)
+            yield (
+                f"{task and f'{task}: '}its numbers are better than those flown here in {better}"
+                f" of {len(each)} runs that differ, by {np.mean(each):.1%} on average,"
+                f" which chance does not do: p = {p[task]:.1g}, by differences of either sign"
+            )
+
+
+def chance(gains: Sequence[float]) -> float:
+    """How often gains of these sizes, of either sign alike, are together as large as they are: the
+    one-sided randomisation test of signs. Of n that are all above 0 that is 2^-n.
+
+    All signs are tried of up to EVERY gains, RANDOM drawn ones of more, which with those that are
+    there are never under 1 / (RANDOM + 1).
+
+    Reference: Fisher 1935, The design of experiments, section 21.
+    """
+    sizes, n = np.abs(gains), len(gains)
+    if n <= EVERY:
+        signs = 1 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
+    else:
+        drawn = np.random.default_rng(0).choice((-1, 1), (RANDOM, n))
+        signs = np.vstack([np.sign(gains)[None], drawn])
+    least = math.fsum(gains) - 1e-9 * float(sizes.sum())  # sums differ by their order
+    return float(np.mean(signs @ sizes >= least))
 
 
 def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:
