@@ -245,6 +245,17 @@ def test_no_claim_passes(
     assert "10 of 10 runs" not in ended.err
 
 
+@pytest.mark.process
+def test_times_that_are_all_shorter_within_their_tolerance_do_not_pass(
+    handed_in: SimpleNamespace, tmp_path: Path, command: Any, flown_here: None
+) -> None:
+    shaved = rows(lambda t: t.with_columns(value=pl.col("value") * 0.981))(handed_in.files)
+    ended = command(*started(handed_in, shaved, tmp_path))
+    assert ended.code == 3, ended.err
+    assert "10 of 10 runs that were flown again agree" in ended.err
+    assert "numbers are better than those flown here in 10 of 10 runs that differ" in ended.err
+
+
 @pytest.mark.study
 @pytest.mark.process
 @pytest.mark.parametrize("attack", [*FILES, *CODE])

@@ -35,7 +35,15 @@ from vstestbed.studies.submission import (
     pack,
     unpacked,
 )
-from vstestbed.studies.suite import NAME, SuiteEntry, TaskSuite, fingerprint, opened, read_suite
+from vstestbed.studies.suite import (
+    NAME,
+    SuiteEntry,
+    SuiteTask,
+    TaskSuite,
+    fingerprint,
+    opened,
+    read_suite,
+)
 
 # Two tasks, both from random starts: the bundled suite's tasks are these and longer ones.
 PLAN = """base: [ibvs_book]
@@ -74,11 +82,11 @@ def zipped(files: Files, path: Path, **more: Any) -> Path:
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> Iterator[SimpleNamespace]:
+def world(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[SimpleNamespace]:
     """A suite, a law of one's own, and the files of its submission,
-    of runs that nobody has flown.
+    of runs that nobody has flown. Its parameter is another plan.
     """
-    (tmp_path / "plan.yaml").write_text(PLAN)
+    (tmp_path / "plan.yaml").write_text(getattr(request, "param", PLAN))
     suite = tmp_path / "own.yaml"
     suite.write_text(SUITE)
     law = tmp_path / "mine.yaml"
@@ -155,6 +163,21 @@ FORGED_ROWS: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "an endless value": (lambda rows: changed(rows, 0, value=-math.inf), "value -inf"),
     "a value in words": (lambda rows: [r | {"value": "fast"} for r in rows], "is no submission"),
     "reached, without a value": (lambda rows: changed(rows, 0, value=None), "value None"),
+    "a time before the start": (lambda rows: changed(rows, 0, value=-1e6), "value -1000000"),
+    "a little before the start": (lambda rows: changed(rows, 0, value=-0.001), "value -0.001"),
+    "reached after the limit": (lambda rows: changed(rows, 0, value=21.0), "value 21.0"),
+    "a failure that is quick": (
+        lambda rows: changed(rows, 0, success="false"),
+        "success False and value 5.0",
+    ),
+    "a failure a little before the limit": (
+        lambda rows: changed(rows, 0, success="false", value=19.9),
+        "success False and value 19.9",
+    ),
+    "a failure after it": (
+        lambda rows: changed(rows, 0, success="false", value=20.1),
+        "success False and value 20.1",
+    ),
 }
 
 
@@ -199,6 +222,49 @@ def test_no_law_that_is_judged_takes_its_depths_from_the_truth(world: SimpleName
         ), entry.blank
     world.suite.write_text(SUITE.replace("gain: 1.0", "gain: 1.0, depth: oracle"))
     assert opened(None, str(world.suite)).plans
+
+
+def test_a_result_is_one_that_a_run_of_the_task_can_have(world: SimpleNamespace) -> None:
+    """By what the task asks for: (success, number) of what can be, and of what cannot."""
+    entry = opened(str(world.law), str(world.suite), alone=True)
+    flown = next(iter(entry.jobs("only").values())).controller.scenario
+    last = 20 + flown.camera.period
+    cases: list[tuple[dict[str, Any], list[tuple[bool, Any]], list[tuple[bool, Any]]]] = [
+        (
+            {},
+            # a run may end with the picture behind its limit; one that crashed has the longest
+            [(True, 0.0), (True, last), (False, 20 * (1 + 1e-6)), (False, 30.0)],
+            [(True, -1e-9), (True, last + 0.01), (False, 19.99), (False, 25.0), (False, None)],
+        ),
+        (
+            {"worst": 50.0},
+            [(True, 20.0), (False, 20.0), (False, 50.0)],
+            [(True, 21.0), (False, 30.0), (False, 49.0)],
+        ),
+        (
+            {"metric": "tracking_rms_m", "worst": 0.2},
+            [(True, 0.2), (False, 0.2), (False, 0.0115)],  # the last has timed out
+            [(True, 0.201), (False, 0.201), (True, -0.01), (False, -0.01), (False, None)],
+        ),
+        (
+            {"metric": "max_retreat_m"},
+            [(True, 1e3), (False, None), (False, 0.0)],
+            [(True, -0.01), (True, None), (False, math.inf)],
+        ),
+        (
+            {"metric": "saturated_fraction"},  # in per cent
+            [(True, 100.0), (False, 0.0)],
+            [(True, 100.1), (False, -1.0)],
+        ),
+        ({"metric": "min_border_margin_px"}, [(True, -9.0), (False, 9.0)], [(True, math.nan)]),
+        ({"metric": "time_to_converge_s"}, [(True, 20.0)], [(True, 21.0), (True, -1.0)]),
+        ({"metric": "wall_time_s"}, [(True, 2000.0)], [(True, -1.0)]),
+        ({"metric": "a_metric_of_a_plugin"}, [(True, -5.0)], [(True, math.nan)]),
+    ]
+    for asked, right, wrong in cases:
+        task = SuiteTask(plan="plan.yaml", **asked)
+        found = [submission._can_be(*one, task, flown, 30.0) for one in (*right, *wrong)]
+        assert found == [True] * len(right) + [False] * len(wrong), asked
 
 
 def test_a_run_that_crashed_has_the_tasks_limit_and_no_run_lacks_its_number(
@@ -376,7 +442,7 @@ def test_an_honest_submission_agrees_also_with_other_last_digits(
 
 @pytest.mark.parametrize(
     "forged",
-    [{"success": "false", "value": 20.0}, {"success": "false"}, {"value": 4.8}, {"value": 0.0}],
+    [{"success": "false", "value": 20.0}, {"value": 4.8}, {"value": 0.0}],
     ids=lambda forged: ",".join(forged),
 )  # fmt: skip
 def test_a_forged_run_that_is_drawn_is_named(
@@ -388,6 +454,70 @@ def test_a_forged_run_that_is_drawn_is_named(
         words.startswith(f"only {flown.rows[2]['start']}: handed in ")
         and "flown again reached (5.0)" in words
     )
+
+
+MANY = PLAN.replace("seeds: 3", "seeds: 15")  # 30 runs, of which 19 are drawn
+
+
+@pytest.mark.parametrize("world", [MANY], indirect=True)
+def test_numbers_that_are_all_a_little_better_are_no_chance(flown: SimpleNamespace) -> None:
+    """Each agrees within its own tolerance. What flatters is found however it is spread: in most
+    runs, or much in one half and next to nothing back in the other.
+    """
+    rng = np.random.default_rng(5)
+    shares: dict[str, np.ndarray] = {
+        "all": np.full(30, 0.019),
+        "all, hardly": np.full(30, 1e-4),
+        "all but four": np.where(np.arange(30) < 4, -0.019, 0.019),
+        "half, and hardly back": np.where(rng.permutation(30) < 15, 0.019, -1e-5),
+        "none": np.zeros(30),
+        "last digits": 1e-6 * rng.standard_normal(30),
+        "either sign": rng.uniform(-0.019, 0.019, 30),
+        "worse": np.full(30, -0.019),
+        "in three": np.where(np.arange(30) < 3, 0.019, 0.0),
+    }
+    found = dict[str, str]()
+    for name, share in shares.items():
+        rows = [
+            row | {"value": row["value"] * (1 - one)}
+            for row, one in zip(flown.rows, share.tolist(), strict=True)
+        ]
+        file = zipped(flown.files | {"runs.csv": text_of(rows)}, flown.folder / "handed_in.zip")
+        done = submission.check(file, flown.folder / "checked", 1, 0, flown.asked)
+        assert done.runs == 19 and not done.otherwise, name
+        found[name] = " ".join(done.flattering)
+    assert [name for name, words in found.items() if words] == list(shares)[:4]
+    assert found["all"].startswith(
+        "its numbers are better than those flown here in 19 of 19 runs that differ,"
+        " by 1.9% on average, which chance does not do: p = "
+    )
+
+
+def test_gains_are_those_of_the_metric_and_each_task_is_asked_by_itself() -> None:
+    both = pl.DataFrame({"value": [1.0, 2.0, None, 3.0], "value_again": [1.1, 1.9, None, 3.0]})
+    less, more = submission._gains(both, more=False), submission._gains(both, more=True)
+    assert less == pytest.approx([0.1 / 1.1, -0.05]) and more == [-gain for gain in less]
+    # 20 other tasks do not hide one, nor does one that is found by chance tell anything
+    quiet = {f"quiet {i}": [0.01, -0.01] * 10 for i in range(20)}
+    (words,) = submission._flattering(quiet | {"loud": [0.001] * 13})
+    assert words.startswith("loud: its numbers are better than those flown here in 13 of 13 runs")
+    assert not list(submission._flattering(quiet | {"a little": [0.001] * 8}))
+    assert not list(submission._flattering({"none": []}))
+
+
+def test_chance_is_the_exact_sign_test_of_equal_gains_and_counts_sizes() -> None:
+    from scipy.stats import binomtest
+
+    for better, n in ((7, 7), (9, 12), (6, 12), (0, 5)):
+        gains = [0.01] * better + [-0.01] * (n - better)
+        exact = binomtest(better, n, alternative="greater").pvalue
+        assert submission.chance(gains) == pytest.approx(exact)
+    many = [0.01] * 60 + [-0.01] * 40
+    exact = binomtest(60, 100, alternative="greater").pvalue  # 0.028; of 10,000 drawn
+    assert submission.chance(many) == pytest.approx(exact, abs=0.006)
+    assert submission.chance([0.01] * 100) == 1 / 10_001
+    assert submission.chance([0.02] * 7 + [-1e-5] * 7) == pytest.approx(2**-7)
+    assert submission.chance([]) == 1.0
 
 
 def test_a_run_of_which_nothing_is_left_here_is_otherwise(

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -276,6 +277,27 @@ def test_a_file_that_leaves_no_result_has_no_point_and_is_told_of(
 
 
 @pytest.mark.process
+@pytest.mark.parametrize("check", [0, 1])
+def test_a_file_that_is_never_loaded_takes_no_longer_than_a_task_of_the_lab(
+    check: int, lab: Lab, own_kinds, tmp_path: Path, monkeypatch
+) -> None:
+    """Nor does a law in the suite of the room: both had limits of their own, which are longer."""
+    given = list[float]()
+    ask = isolated.Child.ask
+
+    def asked(self: Any, of: Any, seconds: float, method: str, *words: Any) -> Any:
+        if method in ("make", "init", "step"):
+            given.append(seconds)
+        return ask(self, of, seconds, method, *words)
+
+    monkeypatch.setattr(isolated.Child, "ask", asked)
+    never = "time.sleep(1e6)" if not check else "def attack(basis): time.sleep(1e6)"
+    mark = marked(replace(lab, check=check), tmp_path, never)
+    assert not mark.points[0] and mark.missing and "none within" in mark.markdown()
+    assert given and max(given) <= 2
+
+
+@pytest.mark.process
 @pytest.mark.parametrize("attack", LEAVES_A_RESULT.values(), ids=LEAVES_A_RESULT)
 def test_no_attack_beside_a_law_that_rests_gives_a_point(
     attack: str, lab: Lab, own_kinds: None, tmp_path: Path
@@ -527,6 +549,8 @@ def test_where_linux_can_the_process_changes_nothing_of_others_by_calls_that_no_
     place = tempfile.mkdtemp()
     listening.bind(f"{place}/s")
     listening.listen()
+    box = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    box.bind(f"{place}/box")
     tries = f"""
 import ctypes, resource
 libc = ctypes.CDLL(None, use_errno=True)
@@ -535,6 +559,8 @@ def tried(name, act):
     try: found = act()
     except OSError: return ""
     return "" if found == -1 else name + ", "
+def datagrams(kind):
+    return socket.socketpair(socket.AF_UNIX, kind)[0].sendto(b"a secret", {place!r} + "/box")
 def traced():
     return libc.ptrace(16, above, None, None)
 raise ValueError("done: " + "".join([
@@ -552,10 +578,16 @@ raise ValueError("done: " + "".join([
     tried("namespace", lambda: libc.unshare(0x10000000)),
     tried("own limits", lambda: resource.setrlimit(resource.RLIMIT_CORE, (0, 0)) or -1),
     tried("own pair", lambda: socket.socketpair() and -1),
+    tried("own packets", lambda: socket.socketpair(type=socket.SOCK_SEQPACKET) and -1),
+    tried("own pair that waits for nothing", lambda: socket.socketpair(type=1 | 0x800) and -1),
+    tried("datagrams to a path", lambda: datagrams(socket.SOCK_DGRAM)),
+    tried("raw ones", lambda: datagrams(socket.SOCK_RAW)),
+    tried("by another family", lambda: socket.socketpair(socket.AF_INET)),
 ]) + ".")
 """
     mark = marked(lab, tmp_path, tries)
     listening.close()
+    box.close()
     assert "done: ." in mark.markdown(), mark.markdown()
     assert (marks.stat().st_mode, marks.stat().st_mtime_ns) == (before.st_mode, before.st_mtime_ns)
 

@@ -477,6 +477,7 @@ def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, s
     lines = [
         *found.otherwise,
         f"{agree} of {found.runs} runs that were flown again agree",
+        *found.flattering,
         *_ranking(found.scores),
     ]
     typer.echo(
@@ -485,7 +486,7 @@ def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, s
         ),
         err=True,
     )
-    if found.otherwise:
+    if found.otherwise or found.flattering:
         raise typer.Exit(NOT_REACHED)
 
 

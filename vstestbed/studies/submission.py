@@ -12,6 +12,7 @@ import stat
 import unicodedata
 import zipfile
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -24,9 +25,11 @@ from vstestbed.core.errors import ParameterError, RunFolderError, short
 from vstestbed.core.files import allowed, make_folder, write_whole
 from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.loop.isolated import offered
+from vstestbed.report.comparison.statistics import holm
 from vstestbed.report.scores import Score
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.plan import Job
+from vstestbed.studies.comparison.plan import Job, Variants
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
 from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.pools import pool_of, workers
@@ -55,6 +58,12 @@ ONE_OF, MISSED = 10, 0.05
 """A task of whose runs one of so many is forged passes the drawing with this probability
 at most.
 """
+ROUNDING = 1e-6
+"""Share by which numbers differ that are the same: of their last digits in text."""
+UNLIKELY, EVERY, RANDOM = 0.005, 14, 10_000
+"""Numbers that are better than those flown again with a probability under the first are no chance.
+Most differences of which all signs are tried, and how many are drawn of more (`chance`).
+"""
 MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
 MOST_TEXT, MOST_UNPACKED = 1 << 20, 128 << 20
 """Largest sizes [B] of a file beside the law, and of all that a submission holds."""
@@ -81,12 +90,14 @@ ALL_STARTS = Asked()
 
 class Checked(NamedTuple):
     """Runs that were flown again: how many, and in words those that ended otherwise; the law's
-    scores, beside the suite's own, as handed in.
+    scores, beside the suite's own, as handed in. flattering: in words, where numbers that agree are
+    better too often, or by too much, for chance.
     """
 
     runs: int
     otherwise: tuple[str, ...]
     scores: list[Score]
+    flattering: tuple[str, ...] = ()
 
 
 def pack(folder: Path, out: Path) -> Path:
@@ -339,23 +350,51 @@ def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
             ),
             works,
         )
-    for task, _, start, reached, value in runs.iter_rows():
-        if not _can_be(reached, value, entry.suite.tasks[task]):
-            raise _refused(
-                file,
-                f"its {RUNS} says success {reached} and value {value} of {task} {start}",
-                works,
-            )
+    for task, _, start, reached, value in _impossible(runs, entry):
+        raise _refused(
+            file,
+            f"its {RUNS} says success {reached} and value {value} of {task} {start}",
+            works,
+        )
     return runs
 
 
-def _can_be(reached: bool | None, value: float | None, task: SuiteTask) -> bool:
-    """Whether a run can have a result: one that crashed alone has no number, where the task says
-    none for it.
+def _impossible(runs: pl.DataFrame, entry: SuiteEntry) -> Iterator[tuple[Any, ...]]:
+    """The rows with a result that their run cannot have."""
+    for task, plan in entry.plans.items():
+        asked, jobs = entry.suite.tasks[task], entry.jobs(task)
+        limit_s = max(each.scenario.stop.duration_s for each in Variants(plan))
+        for row in runs.filter(pl.col("task") == task).iter_rows():
+            _, _, start, reached, value = row
+            if not _can_be(reached, value, asked, jobs[start].controller.scenario, limit_s):
+                yield row
+
+
+def _can_be(
+    reached: bool | None, value: float | None, task: SuiteTask, flown: Scenario, limit_s: float
+) -> bool:
+    """Whether a run can have a result, as `SuiteEntry.rows_of` makes it: one that crashed alone has
+    no number, where the task says none for it. A success has a number that the metric can be, at
+    most the task's worst; a time is at most the limit, and a picture more, with which a run ends.
+    A failure's time to the goal is the limit, or the task's worst.
+
+    value: in the unit of display. flown: from this start. limit_s: the largest of the task [s],
+    which a run that crashed has.
     """
     if value is None:
         return reached is False and task.worst is None and task.metric != TO_GOAL
-    return reached is not None and math.isfinite(value)
+    if reached is None or not math.isfinite(value):
+        return False
+    metric, own_s = Metric.named(task.metric), flown.stop.duration_s
+    low, high = (bound * metric.scale for bound in metric.within)
+    worst = math.inf if task.worst is None else task.worst * metric.scale
+    if not reached and task.metric == TO_GOAL:
+        failed = (own_s, limit_s) if task.worst is None else (min(own_s, worst), worst)
+        return any(math.isclose(value, each, rel_tol=2 * ROUNDING) for each in failed)
+    if metric.of_flight:
+        high = own_s + flown.camera.period
+    most = min(high, worst) if reached or task.worst is None else worst
+    return low <= value <= most * (1 + 2 * ROUNDING)
 
 
 def draws(n: int) -> int:
@@ -375,8 +414,8 @@ def check(
     asked: Asked = ALL_STARTS,
 ) -> Checked:
     """Fly drawn runs of each task of a submission again, as many as `draws` says, and compare them:
-    outcome, and the task's number. Writes the page of the runs as they were handed in, with scores
-    computed here.
+    outcome, and the task's number. Within the tolerance of each they may not all be better either
+    (`chance`). Writes the page of the runs as they were handed in, with scores computed here.
 
     folder: where they are flown; the law's files are elsewhere, and its code runs in processes of
     its own. seed: of what is drawn; None: nobody knows it before. asked: see there. Errors: as of
@@ -394,6 +433,7 @@ def _checked(
         list[str](),
         0,
     )
+    gains = dict[str, list[float]]()
     for task, plan in entry.plans.items():
         every = list(entry.jobs(task).items())
         drawn = [
@@ -409,9 +449,61 @@ def _checked(
         )
         # one that leaves no run here is otherwise, too
         both = asked_for.join(again, on=["task", "start"], how="left", suffix="_again")
-        least = LEAST if Metric.named(entry.suite.tasks[task].metric).unit == "s" else 0.0
-        otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row, least)]
-    return Checked(n, tuple(otherwise), entry.write(folder, given))
+        metric = Metric.named(entry.suite.tasks[task].metric)
+        least = LEAST if metric.unit == "s" else 0.0
+        alike = [_agrees(row, least) for row in both.iter_rows(named=True)]
+        otherwise += map(_words, both.filter(pl.Series(alike).not_()).iter_rows(named=True))
+        gains[task] = _gains(both.filter(pl.Series(alike)), metric.better == 1)
+    return Checked(n, tuple(otherwise), entry.write(folder, given), tuple(_flattering(gains)))
+
+
+def _gains(both: pl.DataFrame, more: bool) -> list[float]:
+    """By how much numbers that were handed in are better than those of the same runs flown again,
+    as shares of the larger of the two; of those that differ by more than rounding.
+
+    more: whether more is better.
+    """
+    pairs = both.select("value", "value_again").drop_nulls().iter_rows()
+    off = [(again - given) / (max(abs(given), abs(again)) or 1.0) for given, again in pairs]
+    return [-each if more else each for each in off if abs(each) > ROUNDING]
+
+
+def _flattering(gains: Mapping[str, list[float]]) -> Iterator[str]:
+    """Sentences that say where gains, by task, are no chance: over all, and in tasks of several."""
+    asked = {"": [gain for each in gains.values() for gain in each]}
+    if len(gains) > 1:
+        asked |= gains
+    p = {task: chance(each) for task, each in asked.items()}
+    adjusted = {"": p[""]} | dict(
+        zip(gains, holm([p.get(task, 1.0) for task in gains]), strict=True)
+    )
+    for task, each in asked.items():
+        if adjusted[task] < UNLIKELY:
+            better = sum(gain > 0 for gain in each)
+            yield (
+                f"{task and f'{task}: '}its numbers are better than those flown here in {better}"
+                f" of {len(each)} runs that differ, by {np.mean(each):.1%} on average,"
+                f" which chance does not do: p = {p[task]:.1g}, by differences of either sign"
+            )
+
+
+def chance(gains: Sequence[float]) -> float:
+    """How often gains of these sizes, of either sign alike, are together as large as they are: the
+    one-sided randomisation test of signs. Of n that are all above 0 that is 2^-n.
+
+    All signs are tried of up to EVERY gains, RANDOM drawn ones of more, which with those that are
+    there are never under 1 / (RANDOM + 1).
+
+    Reference: Fisher 1935, The design of experiments, section 21.
+    """
+    sizes, n = np.abs(gains), len(gains)
+    if n <= EVERY:
+        signs = 1 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
+    else:
+        drawn = np.random.default_rng(0).choice((-1, 1), (RANDOM, n))
+        signs = np.vstack([np.sign(gains)[None], drawn])
+    least = math.fsum(gains) - 1e-9 * float(sizes.sum())  # sums differ by their order
+    return float(np.mean(signs @ sizes >= least))
 
 
 def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -67,6 +68,7 @@ class StartShares:
         return dict(zip(self.titles, found, strict=True))
 
 
+ANY = -math.inf, math.inf
 Runs = Literal["reached", "ended", "any"]
 """Of which runs a metric tells something: of those that reached their goal (times, paths); of each
 run at its end (final errors); of any run on its way, so that also failed runs can be compared by
@@ -87,18 +89,25 @@ class Metric:
     where: str = ""  # which runs have it; "" for all
     tile: bool = False  # stands large at the top of a run's page
     compared: bool = False  # is shown of a comparison that names no metrics
+    # least and largest that it can be, as in `summary.json`
+    within: tuple[float, float] = (0.0, math.inf)
 
     @classmethod
     def named(cls, name: str) -> Metric:
         """The metric of a key of `summary.json`;
         one that is in no table has its key as its title.
         """
-        return KNOWN.get(name) or own_metrics().get(name) or cls(name, name)
+        return KNOWN.get(name) or own_metrics().get(name) or cls(name, name, within=ANY)
 
     @property
     def label(self) -> str:
         """Title and unit: `Final error [px]`."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    @property
+    def of_flight(self) -> bool:
+        """Whether it is a time within the run [s], which the run's own limit bounds."""
+        return self.unit == "s" and self in EVERY_RUN + SOME_RUNS
 
     @property
     def every_run(self) -> bool:
@@ -158,15 +167,29 @@ EVERY_RUN = (
     Metric("max_rotation_deg", "Largest rotation", "deg", better=0),
     Metric("max_feature_excursion_px", "Largest feature excursion", "px", compared=True),
     Metric("feature_overshoot", "Overshoot of features", "×", of="any"),
-    Metric("min_border_margin_px", "Smallest margin to the border", "px", better=1, compared=True),
+    Metric(
+        "min_border_margin_px",
+        "Smallest margin to the border",
+        "px",
+        better=1,
+        compared=True,
+        within=ANY,
+    ),
     Metric("peak_speed_mps", "Peak speed", "m/s", better=0, compared=True),
     Metric("peak_rate_radps", "Peak rate of turn", "rad/s", better=0),
-    Metric("saturated_fraction", "Frames with a limited command", "%", 1e2, compared=True),
+    Metric(
+        "saturated_fraction",
+        "Frames with a limited command",
+        "%",
+        1e2,
+        compared=True,
+        within=(0.0, 1.0),
+    ),
     Metric("tracking_rms_px", "Tracking error, RMS", "px", of="any", where=MOVING),
     Metric("tracking_max_px", "Tracking error, largest", "px", of="any", where=MOVING),
     Metric("tracking_rms_m", "Camera from its goal, RMS", "m", of="any", where=MOVING),
     Metric("tracking_max_m", "Camera from its goal, largest", "m", of="any", where=MOVING),
-    Metric("judged_error", "Error that decides"),
+    Metric("judged_error", "Error that decides", within=ANY),
     Metric("limit_s", "Limit of time", "s", better=0, of="any"),
 )
 """The metrics that each summary has, in its order; null where one is undefined."""
@@ -207,6 +230,7 @@ SOME_RUNS = (
         of="any",
         where=PLUG,
         tile=True,
+        within=ANY,
     ),
     Metric("largest_force_n", "Largest force on the plug", "N", of="any", where=PLUG, tile=True),
     Metric(
@@ -386,7 +410,7 @@ def own_metrics() -> dict[str, Metric]:
     """The metrics of all registered kinds, by name."""
     kinds: Any = METRICS.members.values()  # of the contract
     return {
-        name: Metric(name, *title, of="any")
+        name: Metric(name, *title, of="any", within=ANY)
         for kind in kinds
         for name, title in kind.titles.items()
     }

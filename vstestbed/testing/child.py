@@ -227,12 +227,20 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
 
 
 # System calls that Landlock leaves open, by machine, each with its number; seccomp(2), bpf(2). A
-# socket pair of its own is none of them. On all machines: io_uring, mounts, pidfd_getfd,
-# quotactl_fd, memfd_secret, modes and attributes.
+# connected pair of sockets of its own is none of them: it sends to no other address.
+# On all machines: io_uring, mounts, pidfd_getfd, quotactl_fd, memfd_secret, modes and attributes.
 ALSO = 425, 428, 429, 430, 431, 432, 433, 438, 442, 443, 447, 452, 463, 466, 467, 469
 CALLS: dict[str, dict[str, tuple[int, ...]]] = {
     "x86_64": {
-        "audited as, seccomp, prlimit64, clone, fcntl, ioctl": (0xC000003E, 317, 302, 56, 72, 16),
+        "audited as, seccomp, prlimit64, clone, fcntl, ioctl, socketpair": (
+            0xC000003E,
+            317,
+            302,
+            56,
+            72,
+            16,
+            53,
+        ),
         "fork, vfork": (57, 58),
         "socket, connect": (41, 42),
         "chmod, chown, utime and their kind": (90, 91, 268, 92, 93, 94, 260, 132, 235, 261, 280),
@@ -285,7 +293,15 @@ CALLS: dict[str, dict[str, tuple[int, ...]]] = {
         "iopl, ioperm, modify_ldt, lookup_dcookie": (172, 173, 154, 212),
     },
     "aarch64": {
-        "audited as, seccomp, prlimit64, clone, fcntl, ioctl": (0xC00000B7, 277, 261, 220, 25, 29),
+        "audited as, seccomp, prlimit64, clone, fcntl, ioctl, socketpair": (
+            0xC00000B7,
+            277,
+            261,
+            220,
+            25,
+            29,
+            199,
+        ),
         "socket, connect": (198, 203),
         "chmod, chown, utime and their kind": (52, 53, 54, 55, 88),
         "setxattr, removexattr and their kind": (5, 6, 7, 14, 15, 16),
@@ -339,6 +355,9 @@ FIRST, SECOND = 16, 24  # where arguments of a call stand: the low half, on the 
 A_THREAD, NAMESPACES = 0x10000, 0x7E020000  # flags of clone
 OWNERS = 8, 10, 15  # of fcntl: whom the kernel signals
 ASKS = 0x5412, 0x541C, 0x8901, 0x8902  # of ioctl: type into a terminal, whom the kernel signals
+# of socketpair: its only family, and bits of its types. SOCK_STREAM (1) and SOCK_SEQPACKET (5) have
+# the first and not the others; a pair of SOCK_DGRAM (2) or SOCK_RAW (3) sends to any path.
+UNIX, CONNECTED, TO_ANY = 1, 0b1, 0b1010
 
 
 def _refuse_calls(libc: ctypes.CDLL) -> bool:
@@ -348,7 +367,7 @@ def _refuse_calls(libc: ctypes.CDLL) -> bool:
     first, *others = CALLS.get(os.uname().machine, {"": ()}).values()
     if not first:
         return False
-    machine, seccomp, prlimit, clone, fcntl, ioctl = first
+    machine, seccomp, prlimit, clone, fcntl, ioctl, socketpair = first
     refuse = RETURN, 0, 0, REFUSE
     lines = [
         (LOAD, 0, 0, 4),  # the machine: another one's calls have other numbers
@@ -363,6 +382,8 @@ def _refuse_calls(libc: ctypes.CDLL) -> bool:
     lines += _where(clone, FIRST, (HAS, 1, 0, A_THREAD), (HAS, 0, 1, NAMESPACES))
     lines += _where(fcntl, SECOND, *((EQUAL, 0, 1, number) for number in OWNERS))
     lines += _where(ioctl, SECOND, *((EQUAL, 0, 1, number) for number in ASKS))
+    lines += _where(socketpair, FIRST, (EQUAL, 1, 0, UNIX))
+    lines += _where(socketpair, SECOND, (HAS, 1, 0, CONNECTED), (HAS, 0, 1, TO_ANY))
     lines.append((RETURN, 0, 0, ALLOW))
     program = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *line) for line in lines))
     pointer = struct.pack("@HP", len(lines), ctypes.addressof(program))
@@ -373,12 +394,12 @@ def _where(
     call: int, place: int, *tests: tuple[int, int, int, int]
 ) -> list[tuple[int, int, int, int]]:
     """Lines that refuse a call whose argument one of the tests finds: such a test jumps over the
-    refusal behind it, or not.
+    refusal behind it, or not. Those that follow find the number of the call loaded again.
     """
     lines = [(LOAD, 0, 0, place)]
     for test in tests:
         lines += test, (RETURN, 0, 0, REFUSE)
-    lines.append((RETURN, 0, 0, ALLOW))
+    lines.append((LOAD, 0, 0, 0))
     return [(EQUAL, 0, len(lines), call), *lines]
 
 

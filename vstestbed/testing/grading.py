@@ -301,10 +301,15 @@ def grade(
     return Mark(lab.title, shown(student.name), tuple(results), missing)
 
 
-def _apart(lab: Lab, student: Path, block: Any, **limit: float) -> dict[str, Any]:
-    """The block of a law in a process of its own, which loads the student's file."""
+def _apart(lab: Lab, student: Path, block: Any, run_s: float | None = None) -> dict[str, Any]:
+    """The block of a law in a process of its own, which loads the student's file.
+
+    run_s: for loading it and for all answers in a run [s]; None: what the lab gives for a whole
+    task, where no run of a task says less.
+    """
     place = {"files": [str(student)], "adds": lab.kind, "reads": str(student.parent)}
-    return {"kind": "isolated", "block": block, **place, **limit}
+    most = max(task.limit_s for task in lab.tasks)
+    return {"kind": "isolated", "block": block, **place, "run_s": most if run_s is None else run_s}
 
 
 def _refused(lab: Lab, student: Path) -> str:
@@ -391,7 +396,7 @@ def _runs(
         lab.field: {"kind": lab.kind} if student else task.better_than
     } | absolute_files(task.set, beside or Path())
     if student:  # what is said of the law goes to the one inside
-        law = _apart(lab, student, to_mapping(load(place).law), run_s=task.limit_s / len(seeds))
+        law = _apart(lab, student, to_mapping(load(place).law), task.limit_s / len(seeds))
         inside = {
             path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"
         }
