@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from vstestbed.cli import complete
 from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def calibrate(
         typer.Argument(
             metavar="RUN|PICTURES|SCENARIO",
             help="A run's folder; one with poses.csv; with --table a scenario.",
+            autocompletion=complete.scenarios,
         ),
     ],
     board: Annotated[
