@@ -63,8 +63,8 @@ ANOTHER = {"replay", "identify", "submit"}
 """Commands that take a bag, a record or a suite's folder besides: no smallest command leaves one,
 and they have tests of their own.
 """
-GIVEN = {"name": "mine"}
-"""Values of required arguments for which a shell offers none."""
+GIVEN = dict.fromkeys(("name", "lab", "student", "bag", "record"), "mine")
+"""Values of required arguments for which a shell offers none: of files, one that is not there."""
 UNTIL_STOPPED = "Ctrl-C ends it"
 """What a command says of itself that runs until it is interrupted."""
 KNOWN_CACHES = re.compile(r"/mesa_shader_cache[^/]*/|/\.nv/|/matplotlib/fontlist-[^/]*\.json$")
