@@ -5,9 +5,12 @@ refused before any run.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 
@@ -194,11 +197,98 @@ def test_a_bundled_law_under_another_name_has_no_point_where_the_sheet_does_not_
     assert reasons([]) == ("Its commands are those of ibvs, which is there already.",)
 
 
+CLAIMS_ANOTHER = (
+    RENAMED.format(bundled="{bundled}", kind="student")
+    + """
+    inputs = ("xy", "depth", "T_camera_target", "robot")
+
+    def step(self, state, observation, goal, basis):
+        from dataclasses import replace
+
+        import numpy as np
+
+        state, command = super().step(state, observation, goal, basis)
+        said = np.roll(command.twist, 1) * {size}
+        if command.rest_reason:
+            return state, command
+        return state, replace(command, {changed})
+"""
+)
+FALSE = {
+    "of rates": "twist=said, rates=command.twist",
+    "of both": "twist=said, u=said, rates=command.twist",
+}
+POSE_BY_HAND = (
+    RENAMED.format(bundled="pbvs", kind="student")
+    + """
+    inputs = ("xy", "depth")
+
+    def step(self, state, observation, goal, basis):
+        from dataclasses import replace
+
+        import numpy as np
+
+        from vstestbed.core.geometry import inverse, transform
+        from vstestbed.vision.pnp import solve_pose_from_rays
+
+        rays = np.column_stack([observation.xy, np.ones(len(observation.xy))])
+        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        points = transform(inverse(goal.T_camera_target), goal.ray * goal.range[:, None])
+        T = solve_pose_from_rays(rays, points)
+        return super().step(state, replace(observation, T_camera_target=T), goal, basis)
+"""
+)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("how", [*FALSE, "a pose by hand"])
+def test_what_moves_the_robot_is_compared_and_not_what_is_said_of_it(
+    how: str, own_kinds, tmp_path: Path
+) -> None:
+    """A bundled law whose command says another twist than its velocities make; and one that
+    declares less than it computes.
+    """
+    task = {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "set": EXACT, "seeds": 1}
+    file = tmp_path / "student.py"
+    file.write_text(
+        POSE_BY_HAND
+        if how not in FALSE
+        else CLAIMS_ANOTHER.format(bundled="pbvs", size=3.0, changed=FALSE[how])
+    )
+    mark = grade(read_lab(lab(tmp_path, check=1, tasks=[task | {"may_be": []}])), file)
+    assert mark.results[1].reasons == (
+        "Its commands are those of pbvs, which is there already.",
+    ), mark.markdown()
+    if how in FALSE:
+        said = " ".join(mark.results[0].reasons)
+        assert "twist must be" in said, said
+
+
+def test_a_command_that_moves_nothing_hides_no_likeness() -> None:
+    """A twist that the supervisor stops, or that limits shorten, weighs what was ordered of it; one
+    that a secondary task makes is compared as it is ordered.
+    """
+    rng = np.random.default_rng(2)
+
+    def share(said: Callable[[int, np.ndarray], np.ndarray], ordered: float) -> float:
+        like = Likeness({})
+        like.apart = {"ibvs": np.zeros(2)}
+        for i in range(50):
+            other = rng.standard_normal(6)
+            like.given, like.own = {"ibvs": other}, said(i, other)
+            stopped = i % 5 == 0
+            like.frame(SimpleNamespace(twist=(0.0 if stopped else ordered) * other))  # pyright: ignore[reportArgumentType] - what is read of one
+        return float((like.apart["ibvs"] / like.size).min())
+
+    assert share(lambda i, other: other if i % 5 else np.roll(other, 1) * 1e6, 0.3) < 1e-6
+    assert share(lambda i, other: np.roll(other, 1), 1.0) < 1e-6
+
+
 def test_a_law_that_orders_nothing_is_like_none() -> None:
     like = Likeness({})
-    like.apart = {"ibvs": 0.0, "pbvs": 0.0}
+    like.apart = {"ibvs": np.zeros(2), "pbvs": np.zeros(2)}
     assert like.found(()) == ""
-    like.size = 1.0
+    like.size = np.ones(2)
     assert like.found(()) == "ibvs" and like.found(("pbvs",)) == ""
 
 

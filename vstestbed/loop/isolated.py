@@ -305,6 +305,7 @@ class Isolated(Law[int]):
         block: the law; {}: the only one that they add.
         reads: file or folder that the process may read, besides Python and this package.
         run_s: time for all answers in a run, and for loading the files before it [s].
+        also: further fields of the observations, for who watches; the process does not get them.
     """
 
     kind: Literal["isolated"] = "isolated"
@@ -313,11 +314,13 @@ class Isolated(Law[int]):
     block: dict[str, Any] = field(default_factory=dict)
     reads: str = ""
     run_s: PositiveTime = 300.0
+    also: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Start the process, and take over what the law declares."""
         for name, value in vars(self._child.declared).items():
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "inputs", (*self.inputs, *self.also))
         honest(self.depth)
 
     @property
@@ -351,7 +354,7 @@ class Isolated(Law[int]):
         child.spent_s = child.loaded_s
         child.loaded_s = 0.0
         if Child.watch:
-            Child.watch.begin(self, goal)
+            Child.watch.begin(goal)
         return child.ask(int, min(ANSWER_S, self.run_s), "init", goal)
 
     def step(
@@ -362,7 +365,11 @@ class Isolated(Law[int]):
         if left <= 0:
             Child.lost += 1
             raise LawFailedError(f"the law took more than {self.run_s:.3g} s in a run")
-        following, command = child.step(min(ANSWER_S, left), state, observation, goal, basis)
+        # what is there whether a law names it or not
+        free = ("xy", "xyw", "depth", *["T_camera_target"] * self.depth.needs_pose)
+        hidden = dict.fromkeys(name for name in self.also if name not in free)
+        seen = replace(observation, **hidden) if hidden else observation
+        following, command = child.step(min(ANSWER_S, left), state, seen, goal, basis)
         if Child.watch:
             Child.watch.step(observation, goal, basis, command)
         return following, command

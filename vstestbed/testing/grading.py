@@ -336,9 +336,9 @@ def _reasons(
 ) -> Iterator[str]:
     """Why the points of a task are not given."""
     like = Likeness({path.removeprefix("law."): value for path, value in task.set.items()})
-    Child.watch = None if task.may_be is None else like
+    watch = Child.watch = None if task.may_be is None else like
     try:
-        own = _runs(lab, task, student, first_seed, beside)
+        own = _runs(lab, task, student, first_seed, beside, watch)
     except Exception as error:
         # a refusal's; and whatever the numbers of a law bring about in the loop
         Child.lost += not isinstance(error, VstestbedError)
@@ -385,10 +385,15 @@ def _missed(task: LabTask, own: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _runs(
-    lab: Lab, task: LabTask, student: Path | None, first_seed: int, beside: Path | None
+    lab: Lab,
+    task: LabTask,
+    student: Path | None,
+    first_seed: int,
+    beside: Path | None,
+    like: Likeness | None = None,
 ) -> list[dict[str, Any]]:
     """Summaries of a task's runs, of the student's kind or (None) of the one that it has to be
-    better than.
+    better than. like: flies bundled laws beside it.
     """
     place = _place(task.scenario, beside)
     seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
@@ -401,10 +406,14 @@ def _runs(
             path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"
         }
         changes = {"law": law} | {inside.get(path, path): value for path, value in changes.items()}
-    return [
-        uninterrupted(run(load(place, changes, seed=seed, plugins=[MODULE]))).summary()
-        for seed in seeds
-    ]
+    found = []
+    for seed in seeds:
+        scenario = load(place, changes, seed=seed, plugins=[MODULE])
+        if like is not None:
+            scenario = like.beside(scenario)
+        watch = [] if like is None else [like]
+        found.append(uninterrupted(run(scenario, watch)).summary())
+    return found
 
 
 def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str) -> Iterator[str]:

@@ -19,6 +19,7 @@ from vstestbed.laws import Command, ErrorLaw, Law, Policy
 from vstestbed.laws.base import LAW_CONTRACT, OBSERVATION_FIELDS, inputs_of
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Mount
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.targets import Points
@@ -220,9 +221,21 @@ def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
         np.testing.assert_allclose(
             basis @ command.u, command.twist, atol=1e-9, err_msg=f"{where}: twist must be basis @ u"
         )
+        _check_rates(where, command, frame.observation.robot)
         within = law.limits.scale(command.twist) > 1 - 1e-9
         assert within, f"{where}: the twist {command.twist} is beyond the law's own limits"
         _check_inputs(law, given, frame, basis, command)
+
+
+def _check_rates(where: str, command: Command, robot: OwnModel | None) -> None:
+    """The twist is what the robot's own velocities make of it: these move it, not the twist."""
+    if command.rates is not None and robot is not None:
+        np.testing.assert_allclose(
+            robot.J @ command.rates,
+            command.twist,
+            atol=1e-9,
+            err_msg=f"{where}: twist must be observation.robot.J @ rates",
+        )
 
 
 def _check_inputs(law: Law[Any], state: Any, frame: Frame, basis: Array, command: Command) -> None:
