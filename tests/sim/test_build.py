@@ -29,8 +29,9 @@ def lines_of_the_guide() -> str:
         for text in re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
         if HEAD in text
     )
+    lines = [line for line in map(str.strip, block.splitlines()) if line and line[0] != "#"]
     # ten besides the import and the heads of the loops
-    assert len([line for line in block.splitlines() if line.strip()]) <= 13
+    assert len(lines) <= 13
     return block.replace(f"    {SETTLED}", f"    rows.append(data.qpos.copy())\n    {SETTLED}")
 
 
