@@ -234,7 +234,15 @@ def test_a_result_is_one_that_a_run_of_the_task_can_have(world: SimpleNamespace)
             {},
             # a run may end with the picture behind its limit; one that crashed has the longest
             [(True, 0.0), (True, last), (False, 20 * (1 + 1e-6)), (False, 30.0)],
-            [(True, -1e-9), (True, last + 0.01), (False, 19.99), (False, 25.0), (False, None)],
+            [
+                (True, -1e-9),
+                (False, math.inf),
+                (False, math.nan),
+                (True, last + 0.01),
+                (False, 19.99),
+                (False, 25.0),
+                (False, None),
+            ],
         ),
         (
             {"worst": 50.0},

@@ -381,20 +381,26 @@ def _can_be(
     value: in the unit of display. flown: from this start. limit_s: the largest of the task [s],
     which a run that crashed has.
     """
-    if value is None:
-        return reached is False and task.worst is None and task.metric != TO_GOAL
-    if reached is None or not math.isfinite(value):
-        return False
+    if value is None or reached is None:
+        blank = (reached, value) == (False, None)
+        return blank and task.worst is None and task.metric != TO_GOAL
     metric, own_s = Metric.named(task.metric), flown.stop.duration_s
-    low, high = (bound * metric.scale for bound in metric.within)
     worst = math.inf if task.worst is None else task.worst * metric.scale
-    if not reached and task.metric == TO_GOAL:
-        failed = (own_s, limit_s) if task.worst is None else (min(own_s, worst), worst)
-        return any(math.isclose(value, each, rel_tol=2 * ROUNDING) for each in failed)
+    if task.metric == TO_GOAL and not reached:
+        early_s = limit_s if task.worst is None else worst  # of a run that ended early
+        lasted_s = min(own_s, worst)
+        return min(abs(value - lasted_s), abs(value - early_s)) <= 2 * ROUNDING * early_s
+    return math.isfinite(value) and _within(value, metric, worst, reached, flown)
+
+
+def _within(value: float, metric: Metric, worst: float, reached: bool, flown: Scenario) -> bool:
+    """Whether a number is within what the metric can be, and at most the task's worst."""
+    low, high = (bound * metric.scale for bound in metric.within)
     if metric.of_flight:
-        high = own_s + flown.camera.period
-    most = min(high, worst) if reached or task.worst is None else worst
-    return low <= value <= most * (1 + 2 * ROUNDING)
+        high = flown.stop.duration_s + flown.camera.period
+    # a run that ended early has the worst, which may be beyond what one that lasted has
+    high = worst if not reached and worst < math.inf else min(high, worst)
+    return low <= value <= high * (1 + 2 * ROUNDING)
 
 
 def draws(n: int) -> int:
