@@ -34,6 +34,7 @@ from tests.conftest import Ended
 from tests.laws.onnx_file import linear
 from tests.laws.test_policy import HOMES
 from tests.robots.arms import where_installed
+from tests.studies.test_suite import OWN, PLAN
 from vstestbed.cli.app import program
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.studies.comparison.plan import read_comparison
@@ -55,6 +56,7 @@ SMALLEST = {
     "--no-open": "",
     "--x": "x=-0.1:0.1",
     "--y": "y=-0.1:0.1",
+    "--suite": "",  # set by `small_suite`: the bundled one flies for hours
 }
 """Options of the smallest form, wherever a command has them."""
 VARIED = "stop.lost_after_s=1,2", "stop.lost_after_m=1,2"
@@ -82,6 +84,15 @@ SHOWN = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceW
 EXPERIMENTS = [*bundled_scenarios(), *bundled_comparisons()]
 
 Command = Callable[..., Ended]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_suite(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """A suite of one task and two laws."""
+    folder = tmp_path_factory.mktemp("suite")
+    (folder / "plan.yaml").write_text(PLAN)
+    (folder / "own.yaml").write_text(OWN)
+    SMALLEST["--suite"] = str(folder / "own.yaml")
 
 
 class Form(NamedTuple):
@@ -130,7 +141,8 @@ def _options(command: Any, experiment: str | None) -> list[str]:
     """The options of the smallest form that a command has."""
     wanted, varied = dict(SMALLEST), VARIED
     if experiment is None:  # what a folder holds has run already
-        wanted, varied = {option: value for option, value in SMALLEST.items() if not value}, ()
+        without_value = {option: value for option, value in SMALLEST.items() if not value}
+        wanted, varied = without_value | {"--suite": SMALLEST["--suite"]}, ()
     elif experiment in bundled_comparisons():
         plan = read_comparison(bundled_comparisons()[experiment])
         # of each axis one value
@@ -271,12 +283,11 @@ def test_commands_without_an_experiment_end_with_a_sentence(
         monkeypatch.chdir(tmp_path_factory.mktemp(form.words[0]))  # none meets the files of another
         done[form.words] = fault(form, form.words, command)
     assert faults(done) == []
-    # words for several things, which `describe` names
+    # words for several things, which `describe` names; a file that is not there
     refused = [ended.err for ended, _ in done.values() if ended.code == 2]
-    assert (
-        all(said.endswith("give one of these names\n") for said in refused)
-        and len(refused) < len(done) / 4
-    )
+    expected = ("give one of these names\n", "cannot be read (No such file or directory)\n")
+    assert all(said.endswith(expected) for said in refused)
+    assert len(refused) < len(done) / 4
 
 
 def test_a_command_leaves_nothing_elsewhere(
