@@ -233,7 +233,7 @@ def test_more_than_four_groups_of_gains_are_counted() -> None:
         "partitioned and partitioned_damped fly with gain 0.5, gain_z 0.5 and gain_turn 0.5, for"
         " which none was tuned; qp flies with" in words
     )
-    assert "; and 1 more such groups of laws; without a gain: recurrent. " in words
+    assert "; and 1 more such group of laws; without a gain: recurrent. " in words
     assert "--vary law.laws.0.law.gain=0.3:8:log" in words
 
 

@@ -166,11 +166,11 @@ def _reasons(comparison: Comparison, laws: Mapping[str, Variant]) -> list[str]:
         f"{listed(names)} {'fly' if len(names) > 1 else 'flies'} with {words}"
         for words, names in found.items()
     ]
-    return (
-        said
-        if len(said) <= MOST_REASONS
-        else [*said[:MOST_REASONS], f"and {len(said) - MOST_REASONS} more such groups of laws"]
-    )
+    left = len(said) - MOST_REASONS
+    if left <= 0:
+        return said
+    groups = "group" if left == 1 else "groups"
+    return [*said[:MOST_REASONS], f"and {left} more such {groups} of laws"]
 
 
 def _against(comparison: Comparison, name: str, variant: Variant) -> Iterator[str]:
