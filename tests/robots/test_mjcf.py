@@ -680,7 +680,7 @@ class TestNumbersNoRobotHas:
         file = TestUrdf().written(tmp_path, "one.dae")
         text = file.read_text().replace('effort="60"', 'effort="1.79769e+308"')
         text = text.replace('"two"', '"nan"').replace("'two'", "'nan'")
-        file.write_text(text.replace('velocity="0.7"', 'velocity="inf"'))
+        file.write_text(text.replace('velocity="0.7"', 'velocity="inf" acceleration="inf"'))
         assert joint_chain(str(file), "tool0", ()).names == ("a", "b")
 
     def test_lengths_in_millimetres_are_told(self, tmp_path: Path) -> None:
