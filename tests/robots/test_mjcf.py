@@ -668,11 +668,19 @@ class TestNumbersNoRobotHas:
         with pytest.raises(ParameterError, match=r"gives the body 1 a mass of 4\.19e\+18 kg"):
             compiled(str(tmp_path / "arm.xml"))
 
+    def test_what_stands_fast_may_be_as_large_as_a_hill(self, tmp_path: Path) -> None:
+        """Its mass moves nothing: it ran as scenery, which the report refused."""
+        (tmp_path / "hill.xml").write_text(
+            '<mujoco><worldbody><body name="hill" pos="0 0 -51">'
+            '<geom type="box" size="500 500 50"/></body></worldbody></mujoco>'
+        )
+        assert told_of(tmp_path / "hill.xml")["as scenery"]
+
     def test_limits_may_be_infinite_and_names_may_be_words_of_numbers(self, tmp_path: Path) -> None:
         file = TestUrdf().written(tmp_path, "one.dae")
         text = file.read_text().replace('effort="60"', 'effort="1.79769e+308"')
         text = text.replace('"two"', '"nan"').replace("'two'", "'nan'")
-        file.write_text(text.replace('velocity="0.7"', 'velocity="inf"'))
+        file.write_text(text.replace('velocity="0.7"', 'velocity="inf" acceleration="inf"'))
         assert joint_chain(str(file), "tool0", ()).names == ("a", "b")
 
     def test_lengths_in_millimetres_are_told(self, tmp_path: Path) -> None:

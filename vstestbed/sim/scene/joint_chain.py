@@ -55,8 +55,10 @@ def compiled(file: str) -> mujoco.MjModel:
 
 
 def _check_masses(model: mujoco.MjModel, path: Path) -> None:
-    """Refuse masses that no robot has: of shapes and densities each of which might be."""
-    for body in range(1, model.nbody):
+    """Refuse masses that no robot has, of bodies that move: of shapes and densities each of which
+    might be.
+    """
+    for body in np.flatnonzero(model.body_weldid).tolist():
         mass = float(model.body_mass[body])
         inertia = float(model.body_inertia[body].max())
         if not (mass <= MOST_KG and inertia <= MOST_INERTIA):

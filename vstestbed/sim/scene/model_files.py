@@ -183,6 +183,9 @@ LIMITS = {
     "upper",
     "effort",
     "velocity",
+    "acceleration",
+    "deceleration",
+    "jerk",
     "soft_lower_limit",
     "soft_upper_limit",
 }
