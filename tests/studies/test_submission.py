@@ -497,20 +497,33 @@ def test_numbers_that_are_all_a_little_better_are_no_chance(flown: SimpleNamespa
     assert [name for name, words in found.items() if words] == list(shares)[:4]
     assert found["all"].startswith(
         "its numbers are better than those flown here in 19 of 19 runs that differ,"
-        " by 1.9% on average, which chance does not do: p = "
+        " by 1.9% of their mean, which chance does not do: p = "
     )
 
 
 def test_gains_are_those_of_the_metric_and_each_task_is_asked_by_itself() -> None:
     both = pl.DataFrame({"value": [1.0, 2.0, None, 3.0], "value_again": [1.1, 1.9, None, 3.0]})
     less, more = submission._gains(both, more=False), submission._gains(both, more=True)
-    assert less == pytest.approx([0.1 / 1.1, -0.05]) and more == [-gain for gain in less]
+    assert less == pytest.approx(np.array([[0.1 / 1.1, 0.1 / 2], [-0.05, -0.1 / 2]]))
+    assert (more == -less).all()
     # 20 other tasks do not hide one, nor does one that is found by chance tell anything
-    quiet = {f"quiet {i}": [0.01, -0.01] * 10 for i in range(20)}
-    (words,) = submission._flattering(quiet | {"loud": [0.001] * 13})
+    quiet = {f"quiet {i}": np.tile([[0.01], [-0.01]], (10, 2)) for i in range(20)}
+    (words,) = submission._flattering(quiet | {"loud": np.full((13, 2), 0.001)})
     assert words.startswith("loud: its numbers are better than those flown here in 13 of 13 runs")
-    assert not list(submission._flattering(quiet | {"a little": [0.001] * 8}))
-    assert not list(submission._flattering({"none": []}))
+    assert not list(submission._flattering(quiet | {"a little": np.full((8, 2), 0.001)}))
+    assert not list(submission._flattering({"none": np.empty((0, 2))}))
+
+
+@pytest.mark.parametrize("long", [10.0, 4.0])
+def test_much_off_long_runs_and_as_much_put_on_short_ones_is_seen_in_the_mean(long: float) -> None:
+    """By shares they are even; by the mean, which the score is made of, they are better."""
+    again = np.tile([long, 1.0], 20)
+    given = again * np.tile([1 - 0.019, 1 + 0.019], 20)
+    both = pl.DataFrame({"value": given, "value_again": again})
+    assert len(list(submission._flattering({"only": submission._gains(both, more=False)}))) == 1
+    honest = again * (1 + 0.019 * np.random.default_rng(2).uniform(-1, 1, 40))
+    both = pl.DataFrame({"value": honest, "value_again": again})
+    assert not list(submission._flattering({"only": submission._gains(both, more=False)}))
 
 
 def test_chance_is_the_exact_sign_test_of_equal_gains_and_counts_sizes() -> None:

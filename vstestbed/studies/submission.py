@@ -24,6 +24,7 @@ import polars as pl
 from vstestbed.core.errors import ParameterError, RunFolderError, short
 from vstestbed.core.files import allowed, make_folder, write_whole
 from vstestbed.core.foreign import foreign, plain_file
+from vstestbed.core.geometry import Array
 from vstestbed.loop.isolated import offered
 from vstestbed.report.comparison.statistics import holm
 from vstestbed.report.scores import Score
@@ -61,7 +62,8 @@ at most.
 ROUNDING = 1e-6
 """Share by which numbers differ that are the same: of their last digits in text."""
 UNLIKELY, EVERY, RANDOM = 0.005, 14, 10_000
-"""Numbers that are better than those flown again with a probability under the first are no chance.
+"""Numbers that are better than those flown again with a probability under the first are no chance;
+by shares or by the mean, so that an honest submission is suspected with at most twice that.
 Most differences of which all signs are tried, and how many are drawn of more (`chance`).
 """
 MOST_MEMBERS, MOST_DIRECTORY = 1000, 1 << 20
@@ -439,7 +441,7 @@ def _checked(
         list[str](),
         0,
     )
-    gains = dict[str, list[float]]()
+    gains = dict[str, Array]()
     for task, plan in entry.plans.items():
         every = list(entry.jobs(task).items())
         drawn = [
@@ -463,37 +465,46 @@ def _checked(
     return Checked(n, tuple(otherwise), entry.write(folder, given), tuple(_flattering(gains)))
 
 
-def _gains(both: pl.DataFrame, more: bool) -> list[float]:
+def _gains(both: pl.DataFrame, more: bool) -> Array:
     """By how much numbers that were handed in are better than those of the same runs flown again,
-    as shares of the larger of the two; of those that differ by more than rounding.
+    (n, 2): as shares of the larger of the two, and of the mean of all that were flown again, which
+    is what a score goes by; of those that differ by more than rounding.
 
     more: whether more is better.
     """
-    pairs = both.select("value", "value_again").drop_nulls().iter_rows()
-    off = [(again - given) / (max(abs(given), abs(again)) or 1.0) for given, again in pairs]
-    return [-each if more else each for each in off if abs(each) > ROUNDING]
+    pairs = both.select("value", "value_again").drop_nulls().to_numpy()
+    better = pairs[:, 1] - pairs[:, 0]
+    if more:
+        better = -better
+    larger = np.abs(pairs).max(axis=1, initial=0.0)
+    mean = abs(pairs[:, 1].mean()) if len(pairs) else 0.0
+    differ = np.abs(better) > ROUNDING * larger
+    return np.column_stack([better[differ] / larger[differ], better[differ] / (mean or 1.0)])
 
 
-def _flattering(gains: Mapping[str, list[float]]) -> Iterator[str]:
-    """Sentences that say where gains, by task, are no chance: over all, and in tasks of several."""
-    asked = {"": [gain for each in gains.values() for gain in each]}
+def _flattering(gains: Mapping[str, Array]) -> Iterator[str]:
+    """Sentences that say where gains, by task, are no chance: over all, and in tasks of several. By
+    shares, and by what they make of the mean: much off few long runs, with a little put on many
+    short ones, is seen in the mean alone, and the other way round.
+    """
+    asked = {"": np.concatenate(list(gains.values()))}
     if len(gains) > 1:
         asked |= gains
-    p = {task: chance(each) for task, each in asked.items()}
+    p = {task: min(map(chance, each.T)) for task, each in asked.items()}
     adjusted = {"": p[""]} | dict(
         zip(gains, holm([p.get(task, 1.0) for task in gains]), strict=True)
     )
     for task, each in asked.items():
         if adjusted[task] < UNLIKELY:
-            better = sum(gain > 0 for gain in each)
+            better = int((each[:, 0] > 0).sum())
             yield (
                 f"{task and f'{task}: '}its numbers are better than those flown here in {better}"
-                f" of {len(each)} runs that differ, by {np.mean(each):.1%} on average,"
+                f" of {len(each)} runs that differ, by {each[:, 1].mean():.1%} of their mean,"
                 f" which chance does not do: p = {p[task]:.1g}, by differences of either sign"
             )
 
 
-def chance(gains: Sequence[float]) -> float:
+def chance(gains: Sequence[float] | Array) -> float:
     """How often gains of these sizes, of either sign alike, are together as large as they are: the
     one-sided randomisation test of signs. Of n that are all above 0 that is 2^-n.
 
