@@ -269,6 +269,8 @@ def test_a_mount_of_another_frame_is_refused_by_name(write):
             "header.frame_id must be the flange's frame, and not one of a base, a room, a link",
         ),
         (EASY, "parameters.robot_effector_frame", "forearm_link", "robot_effector_frame must be"),
+        (EASY, "parameters.robot_effector_frame", "panda_link0", "robot_effector_frame must be"),
+        (EASY, "parameters.robot_effector_frame", "robot_base", "robot_effector_frame must be"),
         (EASY, "parameters.robot_effector_frame", "r/camera_link", "robot_effector_frame must be"),
         (EASY, "robot_effector_frame", "base_link", "robot_effector_frame must be the flange's"),
         (EASY, "parameters.robot_effector_frame", "upper_arm", "robot_effector_frame must be"),

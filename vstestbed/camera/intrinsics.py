@@ -275,7 +275,8 @@ FRAMES = (
     "robot_effector_frame",
 )
 NO_FLANGE = re.compile(
-    r"(base|base_link|world|map|odom)$|.*(shoulder|upper_?arm|fore_?arm|elbow|optical)"
+    r"((robot_)?base(_link|_footprint)?|world|map|odom|.*_link_?0)$"
+    r"|.*(torso|shoulder|upper_?arm|fore_?arm|elbow|optical)"
     r"|(.*_)?camera(_(link|frame|(color|depth|rgb|infra\d?|left|right)\w*))?$",
     re.IGNORECASE,
 )
