@@ -69,7 +69,8 @@ class Solution:
         rates = self.x[: len(robot.names)]
         twist = robot.J @ rates
         scale = limits.scale(twist)
-        rates, twist = rates * scale, twist * scale
+        rates = rates * scale
+        twist = twist * scale
         u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
         return Command(u, twist, scale=scale, rates=rates, mode=mode)
 
@@ -118,22 +119,28 @@ def minimise(
         return Solution(
             None, failure="the quadratic program was not solved: it has numbers that are not finite"
         )
-    A, low, high = A * units, low / units, high / units
+    A = A * units
+    low = low / units
+    high = high / units
     groups = tuple(replace(group, A=group.A * units) for group in groups if len(group.A))
     H = A.T @ A
     mean = float(np.trace(H)) / len(H)
     if mean <= 0:
         return Solution(np.clip(np.zeros(len(H)), low, high) * units)
-    H, f = H / mean, -(A.T @ b) / mean
+    H = H / mean
+    f = -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += 1e-9  # of many solutions the smallest is taken
     rows = np.concatenate([np.zeros((0, len(H))), *(group.A for group in groups)])
     floor = np.concatenate([np.zeros(0), *(group.low for group in groups)])
     size = np.linalg.norm(rows, axis=1)
     size[size < np.finfo(float).tiny] = 1.0  # a row of zeros stays; the others get the length 1
-    rows, floor = rows / size[:, None], floor / size
-    upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
+    rows = rows / size[:, None]
+    floor = floor / size
+    upper = np.concatenate([high, np.full(len(rows), np.inf)])
+    lower = np.concatenate([low, floor])
     firm = len(low)
-    sense, infeasible = np.zeros(len(upper), dtype=np.int32), -1
+    sense = np.zeros(len(upper), dtype=np.int32)
+    infeasible = -1
     code = infeasible
     for level in range(len(groups) + 1):
         if level:
@@ -201,7 +208,8 @@ def velocity_bounds(
     if not accelerate:
         return low, high, False
     step = robot.acceleration * robot.period_s
-    slow, fast = robot.ordered - step, robot.ordered + step
+    slow = robot.ordered - step
+    fast = robot.ordered + step
     gave_way = bool((slow > high).any() or (fast < low).any())
     return np.clip(slow, low, high), np.clip(fast, low, high), gave_way
 
@@ -236,12 +244,16 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
     forward: the sign of the wanted speed; the circle is |w| <= v / radius forward, and in reverse
     with -v.
     """
-    A, low = np.vstack([robot.sums, -robot.sums]), -np.concatenate([robot.most, robot.most])
+    A = np.vstack([robot.sums, -robot.sums])
+    low = -np.concatenate([robot.most, robot.most])
     if robot.turning_radius_m > 0:
-        sign, r = (1.0 if forward >= 0 else -1.0), robot.turning_radius_m
+        sign = 1.0 if forward >= 0 else -1.0
+        r = robot.turning_radius_m
         circle = np.zeros((2, len(robot.names)))
-        circle[:, 0], circle[:, -1] = sign / r, (1.0, -1.0)
-        A, low = np.vstack([A, circle]), np.concatenate([low, np.zeros(2)])
+        circle[:, 0] = sign / r
+        circle[:, -1] = 1.0, -1.0
+        A = np.vstack([A, circle])
+        low = np.concatenate([low, np.zeros(2)])
     return Group("shared", A, low)
 
 
@@ -249,7 +261,8 @@ def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) ->
     """|v_i| <= speed_mps, |w_i| <= rate_radps (None: no limit) for each component of the camera
     twist J @ rates: a box.
     """
-    rows, low = [np.zeros((0, J.shape[1]))], [np.zeros(0)]
+    rows = [np.zeros((0, J.shape[1]))]
+    low = [np.zeros(0)]
     for limit, part in ((speed_mps, J[:3]), (rate_radps, J[3:])):
         if limit is not None:
             rows += [part, -part]

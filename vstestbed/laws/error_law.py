@@ -206,7 +206,9 @@ class ErrorLaw(Law[ErrorState], ABC):
         if isinstance(measured, str):
             return self._unseen(state, basis, measured)
         e, J, view, at = measured
-        after, shift, tau = state, None, None
+        after = state
+        shift = None
+        tau = None
         if known.motion is not None and isinstance(self.feedforward, Estimator):
             after, shift, tau = self._estimated(state, known, goal, basis, why)
         extra, u, x = self.motion(state.extra, e, J, view, at, basis, shift)
@@ -231,7 +233,8 @@ class ErrorLaw(Law[ErrorState], ABC):
             goal,
             basis,
         )
-        free, why = self.free_motions(J, e, x, basis), "" if self.cameras else why
+        free = self.free_motions(J, e, x, basis)
+        why = "" if self.cameras else why
         return after, replace(command, free=free, rest_reason=why) if free or why else command
 
     def _measured(
@@ -276,7 +279,10 @@ class ErrorLaw(Law[ErrorState], ABC):
         """
         of_markers, of_pose = self._reads
         fewest = self.markers_needed(basis[:, :1])  # that a camera needs to add something
-        found, errors, jacobians, views = 0, [], [], own.cameras or {}
+        found = 0
+        errors = []
+        jacobians = []
+        views = own.cameras or {}
         for name, weight in {"": 1.0, **self.cameras}.items():
             if (other := views.get(name)) is None and name:
                 continue
@@ -343,7 +349,8 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The next state, and the command after smooth start and filter, for the law's u (n,) at a
         time t [s].
         """
-        t0, u0 = before.t0, before.u0
+        t0 = before.t0
+        u0 = before.u0
         if self.smooth_start_s > 0:
             t0, u0 = (t, u) if u0 is None else (t0, u0)
             u = u - u0 * math.exp(-(t - t0) / self.smooth_start_s)
@@ -367,12 +374,10 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The observation, with what was dead-reckoned; its usable markers, or the reason for rest;
         what it lacks itself, "" if nothing.
         """
-        kind, needed, lacks, (of_markers, of_pose) = (
-            self.feedforward,
-            self.markers_needed(basis),
-            "",
-            self._reads,
-        )
+        kind = self.feedforward
+        needed = self.markers_needed(basis)
+        lacks = ""
+        of_markers, of_pose = self._reads
         if of_pose:
             lacks = (
                 TOO_FEW
@@ -397,7 +402,8 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The state with the next estimate, how the remaining motion changes until the prediction
         horizon (n,), and tau (n,).
         """
-        kind, motion = self.feedforward, known.motion
+        kind = self.feedforward
+        motion = known.motion
         assert isinstance(kind, Estimator) and motion is not None
         # What was dead-reckoned is no measurement: the estimate goes on without.
         change = None if why or before.target is None else self._change(before, known, goal, basis)
@@ -419,7 +425,8 @@ class ErrorLaw(Law[ErrorState], ABC):
         """`change` since the last frame, by the markers that are known in both; None where they are
         too few, or a pose is lacking.
         """
-        before, (of_markers, of_pose) = state.seen, self._reads
+        before = state.seen
+        of_markers, of_pose = self._reads
         if before is None or _without(before, of_pose):
             return None
         if of_markers:
@@ -429,7 +436,8 @@ class ErrorLaw(Law[ErrorState], ABC):
             if np.count_nonzero(both) < self.markers_needed(basis):
                 return None
             if not both.all():
-                before, now = before.of_rows(both), now.of_rows(both)
+                before = before.of_rows(both)
+                now = now.of_rows(both)
         return self.change(before, now, goal)
 
 
@@ -447,7 +455,8 @@ def _motion_since(
     Relative to the target, the camera moves by its own measured twist and the estimated motion of
     the target, v + B tau.
     """
-    target, motion = state.target, seen.motion
+    target = state.target
+    motion = seen.motion
     if not isinstance(kind, Estimator) or target is None or motion is None:
         return None
     return exp(-(motion.twist * motion.since_s + basis @ target.ahead(motion.since_s)[0]))
@@ -465,14 +474,18 @@ def usable_pose(
 
     state: that of the law at the last frame. seen: the observation of this frame.
     """
-    motion, last = _motion_since(kind, state, seen, basis), state.seen
+    motion = _motion_since(kind, state, seen, basis)
+    last = state.seen
     if motion is None or last is None or seen.t - state.known_t > DEAD_RECKON_S:
         return None
-    T, relative = seen.T_camera_target, seen.relative
+    T = seen.T_camera_target
+    relative = seen.relative
     if T is None and last.T_camera_target is not None:
         T = motion @ last.T_camera_target
     if relative is None and last.relative is not None:
-        (H, R_camera_goal), R, n = last.relative, motion[:3, :3], goal.normal
+        H, R_camera_goal = last.relative
+        R = motion[:3, :3]
+        n = goal.normal
         relative = R @ H + np.outer(motion[:3, 3], n / (n @ goal.middle)), R @ R_camera_goal
     return replace(seen, T_camera_target=T, relative=relative)
 

@@ -82,7 +82,8 @@ class Large:
 
     def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> Motions:
         """The free motions; see `Classical.free`."""
-        share, gradient = self.share(solved), A.T @ e
+        share = self.share(solved)
+        gradient = A.T @ e
         classical = basis @ solve.null_space(A)
         if share == 0 or not gradient.any():
             return ((1.0, classical),)
@@ -170,8 +171,10 @@ class IBVS(ErrorLaw):
         """E = s - s* (..., rows), and L at the views that `interaction` names (..., rows, 6),
         (rows, 6) for `desired`.
         """
-        feature, (what, distance) = self.feature, self.feature.inputs
-        x, goal_x = getattr(view, what), getattr(goal, what)
+        feature = self.feature
+        what, distance = self.feature.inputs
+        x = getattr(view, what)
+        goal_x = getattr(goal, what)
         if self.interaction == "current":
             return feature.error(feature.measure(x), feature.measure(goal_x)), feature.interaction(
                 x, getattr(view, distance)

@@ -24,7 +24,8 @@ from vstestbed.laws.solve import least_squares, units_of
 # column of the twist of each motion that a single feature can command
 COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 Axis = Literal["x", "y", "z", "wz"]
-_POINT, _POLYGON = Point(), Polygon()
+_POINT = Point()
+_POLYGON = Polygon()
 # An angle is known up to a full turn: the candidates beside it are the same orientation, the other
 # way round.
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
@@ -165,12 +166,10 @@ class Partitioned(ErrorLaw):
             p = transform(exp(-basis @ shift), points(view))
             view = moved_markers(view, p, np.ones(len(p), dtype=bool))
             e, J = self.equations(view, goal)
-        sigma, d, sigma_star, d_star = (
-            size(view.xy),
-            segments(view.xy),
-            size(goal.xy),
-            segments(goal.xy),
-        )
+        sigma = size(view.xy)
+        d = segments(view.xy)
+        sigma_star = size(goal.xy)
+        d_star = segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         if basis is not None and flat:
             return extra, NO_AREA, None
@@ -202,7 +201,8 @@ class Partitioned(ErrorLaw):
                 twist[..., i] = self.gain_xy * aside / (1 / view.depth).mean(axis=-1)
         for i, axis in enumerate(("x", "y")):
             if axis in self.axes:  # the equations of this coordinate, from the markers' mean
-                e, L = e.copy(), L.copy()
+                e = e.copy()
+                L = L.copy()
                 e[..., i::2] -= e[..., i::2].mean(axis=-1, keepdims=True)
                 L[..., i::2, :] -= L[..., i::2, :].mean(axis=-2, keepdims=True)
         given, rest = self._columns
@@ -226,7 +226,8 @@ class Partitioned(ErrorLaw):
         """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first
         frame, where `last` is NaN, and kept.
         """
-        ways, first = np.asarray(angle)[..., None] + _ROUND, np.isnan(last)
+        ways = np.asarray(angle)[..., None] + _ROUND
+        first = np.isnan(last)
         if not first.any():
             # near a half turn the wrapped angle would change its sign
             cost = np.abs(ways - last[..., None])

@@ -74,7 +74,8 @@ Grey = NDArray[np.float32]  # luminance (h, w) [grey levels, 0 to 255]
 Which = Literal["current", "desired", "mean"]
 # pixels whose rows of L are held at a time: six float32 columns of them fit into a core's cache
 BAND_PX = 16384
-DIFFERENCE, ONE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12, np.array([1.0])
+DIFFERENCE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
+ONE = np.array([1.0])
 """Kernels of a central difference of fourth order, and of none."""
 # points along each side of the picture by whose mean motion a step of the camera is measured in
 # pixels
@@ -108,10 +109,8 @@ def gradient(grey: Grey) -> tuple[Grey, Grey]:
     Of a rendered picture Sobel's, which smooth across, are 20 to 25 % too small, and plain ones 15
     %; these are within 5 %.
     """
-    along, across = (
-        np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, DIFFERENCE, ONE)),
-        cv2.sepFilter2D(grey, cv2.CV_32F, ONE, DIFFERENCE),
-    )
+    along = np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, DIFFERENCE, ONE))
+    across = cv2.sepFilter2D(grey, cv2.CV_32F, ONE, DIFFERENCE)
     return np.asarray(along, np.float32), np.asarray(across, np.float32)
 
 
@@ -186,7 +185,8 @@ class GoalLevel:
         """The gradient of these pixels in normalised coordinates, of one in pixels of the level,
         (h, w) each.
         """
-        gu, gv = along[0][self.at], along[1][self.at]
+        gu = along[0][self.at]
+        gv = along[1][self.at]
         ux, uy, vx, vy = self.slope
         if isinstance(ux, float):
             return gu * np.float32(ux), gv * np.float32(vy)
@@ -269,7 +269,8 @@ class GoalLevel:
         if len(b) > 6:
             right = np.column_stack([H[6:, :6], b[6:]])
             of_light = np.linalg.lstsq(H[6:, 6:], right, rcond=1e-9)[0]
-            H, b = H[:6, :6] - H[:6, 6:] @ of_light[:, :6], b[:6] - H[:6, 6:] @ of_light[:, 6]
+            b = b[:6] - H[:6, 6:] @ of_light[:, 6]
+            H = H[:6, :6] - H[:6, 6:] @ of_light[:, :6]
         e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e
         total = float(len(e) if w is None else w.sum(dtype=float))
@@ -282,7 +283,8 @@ class GoalLevel:
         if self.light == "same":
             return e
         weighted = self.of_light if w is None else self.of_light * w
-        H, b = weighted @ self.of_light.T, weighted @ e
+        H = weighted @ self.of_light.T
+        b = weighted @ e
         found = np.asarray(
             np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0], np.float32
         )
@@ -297,7 +299,8 @@ class GoalLevel:
         n = 6 if self.light == "same" else 8
         if along is None and w is None and n == 6:
             return self.H, _summed(self.L, e[None])[:, 0]
-        H, b = np.zeros((n, n)), np.zeros(n)
+        H = np.zeros((n, n))
+        b = np.zeros(n)
         columns = (
             None
             if along is None
@@ -332,7 +335,9 @@ def motion_px(camera: Perspective, step: Array, depth: float) -> float:
     side = (np.arange(PROBES) + 0.5) / PROBES
     u, v = np.meshgrid(side * camera.width, side * camera.height)
     x, y = camera.normalise(np.stack([u.ravel(), v.ravel()], axis=-1)).astype(np.float32).T
-    one, zero, near = np.ones_like(x), np.zeros_like(x), np.full_like(x, 1 / depth)
+    one = np.ones_like(x)
+    zero = np.zeros_like(x)
+    near = np.full_like(x, 1 / depth)
     moved = np.concatenate([step @ rows(one, zero, x, y, near), step @ rows(zero, one, x, y, near)])
     return camera.f * float(np.sqrt(2 * np.mean(moved**2)))
 
@@ -508,7 +513,9 @@ class Photometric(Law[PhotometricState]):
             pyramid = self._pyramid(goal)
             state = PhotometricState(pyramid, len(pyramid) - 1, observation.t, goal.image)
         assert state.pyramid is not None
-        level, near, grey = state.pyramid[state.level], None, luminance(sight.image, self.smooth_px)
+        level = state.pyramid[state.level]
+        near = None
+        grey = luminance(sight.image, self.smooth_px)
         for _ in range(state.level):
             grey = coarser(grey)
         if self.depth.measured and self.interaction != "desired":
@@ -570,7 +577,8 @@ class Photometric(Law[PhotometricState]):
             raise ParameterError.missing(
                 "goal.image", "law photometric compares with it; give goal_images to the Controller"
             )
-        made, grey = [], luminance(goal.image.image, self.smooth_px)
+        made = []
+        grey = luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
             light = self.light if number == 0 else "same"
             level = GoalLevel.of(goal.camera, grey, number, self.margin_px, self.stride, light)

@@ -20,11 +20,9 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.solve import least_squares, units_of
 
 Rows = slice | NDArray[np.bool_]  # selection of markers along the first axis of an array
-TOO_FEW, NO_DEPTH, NO_POSE = (
-    "too few markers in sight",
-    "the depth of the markers in sight is unknown",
-    "the pose cannot be estimated",
-)
+TOO_FEW = "too few markers in sight"
+NO_DEPTH = "the depth of the markers in sight is unknown"
+NO_POSE = "the pose cannot be estimated"
 # Reasons for rest (`Command.rest_reason`); a run that ends as `target_lost` quotes them
 NO_AREA = "the markers in sight span no area"
 ALL = slice(None)
@@ -64,7 +62,8 @@ def check_goal(feature: Feature, goal: Goal) -> None:
     """Refuse a goal view at which a feature cannot work, as its own `check_goal` says, where it has
     one.
     """
-    check, inputs = getattr(feature, "check_goal", None), at_goal(feature, goal)
+    check = getattr(feature, "check_goal", None)
+    inputs = at_goal(feature, goal)
     if check is not None and inputs is not None:
         check(*inputs)
 

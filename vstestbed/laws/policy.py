@@ -77,7 +77,8 @@ def action_unit(limits: TwistLimits, basis: Array) -> Array:
     They are a law's limits, 1 m/s and 1 rad/s where it has none: a motion that turns the camera has
     the limit of rate.
     """
-    speed, rate = limits.speed_mps or 1.0, limits.rate_radps or 1.0
+    speed = limits.speed_mps or 1.0
+    rate = limits.rate_radps or 1.0
     # a turn of the base also moves the camera; a translation never turns it
     turns = np.abs(basis[3:]).max(axis=0) > 1e-9
     return np.where(turns, rate, speed)

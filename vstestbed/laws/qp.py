@@ -406,7 +406,9 @@ class QP(Law[ErrorState]):
             barriers.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
         twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
         groups = (*barriers, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted)))
-        n, W, feature = len(robot.names), np.eye(6), self.law.feature
+        n = len(robot.names)
+        W = np.eye(6)
+        feature = self.law.feature
         if feature is not None and not isinstance(
             rows := usable_rows(seen, feature.inputs, 1), str
         ):
@@ -415,10 +417,8 @@ class QP(Law[ErrorState]):
         A, b = added(main, W @ wanted, self.secondary, seen, goal, robot)
         # as that of `resolved_rate`, by the weight of a twist
         if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:
-            A, b = (
-                np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)]),
-                np.concatenate([b, np.zeros(n)]),
-            )
+            A = np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)])
+            b = np.concatenate([b, np.zeros(n)])
         solution = minimise(A, b, low, high, groups, units_of(goal, robot.J))
         if solution.x is not None:
             solution = among_solutions(

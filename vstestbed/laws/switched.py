@@ -353,7 +353,8 @@ class Switched(Law[SwitchedState]):
         """The laws' words, numbered where a word is there twice; of a law with modes of its own
         each of them behind its word.
         """
-        kinds, words = [part.law.kind for part in self.laws], list[str]()
+        kinds = [part.law.kind for part in self.laws]
+        words = list[str]()
         for i, (kind, part) in enumerate(zip(kinds, self.laws, strict=True)):
             word = f"{kind} {kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else kind
             words += [f"{word} {mode}" for mode in part.law.modes] or [word]
@@ -412,7 +413,8 @@ class Switched(Law[SwitchedState]):
 
     def _chosen(self, state: SwitchedState, observation: Observation, goal: Goal) -> SwitchedState:
         """The state with the law that is to work in this frame."""
-        t, first = observation.t, math.isnan(state.since)
+        t = observation.t
+        first = math.isnan(state.since)
         start_m = (
             target_distance(observation)
             if math.isnan(state.start_m) and "retreat" in self._quantities

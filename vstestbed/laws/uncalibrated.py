@@ -114,7 +114,8 @@ class MotionSums(NamedTuple):
         """One more displacement x (m,) with its motion in the picture y (N, 2), NaN for markers
         that are not seen.
         """
-        seen, one = np.isfinite(y[:, 0]), np.outer(x, x)
+        seen = np.isfinite(y[:, 0])
+        one = np.outer(x, x)
         y = np.where(seen[:, None], y, 0.0)
         return MotionSums(
             self.xx + seen[:, None, None] * one, self.yx + y[..., None] * x, self.taken + one
@@ -208,7 +209,9 @@ class Excitation:
         state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the
         robot's first. robot: its own.
         """
-        n, x, y = len(robot.names), state.x + moved, uv - state.uv
+        n = len(robot.names)
+        x = state.x + moved
+        y = uv - state.uv
         if len(x) == n:  # a sample since the start, where noise counts least
             state = replace(state, x=x, samples=state.samples.with_one(x, y))
         else:  # from picture to picture, where a target moves
@@ -223,11 +226,9 @@ class Excitation:
             elif state.which + 1 == len(state.x):
                 state = replace(state, which=state.which + 1)  # all have moved
             else:
-                i, slow = (
-                    state.which + 1,
-                    state.speed
-                    / 4
-                    * float(state.units[state.which + 1] / state.units[state.which]),
+                i = state.which + 1
+                slow = (
+                    state.speed / 4 * float(state.units[state.which + 1] / state.units[state.which])
                 )
                 state = replace(
                     state,
@@ -286,7 +287,8 @@ class Excitation:
         return lost or near_limit or side * ahead * state.pixels >= self.amplitude_px / 2
 
     def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:
-        i, side = state.which, _side(state, robot)
+        i = state.which
+        side = _side(state, robot)
         most = self.speed_share * float(robot.speed[i])
         speed = max(state.speed, min(FIRST * float(state.units[i]), most))
         if state.pixels:
@@ -459,7 +461,8 @@ class Uncalibrated(Law[UncalibratedState]):
         """One frame; rest where too few markers are seen, or too few of them are known. An
         excitation that loses them goes back first.
         """
-        robot, uv = observation.robot, observation.uv
+        robot = observation.robot
+        uv = observation.uv
         assert robot is not None
         if robot.turning_radius_m or robot.tilt is not None:
             return state, Command.rest(basis, NO_CIRCLE if robot.turning_radius_m else TILTS)
@@ -507,7 +510,8 @@ class Uncalibrated(Law[UncalibratedState]):
     def _begun(self, state: UncalibratedState, uv: Array, columns: int) -> UncalibratedState:
         """The state with an excitation before its first motion, for markers uv (N, 2) [px]."""
         known = np.zeros(columns) if state.estimate is None else state.estimate.scale
-        samples, turn = MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2)
+        samples = MotionSums.none(len(uv), columns)
+        turn = MotionSums.none(len(uv), 2)
         excited = Excited(
             uv, np.zeros(columns), samples, turn, known, state.units, uv, pixels=float(known[0])
         )
@@ -548,8 +552,10 @@ class Uncalibrated(Law[UncalibratedState]):
             return replace(state, estimate=known), Command.rest(
                 basis, "the image Jacobian of the markers in sight is unknown"
             )
-        n, scale = len(robot.names), known.scale
-        e, J = (seen.uv - goal.uv)[rows].ravel(), known.J[rows].reshape(-1, len(scale))
+        n = len(robot.names)
+        scale = known.scale
+        e = (seen.uv - goal.uv)[rows].ravel()
+        J = known.J[rows].reshape(-1, len(scale))
         state = self._judged(replace(state, estimate=known), _mean(e), seen)
         if self.predict:
             ahead = np.append(robot.underway, robot.underway_s * np.ones(int(self.dynamic)))
@@ -571,7 +577,8 @@ class Uncalibrated(Law[UncalibratedState]):
             return replace(known, x=x)
         y = uv - known.uv
         both = np.isfinite(y[:, 0]) & np.isfinite(known.J[:, 0, 0])
-        J, P = known.J.copy(), known.P.copy()
+        J = known.J.copy()
+        P = known.P.copy()
         J[both], P[both] = self.estimator.corrected(
             J[both], P[both], x, y[both], 1 / self.step_px**2
         )

@@ -169,7 +169,9 @@ class PlantCamera(ABC):
     """
 
     def __init__(self, step_s: float, steps_per_frame: int, sensor: ImageSensor | None):
-        self.step_s, self.steps_per_frame, self._eye = step_s, steps_per_frame, sensor
+        self.step_s = step_s
+        self.steps_per_frame = steps_per_frame
+        self._eye = sensor
 
     @property
     @abstractmethod
@@ -258,9 +260,13 @@ class Plant(PlantCamera):
     ):
         robot = parts.robot
         super().__init__(parts.step, steps_per_frame, eye)
-        self._parts, self._stage, self._path, self._target = parts, stage, path, parts.target
+        self._parts = parts
+        self._stage = stage
+        self._path = path
+        self._target = parts.target
         self._own_path = path  # without what `move_target` has shifted
-        self._steps, self.others = 0, dict[str, OtherEye]()
+        self._steps = 0
+        self.others = dict[str, OtherEye]()
         self._setpoints = SetpointBuffer(
             robot.stopping,
             robot.onboard and robot.onboard.first_setpoint,
@@ -377,12 +383,10 @@ class OtherEye(PlantCamera):
         see_hidden: bool,
     ):
         super().__init__(plant.step_s, round(viewpoint.camera.period / plant.step_s), sensor)
-        self._plant, self._viewpoint, self._target, self._see_hidden = (
-            plant,
-            viewpoint,
-            target,
-            see_hidden,
-        )
+        self._plant = plant
+        self._viewpoint = viewpoint
+        self._target = target
+        self._see_hidden = see_hidden
 
     @property
     def _t(self) -> float:
@@ -443,7 +447,8 @@ def posture_at(robot: Robot, T_world_flange: Array) -> Array:
 
     Raises UnreachableError: it does not get there.
     """
-    rng, nominal = np.random.default_rng(0), robot.configuration()
+    rng = np.random.default_rng(0)
+    nominal = robot.configuration()
     for _ in range(POSTURES):
         with contextlib.suppress(UnreachableError):
             return robot.configuration_at(T_world_flange, nominal)
@@ -453,7 +458,8 @@ def posture_at(robot: Robot, T_world_flange: Array) -> Array:
 
 # The ideal plant: a camera that follows its twist exactly. It needs MuJoCo only for pictures and
 # occlusion.
-NONE, STILL_AIR = np.zeros(0), np.zeros(3)
+NONE = np.zeros(0)
+STILL_AIR = np.zeros(3)
 NO_JOINTS = Reading(NONE, NONE)
 
 
@@ -520,7 +526,8 @@ class IdealPlant(Plant):
     def _actuate(self) -> None:
         setpoint = self._setpoints.at(self._steps)
         if setpoint is not None and setpoint is not self._followed:
-            self._followed, self._twist = setpoint, self._to_camera @ setpoint
+            self._followed = setpoint
+            self._twist = self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
         """Advance by exact exponentials: no integration error, however many steps each stands for.

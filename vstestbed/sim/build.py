@@ -68,7 +68,9 @@ def build_plant(
         order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one
             command to the next; None: at once.
     """
-    robot, camera, target = scene.robot, scene.camera, scene.target
+    robot = scene.robot
+    camera = scene.camera
+    target = scene.target
     steps_per_frame = round(camera.period / scene.step)
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
     may_hide = scene.world.hides or (target.body is not None and not target.outlined)
@@ -89,7 +91,8 @@ def build_plant(
         scene,
         samples=max(camera.multisampling, *(view.camera.multisampling for view in scene.others), 0),
     )
-    eye, renderer = None, "none"
+    eye = None
+    renderer = "none"
     if pictures.needs_image:
         eye, renderer = _sensor(stage, camera, "eye", pictures)
     if ideal:
@@ -172,12 +175,15 @@ def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
 
     robot = scene.robot
     if robot.body is None:
-        spec, T = compose(scene), robot.flange_pose(robot.configuration())
+        spec = compose(scene)
+        T = robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")
-        body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
+        body.pos = T[:3, 3]
+        body.quat = quaternion_wxyz(T[:3, :3])
     else:
         stage = Scene(scene)
-        spec, state = stage.spec, stage.data
+        spec = stage.spec
+        state = stage.data
         path = scene.target.path(_given(None)) if scene.target.motion.by_itself else None
         plant = MujocoPlant(stage, 1, None, False, _given(None), path)
         own = {

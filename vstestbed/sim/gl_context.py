@@ -232,7 +232,8 @@ class Physics(dm.Physics):
         contexts: Any = self.contexts
         if contexts is None:
             raise RuntimeError("dm_control's rendering is switched off")
-        size, buffer = self.model.ptr.vis.global_, contexts.mujoco.ptr
+        size = self.model.ptr.vis.global_
+        buffer = contexts.mujoco.ptr
         if (buffer.offWidth, buffer.offHeight) != (size.offwidth, size.offheight):
             self._free_rendering_contexts()
             contexts = self.contexts
@@ -320,7 +321,8 @@ def _looks(model: mujoco.MjModel) -> tuple[object, ...]:
     """A key of everything in a model that enters a rendering context: sizes, shapes, materials,
     textures.
     """
-    quality, size = model.vis.quality, model.vis.global_
+    quality = model.vis.quality
+    size = model.vis.global_
     # Planes are compiled to display lists by their size, hence the geoms beside the assets.
     names = [n for n in dir(model) if n.startswith(("tex_", "mat_", "mesh_", "hfield_", "skin_"))]
     arrays = [

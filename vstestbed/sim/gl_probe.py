@@ -32,7 +32,8 @@ LIBRARIES = {
 """Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
 DEVICE_PLATFORM = 0x313F  # EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device
 DEVICE = "MUJOCO_EGL_DEVICE_ID"  # the variable that names one of EGL's devices, a GPU of several
-ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
+ON = "", "1", "on", "true", "enable", "enabled"
+OFF = "0", "off", "false", "disable", "disabled"
 # why OpenGL is switched off, as (lack, remedy); empty where it is not
 _lack: list[tuple[str, str]] = []
 
@@ -91,8 +92,10 @@ def _egl_lack() -> tuple[str, str] | None:
     alone, because importing PyOpenGL would fix its platform.
     """
     egl = ctypes.CDLL("libEGL.so.1")
-    pointer, number = ctypes.c_void_p, ctypes.c_int
-    egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
+    pointer = ctypes.c_void_p
+    number = ctypes.c_int
+    egl.eglGetProcAddress.restype = pointer
+    egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
     egl.eglInitialize.argtypes = [pointer, pointer, pointer]
     address = [
         egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")
@@ -102,7 +105,8 @@ def _egl_lack() -> tuple[str, str] | None:
         return none
     query = ctypes.CFUNCTYPE(ctypes.c_uint, number, pointer, pointer)(address[0])
     display_of = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(address[1])
-    devices, count = (pointer * 16)(), number()
+    devices = (pointer * 16)()
+    count = number()
     if not query(16, devices, ctypes.byref(count)):
         return none
     try:
@@ -171,9 +175,11 @@ def require() -> None:
         return
     elif missing := missing_libraries():
         # the user switched it off, or a parent process did and MUJOCO_GL was inherited
-        lack, way = f"{' and '.join(missing)} not found", remedy()
+        lack = f"{' and '.join(missing)} not found"
+        way = remedy()
     else:
-        lack, way = f"MUJOCO_GL={word} is set", UNSET_REMEDY
+        lack = f"MUJOCO_GL={word} is set"
+        way = UNSET_REMEDY
     raise EnvironmentLackError(f"no OpenGL: {lack}", way)
 
 

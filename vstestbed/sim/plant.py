@@ -99,12 +99,13 @@ class SensorReader:
     """
 
     def __init__(self, stage: Scene, rng: np.random.Generator, actors: Sequence[Actor] = ()):
-        robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
-        self._at, self._has_encoders = stage.at, len(stage.at.motor_qpos) > 0
-        self._model, self._felt = (
-            robot.instruments(rng),
-            [actor.felt for actor in actors if type(actor).felt is not Actor.felt],
-        )
+        robot = stage.parts.robot
+        self._data = stage.data
+        self._values = stage.data.sensordata
+        self._at = stage.at
+        self._has_encoders = len(stage.at.motor_qpos) > 0
+        self._model = robot.instruments(rng)
+        self._felt = [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
         self._sensors = []
         for name in robot.body.sensors if robot.body else ():
             sensor = stage.model.sensor(f"robot/{name}")
@@ -124,7 +125,8 @@ class SensorReader:
             q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
             if self._has_encoders:
                 # the encoders are on the motors
-                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]
+                q = self._data.qpos[self._at.motor_qpos]
+                qd = self._data.qvel[self._at.motor_qvel]
             self._reading, self.read_at = self._model(q, qd, sensors), step
         return self._reading
 
@@ -169,7 +171,9 @@ def check_static_load(stage: Scene) -> None:
     a run. Raises UnreachableError: a joint that holds less, with the torques, and the payload that
     it would hold.
     """
-    robot, model, data = stage.parts.robot, stage.model, stage.data
+    robot = stage.parts.robot
+    model = stage.model
+    data = stage.data
     if stage.root is not None or not robot.joints:
         return
     # at rest the bias is gravity alone
@@ -200,7 +204,8 @@ def _largest_torques(stage: Scene) -> Array:
     """Largest torque of each joint's motors (n,) [Nm, N]: the lower of the actuators' limit and the
     joint's; infinite without both.
     """
-    model, found = stage.model, []
+    model = stage.model
+    found = []
     motors = np.array(
         [model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int
     )
@@ -230,7 +235,9 @@ def settle(stage: Scene) -> None:
     motors cannot hold it there.
     """
     # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
-    model, data, robot = stage.model, stage.data, stage.parts.robot
+    model = stage.model
+    data = stage.data
+    robot = stage.parts.robot
     stage.rest()
     mujoco.mj_forward(model, data)
     check_static_load(stage)
@@ -253,7 +260,8 @@ def settle(stage: Scene) -> None:
 
 
 PERIOD_S = 0.01  # period of the path following [s], that of a car's onboard servos
-CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
+CROSS_GAIN = 1.5
+HEADING_GAIN = 2.5
 """Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The
 offset decays within some 1.6 m.
 """
@@ -275,7 +283,9 @@ class LeadVehicle:
         motion = stage.parts.target.carrier
         if motion is None or stage.leader is None or stage.parts.leader is None:
             raise TypeError("no vehicle carries the target")
-        self._stage, self._motion, self._root = stage, motion, stage.leader
+        self._stage = stage
+        self._motion = motion
+        self._root = stage.leader
         self._robot = stage.parts.leader
         self._mount = Mount.of(np.eye(4))
         self._at = StateIndices.of(
@@ -346,10 +356,13 @@ class MujocoPlant(Plant):
         order_s: float = math.inf,
         interpolator: Interpolator | None = None,
     ):
-        robot, world = stage.parts.robot, stage.parts.world
+        robot = stage.parts.robot
+        world = stage.parts.world
         super().__init__(stage.parts, steps_per_frame, stage, eye, path, order_s, interpolator)
-        self._robot, self._scenery = robot, bool(world.movers) or stage.hand_plate is not None
-        self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
+        self._robot = robot
+        self._scenery = bool(world.movers) or stage.hand_plate is not None
+        self._see_hidden = see_hidden
+        self._visible = np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the
         # noise that the sensors draw.
@@ -362,11 +375,13 @@ class MujocoPlant(Plant):
         self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
         self._forces = [actor.force for actor in self._actors if actor.force is not None]
         self._of_robot.motor_forces.extend(actor.force for actor in self._actors if actor.of_motors)
-        self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
+        self._sensors = SensorReader(stage, rng, self._actors)
+        self._ctrl = stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
         # whether a push acts, and the physics step at which it ends
-        self._pushes, self._push_ends = False, 0
+        self._pushes = False
+        self._push_ends = 0
         self._onboard = robot.onboard
         self._memory: Any = self._onboard.begin() if self._onboard else None
         # 0: none
@@ -408,11 +423,10 @@ class MujocoPlant(Plant):
         """Let vehicles settle on their springs, then move them back to their start, at rest, at
         time 0.
         """
-        stage, data = self._stage, self._stage.data
-        T_robot, T_leader = (
-            stage.parts.start[1] @ stage.mount_inverse,
-            self._target.T_world_start @ stage.target_inverse,
-        )
+        stage = self._stage
+        data = self._stage.data
+        T_robot = stage.parts.start[1] @ stage.mount_inverse
+        T_leader = self._target.T_world_start @ stage.target_inverse
         # Out of the way: it is not controlled yet, and would fall on the vehicle.
         if self._robot.base == "floating" and stage.root is not None:
             stage.root.put(data.qpos, AWAY @ T_robot)
@@ -427,7 +441,8 @@ class MujocoPlant(Plant):
             if root is not None:
                 # What settled is the height; x, y and heading are the scenario's, whatever the
                 # settling did to them.
-                T, settled = T_start.copy(), root.pose(data)
+                T = T_start.copy()
+                settled = root.pose(data)
                 T[2, 3] = settled[2, 3] if stands else T[2, 3]
                 if root is stage.root and any(effect.uneven for effect in self._robot.acting):
                     # with its tilt there
@@ -464,7 +479,8 @@ class MujocoPlant(Plant):
         """Move plates, decoys, a lamp and a target with a path
         of its own to their present poses.
         """
-        stage, t = self._stage, self._t
+        stage = self._stage
+        t = self._t
         if self._scenery or self._path is not None:
             stage.place_plates(t)
             if self._path is not None:
@@ -476,22 +492,22 @@ class MujocoPlant(Plant):
         # time. After MuJoCo's own `mj_step` they would be one step old, .5 mm for a fast arm.
         stage = self._stage
         self._show()
-        T, T_target = stage.camera_pose(), stage.target_pose()
+        T = stage.camera_pose()
+        T_target = stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
         # relative to the target in the gripper; the camera itself is at rest
         if stage.parts.target.on_gripper:
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = (
-            stage.data.qpos[stage.at.qpos],
-            stage.data.qvel[stage.at.qvel],
-            self._ctrl[stage.at.ctrl].copy(),
-        )
+        q = stage.data.qpos[stage.at.qpos]
+        qd = stage.data.qvel[stage.at.qvel]
+        ctrl = self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
-        wind, tau = stage.model.opt.wind.copy(), self._of_robot.motor_torque()
+        wind = stage.model.opt.wind.copy()
+        tau = self._of_robot.motor_torque()
         return Truth(
             T,
             T_target,
@@ -582,7 +598,8 @@ class MujocoPlant(Plant):
         return True
 
     def _control(self, dt: float) -> None:
-        step, stage = self._steps, self._stage
+        step = self._steps
+        stage = self._stage
         for act in self._each_period:
             act(step * self.step_s, dt)
         setpoint = self._setpoints.at(step)
@@ -615,7 +632,8 @@ class MujocoPlant(Plant):
                 "duration_s", "more than", f"0 and at most {LONGEST_PUSH_S:g} s", duration_s
             )
         self._stage.data.xfrc_applied[self._stage.flange_body, :3] = given
-        self._pushes, self._push_ends = True, self._steps + max(1, round(duration_s / self.step_s))
+        self._pushes = True
+        self._push_ends = self._steps + max(1, round(duration_s / self.step_s))
 
     def close(self) -> None:
         # methods of this object: a cycle, which would keep the model until the garbage collector
@@ -671,23 +689,29 @@ def linear_arm(robot: Robot) -> LinearArm:
     add_robot(scene, robot, "robot/", None)
     model = scene.compile()
     names = robot.body.actuators if robot.body else ()
-    data, at = mujoco.MjData(model), StateIndices.of(model, robot.joints, names, "robot/")
+    data = mujoco.MjData(model)
+    at = StateIndices.of(model, robot.joints, names, "robot/")
     data.qpos[at.qpos] = data.qpos[at.motor_qpos] = robot.configuration()
     mujoco.mj_forward(model, data)
     soft = at.motor_qvel != at.qvel
     z = np.concatenate([at.qvel, at.motor_qvel[soft]])
-    n, N, M = len(at.qvel), len(z), np.zeros((model.nv, model.nv))
+    n = len(at.qvel)
+    N = len(z)
+    M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
-    spring, damper = np.zeros((N, N)), np.diag(model.dof_damping[z])
+    spring = np.zeros((N, N))
+    damper = np.diag(model.dof_damping[z])
     load = (data.qfrc_bias - data.qfrc_gravcomp)[at.qvel]
     for k, c in filter(None, (effect.springs(load) for effect in robot.acting)):
         for i, joint in enumerate(np.flatnonzero(soft)):
             pair = np.zeros(N)
-            pair[joint], pair[n + i] = -1.0, 1.0
+            pair[joint] = -1.0
+            pair[n + i] = 1.0
             spring += k[joint] * np.outer(pair, pair)
             damper += c[joint] * np.outer(pair, pair)
     motors = (z[:, None] == at.motor_qvel[None, :]).astype(float)
     actuators = [model.actuator(f"robot/{name}").id for name in names]
-    kp, kv = -model.actuator_biasprm[actuators, 1], -model.actuator_biasprm[actuators, 2]
+    kp = -model.actuator_biasprm[actuators, 1]
+    kv = -model.actuator_biasprm[actuators, 2]
     integrates = model.actuator_dyntype[actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
     return LinearArm(M[np.ix_(z, z)], spring, damper, motors, kp, kv, integrates)

@@ -29,7 +29,9 @@ from vstestbed.targets.base import Target
 
 FILM_SHADOW_PX = 2048  # shadow map of the outside view: half of MuJoCo's default
 
-FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
+FILM_SLICES = 20
+FILM_STACKS = 12
+FILM_QUADS = 2
 """Facets of round geoms in it: a cylinder of 40 px deviates from its circle by .25 px. MuJoCo's 28,
 16 and 4 make twice the work, which for a base with 36 rollers was a third of an image's time.
 """
@@ -43,7 +45,9 @@ a slate blue.
 """
 SKY = 0.62, 0.69, 0.78  # factors of the sky's colours in films, before which light lines stand out
 FLOOR_M = 80.0  # half of the floor's edge in films [m]: its end is not in the picture
-AMBIENT, KEY, FILL = 0.40, 0.72, 0.22
+AMBIENT = 0.40
+KEY = 0.72
+FILL = 0.22
 """Brightness of the lights in films: more from one side than the servo camera's, so that edges
 between faces show.
 """
@@ -75,13 +79,12 @@ class Replay:
         self._stage = Scene(scene, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
-        quality.numslices, quality.numstacks, quality.numquads = (
-            FILM_SLICES,
-            FILM_STACKS,
-            FILM_QUADS,
-        )
+        quality.numslices = FILM_SLICES
+        quality.numstacks = FILM_STACKS
+        quality.numquads = FILM_QUADS
         _repaint(self._stage.model)
-        self._shadows, self._share = shadows, share
+        self._shadows = shadows
+        self._share = share
         self._things = Things(self._stage.model)
         self._follow: FollowCamera | None = None
         self._view = view
@@ -133,7 +136,8 @@ class Replay:
             view = outside_view(
                 self._stage, camera, width, height, self._parts.camera, self._shadows
             )
-            model, data = self._stage.model, self._stage.data
+            model = self._stage.model
+            data = self._stage.data
             lens = Perspective(
                 width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0])
             )
@@ -226,10 +230,8 @@ class Replay:
 
             view = imaged
         else:
-            drawn_by, f = (
-                servo_renderer(stage, lens, share=self._share, eye=eye),
-                self._share * pixels_per_radian(lens),
-            )
+            drawn_by = servo_renderer(stage, lens, share=self._share, eye=eye)
+            f = self._share * pixels_per_radian(lens)
             # what is out of sight may cast shadows
             sides = None if lens.shadows else half_tangents(lens)
             view = StillView(
@@ -258,8 +260,11 @@ def _repaint(model: mujoco.MjModel) -> None:
         sky = texels_of(model, model.texture("sky").id)
         sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M
-    key, fill = model.light("key"), model.light("fill")
-    key.diffuse[:], fill.diffuse[:], fill.ambient[:] = KEY, FILL, AMBIENT
+    key = model.light("key")
+    fill = model.light("fill")
+    key.diffuse[:] = KEY
+    fill.diffuse[:] = FILL
+    fill.ambient[:] = AMBIENT
     model.vis.map.shadowclip = LEAST_REACH / model.stat.extent
 
 
@@ -290,10 +295,8 @@ class Rerendering:
     ):
         camera = scene.camera
         self._stage = Scene(replace(scene, others=()), samples=camera.multisampling)
-        drawn_by, noise = (
-            servo_renderer(self._stage, camera, image_sigma > 0),
-            ImageNoise(image_sigma, rng),
-        )
+        drawn_by = servo_renderer(self._stage, camera, image_sigma > 0)
+        noise = ImageNoise(image_sigma, rng)
         self._sensor = ImageSensor(
             self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift)
         )

@@ -83,7 +83,8 @@ def noise_level(image: Image) -> float:
     """
     of = noise_rows(len(image))
     rows = cv2.extractChannel(image[of.start :: of.step], 1)
-    here, there = rows[:, 1:], rows[:, :-1]
+    here = rows[:, 1:]
+    there = rows[:, :-1]
     if 2 * np.count_nonzero(here != there) <= here.size:  # the median is 0: no need to sort
         return 0.0
     return float(np.median(cv2.absdiff(here, there))) / MEDIAN_STEP
@@ -194,7 +195,8 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     height, width = image.shape[:2]
     left, top = box[:2]
     if noise > 0 or rim != "sharp":
-        left, top = max(left - 2, 0), max(top - 2, 0)
+        left = max(left - 2, 0)
+        top = max(top - 2, 0)
         part = image[top : box[3] + 2, left : box[2] + 2]
         found = np.zeros(part.shape[:2], np.uint8)
         found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone

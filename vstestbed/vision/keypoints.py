@@ -80,7 +80,8 @@ def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Ar
     out = np.full(uv.shape, np.nan)
     if not known.any():
         return out
-    size, start = (klt.window_px, klt.window_px), uv[known].astype(np.float32)[:, None]
+    size = klt.window_px, klt.window_px
+    start = uv[known].astype(np.float32)[:, None]
     # Three levels of the pyramid besides the picture itself: a window reaches 2^3 times as far.
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         before, now, start, start.copy(), winSize=size, maxLevel=3
@@ -113,7 +114,8 @@ def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, in
 
 # Places of matches below a pixel: each point's patch of the goal's picture, laid over this one.
 HALF = 10  # half the side of a patch, without its middle [px of the goal's picture]
-ROUNDS, SETTLED_PX = 8, 0.005  # most Gauss-Newton steps, and the step under which none follows [px]
+ROUNDS = 8  # most Gauss-Newton steps
+SETTLED_PX = 0.005  # the step under which none follows [px]
 ALIKE = 0.8  # least correlation of a patch with the goal's [1]
 # least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an
 # edge alone is no place

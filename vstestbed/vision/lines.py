@@ -59,10 +59,8 @@ class Strip:
         uv = uv[uv[:, 0] != OUTSIDE]
         if not len(uv):
             return None
-        (left, top), (right, bottom) = (
-            (np.floor(uv.min(axis=0)) - 1).astype(int),
-            (np.ceil(uv.max(axis=0)) + 2).astype(int),
-        )
+        left, top = (np.floor(uv.min(axis=0)) - 1).astype(int)
+        right, bottom = (np.ceil(uv.max(axis=0)) + 2).astype(int)
         return (
             max(0, int(left)),
             max(0, int(top)),
@@ -136,17 +134,18 @@ class Lines(DetectorBase):
         rng: np.random.Generator,
     ) -> tuple[LinesState, Detection]:
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen."""
-        picture, (strips, last), n = self._given(picture), state, len(target.points)
+        picture = self._given(picture)
+        strips, last = state
+        n = len(target.points)
         assert isinstance(target, GroundLines)  # a scenario refuses others
         strips = strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)
         last = np.full(n, np.nan) if last is None else last
-        hues, lefts = target.hues_deg, np.full(n, np.nan)
+        hues = target.hues_deg
+        lefts = np.full(n, np.nan)
         for k, strip in enumerate(strips):
             floor = _from_above(picture, strip)
-            colour, hue = (
-                chroma(floor),
-                np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8),
-            )
+            colour = chroma(floor)
+            hue = np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
             # Points are commanded line by line, each at all look-ahead distances: every
             # len(strips)-th is in this strip.
             for i in range(k, n, len(strips)):
@@ -210,7 +209,8 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     where the camera does not see the floor.
     """
     # Pixels per metre by finite differences of 2 mm, which hold for any lens.
-    mount, step = camera.mount.T, 0.002
+    mount = camera.mount.T
+    step = 0.002
     here, on, left = camera.project(
         on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]]))
     )

@@ -185,7 +185,8 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
     """
     height, width = image.shape[:2]
     share = min(1.0, 640 / max(height, width))  # a picture shows no finer ones
-    w, h = round(width * share), round(height * share)
+    w = round(width * share)
+    h = round(height * share)
     small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
     px, descriptors = _sift().extract(np.asarray(small, np.uint8))
     return ((px + 0.5) / [w, h] * 2 - 1) * half, descriptors

@@ -91,11 +91,14 @@ class Erasing(PerturbationBase):
             return image
         height, width = image.shape[:2]
         for _ in range(self.tries):
-            (least, most), ratio = self.area, rng.uniform(self.aspect, 1 / self.aspect)
+            least, most = self.area
+            ratio = rng.uniform(self.aspect, 1 / self.aspect)
             area = rng.uniform(least, most) * width * height
-            h, w = round(np.sqrt(area * ratio)), round(np.sqrt(area / ratio))
+            h = round(np.sqrt(area * ratio))
+            w = round(np.sqrt(area / ratio))
             if 0 < h < height and 0 < w < width:
-                v, u = rng.integers(height - h + 1), rng.integers(width - w + 1)
+                v = rng.integers(height - h + 1)
+                u = rng.integers(width - w + 1)
                 size = 1 if self.fill == "grey" else (h, w, 3)
                 image[v : v + h, u : u + w] = rng.integers(0, 256, size, dtype=np.uint8)
                 return image
@@ -177,7 +180,8 @@ class Shadow(PerturbationBase):
         at = reach * (2 * ((t / self.period_s + begun) % 1) - 1)
         x = ((np.arange(width, dtype=np.float32) - (width - 1) / 2) / width)[None]
         y = ((np.arange(height, dtype=np.float32) - (height - 1) / 2) / width)[:, None]
-        c, s = np.float32(np.cos(angle)), np.float32(np.sin(angle))
+        c = np.float32(np.cos(angle))
+        s = np.float32(np.sin(angle))
         along = c * x + s * y - np.float32(at)
         far = (
             np.abs(along)
@@ -209,7 +213,8 @@ class Outliers(PerturbationBase):
 
     def pixels(self, state: None, uv: Array, t: float, rng: np.random.Generator) -> Array:
         hit = rng.random(len(uv)) < self.probability
-        r, a = self.radius_px * np.sqrt(rng.random(len(uv))), rng.uniform(0, 2 * np.pi, len(uv))
+        r = self.radius_px * np.sqrt(rng.random(len(uv)))
+        a = rng.uniform(0, 2 * np.pi, len(uv))
         return uv + np.where(hit[:, None], np.column_stack([r * np.cos(a), r * np.sin(a)]), 0.0)
 
 
@@ -278,7 +283,8 @@ class Perturbed:
 def _picture(
     kind: PerturbationBase, state: Any, image: Image, t: float, rng: np.random.Generator
 ) -> Image:
-    shape, after = image.shape, kind.picture(state, image, t, rng)
+    shape = image.shape
+    after = kind.picture(state, image, t, rng)
     if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
         found = (
             f"{after.shape} {after.dtype}"

@@ -61,16 +61,21 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
         return []
     tilt = np.sqrt((1 - s2 / s1) * (1 + s2 / s1)) * Vt[1]
     columns = np.empty((2, 3, 2))
-    columns[:, :2], columns[0, 2], columns[1, 2] = A / s1, tilt, -tilt
+    columns[:, :2] = A / s1
+    columns[0, 2] = tilt
+    columns[1, 2] = -tilt
     R = np.array([_rotation_of(R_v @ both) for both in columns]) @ R_target_plane.T
     # Translations by least squares: x (r_z p + t_z) = r_x p + t_x, and alike for y.
-    p, A = points @ R.transpose(0, 2, 1), np.zeros((len(xy), 2, 3))
+    p = points @ R.transpose(0, 2, 1)
+    A = np.zeros((len(xy), 2, 3))
     A[:, 0, 0] = A[:, 1, 1] = 1.0
     A[:, :, 2] = -xy
     A = A.reshape(-1, 3)
     t = np.linalg.solve(A.T @ A, A.T @ (xy * p[..., 2:] - p[..., :2]).reshape(2, -1).T).T
     T = np.zeros((2, 4, 4))
-    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, t, 1.0
+    T[:, :3, :3] = R
+    T[:, :3, 3] = t
+    T[:, 3, 3] = 1.0
     return list(T)
 
 
@@ -194,13 +199,15 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
     return T, error
 
 
-_K, _EYE = np.eye(3), np.eye(4)
+_K = np.eye(3)
+_EYE = np.eye(4)
 # A refined previous pose is accepted if its reprojection error is below STANDS times the image
 # points' spread (a mirror pose that fits as well is indistinguishable from the right one) and below
 # MIRRORED times its cube: a mirror pose is a local minimum only if the plane's tilt is larger than
 # about the spread, with an error of some spread^2 x tilt; 1.5 spread^3 was the least of 3000 views
 # nearly frontal.
-STANDS, MIRRORED = 1e-3, 0.4
+STANDS = 1e-3
+MIRRORED = 0.4
 # ... and nearer to the previous pose (radians plus share of the distance), from where few
 # iterations converge to rounding
 CONTINUES = 0.2
@@ -256,7 +263,8 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     """
     if len(points) < 3:
         return None
-    xy, points = np.ascontiguousarray(xy, dtype=float), np.ascontiguousarray(points, dtype=float)
+    xy = np.ascontiguousarray(xy, dtype=float)
+    points = np.ascontiguousarray(points, dtype=float)
     shape = _layout(points.tobytes())
     if shape == "line":
         return None
@@ -433,7 +441,8 @@ def _step(T: Array, previous: Array, points: Array) -> float:
     its distance from the camera.
     """
     middle = _middle(points.tobytes())
-    now, before = (T @ middle).tolist(), (previous @ middle).tolist()
+    now = (T @ middle).tolist()
+    before = (previous @ middle).tolist()
     return turn_between(T, previous) + math.dist(now, before) / math.hypot(*now[:3])
 
 

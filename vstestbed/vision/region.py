@@ -221,7 +221,8 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
     """G (3, 3) from round points e (K, 2) to a round polygon q (E, 2), the points' distances (K,),
     and the rotation in it.
     """
-    c, s = math.cos(turn), math.sin(turn)
+    c = math.cos(turn)
+    s = math.sin(turn)
     G = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # back by the rotation
     m = np.column_stack([e, np.ones(len(e))])
     off = np.zeros(len(e))

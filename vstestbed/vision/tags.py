@@ -71,7 +71,8 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
             # another round would move them by a fraction of that
             if np.abs(edges[0] - corners).max() < 0.02:
                 break
-            corners, edges = edges[0], _measured_once(grey, edges[0], modules)
+            corners = edges[0]
+            edges = _measured_once(grey, edges[0], modules)
     return edges
 
 

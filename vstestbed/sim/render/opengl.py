@@ -41,8 +41,10 @@ OpenGL: .12 ms and 15 ns a pixel).
 
 
 FRUSTUM = "frustum_center", "frustum_width", "frustum_bottom", "frustum_top"
-PLANE, LABEL = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_LABEL)
-GEOM, SKYBOX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+SKYBOX = int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 
 
 class PartCamera(dm.Camera):
@@ -92,16 +94,12 @@ class PartCamera(dm.Camera):
         """Leave out geoms whose bounding sphere is outside of the frustum, and the sky where a
         plane fills the image.
         """
-        model, data, camera = (
-            self._physics.model.ptr,
-            self._physics.data.ptr,
-            self._render_camera.fixedcamid,
-        )
-        R, place, eyes = (
-            data.cam_xmat[camera].reshape(3, 3),
-            data.cam_xpos[camera],
-            self._scene.ptr.camera,
-        )
+        model = self._physics.model.ptr
+        data = self._physics.data.ptr
+        camera = self._render_camera.fixedcamid
+        R = data.cam_xmat[camera].reshape(3, 3)
+        place = data.cam_xpos[camera]
+        eyes = self._scene.ptr.camera
         left, right, bottom, top = (
             sum(ends) / 2
             for ends in zip(
@@ -150,7 +148,8 @@ class PartCamera(dm.Camera):
 
     def _draw_part(self, window: Window, context: Any) -> tuple[slice, slice]:
         """Draw one window; where it is in the buffer. The scene is left as it was."""
-        (left, top, right, bottom), scene = window, self._scene.ptr
+        left, top, right, bottom = window
+        scene = self._scene.ptr
         frustums = [[getattr(camera, name) for name in FRUSTUM] for camera in scene.camera]
         kinds = [geom.type for geom in self._geoms]
         self._look_at(window)
@@ -186,7 +185,8 @@ def _fills(plane: Any, place: Array, corners: Array, far: float) -> bool:
     `far` [m], along all corners.
     """
     R = plane.mat.reshape(3, 3)
-    p, d = (place - plane.pos) @ R, corners @ R
+    p = (place - plane.pos) @ R
+    d = corners @ R
     if plane.rgba[3] < 1 or p[2] <= 0 or (d[:, 2] >= 0).any():
         return False
     t = -p[2] / d[:, 2]
@@ -216,10 +216,8 @@ def _narrow(
     first = camera.frustum_center - half
     camera.frustum_center = first + half * (left + right) / width
     camera.frustum_width = half * (right - left) / width
-    camera.frustum_bottom, camera.frustum_top = (
-        camera.frustum_top - high * bottom / height,
-        camera.frustum_top - high * top / height,
-    )
+    camera.frustum_bottom = camera.frustum_top - high * bottom / height
+    camera.frustum_top = camera.frustum_top - high * top / height
 
 
 def merged(
@@ -234,10 +232,8 @@ def merged(
         (max(left, 0), max(top, 0), min(right, width), min(bottom, height))
         for left, top, right, bottom in windows
     ]
-    rest, done = (
-        [window for window in within if window[0] < window[2] and window[1] < window[3]],
-        list[Window](),
-    )
+    rest = [window for window in within if window[0] < window[2] and window[1] < window[3]]
+    done = list[Window]()
     while rest:
         one = rest.pop()
         for other in rest:
@@ -306,7 +302,8 @@ With 28 a disc of 8 px radius lacks 2 of its 224 pixels, and its centroid is off
 by .01 px.
 """
 
-MOST_MATERIALS, MOST_TEXTURES = 997, 1000
+MOST_MATERIALS = 997
+MOST_TEXTURES = 1000
 """Most materials and textures of a scene that MuJoCo draws by OpenGL, measured: with a sky it
 refuses 998 materials (and says 999), and 1001 textures.
 """
@@ -342,7 +339,8 @@ class SceneCamera:
         # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it
         # must hold the largest camera.
         vis = stage.model.vis.global_
-        vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
+        vis.offwidth = max(vis.offwidth, width)
+        vis.offheight = max(vis.offheight, height)
         if style != "outside" and not ROUNDED & set(stage.model.geom_type.tolist()):
             stage.model.vis.quality.numslices, stage.model.vis.quality.numstacks = DISC_FACETS
         if not shadows:
@@ -395,7 +393,8 @@ class SceneCamera:
         windows: the parts to be drawn; the rest is black. None draws the whole image.
         with_depth: of a whole image, read its depth as well (`depth`).
         """
-        self._camera.windows, self._camera.reads_depth = windows, with_depth
+        self._camera.windows = windows
+        self._camera.reads_depth = with_depth
         return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
 
     def depth(self) -> DepthImage:
@@ -464,7 +463,8 @@ class OpenGLRenderer:
         drawn = drawn_for(camera, eye)
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
-        self._model, self._pinhole_lens = stage.model, drawn[0]
+        self._model = stage.model
+        self._pinhole_lens = drawn[0]
         self._depth_lens = camera.depth_sensor.lens if camera.depth_sensor else None
         self._panels = len(camera.panels)
         self._size = camera.width, camera.height
@@ -484,7 +484,8 @@ class OpenGLRenderer:
         """Depth of the sky (H, W) [m], which MuJoCo draws as a solid;
         beyond it nothing is drawn.
         """
-        model, lens = self._model, self._depth_lens or self._pinhole_lens
+        model = self._model
+        lens = self._depth_lens or self._pinhole_lens
         xy = (pixel_grid(*self._views[0].size) - lens.centre) / lens.f
         reach = SKY * float(model.vis.map.zfar * model.stat.extent)
         return reach / np.sqrt(1 + (xy**2).sum(axis=-1))
@@ -623,7 +624,8 @@ class OpenGLRenderer:
     def _composed_of(self, windows: Sequence[Window]) -> tuple[Image]:
         """Windows of the image of a wide lens, of whose faces only what is in them is drawn."""
         assert self._cube is not None
-        self.whole, of = False, dict[int, list[Window]]()
+        self.whole = False
+        of = dict[int, list[Window]]()
         for window in windows:
             for i, part in self._cube.parts(window).items():
                 of.setdefault(i, []).append(part)
@@ -641,7 +643,8 @@ def _resampled(
 
     Within a surface 1/Z is interpolated, which is linear in a plane's picture.
     """
-    w, square = 1 / depth, np.ones((3, 3), np.uint8)
+    w = 1 / depth
+    square = np.ones((3, 3), np.uint8)
     smooth = (cv2.dilate(w, square) <= (1 + EDGE) * cv2.erode(w, square)).astype(np.uint8)
     nearest, linear, within = (
         cv2.remap(a, *maps, way, borderMode=cv2.BORDER_REPLICATE)

@@ -145,7 +145,8 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
         told = gl.explain(error) if isinstance(error, ImportError) else error
         if camera.renderer == "gl" or told is None:
             raise
-        lack, remedy = told.lack, told.remedy
+        lack = told.lack
+        remedy = told.remedy
         del told  # its traceback has this frame, and with it the scene: a cycle
     try:
         made = by_rays()

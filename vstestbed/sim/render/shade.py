@@ -75,12 +75,11 @@ class Mipmap:
         lengths = [np.hypot(step[:, 0] * self.size[0], step[:, 1] * self.size[1]) for step in steps]
         first = (lengths[0] >= lengths[1])[:, None]
         along = np.where(first, *steps)
-        longer, shorter = np.maximum(*lengths), np.minimum(*lengths)
+        longer = np.maximum(*lengths)
+        shorter = np.minimum(*lengths)
         samples = np.clip(np.ceil(longer / np.maximum(shorter, 1e-9) - 0.01), 1, most).astype(int)
-        texels, colours = (
-            np.maximum(longer / samples, shorter),
-            np.zeros((len(place), 3), np.float32),
-        )
+        texels = np.maximum(longer / samples, shorter)
+        colours = np.zeros((len(place), 3), np.float32)
         for k in range(int(samples.max(initial=0))):
             on = np.flatnonzero(samples > k)
             n = samples[on]
@@ -94,10 +93,15 @@ class Mipmap:
         """Linear interpolation between the four texels round places (N, 2),
         each at its level (N,).
         """
-        width, height, start = self._width[level], self._height[level], self._start[level]
-        u, v = place[:, 0] * width - 0.5, place[:, 1] * height - 0.5
-        left, top = np.floor(u).astype(int), np.floor(v).astype(int)
-        across, down = (u - left).astype(np.float32)[:, None], (v - top).astype(np.float32)[:, None]
+        width = self._width[level]
+        height = self._height[level]
+        start = self._start[level]
+        u = place[:, 0] * width - 0.5
+        v = place[:, 1] * height - 0.5
+        left = np.floor(u).astype(int)
+        top = np.floor(v).astype(int)
+        across = (u - left).astype(np.float32)[:, None]
+        down = (v - top).astype(np.float32)[:, None]
         columns = left % width, (left + 1) % width
         rows = start + top % height * width, start + (top + 1) % height * width
         table = self.table
@@ -126,10 +130,8 @@ def _halved(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
-DIRECTIONAL, SPOT = (
-    int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL),
-    int(mujoco.mjtLightType.mjLIGHT_SPOT),
-)
+DIRECTIONAL = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+SPOT = int(mujoco.mjtLightType.mjLIGHT_SPOT)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX  # shapes on whose faces a texture lies flat
 
@@ -154,7 +156,9 @@ class Paint:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, anisotropy: int = 1):
-        self._model, self._data, self.anisotropy = model, data, anisotropy
+        self._model = model
+        self._data = data
+        self.anisotropy = anisotropy
         material = model.geom_matid
         painted = material >= 0
         rgb = own_colours(model)[:, :3]
@@ -171,7 +175,8 @@ class Paint:
         self.mipmaps = {
             i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self.printed})
         }
-        self.texture, self.repeated = texture, repeated(model)
+        self.texture = texture
+        self.repeated = repeated(model)
         floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
         shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == floor)
         self.glossy = {g for g in self.printed if shows[g] and model.mat_specular[material[g]] > 0}
@@ -198,7 +203,8 @@ class Paint:
         """
         light = self._light(normal)
         if self._local:
-            model, points = self._model, origin + rays * distance[:, None]
+            model = self._model
+            points = origin + rays * distance[:, None]
             for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
                 to, share = self._towards(int(i), points)
                 facing = np.maximum((to * normal).sum(axis=1), 0.0)
@@ -260,15 +266,19 @@ class Paint:
 
         across: size of a pixel there, across the ray (N,) [m].
         """
-        model, data = self._model, self._data
-        R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
-        local, k = (points - data.geom_xpos[geom]) @ R, np.arange(len(points))
+        model = self._model
+        data = self._data
+        R = data.geom_xmat[geom].reshape(3, 3)
+        half = model.geom_size[geom]
+        local = (points - data.geom_xpos[geom]) @ R
+        k = np.arange(len(points))
         faces = (
             np.abs(normal @ R).argmax(axis=1)
             if model.geom_type[geom] == BOX
             else np.full(len(points), 2)
         )
-        i, j = np.array([1, 0, 0])[faces], np.array([2, 2, 1])[faces]
+        i = np.array([1, 0, 0])[faces]
+        j = np.array([2, 2, 1])[faces]
         size = np.where(half > 0, half, 1.0)
         times = model.mat_texrepeat[(m := model.geom_matid[geom])] * (
             size[:2] if model.mat_texuniform[m] else 1.0
@@ -299,7 +309,8 @@ class Paint:
         """Unit vectors (N, 3) from points (N, 3) to light i, which has a place, and what share of
         its light gets there (N,).
         """
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         to = data.light_xpos[i] - points
         far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
         to /= far[:, None]
@@ -326,7 +337,8 @@ class Paint:
         Reference: Blinn 1977, Models of light reflection for computer synthesized pictures,
             doi:10.1145/563858.563893.
         """
-        model, total = self._model, np.zeros((3, len(points)))
+        model = self._model
+        total = np.zeros((3, len(points)))
         material = model.geom_matid[geom]
         for i in np.flatnonzero(model.light_active & (model.light_specular > 0).any(axis=1)):
             sun = model.light_type[i] == DIRECTIONAL
@@ -357,7 +369,8 @@ def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
         if len(faces) != 6 * side:  # right, left, up, down, front, back
             continue
         # the middle column, from 1 (top) to -1
-        middle, along = side // 2, 1 - (2 * np.arange(side) + 1) / side
+        middle = side // 2
+        along = 1 - (2 * np.arange(side) + 1) / side
         sine = along / np.sqrt(1 + along * along)  # of rows of a wall
         slope = 1 / np.sqrt(1 + along * along)  # and of the ceiling's, which rise to its middle
         right, _, up, down, _, _ = np.split(faces, 6)

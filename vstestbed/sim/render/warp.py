@@ -40,7 +40,8 @@ LIGHTS = "place", "along", "ambient", "diffuse", "specular"  # of `warp_kernels.
 SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together, at most
 # looks and lenses that are kept on the device: a look with its buffers is 150 MB of a card, a lens
 # up to 20
-MOST_LOOKS, MOST_LENSES = 4, 16
+MOST_LOOKS = 4
+MOST_LENSES = 16
 # prefixes of the arrays of a model that say what its pictures show
 LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")
 MOVED = (
@@ -111,12 +112,10 @@ class WarpRenderer(RayRenderer):
         eye: str = "eye",
     ):
         super().__init__(stage, camera, noisy, share, eye)
-        self.name, self._ask, self._outside, self._look = (
-            name,
-            draw,
-            stage.parts.stands(eye),
-            look_of(stage),
-        )
+        self.name = name
+        self._ask = draw
+        self._outside = stage.parts.stands(eye)
+        self._look = look_of(stage)
 
     def _fill(
         self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]
@@ -171,7 +170,9 @@ class _Filling:
     """
 
     def __init__(self, number: int, shot: PictureRequest):
-        self.number, self.shot, self.places = number, shot, 0
+        self.number = number
+        self.shot = shot
+        self.places = 0
         # first place, pixels with the rim, pixels
         self.tiles: list[tuple[int, Window, Window]] = []
 
@@ -196,7 +197,8 @@ class _Filling:
 
 def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
     """The slots of a picture, by its number."""
-    rim, slot = int(len(shot.raster.within) > 0), _Filling(number, shot)
+    rim = int(len(shot.raster.within) > 0)
+    slot = _Filling(number, shot)
     for tile in shot.tiles:
         left, top, right, bottom = tile
         grown = (
@@ -228,21 +230,19 @@ class _World:
         )
         self._on = np.flatnonzero(model.light_active)
         self._look = _look(model, paint, self._on)
-        shape, n = (slots, PLACES), len(self._on)
+        shape = slots, PLACES
+        n = len(self._on)
         self._everything = wp.full(PLACES, -1, dtype=int)  # bodies that rays pass through: none
-        self._rays, self._drawn = kernels.Rays(), wp.zeros(shape, dtype=wp.vec3ub)
+        self._rays = kernels.Rays()
+        self._drawn = wp.zeros(shape, dtype=wp.vec3ub)
         kinds = {wp.vec3: ("origin", "ray", "normal"), float: ("apart", "distance"), int: ("geom",)}
         for dtype, names in kinds.items():
             for name in names:
                 setattr(self._rays, name, wp.zeros(shape, dtype=dtype))
-        self._views, self._tiles = (
-            wp.zeros(slots, dtype=kernels.SlotView),
-            wp.zeros((slots, MOST_TILES), dtype=kernels.Tile),
-        )
-        self._lamps, self._lights = (
-            kernels.Lamps(),
-            [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS],
-        )
+        self._views = wp.zeros(slots, dtype=kernels.SlotView)
+        self._tiles = wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
+        self._lamps = kernels.Lamps()
+        self._lights = [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
         for name, lights in zip(LIGHTS, self._lights, strict=True):
             setattr(self._lamps, name, lights)
 
@@ -253,7 +253,8 @@ class _World:
         self._put(work)
         hidden = (RANGE_GROUP,) if outside else (RANGE_GROUP, LENS_GROUP)
         seen = wp.types.vector(6, float)(*(0.0 if group in hidden else 1.0 for group in range(6)))
-        shape, where = (len(work), max(slot.places for slot in work)), (self._views, self._tiles)
+        shape = len(work), max(slot.places for slot in work)
+        where = self._views, self._tiles
         lit = self._look, self._lamps, self._data.geom_xpos, self._data.geom_xmat, self._rays
         wp.launch(kernels.aim, shape, [*where, table.width, table.rays, table.apart, self._rays])
         self._cast(shape, seen)
@@ -267,8 +268,10 @@ class _World:
         self, table: _Table, shape: tuple[int, int], lit: tuple[Any, ...], seen: Any
     ) -> None:
         """Draw the pixels at edges again, by the means of the rays through their parts."""
-        (slots, places), where = shape, (self._views, self._tiles)
-        count, found = wp.zeros(slots, dtype=int), wp.empty(shape, dtype=int)
+        slots, places = shape
+        where = self._views, self._tiles
+        count = wp.zeros(slots, dtype=int)
+        found = wp.empty(shape, dtype=int)
         wp.launch(kernels.edges, shape, [*where, self._rays, count, found])
         most = int(count.numpy().max())
         if not most:
@@ -286,7 +289,8 @@ class _World:
 
     def _put(self, work: Sequence[_Filling]) -> None:
         """Take the states, views and tiles to the device, in slots from the first on."""
-        n, shots = len(work), list({id(slot.shot): slot.shot for slot in work}.values())
+        n = len(work)
+        shots = list({id(slot.shot): slot.shot for slot in work}.values())
         of = {id(shot): i for i, shot in enumerate(shots)}
         at = [of[id(slot.shot)] for slot in work]
         poses = np.array([shot.T_world_camera for shot in shots], np.float32)[at]
@@ -333,7 +337,8 @@ class _World:
         """The lights of each scene now, in the order of LIGHTS, (5, shots, lights, 3)."""
         found = []
         for shot in shots:
-            data, model = shot.stage.data, shot.stage.model
+            data = shot.stage.data
+            model = shot.stage.model
             own = (
                 data.light_xpos,
                 data.light_xdir,
@@ -346,7 +351,8 @@ class _World:
 
     def _cast(self, shape: tuple[int, int], seen: Any) -> None:
         n, m = shape
-        rays, data = self._rays, replace(self._data, nworld=n)
+        rays = self._rays
+        data = replace(self._data, nworld=n)
         origin, ray, distance, geom, normal = (
             a[:n, :m] for a in (rays.origin, rays.ray, rays.distance, rays.geom, rays.normal)
         )
@@ -369,27 +375,29 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
     """What all worlds of a scene share, as the shading kernel reads it. on: the lights that are
     lit.
     """
-    look, n = kernels.Look(), model.ngeom
-    material, printed = model.geom_matid, paint.printed
+    look = kernels.Look()
+    n = model.ngeom
+    material = model.geom_matid
+    printed = paint.printed
     textures = {texture: i for i, texture in enumerate(paint.mipmaps)}
-    texture, times, uniform, gloss, samples = (
-        np.full(n, -1),
-        np.ones((n, 2)),
-        np.zeros(n),
-        np.zeros((n, 2)),
-        np.ones(n),
-    )
+    texture = np.full(n, -1)
+    times = np.ones((n, 2))
+    uniform = np.zeros(n)
+    gloss = np.zeros((n, 2))
+    samples = np.ones(n)
     for g in printed:
-        m, number = material[g], int(paint.texture[g])
-        texture[g], times[g], uniform[g] = (
-            textures[number],
-            model.mat_texrepeat[m],
-            model.mat_texuniform[m],
-        )
+        m = material[g]
+        number = int(paint.texture[g])
+        texture[g] = textures[number]
+        times[g] = model.mat_texrepeat[m]
+        uniform[g] = model.mat_texuniform[m]
         samples[g] = 1 if paint.repeated[number] else paint.anisotropy
         if g in paint.glossy:
             gloss[g] = model.mat_specular[m], 128 * model.mat_shininess[m]
-    levels, sizes, tables, start = [], [], [], 0
+    levels = []
+    sizes = []
+    tables = []
+    start = 0
     for mipmap in paint.mipmaps.values():
         levels.append((len(sizes), len(mipmap.levels)))
         sizes += [(start + first, width, height) for first, width, height in mipmap.levels]
@@ -402,31 +410,22 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
         array = np.asarray(values)
         return wp.array(array if array.size else np.zeros(least, array.dtype), dtype=dtype)
 
-    look.rgb, look.glow = put(paint.rgb[:n], wp.vec3, (1, 3)), put(paint.glow[:n], float, (1,))
+    look.rgb = put(paint.rgb[:n], wp.vec3, (1, 3))
+    look.glow = put(paint.glow[:n], float, (1,))
     look.box = put((model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).astype(np.int32), int, (1,))
-    look.half, look.texture = (
-        put(model.geom_size.astype(np.float32), wp.vec3, (1, 3)),
-        put(texture.astype(np.int32), int, (1,)),
-    )
-    look.times, look.uniform = (
-        put(times.astype(np.float32), wp.vec2, (1, 2)),
-        put(uniform.astype(np.int32), int, (1,)),
-    )
-    look.gloss, look.samples = (
-        put(gloss.astype(np.float32), wp.vec2, (1, 2)),
-        put(samples.astype(np.int32), int, (1,)),
-    )
-    look.level, look.size = (
-        put(np.array(levels, np.int32), wp.vec2i, (1, 2)),
-        put(np.array(sizes, np.int32), wp.vec3i, (1, 3)),
-    )
+    look.half = put(model.geom_size.astype(np.float32), wp.vec3, (1, 3))
+    look.texture = put(texture.astype(np.int32), int, (1,))
+    look.times = put(times.astype(np.float32), wp.vec2, (1, 2))
+    look.uniform = put(uniform.astype(np.int32), int, (1,))
+    look.gloss = put(gloss.astype(np.float32), wp.vec2, (1, 2))
+    look.samples = put(samples.astype(np.int32), int, (1,))
+    look.level = put(np.array(levels, np.int32), wp.vec2i, (1, 2))
+    look.size = put(np.array(sizes, np.int32), wp.vec3i, (1, 3))
     look.texels = put(
         np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8), wp.vec3ub, (1, 3)
     )
-    look.elevation, look.tint = (
-        put(elevation.astype(np.float32), float, (1,)),
-        put(tint.astype(np.float32), wp.vec3, (1, 3)),
-    )
+    look.elevation = put(elevation.astype(np.float32), float, (1,))
+    look.tint = put(tint.astype(np.float32), wp.vec3, (1, 3))
     look.light_type = put(model.light_type[on].astype(np.int32), int, (0,))
     look.attenuation = put(model.light_attenuation[on].astype(np.float32), wp.vec3, (0, 3))
     look.cone = put(cone.astype(np.float32), wp.vec2, (0, 2))
@@ -444,7 +443,8 @@ class Device:
         device = wp.get_preferred_device()
         self.name = f"rays (mujoco_warp {mjw.__version__}, {device.name})"
         self.slots = SLOTS["cuda" if device.is_cuda else "cpu"]
-        self._worlds, self._tables = dict[bytes, _World](), dict[tuple[object, ...], _Table]()
+        self._worlds = dict[bytes, _World]()
+        self._tables = dict[tuple[object, ...], _Table]()
 
     def draw(self, shots: Sequence[PictureRequest]) -> list[list[Image]]:
         """The tiles of each picture, those of equal scenes and lenses together."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import warp as wp
 
-NO_RAY, SKY = -2, -1
+NO_RAY = -2
+SKY = -1
 AWAY = 1e9  # where rays of places without a pixel begin [m]: they meet no box of a scene
 DIRECTIONAL, SPOT = 1, 0  # as `mjtLightType` has them
 
@@ -100,7 +101,8 @@ def _pixel(
     k = _tile(views, tiles, w, j)
     if k < 0:
         return -1
-    grown, within = tiles[w, k].grown, j - tiles[w, k].start
+    grown = tiles[w, k].grown
+    within = j - tiles[w, k].start
     columns = grown[2] - grown[0]
     return (grown[1] + within // columns) * width + grown[0] + within % columns
 
@@ -170,15 +172,18 @@ def edges(
         tile = tiles[w, k]
         columns = tile.grown[2] - tile.grown[0]
         rows = tile.grown[3] - tile.grown[1]
-        row, column = (j - tile.start) // columns, (j - tile.start) % columns
-        u, v = tile.grown[0] + column, tile.grown[1] + row
+        row = (j - tile.start) // columns
+        column = (j - tile.start) % columns
+        u = tile.grown[0] + column
+        v = tile.grown[1] + row
         if (
             u >= tile.wanted[0]
             and u < tile.wanted[2]
             and v >= tile.wanted[1]
             and v < tile.wanted[3]
         ):
-            own, other = rays.geom[w, j], int(0)
+            own = rays.geom[w, j]
+            other = int(0)
             for dv in range(-1, 2):
                 for du in range(-1, 2):
                     near = wp.clamp(row + dv, 0, rows - 1) * columns + wp.clamp(
@@ -228,13 +233,17 @@ def _between(look: Look, level: int, place: wp.vec2) -> wp.vec3:
     beyond its edges.
     """
     size = look.size[level]
-    u, v = place[0] * float(size[1]) - 0.5, place[1] * float(size[2]) - 0.5
-    left, top = wp.floor(u), wp.floor(v)
-    across, down = u - left, v - top
+    u = place[0] * float(size[1]) - 0.5
+    v = place[1] * float(size[2]) - 0.5
+    left = wp.floor(u)
+    top = wp.floor(v)
+    across = u - left
+    down = v - top
     total = wp.vec3(0.0, 0.0, 0.0)
     for i in range(2):
         for k in range(2):
-            column, row = (int(left) + k) % size[1], (int(top) + i) % size[2]
+            column = (int(left) + k) % size[1]
+            row = (int(top) + i) % size[2]
             if column < 0:
                 column += size[1]
             if row < 0:
@@ -282,8 +291,10 @@ def _print(
 ) -> wp.vec3:
     """The texture of a plane or a box; see `shade.Paint._print`."""
     turned = wp.transpose(R)
-    local, n = turned @ (point - x), turned @ normal
-    half, face = look.half[g], int(2)
+    local = turned @ (point - x)
+    n = turned @ normal
+    half = look.half[g]
+    face = int(2)
     if look.box[g] == 1:
         face = int(0)
         if wp.abs(n[1]) > wp.abs(n[0]):
@@ -301,7 +312,8 @@ def _print(
     begins = wp.vec2(
         wp.where(half[0] > 0.0, 0.5 * times[0], 0.5), wp.where(half[1] > 0.0, 0.5 * times[1], 0.5)
     )
-    i, j = wp.where(face == 0, 1, 0), wp.where(face == 2, 1, 2)
+    i = wp.where(face == 0, 1, 0)
+    j = wp.where(face == 2, 1, 2)
     edges = wp.vec2(2.0 * size[i], 2.0 * size[j])
     place = _on_face(local, face, edges, times) + begins
     texture = look.texture[g]
@@ -323,7 +335,8 @@ def _print(
     shadow = wp.normalize(shadow)
     first = _on_face(turned @ (shadow * (across / cosine)), face, edges, times)
     second = _on_face(turned @ (wp.cross(normal, shadow) * across), face, edges, times)
-    long, short = wp.length(wp.cw_mul(first, pixels)), wp.length(wp.cw_mul(second, pixels))
+    long = wp.length(wp.cw_mul(first, pixels))
+    short = wp.length(wp.cw_mul(second, pixels))
     along = first
     if short > long:
         along, long, short = second, short, long
@@ -360,7 +373,8 @@ def _sky(look: Look, up: float) -> wp.vec3:
         return look.tint[0]
     if up >= look.elevation[last]:
         return look.tint[last]
-    low, high = int(0), int(last)
+    low = int(0)
+    high = int(last)
     while high - low > 1:
         middle = (low + high) // 2
         if look.elevation[middle] <= up:
@@ -382,19 +396,20 @@ def _colour(
     j: int,
 ) -> wp.vec3:
     """The colour of what a ray hits, from 0 to 1; see `shade.Paint.colours`."""
-    g, ray, distance, normal = (
-        rays.geom[w, j],
-        rays.ray[w, j],
-        rays.distance[w, j],
-        rays.normal[w, j],
-    )
+    g = rays.geom[w, j]
+    ray = rays.ray[w, j]
+    distance = rays.distance[w, j]
+    normal = rays.normal[w, j]
     if g == SKY:
         return _sky(look, ray[2])
     point = rays.origin[w, j] + ray * distance
-    glow, gloss = look.glow[g], look.gloss[g]
-    light, mirrored = wp.vec3(glow, glow, glow), wp.vec3(0.0, 0.0, 0.0)
+    glow = look.glow[g]
+    gloss = look.gloss[g]
+    light = wp.vec3(glow, glow, glow)
+    mirrored = wp.vec3(0.0, 0.0, 0.0)
     for i in range(look.light_type.shape[0]):
-        to, share = -lamps.along[w, i], float(1.0)
+        to = -lamps.along[w, i]
+        share = float(1.0)
         if look.light_type[i] != DIRECTIONAL:
             way = lamps.place[w, i] - point
             far = wp.max(wp.length(way), 1.0e-9)

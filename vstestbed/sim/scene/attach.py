@@ -39,7 +39,8 @@ def choose_servos(model: mujoco.MjSpec, chosen: Actuation | None) -> None:
             body.gravcomp = carried
     if not chosen.friction:
         for joint in model.joints:
-            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+            joint.frictionloss = 0.0
+            joint.damping = np.zeros(3)
 
 
 def _keep(model: mujoco.MjSpec, prefix: str) -> None:
@@ -72,24 +73,29 @@ def _add(model: mujoco.MjSpec, servo: Servo) -> None:
         )
     elif servo.kp:
         made.set_to_intvelocity(kp=servo.kp, kv=servo.kv)
-        made.actlimited, made.actrange = True, [-UNBOUNDED, UNBOUNDED]
+        made.actlimited = True
+        made.actrange = [-UNBOUNDED, UNBOUNDED]
     else:
         made.set_to_velocity(kv=servo.kv)
     if servo.kp or servo.kv:
-        made.ctrllimited, made.ctrlrange = True, [-servo.speed, servo.speed]
+        made.ctrllimited = True
+        made.ctrlrange = [-servo.speed, servo.speed]
     if np.isfinite(servo.torque):
-        made.forcelimited, made.forcerange = True, [-servo.torque, servo.torque]
+        made.forcelimited = True
+        made.forcerange = [-servo.torque, servo.torque]
 
 
 def _feed(own: mujoco.MjsActuator, servo: Servo) -> None:
     """The file's own servo, told speeds: one of position is fed with the integrated speed."""
     own.name = servo.joint
     if own.biasprm[1] != 0 and own.dyntype == mujoco.mjtDyn.mjDYN_NONE:
-        own.dyntype, own.actlimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True
+        own.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        own.actlimited = True
         own.actrange = (
             own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
         )
-    own.ctrllimited, own.ctrlrange = True, [-servo.speed, servo.speed]
+    own.ctrllimited = True
+    own.ctrlrange = [-servo.speed, servo.speed]
 
 
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO

@@ -75,7 +75,8 @@ def add_stripe(
     kept = np.unique(np.append(np.arange(0, len(left), SEGMENT), len(left) - 1))
     n = len(kept)
     vertices = np.full((2 * n, 3), LIFT_M)
-    vertices[0::2, :2], vertices[1::2, :2] = left[kept], right[kept]
+    vertices[0::2, :2] = left[kept]
+    vertices[1::2, :2] = right[kept]
     at = 2 * np.arange(n - 1)[:, None]
     faces = np.concatenate([at + [0, 1, 2], at + [1, 3, 2]])  # counter-clockwise from above
     mesh = scene.add_mesh(
@@ -83,7 +84,8 @@ def add_stripe(
     )
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a sheet has no volume
     geom = _visual(body, mesh.name, mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], rgba, TARGET_GROUP)
-    geom.meshname, geom.material = mesh.name, paint.name
+    geom.meshname = mesh.name
+    geom.material = paint.name
 
 
 def add_sheet(
@@ -91,10 +93,13 @@ def add_sheet(
 ) -> float:
     """A picture with its face at z = front in the target's frame; where its back is [m]."""
     rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
-    paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, (SHARE, SHARE)
+    paint.specular = sheet.gloss
+    paint.shininess = SHININESS
+    paint.texrepeat = SHARE, SHARE
     lay_picture(scene, paint, "target/picture", "target_picture.png", sheet.png)
     half = thin(sheet.width)
-    size, pos = [sheet.width / 2, sheet.height / 2, half], [0, 0, front + half]
+    size = [sheet.width / 2, sheet.height / 2, half]
+    pos = [0, 0, front + half]
     geom = _visual(
         body,
         "target/picture",
@@ -125,14 +130,17 @@ def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
     if not isinstance(shape, np.ndarray):
         # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a
         # polygon .6 % of the radius too small.
-        scene.visual.quality.numslices, scene.visual.quality.numstacks = 2 * FACETS, FACETS
-        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape, 0, 0]
+        scene.visual.quality.numslices = 2 * FACETS
+        scene.visual.quality.numstacks = FACETS
+        geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
+        geom.size = [shape, 0, 0]
         return
     scene.meshdir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/target_solid.stl": as_stl(shape)}
     mesh = scene.add_mesh(name="target/solid", file="target_solid.stl")
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
-    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, "target/solid"
+    geom.type = mujoco.mjtGeom.mjGEOM_MESH
+    geom.meshname = "target/solid"
 
 
 HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
@@ -144,7 +152,8 @@ POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, ano
 # away
 FREE_HOUSING = 6.0
 # a start farther than this and nearer than that leaves the planes as they are [m]
-NEAR_START_M, FAR_START_M = 0.5, 25.0
+NEAR_START_M = 0.5
+FAR_START_M = 25.0
 GEOMS = {
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -157,7 +166,8 @@ PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a h
 # two far away
 BEHIND_SHEET_M = 1e-3
 # flat insides of a socket's hole, and half the thickness of its bottom [m]
-SOCKET_SIDES, SOCKET_BOTTOM_M = 32, 0.002
+SOCKET_SIDES = 32
+SOCKET_BOTTOM_M = 0.002
 # Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal
 # point are in pixels
 PITCH_M = 1e-5
@@ -227,7 +237,8 @@ def _fit_planes(scene: mujoco.MjSpec, away: float) -> None:
     which move no point of an image. (The lens of an arm's camera lies within the wrist, which would
     be seen.)
     """
-    planes, ratio = scene.visual.map, away / np.array([NEAR_START_M, FAR_START_M])
+    planes = scene.visual.map
+    ratio = away / np.array([NEAR_START_M, FAR_START_M])
     factor = 2.0 ** (min(0.0, np.floor(np.log2(ratio[0]))) + max(0.0, np.ceil(np.log2(ratio[1]))))
     planes.znear *= factor  # both: of a near plane alone the sky would be black
     planes.zfar *= factor
@@ -282,7 +293,8 @@ def _frame_overview(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
     """Fit the outside view to the path of a moving base; world.xml's own view shows an arm at the
     origin.
     """
-    robot, target = parts.robot, parts.target
+    robot = parts.robot
+    target = parts.target
     if robot.body is None:
         frame_flight(scene, robot, target)
     elif robot.base != "fixed":
@@ -326,11 +338,9 @@ def _add_camera(
             ],
         )
     body.add_site(name=eye, pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
-    box, glass, back = (
-        [0.025, 0.02, 0.03],
-        [0.013, 0.012, 0],
-        0.0 if group == LENS_GROUP else BEHIND_LENS_M,
-    )
+    box = [0.025, 0.02, 0.03]
+    glass = [0.013, 0.012, 0]
+    back = 0.0 if group == LENS_GROUP else BEHIND_LENS_M
     for name, kind, size, grey, along in (
         (f"{eye}_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
         (f"{eye}_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
@@ -354,7 +364,8 @@ def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: 
     """
     if deck is None:  # a vehicle of one's own need not have one
         return
-    middle, half = np.asarray(deck.pos, dtype=float), np.asarray(deck.size, dtype=float)
+    middle = np.asarray(deck.pos, dtype=float)
+    half = np.asarray(deck.size, dtype=float)
     head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
     foot = np.clip(head, middle - half, middle + half)
     if np.linalg.norm(head - foot) > POST_RADIUS_M:
@@ -402,11 +413,10 @@ def _add_socket(body: mujoco.MjsBody, socket: Socket) -> None:
     """A tube of boxes, whose flat insides touch a circle of the hole's radius, and its bottom; the
     front of a target collides nowhere else.
     """
-    middle, half = (
-        socket.radius + socket.wall / 2,
-        (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES),
-    )
-    grey, friction = [0.45, 0.47, 0.5, 1.0], [socket.friction, 0.005, 0.0001]
+    middle = socket.radius + socket.wall / 2
+    half = (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES)
+    grey = [0.45, 0.47, 0.5, 1.0]
+    friction = [socket.friction, 0.005, 0.0001]
     parts: list[tuple[list[float], list[float], float]] = [
         ([*socket.xy, SOCKET_BOTTOM_M], [middle, middle, SOCKET_BOTTOM_M], 0.0)
     ]
@@ -429,12 +439,15 @@ def _add_socket(body: mujoco.MjsBody, socket: Socket) -> None:
             rgba=grey,
             group=TARGET_GROUP,
         )
-        geom.mass, geom.friction, geom.solref = 0.0, friction, [SOFT_S, 1.0]
+        geom.mass = 0.0
+        geom.friction = friction
+        geom.solref = [SOFT_S, 1.0]
 
 
 def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
     if pad := target.pad:  # the only part of a target that collides
-        size, grey = [pad.side / 2, pad.side / 2, PAD_HALF_M], [0.62, 0.63, 0.62, 1]
+        size = [pad.side / 2, pad.side / 2, PAD_HALF_M]
+        grey = [0.62, 0.63, 0.62, 1]
         geom = body.add_geom(
             name="target/pad",
             type=GEOMS["box"],
@@ -443,9 +456,11 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
             rgba=grey,
             group=TARGET_GROUP,
         )
-        geom.mass, geom.friction = pad.weight, PAD_FRICTION
+        geom.mass = pad.weight
+        geom.friction = PAD_FRICTION
     elif target.board_half_m is not None:
-        half, marker = target.board_half_m, target.marker
+        half = target.board_half_m
+        marker = target.marker
         front = (marker.height_m or 1.5 * thin(marker.radius)) if target.draw_markers else 0.0
         front = thin(max(half), BEHIND_SHEET_M) if target.body is not None else front
         if target.sheet is not None:
@@ -465,7 +480,8 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
 def _add_marker(
     scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid
 ) -> None:
-    marker, normal = target.marker, target.normals[i]
+    marker = target.marker
+    normal = target.normals[i]
     rgba, paint = _paint(
         scene,
         f"color_{i}",
@@ -555,7 +571,8 @@ FINE_QUADS = 48
 """Parts of a box's face along each edge where light differs within it, which OpenGL computes at
 their corners alone; else MuJoCo's 4.
 """
-FINE_FLOOR_M, FINE_GRID_M = 10.0, 0.05
+FINE_FLOOR_M = 10.0
+FINE_GRID_M = 0.05
 """Half the floor's edge, and the distance of its corners, where light differs within it [m]: in
 OpenGL the peak of a highlight of exponent 100 is up to 4 % too low, and found within 0.07 m of its
 place.
@@ -589,27 +606,29 @@ def _replace_lights(scene: mujoco.MjSpec, light: Light) -> None:
     """
     for other in scene.lights:
         other.active = other.name in ("key", "fill")
-    key, fill = scene.light("key"), scene.light("fill")
-    along, colour = (
-        np.array(light.direction) / np.linalg.norm(light.direction),
-        np.array(light.color),
-    )
-    fill.ambient, fill.diffuse = light.ambient * colour, [0, 0, 0]
+    key = scene.light("key")
+    fill = scene.light("fill")
+    along = np.array(light.direction) / np.linalg.norm(light.direction)
+    colour = np.array(light.color)
+    fill.ambient = light.ambient * colour
+    fill.diffuse = [0, 0, 0]
     place = np.zeros(3) if light.xyz is None else np.array(light.xyz)
     if light.motion.moves:
         scene.delete(key)
         holder = scene.worldbody.add_body(name=LAMP, mocap=True, pos=place)
-        key, place = holder.add_light(name="key", castshadow=True), np.zeros(3)
-    key.type, key.dir, key.pos, key.ambient = (
-        mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        along,
-        -SUN_M * along,
-        [0, 0, 0],
-    )
+        key = holder.add_light(name="key", castshadow=True)
+        place = np.zeros(3)
+    key.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    key.dir = along
+    key.pos = -SUN_M * along
+    key.ambient = [0, 0, 0]
     # a spot light of half a space: MuJoCo's OpenGL draws its point lights as spots of 45 degrees
     if light.xyz is not None:
-        key.type, key.pos, key.attenuation = mujoco.mjtLightType.mjLIGHT_SPOT, place, [1, 0, 0]
-        key.exponent, key.cutoff = 0, 90
+        key.type = mujoco.mjtLightType.mjLIGHT_SPOT
+        key.pos = place
+        key.attenuation = [1, 0, 0]
+        key.exponent = 0
+        key.cutoff = 90
     key.diffuse = key.specular = light.brightness * colour
 
 
@@ -617,7 +636,8 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
     """A pane of constant brightness, and its light, as `WindowPane` has it, for highlights of an
     exponent.
     """
-    T, grey = pane.pose.T, min(pane.brightness, 1.0) / GLOW
+    T = pane.pose.T
+    grey = min(pane.brightness, 1.0) / GLOW
     name = f"window_{i}"
     paint = scene.add_material(
         name=name, rgba=[grey, grey, grey, 1], specular=0, shininess=0, emission=GLOW
@@ -653,11 +673,9 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
 
 def _paint_floor(scene: mujoco.MjSpec, floor: Floor) -> None:
     paint = scene.material("floor")
-    paint.specular, paint.shininess, paint.reflectance = (
-        floor.gloss,
-        floor.sharpness / 128,
-        floor.mirror,
-    )
+    paint.specular = floor.gloss
+    paint.shininess = floor.sharpness / 128
+    paint.reflectance = floor.mirror
     if floor.texture is None:
         return
     png, (width, height) = read_tile(place_of_picture(floor.texture), floor.albedo)

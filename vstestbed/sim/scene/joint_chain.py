@@ -81,7 +81,8 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         there = [model.site(i).name for i in range(model.nsite)] or [
             model.body(i).name for i in range(1, model.nbody)
         ]
-        kind, known = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
+        kind = "sites" if model.nsite else "bodies"
+        known = ", ".join(filter(None, there))
         known = (
             f"its {kind}: {known}"
             if known
@@ -121,7 +122,8 @@ def inertia_at(
     rotors, the armature (n,) [kg m^2, kg].
     """
     model = compiled(str(model_path(file)))
-    data, (places, dofs) = mujoco.MjData(model), places_of(model, joints)
+    data = mujoco.MjData(model)
+    places, dofs = places_of(model, joints)
     data.qpos[places] = q
     mujoco.mj_forward(model, data)
     M = np.zeros((model.nv, model.nv))
@@ -140,20 +142,20 @@ class Masses:
         spec = read_model(place_of_file(file))
         if load is not None:
             mass, *com, edge = load
-            at, (_, T_body_flange) = spec.site(flange), self._flange(file, flange)
+            at = spec.site(flange)
+            _, T_body_flange = self._flange(file, flange)
             body = (at.parent if at else spec.body(flange)).add_body(
                 name="load", pos=T_body_flange[:3, :3] @ com + T_body_flange[:3, 3]
             )
-            body.mass, body.inertia, body.explicitinertial, body.ipos = (
-                mass,
-                [mass * edge**2 / 6] * 3,
-                True,
-                np.zeros(3),
-            )
+            body.mass = mass
+            body.inertia = [mass * edge**2 / 6] * 3
+            body.explicitinertial = True
+            body.ipos = np.zeros(3)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._places, self._dofs = places_of(self._model, joints)
-        self._full, self._tau = np.zeros((self._model.nv, self._model.nv)), np.zeros(self._model.nv)
+        self._full = np.zeros((self._model.nv, self._model.nv))
+        self._tau = np.zeros(self._model.nv)
 
     def _flange(self, file: str, flange: str) -> tuple[int, np.ndarray]:
         found = flange_in(compiled(file), flange)
@@ -162,9 +164,11 @@ class Masses:
 
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """See `robots.chain.ArmDynamics`."""
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         self._place(q)
-        data.qvel[self._dofs], data.qacc[self._dofs] = qd, qdd
+        data.qvel[self._dofs] = qd
+        data.qacc[self._dofs] = qdd
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 1, self._tau)
         return self._tau[self._dofs] + model.dof_armature[self._dofs] * qdd
@@ -190,7 +194,8 @@ def dynamics(file: str, flange: str, joints: tuple[str, ...], load: Load | None)
 def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
     """A pose (4, 4) of a place (3,) and a rotation (9,) or (3, 3)."""
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), xyz
+    T[:3, :3] = R.reshape(3, 3)
+    T[:3, 3] = xyz
     return T
 
 
@@ -215,11 +220,9 @@ def before(
     slack: a geom that the ray hits less than this before the point does not hide it [m]. left_out:
     groups of geoms that hide nothing.
     """
-    groups, geom, found = (
-        np.ones(6, dtype=np.uint8),
-        np.zeros(1, dtype=np.int32),
-        np.full(len(ways), -1),
-    )
+    groups = np.ones(6, dtype=np.uint8)
+    geom = np.zeros(1, dtype=np.int32)
+    found = np.full(len(ways), -1)
     groups[list(left_out)] = 0
     reach = np.linalg.norm(ways, axis=1)
     for i in np.flatnonzero(np.isfinite(reach)):
@@ -252,7 +255,8 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
 def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
     joints: list[int] = []
     while body > 0:
-        first, n = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        first = int(model.body_jntadr[body])
+        n = int(model.body_jntnum[body])
         joints = [*range(first, first + n), *joints]
         body = int(model.body_parentid[body])
     return joints
@@ -350,7 +354,8 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     a closed loop.
     """
     kind = mujoco.mjtEq(model.eq_type[equality])
-    one, other = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+    one = int(model.eq_obj1id[equality])
+    other = int(model.eq_obj2id[equality])
     if kind == mujoco.mjtEq.mjEQ_JOINT:
         return {one}  # the other one moves it
     if kind == mujoco.mjtEq.mjEQ_TENDON:
@@ -358,7 +363,8 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
         return set()
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
-        one, other = int(model.site_bodyid[one]), int(model.site_bodyid[other])
+        one = int(model.site_bodyid[one])
+        other = int(model.site_bodyid[other])
     # what moves both changes nothing between them
     return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
 
@@ -369,7 +375,8 @@ def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
     """
     first = model.tendon_adr[tendon]
     of = slice(first, first + model.tendon_num[tendon])
-    found, before = set[int](), list[set[int]]()
+    found = set[int]()
+    before = list[set[int]]()
     for kind, thing in zip(
         model.wrap_type[of].tolist(), model.wrap_objid[of].tolist(), strict=True
     ):
@@ -387,7 +394,8 @@ def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
     """Refuse what MuJoCo passes over: a range with its ends exchanged, which is none to it, and
     friction or inertia under zero.
     """
-    dof, (low, high) = model.jnt_dofadr[joint], model.jnt_range[joint].tolist()
+    dof = model.jnt_dofadr[joint]
+    low, high = model.jnt_range[joint].tolist()
     if low > high:
         raise ParameterError(
             "file",
@@ -422,10 +430,8 @@ def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
         for a in drivers(model, i):
-            gear, motor = (
-                abs(model.actuator_gear[a, 0]),
-                model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE,
-            )
+            gear = abs(model.actuator_gear[a, 0])
+            motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if model.actuator_forcelimited[a]:
                 torque[k] = min(torque[k], gear * model.actuator_forcerange[a, 1])
             if motor and model.actuator_ctrllimited[a]:
@@ -468,7 +474,8 @@ def mounted(
     names by which profiles of servos are chosen.
     """
     file = place_of_file(str(model_path(arm)))
-    base, upper = read_model(model_path(platform)), read_model(file)
+    base = read_model(model_path(platform))
+    upper = read_model(file)
     reshape(base, changes)
     for thing in [*base.actuators, *(geom for geom in base.geoms if geom.name in ON_DECK)]:
         base.delete(thing)

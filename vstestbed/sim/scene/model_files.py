@@ -206,7 +206,8 @@ def _has_real_numbers(path: Path) -> None:
         given = dict(ATTRIBUTE.findall(attributes))
         where = f"<{element}>{after}"
         if "name" in given:
-            where, after = f"<{element}> {given['name']}", f" after {element} {given['name']}"
+            where = f"<{element}> {given['name']}"
+            after = f" after {element} {given['name']}"
         for attribute, value in given.items():
             if value not in names and (wrong := _wrong_number(element, attribute, value)):
                 line = text.count("\n", 0, found.start()) + 1
@@ -258,7 +259,8 @@ def check_options(spec: mujoco.MjSpec, path: Path) -> None:
     Others are taken over (`attach.py`), or are of the solver, which is the scene's. Raises
     ParameterError: `file`.
     """
-    option, plain = spec.option, mujoco.MjSpec().option
+    option = spec.option
+    plain = mujoco.MjSpec().option
     lost = [
         name
         for name in ("gravity", "wind")
@@ -284,7 +286,8 @@ def _included(path: Path) -> list[Path]:
     """The files that a model includes, and those that these include, all from the model's folder;
     comments include none.
     """
-    names, waiting = list[Path](), [path]
+    names = list[Path]()
+    waiting = [path]
     while waiting:
         for name in INCLUDE.findall(_uncommented(waiting.pop())):
             if path.parent / name not in names:
@@ -548,7 +551,8 @@ def _narrowed(joint: mujoco.MjsJoint, ends: list[float], path: Path) -> list[flo
     """The range of a joint within the ends of another one [rad, m]."""
     low, high = joint.range.tolist()
     if low >= high:  # it turns without end
-        low, high = -math.inf, math.inf
+        low = -math.inf
+        high = math.inf
     wanted = [max(low, ends[0]), min(high, ends[-1])]
     if len(ends) < len(SOFT) or not wanted[0] < wanted[1]:
         words = (

@@ -30,19 +30,21 @@ from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
 # Postures that are drawn, and how many of them, the best first, are looked at more closely
-DRAWS, TRIED = 400, 100
-DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)
+DRAWS = 400
+TRIED = 100
+DISTANCES_M = 0.6, 0.45, 0.3
+MOUNTS_M = 0.05, 0.1, 0.2
 """Distances of the target from the camera at the goal, and of the camera from the flange; the first
 with a good posture are taken [m].
 """
 # How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that
 # slides [m]
-APART_DEG, APART_M = (
-    4.0,
-    0.02,
-)
+APART_DEG = 4.0
+APART_M = 0.02
 CLEAR_M = 0.1  # height over the floor under which no joint, camera or marker shall be [m]
-SPEED, SLIDE_SPEED, SPEED_UP_S = 1.0, 0.25, 0.25
+SPEED = 1.0
+SLIDE_SPEED = 0.25
+SPEED_UP_S = 0.25
 """Speed limits of such a scenario [rad/s], [m/s], and the time in which its servos must be able to
 reach them [s].
 """
@@ -79,7 +81,8 @@ def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
     ]
     random = "{q_deg: 5, slide_m: 0.02}" if chain.slides.any() else "{q_deg: 5}"
     q = np.where(chain.slides, start.q, np.degrees(start.q))
-    side, radius = start.distance / 3, start.distance / 50
+    side = start.distance / 3
+    radius = start.distance / 50
     pose = f"{{xyz: {_listed(target.xyz, 4)}, rpy_deg: {_listed(target.rpy_deg, 3)}}}"
     lines = [
         (
@@ -131,7 +134,8 @@ def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
 
     Reference: Klein & Blaho 1987, doi:10.1177/027836498700600206.
     """
-    drawn, scale = _drawn(chain), unit_scale(chain.unit_m)[:, None]
+    drawn = _drawn(chain)
+    scale = unit_scale(chain.unit_m)[:, None]
     least = [np.linalg.svd(scale * chain.kinematics(q)[1], compute_uv=False)[-1] for q in drawn]
     best = drawn[np.argsort(least)[::-1][:TRIED]]
     # as the scenario will have them
@@ -163,7 +167,8 @@ def torques(file: str, chain: JointChain) -> list[float]:
     model = compiled(file)
     data, places, dofs = mujoco.MjData(model), *places_of(model, chain.names)
     M = np.zeros((model.nv, model.nv))
-    weight, inertia = np.zeros(len(dofs)), np.zeros(len(dofs))
+    weight = np.zeros(len(dofs))
+    inertia = np.zeros(len(dofs))
     for q in _drawn(chain)[:TRIED]:
         data.qpos[places] = q
         mujoco.mj_forward(model, data)
@@ -185,7 +190,8 @@ def _drawn(chain: JointChain) -> Array:
     """
     endless = np.radians([-150.0, 150.0])
     limits = np.where(np.isfinite(chain.limits), chain.limits, endless)
-    middle, half = limits.mean(axis=1), INNER / 2 * np.ptp(limits, axis=1)
+    middle = limits.mean(axis=1)
+    half = INNER / 2 * np.ptp(limits, axis=1)
     return middle + half * np.random.default_rng(0).uniform(-1, 1, (DRAWS, len(middle))) * (
         np.arange(len(middle)) > 0
     )
@@ -262,10 +268,8 @@ FLANGE_NAME = re.compile(
 
 EXCLUDE = 'leave the pair out by <contact><exclude body1="..." body2="..."/></contact> in the file'
 
-ARM, MEND = (
-    "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange",
-    "correct it in the file",
-)
+ARM = "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange"
+MEND = "correct it in the file"
 
 # what was examined, whether it can be used, what was found, a remedy
 Line = tuple[str, bool, str, str]
@@ -420,7 +424,8 @@ def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
     sites = {model.site(i).name: int(model.site_bodyid[i]) for i in range(model.nsite)}
 
     def rank(name: str) -> tuple[bool, int, bool, bool, int]:
-        joints, named = usable[name].names, FLANGE_NAME.search(name) is not None
+        joints = usable[name].names
+        named = FLANGE_NAME.search(name) is not None
         return (
             set(joints) == trunk,
             len(joints),
@@ -437,10 +442,8 @@ def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
     something is missing.
     """
     for i, name in enumerate(chain.names):
-        missing, drive = (
-            [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"],
-            chain.drives[i],
-        )
+        missing = [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"]
+        drive = chain.drives[i]
         if drive not in ("velocity", "position"):
             missing.append(f"a {drive} actuator" if drive else "no actuator")
         wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(name)}"')
@@ -459,7 +462,8 @@ def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) ->
     """
     M, _ = inertia_at(file, chain.names, tuple(q.tolist()))
     for i, (name, m) in enumerate(zip(chain.names, M.diagonal().tolist(), strict=True)):
-        friction, slides = float(chain.friction[i]), bool(chain.slides[i])
+        friction = float(chain.friction[i])
+        slides = bool(chain.slides[i])
         yield (
             "servo",
             True,
@@ -507,7 +511,8 @@ def _gains(kp: float, kv: float, friction: float, slides: bool) -> str:
 
 
 def _span(chain: JointChain, i: int) -> str:
-    slides, torque = bool(chain.slides[i]), float(chain.torque[i])
+    slides = bool(chain.slides[i])
+    torque = float(chain.torque[i])
     low, high = (chain.limits[i] * (1.0 if slides else np.degrees(1.0))).tolist()
     spans = (
         f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}"

@@ -86,7 +86,8 @@ class Scene:
         self.physics = Physics.from_model(wrapper.MjModel(model))
         self.physics.anisotropy = parts.camera.anisotropy
         self.physics.glossy = parts.glossy
-        self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
+        self.model = self.physics.model.ptr
+        self.data = self.physics.data.ptr
         self._target = self.model.body("target/frame")
         self._turned = np.zeros((4, 4)), np.zeros(4)
         self.root = Root(self.model, "robot/") if parts.robot.base != "fixed" else None
@@ -200,10 +201,8 @@ class Scene:
 
     def put(self, mocap: int, T_world_body: Array) -> None:
         """Put a mocap body, by its number among them, at a pose (4, 4)."""
-        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = (
-            T_world_body[:3, 3],
-            quaternion_wxyz(T_world_body[:3, :3]),
-        )
+        self.data.mocap_pos[mocap] = T_world_body[:3, 3]
+        self.data.mocap_quat[mocap] = quaternion_wxyz(T_world_body[:3, :3])
 
     def target_pose(self) -> Array:
         """Pose (4, 4) of the target in the world."""

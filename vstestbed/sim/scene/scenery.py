@@ -70,7 +70,8 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
         raise cannot_compile(error, Path(path), "an MJCF file") from None
     for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
         if moving:
-            name, line = moving[0].name or "without a name", _line(moving[0], path)
+            name = moving[0].name or "without a name"
+            line = _line(moving[0], path)
             why = (
                 "nothing would drive it"
                 if what == "actuator"
@@ -136,10 +137,8 @@ def _top(model: mujoco.MjModel, g: int, T: Array) -> float | None:
     if int(model.geom_type[g]) not in FLAT or model.geom_group[g] > 2:
         return None
     data = _placed(model)
-    normal, at = (
-        T[:3, :3] @ data.geom_xmat[g].reshape(3, 3),
-        T[:3, :3] @ data.geom_xpos[g] + T[:3, 3],
-    )
+    normal = T[:3, :3] @ data.geom_xmat[g].reshape(3, 3)
+    at = T[:3, :3] @ data.geom_xpos[g] + T[:3, 3]
     axis = int(np.abs(normal[2]).argmax())
     if abs(normal[2, axis]) < 1 - 1e-6:
         return None
@@ -171,7 +170,8 @@ def parts_before(
     drawn, and hide nothing.
     """
     model = _model(place_of_file(file))
-    eye, ways = np.ascontiguousarray(T_scenery_camera[:3, 3]), p_camera @ T_scenery_camera[:3, :3].T
+    eye = np.ascontiguousarray(T_scenery_camera[:3, 3])
+    ways = p_camera @ T_scenery_camera[:3, :3].T
     hides = before(model, _placed(model), eye, ways, slack, (3, 4, 5)).tolist()
     return tuple(f"geom {_name(model, g)}" if g >= 0 else "" for g in hides)
 
@@ -232,7 +232,8 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
     """What of a file is of a colour above a chroma in pictures, which `who` takes for a marker, and
     what would not be; "" for nothing.
     """
-    model, limit = _model(path), chroma / 255 / BRIGHTEST
+    model = _model(path)
+    limit = chroma / 255 / BRIGHTEST
     found = {name: value for name, value in _saturations(model) if value > limit}
     if not found:
         return ""
@@ -250,7 +251,8 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
 def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
     colours = own_colours(model)
     for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)):
-        texture, rgb = texture_of(model, int(g)), colours[g, :3]
+        texture = texture_of(model, int(g))
+        rgb = colours[g, :3]
         yield (
             f"geom {_name(model, int(g))}",
             float(np.ptp(rgb)) if texture < 0 else _spread(texels_of(model, texture), rgb),
@@ -287,10 +289,8 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
             "lights",
             f"{len(spec.lights)}, in place of the scene's key light; the fill light stays",
         )
-    found, plain = (
-        [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))],
-        mujoco.MjSpec(),
-    )
+    found = [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))]
+    plain = mujoco.MjSpec()
     options = [name for name in dir(plain.option) if not name.startswith("_")]
     changed = [
         name

@@ -434,7 +434,8 @@ compiled model.
 
 def plate_path(plate: Plate) -> Path:
     """Pose (4, 4) of a plate as a function of time [s]."""
-    there, away = path_from(plate.pose.T, plate.motion), plate.pose.T.copy()
+    there = path_from(plate.pose.T, plate.motion)
+    away = plate.pose.T.copy()
     away[:3, 3] = AWAY
     # 1e-9: times are sums of steps, and a plate must come in the very frame of from_s.
     return lambda t: there(t) if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else away
