@@ -18,7 +18,7 @@ from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import place_of, pose_on_ground, relative
-from vstestbed.effects.base import Actor, Effect, StateIndices
+from vstestbed.effects.base import Actor, Effect, RobotBody, StateIndices
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth, Viewpoint
@@ -26,7 +26,7 @@ from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.attach import add_robot
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
-from vstestbed.timing.setpoints import Interpolator
+from vstestbed.timing.setpoints import SetpointBuffer
 
 
 class RobotContacts:
@@ -39,9 +39,8 @@ class RobotContacts:
         self._model = model
         bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
         self._feet = np.zeros(model.ngeom, dtype=bool)
-        self._feet[
-            [model.geom(f"robot/{name}").id for name in (robot.body.feet if robot.body else ())]
-        ] = True
+        for name in robot.body.feet if robot.body else ():
+            self._feet[model.geom(f"robot/{name}").id] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
         self._floors = [i for i in range(model.ngeom) if model.geom(i).name.startswith("floor")]
         self._on_wheels = robot.base == "planar"
@@ -69,24 +68,16 @@ class RobotContacts:
         found = np.flatnonzero(touching.any(axis=1))
         if not len(found):
             return ""
-        pair = pairs[found[0]].tolist()
-        return " and ".join(
-            self._name(geom) for geom in (pair if touching[found[0], 0] else pair[::-1])
-        )
+        one, other = map(self._name, pairs[found[0]].tolist())
+        return f"{one} and {other}" if touching[found[0], 0] else f"{other} and {one}"
 
     def _name(self, geom: int) -> str:
         """Name of a geom, or of the body it belongs to, without the prefix of its part of the
         scene.
         """
         name = self._model.geom(geom).name or self._model.body(self._model.geom_bodyid[geom]).name
-        words = (
-            name.removeprefix("robot/")
-            .removeprefix("scenery/")
-            .strip("/")
-            .replace("/", " ")
-            .replace("_", " ")
-        )
-        return words or "something without a name"
+        words = name.removeprefix("robot/").removeprefix("scenery/").strip("/")
+        return words.replace("/", " ").replace("_", " ") or "something without a name"
 
 
 NO_JOINTS = np.zeros(0)
@@ -127,7 +118,8 @@ class SensorReader:
                 # the encoders are on the motors
                 q = self._data.qpos[self._at.motor_qpos]
                 qd = self._data.qvel[self._at.motor_qvel]
-            self._reading, self.read_at = self._model(q, qd, sensors), step
+            self._reading = self._model(q, qd, sensors)
+            self.read_at = step
         return self._reading
 
 
@@ -288,12 +280,8 @@ class LeadVehicle:
         self._root = stage.leader
         self._robot = stage.parts.leader
         self._mount = Mount.of(np.eye(4))
-        self._at = StateIndices.of(
-            stage.model,
-            self._robot.joints,
-            self._robot.body.actuators if self._robot.body else (),
-            "leader/",
-        )
+        names = self._robot.body.actuators if self._robot.body else ()
+        self._at = StateIndices.of(stage.model, self._robot.joints, names, "leader/")
         self._memory: Any = self._robot.onboard.begin() if self._robot.onboard else None
         self._s = motion.from_m
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
@@ -334,6 +322,37 @@ SETTLE_S = 1.0
 LONGEST_PUSH_S = 10.0
 
 
+class Actors:
+    """What acts on a robot while a run lasts, for its effects and for the wind, by when it acts."""
+
+    def __init__(self, effects: Sequence[Effect], body: RobotBody, rng: np.random.Generator):
+        self.all: list[Actor] = []
+        self.rows: list[tuple[Effect, Actor]] = []  # what fills the effects' columns
+        self.forces: list[Array] = []
+        self.each_step: list[Callable[[float, float], None]] = []
+        self.each_period: list[Callable[[float, float], None]] = []
+        self.driven: list[Callable[[Sequence[float], float], Sequence[float]]] = []
+        for effect in effects:
+            # Each has a stream of its own: turbulence, drawn at the control rate, must not shift
+            # the noise that the sensors draw.
+            actor = effect.actor(body, rng.spawn(1)[0])
+            if effect.columns:
+                self.rows.append((effect, actor or Actor()))
+            if actor is not None:
+                self._add(actor, body)
+
+    def _add(self, actor: Actor, body: RobotBody) -> None:
+        self.all.append(actor)
+        if actor.force is not None:
+            self.forces.append(actor.force)
+        if actor.of_motors:
+            body.motor_forces.append(actor.force)
+        if type(actor).act is not Actor.act:
+            (self.each_period if actor.with_controller else self.each_step).append(actor.act)
+        if type(actor).driven is not Actor.driven:
+            self.driven.append(actor.driven)
+
+
 class MujocoPlant(Plant):
     """Steps a scene; setpoints go to the actuators, through the robot's onboard controller where it
     has one.
@@ -348,34 +367,24 @@ class MujocoPlant(Plant):
     def __init__(
         self,
         stage: Scene,
-        steps_per_frame: int,
         eye: ImageSensor | None,
         see_hidden: bool,
         rng: np.random.Generator,
         path: Path | None = None,
-        order_s: float = math.inf,
-        interpolator: Interpolator | None = None,
+        setpoints: SetpointBuffer | None = None,
     ):
         robot = stage.parts.robot
         world = stage.parts.world
-        super().__init__(stage.parts, steps_per_frame, stage, eye, path, order_s, interpolator)
+        super().__init__(stage.parts, stage, eye, path, setpoints or stage.parts.setpoints())
         self._robot = robot
         self._scenery = bool(world.movers) or stage.hand_plate is not None
         self._see_hidden = see_hidden
         self._visible = np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
-        # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the
-        # noise that the sensors draw.
         self._of_robot = stage.body
-        made = [
-            (effect, effect.actor(self._of_robot, rng.spawn(1)[0]))
-            for effect in (world.wind, *robot.acting)
-        ]
-        self._actors = [actor for _, actor in made if actor is not None]
-        self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
-        self._forces = [actor.force for actor in self._actors if actor.force is not None]
-        self._of_robot.motor_forces.extend(actor.force for actor in self._actors if actor.of_motors)
-        self._sensors = SensorReader(stage, rng, self._actors)
+        self._actors = Actors((world.wind, *robot.acting), self._of_robot, rng)
+        self._forces = self._actors.forces
+        self._sensors = SensorReader(stage, rng, self._actors.all)
         self._ctrl = stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
@@ -383,17 +392,11 @@ class MujocoPlant(Plant):
         self._pushes = False
         self._push_ends = 0
         self._onboard = robot.onboard
-        self._memory: Any = self._onboard.begin() if self._onboard else None
-        # 0: none
-        self._control_steps = (
-            max(1, round(self._onboard.control_period_s / self.step_s)) if self._onboard else 0
-        )
-        acting = [actor for actor in self._actors if type(actor).act is not Actor.act]
-        self._each_step = [actor.act for actor in acting if not actor.with_controller]
-        self._each_period = [actor.act for actor in acting if actor.with_controller]
-        self._driven = [
-            actor.driven for actor in self._actors if type(actor).driven is not Actor.driven
-        ]
+        self._memory: Any = None
+        self._control_steps = 0  # none
+        if self._onboard:
+            self._memory = self._onboard.begin()
+            self._control_steps = max(1, round(self._onboard.control_period_s / self.step_s))
         self._start()
         self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
 
@@ -405,16 +408,15 @@ class MujocoPlant(Plant):
             yield self._leader.steps, self._leader.drive
         if self._control_steps:
             yield self._control_steps, self._control
-        for act in self._each_step:
+        for act in self._actors.each_step:
             yield 1, lambda dt, act=act: act(self._t, dt)
 
     def _start(self) -> None:
-        q, T = self._stage.parts.start
-        self._stage.place(
-            0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T
-        )
+        parts = self._stage.parts
+        T_target = parts.T_world_target if self._path is None else self._path(0.0)
+        self._stage.place(0.0, T_target, *parts.start)
         settle(self._stage)
-        for actor in self._actors:
+        for actor in self._actors.all:
             actor.start()
         if self._robot.base == "planar" or self._leader:
             self._stand()
@@ -424,7 +426,7 @@ class MujocoPlant(Plant):
         time 0.
         """
         stage = self._stage
-        data = self._stage.data
+        data = stage.data
         T_robot = stage.parts.start[1] @ stage.mount_inverse
         T_leader = self._target.T_world_start @ stage.target_inverse
         # Out of the way: it is not controlled yet, and would fall on the vehicle.
@@ -461,10 +463,10 @@ class MujocoPlant(Plant):
         """Advance without controllers, with what acts at each step; False when MuJoCo reports an
         instability.
         """
-        if not self._each_step:
+        if not self._actors.each_step:
             return self._stage.step(steps)
         for _ in range(steps):
-            for act in self._each_step:
+            for act in self._actors.each_step:
                 act(0.0, self.step_s)
             self._apply()
             if not self._stage.step(1):
@@ -505,7 +507,9 @@ class MujocoPlant(Plant):
         ctrl = self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
-        effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
+        effects = tuple(
+            value for effect, actor in self._actors.rows for value in _row(effect, actor)
+        )
         wind = stage.model.opt.wind.copy()
         tau = self._of_robot.motor_torque()
         return Truth(
@@ -532,15 +536,12 @@ class MujocoPlant(Plant):
         stage = self._stage
         assert self._eye is not None
         with stage.kept():
-            joints = (
-                stage.data.qpos[stage.at.qpos] if q is None else shown_at(stage, T_world_flange, q)
-            )
-            stage.place(
-                stage.data.time,
-                stage.target_pose(),
-                joints,
-                T_world_flange @ stage.parts.camera.mount.T,
-            )
+            if q is None:
+                joints = stage.data.qpos[stage.at.qpos]
+            else:
+                joints = shown_at(stage, T_world_flange, q)
+            T_world_camera = T_world_flange @ stage.parts.camera.mount.T
+            stage.place(stage.data.time, stage.target_pose(), joints, T_world_camera)
             return self._eye.clean(self._t)
 
     def pose_of(self, viewpoint: Viewpoint) -> Array:
@@ -600,13 +601,13 @@ class MujocoPlant(Plant):
     def _control(self, dt: float) -> None:
         step = self._steps
         stage = self._stage
-        for act in self._each_period:
+        for act in self._actors.each_period:
             act(step * self.step_s, dt)
         setpoint = self._setpoints.at(step)
         if setpoint is not None and self._onboard is not None:
             reading = self._sensors.read(step)
             self._memory, orders = self._onboard.actuate(self._memory, setpoint, reading, dt)
-            for driven in self._driven:
+            for driven in self._actors.driven:
                 orders = driven(orders, dt)  # pyright: ignore[reportArgumentType] - plain floats, of a craft
             self._ctrl[stage.at.ctrl] = orders
 

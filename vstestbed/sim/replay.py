@@ -17,7 +17,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
-from vstestbed.sim.base import SceneDescription
+from vstestbed.sim.base import SceneDescription, SceneState
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import bare_renderer, outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
@@ -97,9 +97,8 @@ class Replay:
         """Another replay, of the same scene with this target, whose servo camera gives images of
         the same size; it is to be closed.
         """
-        return Replay(
-            replace(self._parts, target=target, others=()), self._shadows, share=self._share
-        )
+        parts = replace(self._parts, target=target, others=())
+        return Replay(parts, self._shadows, share=self._share)
 
     @property
     def cameras(self) -> list[str]:
@@ -109,16 +108,12 @@ class Replay:
     def picture(
         self,
         camera: str,
-        width: int,
-        height: int,
-        t: float,
-        T_world_target: Array,
-        q: Array,
-        T_world_camera: Array,
+        size: tuple[int, int],
+        state: SceneState,
         T_world_goal: Array | None = None,
     ) -> Image:
-        """One picture (H, W, 3) uint8; the servo camera `eye` and further cameras have lenses of
-        their own, and `share` of their size whatever width and height say.
+        """One picture (H, W, 3) uint8 of a size (width, height); the servo camera `eye` and further
+        cameras have lenses of their own, and `share` of their size whatever `size` says.
 
         `overview` follows the robot from picture to picture, so that it, the target and
         T_world_goal, the servo camera's goal pose (4, 4), are in sight. Raises ParameterError:
@@ -128,32 +123,27 @@ class Replay:
             raise ParameterError.choice("--camera", self.cameras, camera)
         if camera in self._lenses:
             stage, view = self._own_lens(camera)
-            stage.place(t, T_world_target, q, T_world_camera)
+            stage.place(*state)
             image = view()
-            self._seen = (t, image) if camera == "eye" else self._seen
+            self._seen = (state.t, image) if camera == "eye" else self._seen
             return image
         if camera not in self._views:
-            view = outside_view(
-                self._stage, camera, width, height, self._parts.camera, self._shadows
-            )
-            model = self._stage.model
-            data = self._stage.data
-            lens = Perspective(
-                width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0])
-            )
-            self._views[camera] = (
-                StillView(view.full_image, model, data, camera, lens.f, view.part),
-                lens,
-            )
-        self._stage.place(t, T_world_target, q, T_world_camera)
+            self._views[camera] = self._outside(camera, *size)
+        self._stage.place(*state)
         if camera == "overview" and self._view is not None:
             self._view.place(self._stage, self._things)
         elif camera == "overview":
-            self._follow = self._follow or FollowCamera(
-                self._stage, self._things, width / height, FREE
-            )
-            self._follow.place(t, T_world_goal)
+            if self._follow is None:
+                aspect = size[0] / size[1]
+                self._follow = FollowCamera(self._stage, self._things, aspect, FREE)
+            self._follow.place(state.t, T_world_goal)
         return self._views[camera][0].full_image()
+
+    def _outside(self, camera: str, width: int, height: int) -> tuple[StillView, Perspective]:
+        view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
+        fovy_deg = float(self._stage.model.camera(camera).fovy[0])
+        lens = Perspective(width=width, height=height, fovy_deg=fovy_deg)
+        return StillView(view.full_image, self._stage.data, camera, lens.f, view.part), lens
 
     @property
     def solids(self) -> list[Solid]:
@@ -234,9 +224,7 @@ class Replay:
             f = self._share * pixels_per_radian(lens)
             # what is out of sight may cast shadows
             sides = None if lens.shadows else half_tangents(lens)
-            view = StillView(
-                drawn_by.full_image, stage.model, stage.data, eye, f, sides=sides
-            ).full_image
+            view = StillView(drawn_by.full_image, stage.data, eye, f, sides=sides).full_image
         self._own[eye] = stage, view
         return stage, view
 
@@ -252,9 +240,8 @@ def _repaint(model: mujoco.MjModel) -> None:
     and to that camera markers.
     """
     floor = texels_of(model, model.texture("floor").id)
-    floor[:] = np.where(
-        (floor == floor[0, 0]).all(axis=-1, keepdims=True), *np.array(FLOOR, np.uint8)
-    )
+    first = (floor == floor[0, 0]).all(axis=-1, keepdims=True)
+    floor[:] = np.where(first, *np.array(FLOOR, np.uint8))
     # scenery may have brought its own
     if any(model.texture(i).name == "sky" for i in range(model.ntex)):
         sky = texels_of(model, model.texture("sky").id)
@@ -297,9 +284,8 @@ class Rerendering:
         self._stage = Scene(replace(scene, others=()), samples=camera.multisampling)
         drawn_by = servo_renderer(self._stage, camera, image_sigma > 0)
         noise = ImageNoise(image_sigma, rng)
-        self._sensor = ImageSensor(
-            self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift)
-        )
+        chain = Chain(camera.imaging(imaging_rng), noise, drift)
+        self._sensor = ImageSensor(self._stage, drawn_by, chain)
 
     def picture(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
         """The picture of a state at a time [s], (H, W, 3) uint8 RGB; a copy."""

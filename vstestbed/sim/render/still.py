@@ -46,8 +46,8 @@ class StillView:
     r.
 
     Args:
-        view: draws the whole image. model, data: the scene. camera: the view's camera by its name
-            in the scene. f: pixels per radian.
+        view: draws the whole image. data: of the scene. camera: the view's camera by its name in
+            the scene. f: pixels per radian.
         part: draws a perspective image within a window alone, or returns None where it cannot.
         sides: tangents of half the angles of view (see `half_tangents`). What is beyond them,
             before and now, may move unseen: most of an arm that carries the camera. None where
@@ -57,13 +57,13 @@ class StillView:
     def __init__(
         self,
         view: Callable[[], Image],
-        model: mujoco.MjModel,
         data: mujoco.MjData,
         camera: str,
         f: float,
         part: Callable[[Window], Image | None] = lambda window: None,
         sides: tuple[float, float] | None = None,
     ):
+        model = data.model
         self._view = view
         self._model = model
         self._data = data
@@ -82,7 +82,9 @@ class StillView:
         state = self._state()
         lit = self._lamp()
         if lit != self._lit or self._image is None:
-            self._image, self._drawn, self._lit = self._view(), state, lit
+            self._image = self._view()
+            self._drawn = state
+            self._lit = lit
             return self._image.copy()
         of_geoms, of_camera = self._motion(state)
         seen = max(of_geoms.max(), of_camera) > UNSEEN_PX
@@ -90,7 +92,8 @@ class StillView:
             of_camera > SLIGHT_PX
             or not self._renewed(self._image, state, np.flatnonzero(of_geoms > SLIGHT_PX))
         ):
-            self._image, self._drawn = self._view(), state
+            self._image = self._view()
+            self._drawn = state
         return self._image.copy()
 
     def _renewed(

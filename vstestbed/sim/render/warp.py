@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Window
 from vstestbed.core.geometry import Array
+from vstestbed.sim.render.pictures import DrawsTogether
 from vstestbed.sim.render.rays import Raster, RayRenderer
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
@@ -77,10 +78,6 @@ class PictureRequest:
     outside: bool
 
 
-# draws the tiles of a picture, among those of other runs
-Draw = Callable[[PictureRequest], Sequence[Image]]
-
-
 def cut(window: Window) -> Iterator[Window]:
     """Tiles of a window, each of PLACES pixels at most with a rim of one pixel: wide ones of few
     rows, else squares.
@@ -97,35 +94,32 @@ class WarpRenderer(RayRenderer):
     """The servo camera's images through any lens, of the same rays as `RayRenderer`, drawn together
     with those of other runs.
 
-    draw: draws them; other arguments as of `RayRenderer`. The depth of a depth camera is cast by
-    MuJoCo. Raises as `RayRenderer`.
+    together: draws them; other arguments as of `RayRenderer`. The depth of a depth camera is cast
+    by MuJoCo. Raises as `RayRenderer`.
     """
 
     def __init__(
         self,
         stage: Scene,
         camera: Camera,
-        draw: Draw,
-        name: str,
+        together: DrawsTogether,
         noisy: bool = False,
         share: float = 1.0,
         eye: str = "eye",
     ):
         super().__init__(stage, camera, noisy, share, eye)
-        self.name = name
-        self._ask = draw
+        self.name = together.name
+        self._ask = together.draw
         self._outside = stage.parts.stands(eye)
         self._look = look_of(stage)
 
     def _fill(
         self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]
     ) -> None:
-        tiles = tuple(
-            tile
-            for window in windows
-            for tile in cut(window)
-            if window[0] < window[2] and window[1] < window[3]
-        )
+        tiles: list[Window] = []
+        for window in windows:
+            if window[0] < window[2] and window[1] < window[3]:
+                tiles.extend(cut(window))
         if not tiles:
             return
         lens = repr(panel.lens), panel.R_camera_panel.tobytes(), raster.width, raster.height
@@ -136,7 +130,7 @@ class WarpRenderer(RayRenderer):
             self._stage.camera_pose(self._eye),
             raster,
             lens,
-            tiles,
+            tuple(tiles),
             self._outside,
         )
         for (left, top, right, bottom), drawn in zip(tiles, self._ask(shot), strict=True):
@@ -290,47 +284,21 @@ class _World:
     def _put(self, work: Sequence[_Filling]) -> None:
         """Take the states, views and tiles to the device, in slots from the first on."""
         n = len(work)
-        shots = list({id(slot.shot): slot.shot for slot in work}.values())
-        of = {id(shot): i for i, shot in enumerate(shots)}
-        at = [of[id(slot.shot)] for slot in work]
+        shots, at = _shots_of(work)
         poses = np.array([shot.T_world_camera for shot in shots], np.float32)[at]
         views = np.empty((n, 13), np.int32)
         views[:, :12] = np.concatenate(
             [poses[:, :3, 3], poses[:, :3, :3].reshape(n, 9)], axis=1
         ).view(np.int32)
         views[:, 12] = [len(slot.tiles) for slot in work]
-        tiles = np.zeros((n, MOST_TILES, 9), np.int32)
-        rows = [
-            (i, k, start, *grown, *tile)
-            for i, slot in enumerate(work)
-            for k, (start, grown, tile) in enumerate(slot.tiles)
-        ]
-        filled = np.array(rows, np.int32)
-        tiles[filled[:, 0], filled[:, 1]] = filled[:, 2:]
+        _copy(self._views, views)
+        _copy(self._tiles, _rows_of_tiles(work))
         datas = [shot.stage.data for shot in shots]
-        put = [
-            (self._views, views),
-            (self._tiles, tiles),
-            (self._data.geom_xpos, np.array([data.geom_xpos for data in datas], np.float32)[at]),
-            (self._data.geom_xmat, np.array([data.geom_xmat for data in datas], np.float32)[at]),
-        ]
+        _copy(self._data.geom_xpos, np.array([d.geom_xpos for d in datas], np.float32)[at])
+        _copy(self._data.geom_xmat, np.array([d.geom_xmat for d in datas], np.float32)[at])
         if len(self._on):
-            put += [
-                (lights, values[at])
-                for lights, values in zip(self._lights, self._lit(shots), strict=True)
-            ]
-        # bytes for bytes; CUDA returns when it has read memory that is not pinned
-        for there, values in put:
-            held = np.ascontiguousarray(values)
-            wp.copy(
-                there,
-                wp.array(
-                    ptr=held.ctypes.data,
-                    shape=(held.nbytes // there.strides[-1],),
-                    dtype=there.dtype,
-                    device="cpu",
-                ),
-            )
+            for lights, values in zip(self._lights, self._lit(shots), strict=True):
+                _copy(lights, values[at])
         mjw.refit_bvh(self._model, replace(self._data, nworld=n), self._context)
 
     def _lit(self, shots: Sequence[PictureRequest]) -> NDArray[np.float32]:
@@ -369,6 +337,32 @@ class _World:
             normal,
             self._context,
         )
+
+
+def _shots_of(work: Sequence[_Filling]) -> tuple[list[PictureRequest], list[int]]:
+    """The pictures of slots, each once, and the number of each slot's among them."""
+    shots = {id(slot.shot): slot.shot for slot in work}
+    numbers = {key: i for i, key in enumerate(shots)}
+    return list(shots.values()), [numbers[id(slot.shot)] for slot in work]
+
+
+def _rows_of_tiles(work: Sequence[_Filling]) -> NDArray[np.int32]:
+    """The numbers (n, MOST_TILES, 9) of `warp_kernels.Tile` of what is in n slots."""
+    rows = np.zeros((len(work), MOST_TILES, 9), np.int32)
+    for i, slot in enumerate(work):
+        tiles = [(start, *grown, *tile) for start, grown, tile in slot.tiles]
+        rows[i, : len(tiles)] = tiles
+    return rows
+
+
+def _copy(there: Any, values: NDArray[Any]) -> None:
+    """Copy numbers, bytes for bytes, into an array on the device; CUDA returns when it has read
+    memory that is not pinned.
+    """
+    held = np.ascontiguousarray(values)
+    shape = (held.nbytes // there.strides[-1],)
+    source = wp.array(ptr=held.ctypes.data, shape=shape, dtype=there.dtype, device="cpu")
+    wp.copy(there, source)
 
 
 def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:

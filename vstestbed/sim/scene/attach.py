@@ -52,12 +52,13 @@ def _keep(model: mujoco.MjSpec, prefix: str) -> None:
             model.delete(actuator)
 
 
+def _drivers(model: mujoco.MjSpec, joint: str) -> list[mujoco.MjsActuator]:
+    on_joint = mujoco.mjtTrn.mjTRN_JOINT
+    return [a for a in model.actuators if a.target == joint and a.trntype == on_joint]
+
+
 def _add(model: mujoco.MjSpec, servo: Servo) -> None:
-    there = [
-        a
-        for a in model.actuators
-        if a.target == servo.joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT
-    ]
+    there = _drivers(model, servo.joint)
     if servo.torque is None:
         _feed(there[0], servo)
         return
@@ -66,17 +67,16 @@ def _add(model: mujoco.MjSpec, servo: Servo) -> None:
     made = model.add_actuator(
         name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
     )
-    if not (servo.kp or servo.kv):
-        made.set_to_motor()
-        made.ctrllimited = made.forcelimited = (
-            False  # whatever the file's defaults for actuators are
-        )
-    elif servo.kp:
+    if servo.kp:
         made.set_to_intvelocity(kp=servo.kp, kv=servo.kv)
         made.actlimited = True
         made.actrange = [-UNBOUNDED, UNBOUNDED]
-    else:
+    elif servo.kv:
         made.set_to_velocity(kv=servo.kv)
+    else:
+        made.set_to_motor()
+        # whatever the file's defaults for actuators are
+        made.ctrllimited = made.forcelimited = False
     if servo.kp or servo.kv:
         made.ctrllimited = True
         made.ctrlrange = [-servo.speed, servo.speed]
@@ -91,9 +91,8 @@ def _feed(own: mujoco.MjsActuator, servo: Servo) -> None:
     if own.biasprm[1] != 0 and own.dyntype == mujoco.mjtDyn.mjDYN_NONE:
         own.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
         own.actlimited = True
-        own.actrange = (
-            own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
-        )
+        limited = own.ctrlrange[0] < own.ctrlrange[1]
+        own.actrange = own.ctrlrange if limited else [-UNBOUNDED, UNBOUNDED]
     own.ctrllimited = True
     own.ctrlrange = [-servo.speed, servo.speed]
 

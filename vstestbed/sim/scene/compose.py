@@ -99,17 +99,9 @@ def add_sheet(
     lay_picture(scene, paint, "target/picture", "target_picture.png", sheet.png)
     half = thin(sheet.width)
     size = [sheet.width / 2, sheet.height / 2, half]
-    pos = [0, 0, front + half]
-    geom = _visual(
-        body,
-        "target/picture",
-        mujoco.mjtGeom.mjGEOM_BOX,
-        size,
-        rgba,
-        TARGET_GROUP,
-        pos,
-        FACE_VIEWER,
-    )
+    geom = _visual(body, "target/picture", GEOMS["box"], size, rgba, TARGET_GROUP)
+    geom.pos = [0, 0, front + half]
+    geom.quat = FACE_VIEWER
     geom.material = paint.name
     return front + 2 * half
 
@@ -345,17 +337,10 @@ def _add_camera(
         (f"{eye}_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
         (f"{eye}_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
     ):
-        centre = pos + T_body_camera[:3, 2] * ((along - back) * housing)
-        _visual(
-            body,
-            name,
-            kind,
-            [x * housing for x in size],
-            [grey, grey, grey, 1],
-            group,
-            centre,
-            quat_cv,
-        )
+        sides = [x * housing for x in size]
+        geom = _visual(body, name, kind, sides, [grey, grey, grey, 1], group)
+        geom.pos = pos + T_body_camera[:3, 2] * ((along - back) * housing)
+        geom.quat = quat_cv
 
 
 def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: Array) -> None:
@@ -465,16 +450,9 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
         front = thin(max(half), BEHIND_SHEET_M) if target.body is not None else front
         if target.sheet is not None:
             front = add_sheet(scene, body, target.sheet, front)
-        board = [0, 0, front + 0.01]
-        _visual(
-            body,
-            "target/board",
-            mujoco.mjtGeom.mjGEOM_BOX,
-            [*half, 0.01],
-            [0.86, 0.86, 0.85, 1],
-            TARGET_GROUP,
-            board,
-        )
+        grey = [0.86, 0.86, 0.85, 1]
+        board = _visual(body, "target/board", GEOMS["box"], [*half, 0.01], grey, TARGET_GROUP)
+        board.pos = [0, 0, front + 0.01]
 
 
 def _add_marker(
@@ -482,29 +460,21 @@ def _add_marker(
 ) -> None:
     marker = target.marker
     normal = target.normals[i]
-    rgba, paint = _paint(
-        scene,
-        f"color_{i}",
-        np.full(3, marker.albedo) if marker.textured else target.colors[i],
-        marker.lit,
-    )
+    colour = np.full(3, marker.albedo) if marker.textured else target.colors[i]
+    rgba, paint = _paint(scene, f"color_{i}", colour, marker.lit)
     if marker.textured:
         name, png = printed(marker, i)  # in memory; `scene_files` writes it beside model.xml
         lay_picture(scene, paint, f"target/{name}", f"{name}.png", png)
     shape, half_sizes = solid
     # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
-    thickness = half_sizes[2] or half_sizes[1]
-    inwards = 0.0 if marker.height_m else thickness if target.body is None else -thickness
-    geom = _visual(
-        body,
-        f"target/marker_{i}",
-        GEOMS[shape],
-        list(half_sizes),
-        rgba,
-        TARGET_GROUP,
-        p - inwards * normal,
-        _facing(normal),
-    )
+    inwards = 0.0
+    if not marker.height_m:
+        thickness = half_sizes[2] or half_sizes[1]
+        inwards = thickness if target.body is None else -thickness
+    name = f"target/marker_{i}"
+    geom = _visual(body, name, GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP)
+    geom.pos = p - inwards * normal
+    geom.quat = _facing(normal)
     geom.material = paint.name
 
 
@@ -539,8 +509,6 @@ def _visual(
     size: object,
     rgba: list[float],
     group: int,
-    pos: object = (0, 0, 0),
-    quat: object = (1, 0, 0, 0),
 ) -> mujoco.MjsGeom:
     """A geom without mass and collisions, and without the material of its body's class, which has
     another name here.
@@ -549,8 +517,6 @@ def _visual(
         name=name,
         type=kind,
         size=size,
-        pos=pos,
-        quat=quat,
         rgba=rgba,
         group=group,
         contype=0,

@@ -397,22 +397,13 @@ def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
     dof = model.jnt_dofadr[joint]
     low, high = model.jnt_range[joint].tolist()
     if low > high:
-        raise ParameterError(
-            "file",
-            (
-                f"must give {name} a range from its lower to its upper end,"
-                f" got {low:.4g} to {high:.4g}"
-            ),
-        )
+        words = f"a range from its lower to its upper end, got {low:.4g} to {high:.4g}"
+        raise ParameterError("file", f"must give {name} {words}")
     # Damping may be: of the Panda's joint 6 it was identified as -0.013 Nm s/rad.
-    for word, values in {
-        "armature": model.dof_armature,
-        "frictionloss": model.dof_frictionloss,
-    }.items():
-        if values[dof] < 0:
-            raise ParameterError(
-                "file", f"must give {name} {word} of 0 or more, got {values[dof]:g}"
-            )
+    for word in ("armature", "frictionloss"):
+        value = getattr(model, f"dof_{word}")[dof]
+        if value < 0:
+            raise ParameterError("file", f"must give {name} {word} of 0 or more, got {value:g}")
 
 
 def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -457,6 +448,15 @@ def _drive(model: mujoco.MjModel, joint: int) -> str:
     return "velocity" if integrates else "position"
 
 
+def _make_absolute(spec: mujoco.MjSpec, parent: Path) -> None:
+    """The paths of a model's files, of one in a folder, for a file elsewhere."""
+    for things, folder in files_in(spec):
+        for thing in things:
+            if thing.file:
+                thing.file = str((parent / folder / thing.file).resolve())
+    spec.meshdir = spec.texturedir = ""
+
+
 # An arm on a platform as one model: the file that both become together.
 ON_DECK = "battery", "scanner", "scanner_cap"  # what stands on the platform where the arm will
 PREFIX = "arm_"  # of all names of the arm in the model of both
@@ -475,24 +475,18 @@ def mounted(
     """
     file = place_of_file(str(model_path(arm)))
     base = read_model(model_path(platform))
-    upper = read_model(file)
     reshape(base, changes)
     for thing in [*base.actuators, *(geom for geom in base.geoms if geom.name in ON_DECK)]:
         base.delete(thing)
-    for things, folder in files_in(upper):
-        for thing in things:
-            if thing.file:  # absolute: the new file is elsewhere
-                thing.file = str((file.parent / folder / thing.file).resolve())
-    upper.meshdir = upper.texturedir = ""
+    upper = read_model(file)
+    _make_absolute(upper, file.parent)
     for key in list(upper.keys):
         upper.delete(key)
-    for actuator in upper.actuators:
-        profile, _, name = actuator.name.partition("_")
-        actuator.name = f"{profile}_{PREFIX}{name}" if name else actuator.name
-    names = [(actuator, actuator.name) for actuator in upper.actuators]
+    actuators = [(actuator, actuator.name) for actuator in upper.actuators]
     base.attach(upper, prefix=PREFIX, frame=base.body("base").add_frame(pos=place))
-    for actuator, name in names:
-        actuator.name = name
+    for actuator, whole in actuators:
+        profile, _, name = whole.partition("_")
+        actuator.name = f"{profile}_{PREFIX}{name}" if name else whole
     base.modelname = "mounted"
     base.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     base.compile()

@@ -203,9 +203,8 @@ def _placed(
     """A target before the camera at a neighbouring posture, the goal's, which the arm so reaches
     also with few joints.
     """
-    apart = np.where(chain.slides, APART_M, np.radians(APART_DEG)) * np.where(
-        np.arange(len(q)) % 2, -1, 1
-    )
+    apart = np.where(chain.slides, APART_M, np.radians(APART_DEG))
+    apart[1::2] *= -1
     goal = np.clip(q + apart, *chain.limits.T)
     T_world_target = chain.kinematics(goal)[0] @ Pose(xyz=(0, 0, mount + distance)).T
     model, data = _at(file, chain, q)
@@ -217,14 +216,8 @@ def _placed(
         T_world_target[2, 3] - distance / 4,
     ]
     lowest = float(min(heights))
-    return Posture(
-        flange,
-        q,
-        mount,
-        distance,
-        T_world_target,
-        0.0 if lowest > CLEAR_M else float(np.floor(lowest * 10) / 10 - 0.5),
-    )
+    floor_z = 0.0 if lowest > CLEAR_M else float(np.floor(lowest * 10) / 10 - 0.5)
+    return Posture(flange, q, mount, distance, T_world_target, floor_z)
 
 
 def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -239,14 +232,10 @@ def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.
 def touching(file: str, chain: JointChain, q: Array) -> str:
     """The bodies that touch at a posture (n,): `base and link`; "" for none."""
     model, data = _at(file, chain, q)
-    return (
-        " and ".join(
-            model.body(model.geom_bodyid[g]).name or "a body without a name"
-            for g in data.contact.geom[0]
-        )
-        if data.ncon
-        else ""
-    )
+    if not data.ncon:
+        return ""
+    bodies = [model.body(model.geom_bodyid[g]).name for g in data.contact.geom[0]]
+    return " and ".join(body or "a body without a name" for body in bodies)
 
 
 def _sees(file: str, chain: JointChain, posture: Posture) -> bool:
@@ -290,20 +279,14 @@ def examine_model(file: str) -> Iterator[Line]:
         yield "model", False, found, remedy
         return
     parts = (
-        (model.njnt, "joint"),
-        (model.nu, "actuator"),
-        (model.nsite, "site"),
-        (model.ngeom, "geom"),
-        (model.nmesh, "mesh"),
+        (model.njnt, "joint", "joints"),
+        (model.nu, "actuator", "actuators"),
+        (model.nsite, "site", "sites"),
+        (model.ngeom, "geom", "geoms"),
+        (model.nmesh, "mesh", "meshes"),
     )
-    yield (
-        "model",
-        True,
-        ", ".join(
-            f"{n} {word}{'' if n == 1 else 'es' if word == 'mesh' else 's'}" for n, word in parts
-        ),
-        "",
-    )
+    counts = [f"{n} {one if n == 1 else several}" for n, one, several in parts]
+    yield "model", True, ", ".join(counts), ""
     usable, refused = _flanges(file, model)
     against = _against_scenery(file)
     if against and not usable:
@@ -335,12 +318,8 @@ def _as_arm(
         found = f"{name}: pulls at {', '.join(joints)}, as its file has it; laws do not know of it"
         yield "tendon", True, found, ""
     if found := touching(file, chain, start.q):
-        yield (
-            "contact",
-            False,
-            f"{found} touch, in the best of {TRIED} postures, too",
-            f"{EXCLUDE}; a run with a contact ends as collided",
-        )
+        words = f"{found} touch, in the best of {TRIED} postures, too"
+        yield "contact", False, words, f"{EXCLUDE}; a run with a contact ends as collided"
     words = "one to begin with; as a file my_arm.yaml it is run by `vstestbed run my_arm.yaml`"
     yield "scenario", True, f"{words}:\n{first_scenario(file, chain, start)}", ""
 
@@ -394,19 +373,13 @@ def _trunk_end(model: mujoco.MjModel) -> int:
     for body in range(model.nbody - 1, 0, -1):  # children come after their parents
         moves[model.body_parentid[body]] |= moves[body]
     here = last = 0
-    while (
-        len(
-            further := [
-                b
-                for b in range(here + 1, model.nbody)
-                if model.body_parentid[b] == here and moves[b]
-            ]
-        )
-        == 1
-    ):
-        (here,) = further
+    while True:
+        further = np.flatnonzero((model.body_parentid == here) & moves)
+        further = further[further > here]  # the world is its own parent
+        if len(further) != 1:
+            return last
+        here = int(further[0])
         last = here if model.body_jntnum[here] else last
-    return last
 
 
 def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
