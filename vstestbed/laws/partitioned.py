@@ -143,15 +143,13 @@ class Partitioned(ErrorLaw):
 
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
         """Those of all points, which `motion` divides: the error (..., 2N) and L (..., 2N, 6)."""
-        return _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy)), _POINT.interaction(
-            view.xy, view.depth
-        )
+        e = _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy))
+        return e, _POINT.interaction(view.xy, view.depth)
 
     def motion(
         self,
         extra: Array,
-        e: Array,
-        J: Array,
+        equations: tuple[Array, Array],
         view: Any,
         goal: Goal,
         basis: Array | None,
@@ -165,7 +163,7 @@ class Partitioned(ErrorLaw):
             # its difference from the horizon's.
             p = transform(exp(-basis @ shift), points(view))
             view = moved_markers(view, p, np.ones(len(p), dtype=bool))
-            e, J = self.equations(view, goal)
+            equations = self.equations(view, goal)
         sigma = size(view.xy)
         d = segments(view.xy)
         sigma_star = size(goal.xy)
@@ -178,17 +176,20 @@ class Partitioned(ErrorLaw):
         if basis is None:
             sigma = np.where(flat, sigma_star, sigma)
         turn = self._turn(extra[..., 0], angle_error(d, d_star))
-        twist = self._twist(e, J, view, goal, size_error(sigma, sigma_star, self.sigma), turn)
+        too_large = size_error(sigma, sigma_star, self.sigma)
+        twist = self._twist(equations, view, goal, too_large, turn)
         if basis is None:
             twist[flat] = np.nan
-        return turn[..., None], twist if basis is None else least_squares(basis, twist), None
+            return turn[..., None], twist, None
+        return turn[..., None], least_squares(basis, twist), None
 
     def _twist(
-        self, e: Array, L: Array, view: Any, goal: Goal, too_large: Array, turn: Array
+        self, equations: tuple[Array, Array], view: Any, goal: Goal, too_large: Array, turn: Array
     ) -> Array:
-        """Camera twists (..., 6) for given errors of size and angle (...); e (..., 2N) and L (...,
-        2N, 6) of the points.
+        """Camera twists (..., 6) for given errors of size and angle (...); equations: e (..., 2N)
+        and L (..., 2N, 6) of the points.
         """
+        e, L = equations
         twist = np.empty((*e.shape[:-1], 6))
         for axis in self.axes:
             i = COLUMN[axis]
@@ -212,9 +213,8 @@ class Partitioned(ErrorLaw):
         # The motion along and about the axis moves the points, too; the gain must not multiply this
         # part (see the errata).
         carried = (L[..., given] @ twist[..., given, None])[..., 0]
-        twist[..., rest] = -units[rest] * (
-            self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried)
-        )
+        wanted = self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried)
+        twist[..., rest] = -units[rest] * wanted
         return twist
 
     @cached_property
@@ -237,7 +237,6 @@ class Partitioned(ErrorLaw):
             low, high = (math.radians(limit) for limit in self.turn_limits_deg)
             beyond = np.maximum(np.maximum(low - ways, ways - high), 0.0)
             # Of those that exceed the bounds the least, the shortest.
-            cost = np.where(
-                first[..., None], np.abs(ways) + 1e3 * beyond, np.abs(ways - last[..., None])
-            )
+            at_first = np.abs(ways) + 1e3 * beyond
+            cost = np.where(first[..., None], at_first, np.abs(ways - last[..., None]))
         return np.take_along_axis(ways, np.argmin(cost, axis=-1, keepdims=True), axis=-1)[..., 0]

@@ -233,12 +233,8 @@ class GoalLevel:
         """
         known = self.inverse_depth[self.inverse_depth > 0]
         size = MOTION * np.repeat([1 / float(known.mean()) if len(known) else 1.0, 1.0], 3)
-        return float(
-            np.sqrt(
-                max(np.linalg.eigvalsh(self.H * np.outer(size, size))[0], 0.0)
-                / max(self.L.shape[1], 1)
-            )
-        )
+        least = max(np.linalg.eigvalsh(self.H * np.outer(size, size))[0], 0.0)
+        return float(np.sqrt(least / max(self.L.shape[1], 1)))
 
     def normal(
         self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None
@@ -260,7 +256,8 @@ class GoalLevel:
             e = self._unlit(e, None)
             w = weights(robust, e)
         else:  # those whose depth is not known have the weight 0
-            e, w = self._unlit(e, known.astype(np.float32)), np.zeros(len(e), np.float32)
+            e = self._unlit(e, known.astype(np.float32))
+            w = np.zeros(len(e), np.float32)
             among = weights(robust, e[known])
             w[known] = 1 if among is None else among
         H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
@@ -290,6 +287,13 @@ class GoalLevel:
         )
         return np.asarray(e - found @ self.of_light, np.float32)
 
+    def _rows(self, band: slice, columns: list[Grey], which: Which) -> Grey:
+        """L of a band of pixels: of the goal's picture, or with the columns of this one."""
+        if not columns:
+            return self.L[:, band]
+        current = rows(*(column[band] for column in columns))
+        return np.float32(0.5) * (current + self.L[:, band]) if which == "mean" else current
+
     def _sums(
         self, along: tuple[Grey, Grey] | None, which: Which, near: Grey, e: Grey, w: Grey | None
     ) -> tuple[Array, Array]:
@@ -301,18 +305,14 @@ class GoalLevel:
             return self.H, _summed(self.L, e[None])[:, 0]
         H = np.zeros((n, n))
         b = np.zeros(n)
-        columns = (
-            None
-            if along is None
-            else [g.ravel() for g in (*self.normalised(along), self.x, self.y, near)]
-        )
+        columns: list[Grey] = []
+        if along is not None:
+            columns = [g.ravel() for g in (*self.normalised(along), self.x, self.y, near)]
         for start in range(0, self.L.shape[1], BAND_PX):
             band = slice(start, start + BAND_PX)
-            L = self.L[:, band]
-            if columns is not None:
-                current = rows(*(column[band] for column in columns))
-                L = np.float32(0.5) * (current + L) if which == "mean" else current
-            L = L if n == 6 else np.concatenate([L, self.of_light[:, band]])
+            L = self._rows(band, columns, which)
+            if n > 6:
+                L = np.concatenate([L, self.of_light[:, band]])
             weighted = L if w is None else L * w[band]
             H += weighted @ L.T
             b += weighted @ e[band]
@@ -321,11 +321,8 @@ class GoalLevel:
 
 def _summed(a: Grey, b: Grey) -> Array:
     """Products a b^T of (m, n) and (k, n): in float32 band by band, their sum in float64."""
-    return np.sum(
-        [a[:, i : i + BAND_PX] @ b[:, i : i + BAND_PX].T for i in range(0, a.shape[1], BAND_PX)],
-        axis=0,
-        dtype=float,
-    )
+    bands = [slice(i, i + BAND_PX) for i in range(0, a.shape[1], BAND_PX)]
+    return np.sum([a[:, band] @ b[:, band].T for band in bands], axis=0, dtype=float)
 
 
 def motion_px(camera: Perspective, step: Array, depth: float) -> float:
@@ -509,41 +506,39 @@ class Photometric(Law[PhotometricState]):
         sight = observation.image
         if sight is None:
             return state, Command.rest(basis, NO_PICTURE)
-        if state.pyramid is None or state.goal is not goal.image:
+        pyramid = state.pyramid
+        if pyramid is None or state.goal is not goal.image:
             pyramid = self._pyramid(goal)
             state = PhotometricState(pyramid, len(pyramid) - 1, observation.t, goal.image)
-        assert state.pyramid is not None
-        level = state.pyramid[state.level]
-        near = None
+        level = pyramid[state.level]
         grey = luminance(sight.image, self.smooth_px)
         for _ in range(state.level):
             grey = coarser(grey)
-        if self.depth.measured and self.interaction != "desired":
-            near = _inverse(sight, level, state.level)
-        if not (state.pyramid[0].inverse_depth.any() and (near is None or near.any())):
-            return state, Command.rest(basis, NO_DEPTH)
-        if state.pyramid[0].least_change < LEAST_CHANGE:
-            return state, Command.rest(basis, NO_STRUCTURE)
-        # a wall or the floor fills the picture
-        if float(grey.std()) < 0.1 * float(level.grey.std()):
-            return state, Command.rest(basis, BLANK)
-        # Far from the goal most pixels differ, and those that differ most tell where it is: only
-        # near it are they outliers.
-        robust = self.robust if state.level == 0 else "none"
-        # at the finest level the light is fitted with the motion
-        if state.level > 0 and self.light == "gain_offset":
-            # a picture without any structure is divided by the bound
-            spread = np.float32(level.grey.std() / max(float(grey.std()), 1e-3))
-            grey = np.asarray((grey - grey.mean()) * spread + level.grey.mean(), np.float32)
+        near = self._inverse_now(sight, level, state.level)
+        if why := _unfit(pyramid[0], level, grey, near):
+            return state, Command.rest(basis, why)
+        robust = self.robust
+        if state.level > 0:
+            # Far from the goal most pixels differ, and those that differ most tell where it is:
+            # only near it are they outliers.
+            robust = "none"
+            # at the finest level the light is fitted with the motion
+            if self.light == "gain_offset":
+                grey = _in_light_of(level.grey, grey)
         H, b, error_grey = level.normal(grey, self.interaction, robust, near)
-        step = self._solved(
-            basis.T @ H @ basis, basis.T @ b, self.damping.at(observation.t - state.t0)
-        )
+        mu = self.damping.at(observation.t - state.t0)
+        step = self._solved(basis.T @ H @ basis, basis.T @ b, mu)
         if step is None:
             return state, Command.rest(basis, "no pixel of the picture fits the goal's")
         command = self.limits.command(-self.gain.at(step) * step, basis)
         state = replace(state, level=self._next_level(state, basis @ step, goal))
         return state, replace(command, error_grey=error_grey)
+
+    def _inverse_now(self, sight: Sight, level: GoalLevel, number: int) -> Grey | None:
+        """1/Z of the pixels of a level in a picture [1/m]; None where those of the goal count."""
+        if self.depth.measured and self.interaction != "desired":
+            return _inverse(sight, level, number)
+        return None
 
     def _solved(self, H: Array, b: Array, mu: float) -> Array | None:
         """The remaining motion (n,) by normal equations (n, n) and (n,) [m, rad]; None where the
@@ -596,6 +591,25 @@ class Photometric(Law[PhotometricState]):
             nx, ny, nz = goal.normal / float(goal.normal @ goal.middle)
             return np.maximum(nx * level.x + ny * level.y + nz, 0).astype(np.float32)
         return _inverse(goal.image, level, number)
+
+
+def _unfit(finest: GoalLevel, level: GoalLevel, grey: Grey, near: Grey | None) -> str:
+    """Why the law rests before a picture (h, w) of a level, with 1/Z of its pixels where it is
+    measured; "" where it does not.
+    """
+    if not (finest.inverse_depth.any() and (near is None or near.any())):
+        return NO_DEPTH
+    if finest.least_change < LEAST_CHANGE:
+        return NO_STRUCTURE
+    # a wall or the floor fills the picture
+    return BLANK if float(grey.std()) < 0.1 * float(level.grey.std()) else ""
+
+
+def _in_light_of(goal: Grey, grey: Grey) -> Grey:
+    """A picture with the mean and the spread of the goal's."""
+    # a picture without any structure is divided by the bound
+    spread = np.float32(goal.std() / max(float(grey.std()), 1e-3))
+    return np.asarray((grey - grey.mean()) * spread + goal.mean(), np.float32)
 
 
 def _inverse(sight: Sight | None, level: GoalLevel, number: int) -> Grey:

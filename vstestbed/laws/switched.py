@@ -395,14 +395,13 @@ class Switched(Law[SwitchedState]):
         """One frame of the active law, which the conditions choose first."""
         state = self._chosen(state, observation, goal)
         inner, command = self.laws[state.active].law.step(state.inner, observation, goal, basis)
-        if (
-            state.left is not None
-            and not command.rest_reason
-            and observation.t - state.left[0] < self.blend_s
-        ):
-            a = (observation.t - state.left[0]) / self.blend_s
-            u = a * command.u + (1 - a) * state.left[1].u
-            command = replace(command, u=u, twist=basis @ u, rates=None)
+        if state.left is not None and not command.rest_reason:
+            t, last = state.left
+            since = observation.t - t
+            if since < self.blend_s:
+                a = since / self.blend_s
+                u = a * command.u + (1 - a) * last.u
+                command = replace(command, u=u, twist=basis @ u, rates=None)
         modes_before = sum(len(part.law.modes) or 1 for part in self.laws[: state.active])
         command = replace(command, mode=modes_before + command.mode)
         return replace(state, inner=inner, last=(observation.t, command)), command
@@ -415,27 +414,33 @@ class Switched(Law[SwitchedState]):
         """The state with the law that is to work in this frame."""
         t = observation.t
         first = math.isnan(state.since)
-        start_m = (
-            target_distance(observation)
-            if math.isnan(state.start_m) and "retreat" in self._quantities
-            else state.start_m
-        )
-        values = {
-            name: QUANTITIES[name][0](observation, goal, start_m) for name in self._quantities
-        }
-        barred = tuple(
-            part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
-            for part, was in zip(self.laws, state.barred, strict=True)
-        )
+        start_m = state.start_m
+        if math.isnan(start_m) and "retreat" in self._quantities:
+            start_m = target_distance(observation)
+        measured = self._measured(observation, goal, start_m)
+        barred = self._barred(state.barred, measured)
         state = replace(state, since=t if first else state.since, barred=barred, start_m=start_m)
-        wanted = state.active
-        if self.prefer == "first" or barred[wanted]:
-            wanted = next((i for i, out in enumerate(barred) if not out), wanted)
+        wanted = self._wanted(state.active, barred)
         # times are sums of floating-point numbers
         if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):
             return state
-        return replace(
-            state, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=state.last
+        inner = self.laws[wanted].law.init(goal)
+        return replace(state, inner=inner, active=wanted, since=t, left=state.last)
+
+    def _wanted(self, active: int, barred: tuple[bool, ...]) -> int:
+        if self.prefer != "first" and not barred[active]:
+            return active
+        return next((i for i, out in enumerate(barred) if not out), active)
+
+    def _measured(self, seen: Observation, goal: Goal, start_m: float) -> dict[str, float]:
+        """The quantities that the laws' conditions compare."""
+        return {name: QUANTITIES[name][0](seen, goal, start_m) for name in self._quantities}
+
+    def _barred(self, before: tuple[bool, ...], values: dict[str, float]) -> tuple[bool, ...]:
+        """Which laws may not work: those whose condition to end holds, until it has receded."""
+        return tuple(
+            part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
+            for part, was in zip(self.laws, before, strict=True)
         )
 
 
