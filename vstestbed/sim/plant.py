@@ -170,11 +170,10 @@ def check_static_load(stage: Scene) -> None:
         return
     # at rest the bias is gravity alone
     drives = robot.body and robot.body.actuation
-    weight = (
-        data.qfrc_bias
-        if drives is not None and drives.carried
-        else data.qfrc_bias - data.qfrc_gravcomp
-    )[stage.at.qvel]
+    weight = data.qfrc_bias
+    if drives is None or not drives.carried:
+        weight = weight - data.qfrc_gravcomp
+    weight = weight[stage.at.qvel]
     holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
         return
@@ -197,25 +196,20 @@ def _largest_torques(stage: Scene) -> Array:
     joint's; infinite without both.
     """
     model = stage.model
-    found = []
+    joints = model.dof_jntid[stage.at.motor_qvel]
+    most = np.full(len(joints), np.inf)
     motors = np.array(
         [model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int
     )
     motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
-    for joint in model.dof_jntid[stage.at.motor_qvel]:
+    for i, joint in enumerate(joints):
         own = motors[model.actuator_trnid[motors, 0] == joint]
-        limited = len(own) and model.actuator_forcelimited[own].all()
-        most = (
-            float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum())
-            if limited
-            else np.inf
-        )
-        found.append(
-            min(most, float(model.jnt_actfrcrange[joint, 1]))
-            if model.jnt_actfrclimited[joint]
-            else most
-        )
-    return np.array(found)
+        if len(own) and model.actuator_forcelimited[own].all():
+            gear = np.abs(model.actuator_gear[own, 0])
+            most[i] = (gear * model.actuator_forcerange[own, 1]).sum()
+        if model.jnt_actfrclimited[joint]:
+            most[i] = min(most[i], model.jnt_actfrcrange[joint, 1])
+    return most
 
 
 def settle(stage: Scene) -> None:

@@ -45,15 +45,11 @@ class PixelRows:
         is its own picture.
         """
         panels = self._camera.panels
-        return (
-            None if panels[0].lens is self._camera else tuple(self._rows(panel) for panel in panels)
-        )
+        return None if panels[0].lens is self._camera else tuple(map(self._rows, panels))
 
     def _rows(self, panel: Panel) -> NDArray[np.intp]:
         lens = panel.lens
-        uv = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(
-            float
-        )
+        uv = pixel_grid(lens.width, lens.height)
         v = self._camera.project(lens.ray(uv) @ panel.R_camera_panel.T)[..., 1]
         return np.clip(np.rint(np.nan_to_num(v)), 0, self._camera.height - 1).astype(np.intp)
 
@@ -124,11 +120,10 @@ class MotionBlur:
             if image is not None:
                 self._sums[i] = self._added(self._sums[i], image, weight)
         one = weights[0]
-        self._total = (
-            self._total + one
-            if not isinstance(one, np.ndarray) and self._total is not None
-            else None
-        )
+        if isinstance(one, np.ndarray):
+            self._total = None
+        elif self._total is not None:
+            self._total += one
         self.whole = self.whole and whole
 
     def _added(self, before: Sum | None, image: NDArray[np.uint8], weight: RowWeight) -> Sum:
@@ -177,11 +172,9 @@ class DepthCamera:
         holes.
         """
         seed = int(self._rng.integers(2**63))
-        return (
-            None
-            if true is None
-            else self._sensor.measured(true, *self._lens, np.random.default_rng(seed))
-        )
+        if true is None:
+            return None
+        return self._sensor.measured(true, *self._lens, np.random.default_rng(seed))
 
     def clean(self, true: DepthImage | None) -> DepthImage | None:
         """The same without noise, as the mean of many pictures at rest would be; nothing is drawn
@@ -268,11 +261,9 @@ class ImageSensor:
         noise of later pictures is the same.
         """
         images = self._renderer.images(with_depth=self._reads_depth)
-        depth = self._depth
         images = self._chain.clean(t, images, self._renderer.depth)
-        return Picture(
-            t, images, depth=None if depth is None else depth.clean(self._renderer.depth)
-        ).copy()
+        depth = None if self._depth is None else self._depth.clean(self._renderer.depth)
+        return Picture(t, images, depth=depth).copy()
 
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image beside the parts, or the panels, that
@@ -370,12 +361,10 @@ class ImageSensor:
             self._imaged_s += time.perf_counter() - begun
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
-        return (
-            made
-            if whole
-            else Picture(
-                t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn)
-            )
+        if whole:
+            return made
+        return Picture(
+            t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn)
         )
 
     def _developed(self, t: float, images: Images, changes: Sequence[Change]) -> Picture:

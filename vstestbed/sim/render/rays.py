@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import mujoco
@@ -80,11 +81,8 @@ def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> D
         distance = np.empty(n)
         normal = np.empty((n, 3))
         hits(origin, part.reshape(-1, 3) @ turn, geoms, distance, normal)
-        found.append(
-            np.where(
-                geoms.reshape(along.shape) >= 0, distance.reshape(along.shape) * along, np.inf
-            ).astype(np.float32)
-        )
+        depth = np.where(geoms >= 0, distance * along.ravel(), np.inf)
+        found.append(depth.reshape(along.shape).astype(np.float32))
     return np.concatenate(found)
 
 
@@ -233,13 +231,27 @@ class Raster:
         left, top, right, bottom = window
         return self._rays[top:bottom, left:right]
 
+    def grown(self, tile: Window) -> Window:
+        """A tile with the pixels around it by which the edges in it are found; itself without
+        antialiasing.
+        """
+        if not len(self.within):
+            return tile
+        left, top, right, bottom = tile
+        return (
+            max(0, left - 1),
+            max(0, top - 1),
+            min(self.width, right + 1),
+            min(self.height, bottom + 1),
+        )
+
     def draw(
         self, image: Image, windows: tuple[Window, ...], caster: Caster, T_world_camera: Array
     ) -> None:
         """Render windows of an image (H, W, 3) in place."""
         waiting = []
         rays = 0
-        for tile in (tile for window in windows for tile in tiles_of(window)):
+        for tile in chain.from_iterable(map(tiles_of, windows)):
             waiting.append(tile)
             rays += (tile[2] - tile[0]) * (tile[3] - tile[1])
             if rays > MOST_RAYS:
@@ -250,16 +262,7 @@ class Raster:
             self._draw(image, waiting, caster, T_world_camera)
 
     def _draw(self, image: Image, tiles: list[Window], caster: Caster, T: Array) -> None:
-        grow = 1 if len(self.within) else 0  # an edge is found by a pixel's neighbours
-        cut = [
-            (
-                max(0, a - grow),
-                max(0, b - grow),
-                min(self.width, c + grow),
-                min(self.height, d + grow),
-            )
-            for a, b, c, d in tiles
-        ]
+        cut = [self.grown(tile) for tile in tiles]
         parts = [self.rays(window) for window in cut]
         apart = np.concatenate(
             [self.apart[top:bottom, left:right].ravel() for left, top, right, bottom in cut]
@@ -269,10 +272,9 @@ class Raster:
         for (a, b, c, d), (left, top, _, _), part in zip(tiles, cut, parts, strict=True):
             end = start + part.shape[0] * part.shape[1]
             drawn = colours[start:end].reshape(part.shape)
-            if grow:
-                self._refine(
-                    drawn, geoms[start:end].reshape(part.shape[:2]), (left, top), caster, T
-                )
+            if len(self.within):
+                shown = geoms[start:end].reshape(part.shape[:2])
+                self._refine(drawn, shown, (left, top), caster, T)
             image[b:d, a:c] = drawn[b - top : d - top, a - left : c - left]
             start = end
 
@@ -287,7 +289,7 @@ class Raster:
         # pixels with a neighbour, of eight, that shows another geom
         height, width = geoms.shape
         wide = np.pad(geoms, 1, mode="edge")
-        near = [wide[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+        near = [wide[i : i + height, j : j + width] for i, j in np.ndindex(3, 3)]
         row, column = np.nonzero(np.logical_or.reduce([other != geoms for other in near]))
         if len(row):
             at = np.stack([column + corner[0], row + corner[1]], axis=-1)
@@ -295,9 +297,8 @@ class Raster:
             n = len(self.within)
             apart = np.repeat(self.apart[at[:, 1], at[:, 0]] / math.sqrt(n), n)
             colours, _ = caster.cast(T, [self._of(uv).reshape(-1, 3)], apart)
-            drawn[row, column] = (colours.reshape(len(row), -1, 3).mean(axis=1) + 0.5).astype(
-                np.uint8
-            )
+            mean = colours.reshape(len(row), -1, 3).mean(axis=1)
+            drawn[row, column] = (mean + 0.5).astype(np.uint8)
 
 
 def tiles_of(window: Window) -> Iterator[Window]:
@@ -349,11 +350,8 @@ class RayRenderer:
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy."""
         # A lens with panels is cast through its own projection here; number -1 keeps that raster
         # beside those of the panels.
-        return self._draw(
-            Panel(self._camera, np.eye(3)),
-            -1 if self._camera.panels[0].lens is not self._camera else 0,
-            None,
-        )
+        number = 0 if self._camera.panels[0].lens is self._camera else -1
+        return self._draw(Panel(self._camera, np.eye(3)), number, None)
 
     def images(
         self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None
@@ -368,9 +366,8 @@ class RayRenderer:
             windows = None if regions is None else regions[i]
             images.append(None if windows == () else self._draw(panel, i, windows, rows))
         if with_depth:
-            self.depth = ray_depth(
-                self._depth_rays, self._stage.camera_pose(self._eye), self._caster.hits
-            )
+            T = self._stage.camera_pose(self._eye)
+            self.depth = ray_depth(self._depth_rays, T, self._caster.hits)
         self.whole = regions is None and rows is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
@@ -423,17 +420,15 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
     Raises ParameterError: rays were asked for. EnvironmentLackError: they are what is left without
     OpenGL.
     """
-    what = (
-        "shadows need OpenGL"
-        if camera.shadows
-        else "a floor that mirrors needs OpenGL"
-        if mirror
-        else ""
-    )
-    if what and camera.renderer == "rays":
+    if camera.shadows:
+        what = "shadows need OpenGL"
+    elif mirror:
+        what = "a floor that mirrors needs OpenGL"
+    else:
+        return
+    if camera.renderer == "rays":
         raise ParameterError.fixed("camera.renderer", "gl or auto", camera.renderer, why=what)
-    if what:
-        raise EnvironmentLackError(what, gl.remedy())
+    raise EnvironmentLackError(what, gl.remedy())
 
 
 class RaySceneCamera:
@@ -448,9 +443,8 @@ class RaySceneCamera:
         self._stage = stage
         self._camera = camera
         self._caster = Caster(stage, outside=True)
-        lens = Perspective(
-            width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0])
-        )
+        fovy_deg = float(stage.model.camera(camera).fovy[0])
+        lens = Perspective(width=width, height=height, fovy_deg=fovy_deg)
         self._raster = Raster(lens, np.eye(3), samples)
         self._tiles = [
             (tile, cone_of(self._raster.rays(tile).reshape(-1, 3)))

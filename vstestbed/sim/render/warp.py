@@ -143,11 +143,12 @@ class _Table:
     """
 
     def __init__(self, raster: Raster):
-        self.width = raster.width
         self.n = len(raster.within)
+        self.lens = kernels.Lens()
+        self.lens.width = raster.width
         rays = raster.rays((0, 0, raster.width, raster.height))
-        self.rays = wp.array(rays.reshape(-1, 3).astype(np.float32), dtype=wp.vec3)
-        self.apart = wp.array(raster.apart.ravel().astype(np.float32), dtype=float)
+        self.lens.rays = wp.array(rays.reshape(-1, 3).astype(np.float32), dtype=wp.vec3)
+        self.lens.angles = wp.array(raster.apart.ravel().astype(np.float32), dtype=float)
         self._raster = raster
 
     @cached_property
@@ -191,16 +192,9 @@ class _Filling:
 
 def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
     """The slots of a picture, by its number."""
-    rim = int(len(shot.raster.within) > 0)
     slot = _Filling(number, shot)
     for tile in shot.tiles:
-        left, top, right, bottom = tile
-        grown = (
-            max(left - rim, 0),
-            max(top - rim, 0),
-            min(right + rim, shot.raster.width),
-            min(bottom + rim, shot.raster.height),
-        )
+        grown = shot.raster.grown(tile)
         if not slot.takes(tile, grown):
             yield slot
             slot = _Filling(number, shot)
@@ -223,7 +217,6 @@ class _World:
             model, nworld=slots, cam_active=[], enabled_geom_groups=[0, 1, 2, 3, 4, 5]
         )
         self._on = np.flatnonzero(model.light_active)
-        self._look = _look(model, paint, self._on)
         shape = slots, PLACES
         n = len(self._on)
         self._everything = wp.full(PLACES, -1, dtype=int)  # bodies that rays pass through: none
@@ -233,12 +226,19 @@ class _World:
         for dtype, names in kinds.items():
             for name in names:
                 setattr(self._rays, name, wp.zeros(shape, dtype=dtype))
-        self._views = wp.zeros(slots, dtype=kernels.SlotView)
-        self._tiles = wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
-        self._lamps = kernels.Lamps()
+        self._slots = kernels.Slots()
+        self._slots.views = wp.zeros(slots, dtype=kernels.SlotView)
+        self._slots.tiles = wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
+        lamps = kernels.Lamps()
         self._lights = [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
         for name, lights in zip(LIGHTS, self._lights, strict=True):
-            setattr(self._lamps, name, lights)
+            setattr(lamps, name, lights)
+        self._world = kernels.World()
+        self._world.look = _look(model, paint, self._on)
+        self._world.lamps = lamps
+        self._world.xpos = self._data.geom_xpos
+        self._world.xmat = self._data.geom_xmat
+        self._world.rays = self._rays
 
     def draw(self, table: _Table, outside: bool, work: Sequence[_Filling]) -> NDArray[np.uint8]:
         """The colours (n, places) of what is in n slots, as many as there are at most, all of
@@ -248,38 +248,31 @@ class _World:
         hidden = (RANGE_GROUP,) if outside else (RANGE_GROUP, LENS_GROUP)
         seen = wp.types.vector(6, float)(*(0.0 if group in hidden else 1.0 for group in range(6)))
         shape = len(work), max(slot.places for slot in work)
-        where = self._views, self._tiles
-        lit = self._look, self._lamps, self._data.geom_xpos, self._data.geom_xmat, self._rays
-        wp.launch(kernels.aim, shape, [*where, table.width, table.rays, table.apart, self._rays])
+        wp.launch(kernels.aim, shape, [self._slots, table.lens, self._rays])
         self._cast(shape, seen)
-        wp.launch(kernels.blind, shape, [*where, table.width, table.rays, self._rays])
-        wp.launch(kernels.shade, shape, [*lit, self._drawn])
+        wp.launch(kernels.blind, shape, [self._slots, table.lens, self._rays])
+        wp.launch(kernels.shade, shape, [self._world, self._drawn])
         if table.n:
-            self._smooth(table, shape, lit, seen)
+            self._smooth(table, shape, seen)
         return self._drawn[: shape[0], : shape[1]].numpy()
 
-    def _smooth(
-        self, table: _Table, shape: tuple[int, int], lit: tuple[Any, ...], seen: Any
-    ) -> None:
+    def _smooth(self, table: _Table, shape: tuple[int, int], seen: Any) -> None:
         """Draw the pixels at edges again, by the means of the rays through their parts."""
         slots, places = shape
-        where = self._views, self._tiles
-        count = wp.zeros(slots, dtype=int)
-        found = wp.empty(shape, dtype=int)
-        wp.launch(kernels.edges, shape, [*where, self._rays, count, found])
-        most = int(count.numpy().max())
+        found = kernels.Edges()
+        found.count = wp.zeros(slots, dtype=int)
+        found.place = wp.empty(shape, dtype=int)
+        wp.launch(kernels.edges, shape, [self._slots, self._rays, found])
+        most = int(found.count.numpy().max())
         if not most:
             return
         total = wp.zeros((slots, most, 3), dtype=int)
         for first in range(0, most * table.n, places):
-            wp.launch(
-                kernels.aim_within,
-                shape,
-                [*where, table.width, table.within, table.apart, count, found, first, self._rays],
-            )
+            aimed = [self._slots, table.lens, table.within, found, first, self._rays]
+            wp.launch(kernels.aim_within, shape, aimed)
             self._cast(shape, seen)
-            wp.launch(kernels.add_up, shape, [*lit, count, first, table.n, total])
-        wp.launch(kernels.smooth, (slots, most), [count, found, table.n, total, self._drawn])
+            wp.launch(kernels.add_up, shape, [self._world, found, first, table.n, total])
+        wp.launch(kernels.smooth, (slots, most), [found, table.n, total, self._drawn])
 
     def _put(self, work: Sequence[_Filling]) -> None:
         """Take the states, views and tiles to the device, in slots from the first on."""
@@ -291,8 +284,8 @@ class _World:
             [poses[:, :3, 3], poses[:, :3, :3].reshape(n, 9)], axis=1
         ).view(np.int32)
         views[:, 12] = [len(slot.tiles) for slot in work]
-        _copy(self._views, views)
-        _copy(self._tiles, _rows_of_tiles(work))
+        _copy(self._slots.views, views)
+        _copy(self._slots.tiles, _rows_of_tiles(work))
         datas = [shot.stage.data for shot in shots]
         _copy(self._data.geom_xpos, np.array([d.geom_xpos for d in datas], np.float32)[at])
         _copy(self._data.geom_xmat, np.array([d.geom_xmat for d in datas], np.float32)[at])
