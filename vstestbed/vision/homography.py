@@ -46,7 +46,8 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     ratios = goal_xy @ H[2, :2] + H[2, 2]
     if ratios.min() < 0 < ratios.max():  # points on both sides of the camera
         return None
-    H = H if ratios.min() > 0 else -H
+    if ratios.min() <= 0:
+        H = -H
     return H, _rotation(H, goal_xy, goal_normal)
 
 
@@ -62,7 +63,8 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
     """
     a_mean, a_size = _scaling(a)
     b_mean, b_size = _scaling(b)
-    s, Vt = np.linalg.svd(_equations((a - a_mean) / a_size, (b - b_mean) / b_size))[1:]
+    A = _equations((a - a_mean) / a_size, (b - b_mean) / b_size)
+    s, Vt = np.linalg.svd(A)[1:]
     if not s[7] > least * s[0]:
         return None
     x, y = a_mean[0].tolist()
@@ -80,10 +82,8 @@ def left_open(a: Array, b: Array) -> NDArray[np.bool_]:
     """
     a_mean, a_size = _scaling(a)
     b_mean, b_size = _scaling(b)
-    s = np.linalg.svd(
-        _equations(*np.broadcast_arrays((a - a_mean) / a_size, (b - b_mean) / b_size)),
-        compute_uv=False,
-    )
+    A = _equations(*np.broadcast_arrays((a - a_mean) / a_size, (b - b_mean) / b_size))
+    s = np.linalg.svd(A, compute_uv=False)
     return np.asarray(s[..., 7] <= OPEN * s[..., 0])
 
 

@@ -133,9 +133,8 @@ class ColorJitter(PerturbationBase):
         b, c, s = (state if self.each == "run" else self._factors(rng)).astype(np.float32)
         contrasted = c * (image.astype(np.float32) - np.float32(GREY)) + np.float32(GREY)
         grey = (contrasted @ LUMA)[..., None]
-        return np.clip(b * (s * (contrasted - grey) + grey) + np.float32(0.5), 0, 255).astype(
-            np.uint8
-        )
+        changed = b * (s * (contrasted - grey) + grey) + np.float32(0.5)
+        return np.clip(changed, 0, 255).astype(np.uint8)
 
     def _factors(self, rng: np.random.Generator) -> Array:
         return 1.0 + rng.uniform(-1, 1, 3) * (self.brightness, self.contrast, self.saturation)
@@ -182,12 +181,9 @@ class Shadow(PerturbationBase):
         y = ((np.arange(height, dtype=np.float32) - (height - 1) / 2) / width)[:, None]
         c = np.float32(np.cos(angle))
         s = np.float32(np.sin(angle))
-        along = c * x + s * y - np.float32(at)
-        far = (
-            np.abs(along)
-            if self.shape == "band"
-            else np.hypot(along, c * y - s * x - np.float32(beside))
-        )
+        far = np.abs(c * x + s * y - np.float32(at))
+        if self.shape == "blob":
+            far = np.hypot(far, c * y - s * x - np.float32(beside))
         inside = np.clip(((self.width + self.edge) / 2 - far) / self.edge, 0, 1)
         light = 1 - self.darkness * inside * inside * (3 - 2 * inside)
         return (image * light[..., None].astype(np.float32) + np.float32(0.5)).astype(np.uint8)
@@ -233,17 +229,14 @@ class Perturbed:
         n = len(kinds)
         # independent: what is drawn once a run, for pictures, for pixels
         streams = rng.spawn(3 * n)
-        begun = [(kind, kind.begin(stream)) for kind, stream in zip(kinds, streams, strict=False)]
-        self._pictures = [
-            (*one, s)
-            for one, s in zip(begun, streams[n : 2 * n], strict=True)
-            if "picture" in one[0].changes
-        ]
-        self._pixels = [
-            (*one, s)
-            for one, s in zip(begun, streams[2 * n :], strict=True)
-            if "pixels" in one[0].changes
-        ]
+        self._pictures: list[tuple[PerturbationBase, Any, np.random.Generator]] = []
+        self._pixels: list[tuple[PerturbationBase, Any, np.random.Generator]] = []
+        for i, kind in enumerate(kinds):
+            state = kind.begin(streams[i])
+            if "picture" in kind.changes:
+                self._pictures.append((kind, state, streams[n + i]))
+            if "pixels" in kind.changes:
+                self._pixels.append((kind, state, streams[2 * n + i]))
 
     @property
     def on_pixels(self) -> bool:
@@ -259,10 +252,7 @@ class Perturbed:
         def changed(t: float, images: Images) -> Images:
             for kind, state, seed in drawn:
                 images = tuple(
-                    None
-                    if i is None
-                    else _picture(kind, state, i.copy(), t, np.random.default_rng(seed))
-                    for i in images
+                    None if i is None else _picture(kind, state, i.copy(), t, seed) for i in images
                 )
             return images
 
@@ -280,18 +270,14 @@ class Perturbed:
         return uv
 
 
-def _picture(
-    kind: PerturbationBase, state: Any, image: Image, t: float, rng: np.random.Generator
-) -> Image:
-    shape = image.shape
-    after = kind.picture(state, image, t, rng)
-    if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
-        found = (
-            f"{after.shape} {after.dtype}"
-            if isinstance(after, np.ndarray)
-            else type(after).__name__
-        )
+def _picture(kind: PerturbationBase, state: Any, image: Image, t: float, seed: int) -> Image:
+    wanted = f"{image.shape} uint8"
+    after = kind.picture(state, image, t, np.random.default_rng(seed))
+    found = type(after).__name__
+    if isinstance(after, np.ndarray):
+        found = f"{after.shape} {after.dtype}"
+    if found != wanted:
         raise ParameterError.returned(
-            f"noise.perturb: {kind.kind}", "picture", f"an image {shape} uint8", found
+            f"noise.perturb: {kind.kind}", "picture", f"an image {wanted}", found
         )
     return after
