@@ -98,10 +98,8 @@ def moved_markers(observation: Observation, p: Array, which: NDArray[np.bool_]) 
         "depth": np.where(which, p[:, 2], observation.depth),
     }
     if observation.ray is not None and observation.range is not None:
-        new |= {
-            "ray": np.where(which[:, None], ray, observation.ray),
-            "range": np.where(which, reach[:, 0], observation.range),
-        }
+        new["ray"] = np.where(which[:, None], ray, observation.ray)
+        new["range"] = np.where(which, reach[:, 0], observation.range)
     return replace(observation, **new)
 
 
@@ -251,9 +249,7 @@ def check_margin(
     if nearest[marker] <= margin_px:
         words = (
             f"reaches marker {called(marker)} of the goal view,"
-            f" whose edge is {nearest[marker]:.4g} px from the border"
+            f" whose edge is {nearest[marker]:.4g} px from the border, and would keep it"
+            " off its goal; use less, or a goal farther back"
         )
-        words += ", and would keep it"
-        raise ParameterError(
-            field, f"{words} off its goal; use less, or a goal farther back", margin_px
-        )
+        raise ParameterError(field, words, margin_px)

@@ -256,11 +256,8 @@ class Predictive(Law[PlanState]):
     @property
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The inputs of the feature, the robot, and the markers' radii for the border."""
-        return (
-            *self.feature.inputs,
-            "robot",
-            *(("radius_px",) if self.margin_px is not None else ()),
-        )
+        radius = ("radius_px",) if self.margin_px is not None else ()
+        return *self.feature.inputs, "robot", *radius
 
     @property
     def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -312,17 +309,15 @@ class Predictive(Law[PlanState]):
         if isinstance(self.feedforward, Estimator):
             tracked, _ = self._ibvs.step(tracked or self._ibvs.init(goal), observation, goal, basis)
             target = STILL if tracked.target is None else basis @ tracked.target.rate
-        plan = (
-            np.tile(robot.ordered, (self._block[-1] + 1, 1))
-            if before is None
-            else shifted(before, self._block)
-        )
+        if before is None:
+            plan = np.tile(robot.ordered, (self._block[-1] + 1, 1))
+        else:
+            plan = shifted(before, self._block)
         solution = self._solved(rows, observation, goal, robot, plan, target)
         command = solution.command(robot, basis, self.limits, GIVE_WAY)
-        return (None, None) if solution.x is None else (
-            solution.x.reshape(plan.shape),
-            tracked,
-        ), command
+        if solution.x is None:
+            return (None, None), command
+        return (solution.x.reshape(plan.shape), tracked), command
 
     @cached_property
     def _block(self) -> NDArray[np.intp]:
@@ -355,10 +350,10 @@ class Predictive(Law[PlanState]):
         shared = shared_limits(robot, float(plan[0, 0]))
         # The camera's twist in each block, at the Jacobian with which it begins.
         of_blocks = [twist_limits(*trusted, J) for J in ahead.J[beginnings(self._block)]]
-        rows_of_blocks = np.einsum(
-            "bmn,bc->bmcn", [part.A for part in of_blocks], np.eye(len(of_blocks))
-        ).reshape(-1, len(u))
-        twist = Group("twist", rows_of_blocks, np.concatenate([part.low for part in of_blocks]))
+        A_of_blocks = [part.A for part in of_blocks]
+        rows_of_blocks = np.einsum("bmn,bc->bmcn", A_of_blocks, np.eye(len(of_blocks)))
+        low_of_blocks = np.concatenate([part.low for part in of_blocks])
+        twist = Group("twist", rows_of_blocks.reshape(-1, len(u)), low_of_blocks)
         repeated = np.asarray(np.kron(np.eye(len(plan)), shared.A), dtype=float)
         groups = [
             self._positions(ahead, robot, u),
@@ -368,9 +363,8 @@ class Predictive(Law[PlanState]):
         ]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
-        return minimise(A, b, low, high, tuple(groups), self._units(goal, robot)).and_accelerations(
-            too_quick
-        )
+        solution = minimise(A, b, low, high, tuple(groups), self._units(goal, robot))
+        return solution.and_accelerations(too_quick)
 
     def _trusted(self, p: Array, period_s: float) -> tuple[float, float]:
         """Largest speed [m/s] and rate [rad/s] within the law's limits and those within which the
@@ -409,15 +403,13 @@ class Predictive(Law[PlanState]):
         units = self._units(goal, robot)
         scaled = A * units
         weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", scaled, scaled)) / len(u))
-        return np.vstack([A, weight * np.eye(len(u)) / units]), np.concatenate(
-            [b, np.zeros(len(u))]
-        )
+        A = np.vstack([A, weight * np.eye(len(u)) / units])
+        return A, np.concatenate([b, np.zeros(len(u))])
 
     def _units(self, goal: Goal, robot: OwnModel) -> Array:
         """Units (B n,) of the plan's velocities."""
-        return np.tile(
-            np.broadcast_to(units_of(goal, robot.J), len(robot.names)), self._block[-1] + 1
-        )
+        units = np.broadcast_to(units_of(goal, robot.J), len(robot.names))
+        return np.tile(units, self._block[-1] + 1)
 
     def _wanted(
         self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -104,11 +105,8 @@ class MotionSums(NamedTuple):
     @classmethod
     def none(cls, markers: int, columns: int) -> MotionSums:
         """No samples of N markers and m velocities."""
-        return cls(
-            np.zeros((markers, columns, columns)),
-            np.zeros((markers, 2, columns)),
-            np.zeros((columns, columns)),
-        )
+        m = columns
+        return cls(np.zeros((markers, m, m)), np.zeros((markers, 2, m)), np.zeros((m, m)))
 
     def with_one(self, x: Array, y: Array) -> MotionSums:
         """One more displacement x (m,) with its motion in the picture y (N, 2), NaN for markers
@@ -227,19 +225,17 @@ class Excitation:
                 state = replace(state, which=state.which + 1)  # all have moved
             else:
                 i = state.which + 1
-                slow = (
-                    state.speed / 4 * float(state.units[state.which + 1] / state.units[state.which])
-                )
                 state = replace(
                     state,
                     which=i,
                     leg=OUT,
                     side=0.0,
-                    speed=slow,
+                    speed=state.speed / 4 * float(state.units[i] / state.units[i - 1]),
                     pixels=float(state.known[i]),
                     elapsed_s=0.0,
+                    uv_before=uv,
+                    x_before=float(state.x[i]),
                 )
-                state = replace(state, uv_before=uv, x_before=float(state.x[i]))
         if state.which == n:
             return state, None
         return self._ordered(state, robot)
@@ -277,10 +273,8 @@ class Excitation:
         ahead = _ahead(state, robot)
         if state.leg == BACK:
             # Also in the picture, or the rest of this way would count as the next velocity's.
-            return (
-                max(abs(ahead), abs(float(robot.underway[state.which]))) * state.pixels
-                <= RETURNED_PX
-            )
+            left = max(abs(ahead), abs(float(robot.underway[state.which])))
+            return left * state.pixels <= RETURNED_PX
         side = _side(state, robot)
         lost = side * ahead > 0 and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
         near_limit = _room(state.which, side, robot) <= 0.02  # [rad, m]
@@ -295,17 +289,14 @@ class Excitation:
             speed = 2 * self.amplitude_px / (self.time_s * state.pixels)
         elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
             speed = 2 * speed  # not before the picture has shown what was ordered
-        state = replace(
-            state, speed=min(speed, most), side=side if state.leg == OUT else state.side
-        )
+        speed = min(speed, most)
+        state = replace(state, speed=speed, side=side if state.leg == OUT else state.side)
         rates = np.zeros(len(robot.names))
         if state.leg == BACK:
             # The time constant of this approach, four periods, is one that a servo can follow.
-            rates[i] = np.clip(
-                -_ahead(state, robot) / (4 * robot.period_s), -state.speed, state.speed
-            )
+            rates[i] = np.clip(-_ahead(state, robot) / (4 * robot.period_s), -speed, speed)
         else:
-            rates[i] = side * state.speed
+            rates[i] = side * speed
         return state, rates
 
 
@@ -452,6 +443,11 @@ class Uncalibrated(Law[UncalibratedState]):
     patience_s: Time = 3.0
     settled_px: PositivePixels = 0.2
 
+    @cached_property
+    def _time(self) -> Array:
+        """The column of time (1,) of a target that may move; (0,) without."""
+        return np.ones(int(self.dynamic))
+
     def init(self, goal: Goal) -> UncalibratedState:
         return UncalibratedState(patience_s=self.patience_s)
 
@@ -466,13 +462,9 @@ class Uncalibrated(Law[UncalibratedState]):
         assert robot is not None
         if robot.turning_radius_m or robot.tilt is not None:
             return state, Command.rest(basis, NO_CIRCLE if robot.turning_radius_m else TILTS)
-        moved = np.append(robot.moved, robot.since_s * np.ones(int(self.dynamic)))
-        state = replace(
-            state,
-            units=np.append(
-                units_of(goal, robot.J) * np.ones(len(robot.names)), np.ones(int(self.dynamic))
-            ),
-        )
+        moved = np.append(robot.moved, robot.since_s * self._time)
+        units = units_of(goal, robot.J) * np.ones(len(robot.names))
+        state = replace(state, units=np.append(units, self._time))
         if np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._blind(state, moved, robot, basis)
         if state.excited is None and state.estimate is None:
@@ -481,13 +473,8 @@ class Uncalibrated(Law[UncalibratedState]):
             excited, rates = self.excitation.step(state.excited, uv, moved, robot)
             if rates is not None:
                 return replace(state, excited=excited), _command(rates, robot, basis, EXCITES)
-            state = replace(
-                state,
-                excited=None,
-                estimate=self._measured(excited, uv),
-                least_px=math.inf,
-                t=observation.t,
-            )
+            known = self._measured(excited, uv)
+            state = replace(state, excited=None, estimate=known, least_px=math.inf, t=observation.t)
             moved = np.zeros(len(moved))
         return self._servo(state, observation, goal, basis, robot, moved)
 
@@ -499,9 +486,8 @@ class Uncalibrated(Law[UncalibratedState]):
         """
         if state.excited is not None:
             excited, rates = self.excitation.retreat(state.excited, moved, robot)
-            return replace(state, excited=excited), replace(
-                _command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW
-            )
+            command = replace(_command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW)
+            return replace(state, excited=excited), command
         if state.estimate is not None:
             known = state.estimate
             state = replace(state, estimate=replace(known, x=known.x + known.scale * moved))
@@ -519,16 +505,13 @@ class Uncalibrated(Law[UncalibratedState]):
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
         J = excited.samples.jacobian()
+        known = np.count_nonzero(np.isfinite(J[:, 0, 0]))
         with np.errstate(invalid="ignore"):
-            scale = np.sqrt(
-                np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0])))
-            )
+            scale = np.sqrt(np.nansum(J**2, axis=(0, 1)) / max(1, known))
         if self.dynamic:
-            scale[-1] = (
-                # of the column of time: a target's motion in the picture that counts as much as the
-                # robot's [px/s]
-                50.0
-            )
+            # of the column of time: a target's motion in the picture that counts as much as the
+            # robot's [px/s]
+            scale[-1] = 50.0
         most = float((scale * excited.units).max())
         # of a velocity that hardly moves the markers
         scale = np.maximum(scale, 1e-3 * max(most, np.finfo(float).tiny) / excited.units)
@@ -549,25 +532,23 @@ class Uncalibrated(Law[UncalibratedState]):
         known = self._corrected(state.estimate, seen.uv, moved)
         rows = np.isfinite(known.J[:, 0, 0]) & seen.seen
         if np.count_nonzero(rows) < self.markers_needed(basis):
-            return replace(state, estimate=known), Command.rest(
-                basis, "the image Jacobian of the markers in sight is unknown"
-            )
+            why = "the image Jacobian of the markers in sight is unknown"
+            return replace(state, estimate=known), Command.rest(basis, why)
         n = len(robot.names)
         scale = known.scale
         e = (seen.uv - goal.uv)[rows].ravel()
         J = known.J[rows].reshape(-1, len(scale))
         state = self._judged(replace(state, estimate=known), _mean(e), seen)
         if self.predict:
-            ahead = np.append(robot.underway, robot.underway_s * np.ones(int(self.dynamic)))
+            ahead = np.append(robot.underway, robot.underway_s * self._time)
             e = e + J @ (scale * ahead)
         damping = _mean(e) / self.trust_px
         solved = self.solve.least_squares(J[:, :n], e, damping) / scale[:n]
         u = -self.gain.at(solved) * solved
         if self.dynamic:
             u = u - self.solve.least_squares(J[:, :n], J[:, n] * scale[n], damping) / scale[:n]
-        u = u * min(
-            1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny)
-        )
+        pxps = _mean(J[:, :n] @ (scale[:n] * u))
+        u = u * min(1.0, self.most_pxps / max(pxps, np.finfo(float).tiny))
         return state, _command(u, robot, basis, SERVOES)
 
     def _corrected(self, known: ImageJacobian, uv: Array, moved: Array) -> ImageJacobian:
