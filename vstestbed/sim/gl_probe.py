@@ -46,12 +46,9 @@ def remedy() -> str:
         release = platform.freedesktop_os_release()
     except OSError:  # not Linux, or a bare container
         release = {}
-    words = (
-        f"{release.get('ID', '')} {release.get('ID_LIKE', '')}".replace("opensuse", "suse")
-        .replace("ubuntu", "debian")
-        .split()
-    )
-    known = [word for word in words if word in INSTALL]
+    words = f"{release.get('ID', '')} {release.get('ID_LIKE', '')}"
+    words = words.replace("opensuse", "suse").replace("ubuntu", "debian")
+    known = [word for word in words.split() if word in INSTALL]
     command = INSTALL[known[0]] if known else f"(on Debian or Ubuntu) {INSTALL['debian']}"
     return f"as root: {command}; then `vstestbed doctor` tells whether it works"
 
@@ -114,11 +111,8 @@ def _egl_lack() -> tuple[str, str] | None:
     except ValueError as error:
         return str(error), f"unset {DEVICE}"
     displays = [display_of(DEVICE_PLATFORM, device, None) for device in taken]
-    return (
-        None
-        if any(display and egl.eglInitialize(display, None, None) for display in displays)
-        else none
-    )
+    starts = any(display and egl.eglInitialize(display, None, None) for display in displays)
+    return None if starts else none
 
 
 def choose_backend() -> None:
@@ -131,7 +125,11 @@ def choose_backend() -> None:
     if not sys.platform.startswith("linux"):
         return
     word = os.environ.get("MUJOCO_GL", "").strip().lower()
-    backend = "egl" if word in ON else "disable" if word in OFF else word
+    backend = word
+    if word in ON:
+        backend = "egl"
+    elif word in OFF:
+        backend = "disable"
     if backend != "disable" and (lack := _lack_of(backend, requested=word not in ON)):
         _lack.append(lack)
         backend = "disable"
@@ -153,15 +151,12 @@ def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
         lack = f"{' and '.join(missing)} not found"
         if not requested:
             return lack, remedy()
-        return (
-            f"{lack}, which MUJOCO_GL={backend} needs",
-            remedy() if backend == "egl" else UNSET_REMEDY,
-        )
+        way = remedy() if backend == "egl" else UNSET_REMEDY
+        return f"{lack}, which MUJOCO_GL={backend} needs", way
     if backend == "egl" and (lack := _egl_lack()) is not None:
         return lack
-    if backend == "glfw" and not any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    ):
+    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if backend == "glfw" and not shown:
         return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
     return None
 

@@ -139,7 +139,10 @@ HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
 # how far the housing of a camera in the room is moved back, so that the lens's picture does not
 # show it [m]
 BEHIND_LENS_M = 0.03
-POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, anodised
+POST_RADIUS_M = 0.012  # a tube of 24 mm, anodised
+POST_GREY = [0.5, 0.51, 0.53, 1.0]
+PLATE_HALF_M = 0.002  # half of a plate's thickness [m]
+PLATE_GREY = [0.45, 0.45, 0.47, 1]
 # The free camera's housing is drawn this many times as large as the arm's: it is seen from farther
 # away
 FREE_HOUSING = 6.0
@@ -174,12 +177,11 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
     for plane in ("floor", "ground"):
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
     scenery = parts.world.scenery
-    carried = (
-        add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
-    )
-    body, T_body_flange = add_robot(
-        scene, parts.robot, "robot/", parts.world.floor_friction, carried
-    )
+    carried: dict[str, bytes] = {}
+    if scenery:
+        carried = add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z)
+    friction = parts.world.floor_friction
+    body, T_body_flange = add_robot(scene, parts.robot, "robot/", friction, carried)
     housing = 1.0
     if parts.robot.body is None:
         # A target round the camera, which begins within it, is one of a metre.
@@ -194,26 +196,17 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
         _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
         if parts.robot.base == "planar":
             _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
-        carrier = (
-            add_robot(scene, parts.leader, "leader/", parts.world.floor_friction, carried)[0]
-            if parts.leader
-            else None
-        )
+        carrier = None
+        if parts.leader:
+            carrier, _ = add_robot(scene, parts.leader, "leader/", friction, carried)
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     for other in parts.others:
+        lens = other.camera
         if other.stands:
-            _add_camera(
-                scene.worldbody,
-                other.camera.mount.T,
-                other.camera,
-                housing,
-                other.name,
-                ROBOT_GROUP,
-            )
+            place = lens.mount.T
+            _add_camera(scene.worldbody, place, lens, housing, other.name, ROBOT_GROUP)
         else:
-            _add_camera(
-                body, T_body_flange @ other.camera.mount.T, other.camera, housing, other.name
-            )
+            _add_camera(body, T_body_flange @ lens.mount.T, lens, housing, other.name)
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world, parts.glossy)
@@ -243,29 +236,16 @@ def _add_plates(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
         holder = scene.worldbody.add_body(
             name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3])
         )
-        _visual(
-            holder,
-            f"plate_{i}",
-            GEOMS["box"],
-            [plate.width / 2, plate.height / 2, 0.002],
-            [0.45, 0.45, 0.47, 1],
-            0,
-        )
+        size = [plate.width / 2, plate.height / 2, PLATE_HALF_M]
+        _visual(holder, f"plate_{i}", GEOMS["box"], size, PLATE_GREY, 0)
     if half := parts.plate_m / 2:
         holder = scene.worldbody.add_body(name=HAND_PLATE, mocap=True, pos=AWAY)
-        _visual(
-            holder,
-            HAND_PLATE,
-            mujoco.mjtGeom.mjGEOM_BOX,
-            [half, half, 0.002],
-            [0.45, 0.45, 0.47, 1],
-            0,
-        )
+        _visual(holder, HAND_PLATE, GEOMS["box"], [half, half, PLATE_HALF_M], PLATE_GREY, 0)
     for i, decoy in enumerate(parts.world.distractors):
-        holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
-        _visual(
-            holder, f"decoy_{i}", GEOMS[DECOYS[decoy.shape]], decoy.half_sizes, [*decoy.color, 1], 0
-        )
+        name = f"decoy_{i}"
+        kind = GEOMS[DECOYS[decoy.shape]]
+        holder = scene.worldbody.add_body(name=name, mocap=True, pos=decoy.xyz)
+        _visual(holder, name, kind, decoy.half_sizes, [*decoy.color, 1], 0)
 
 
 def _show_hand(scene: mujoco.MjSpec) -> None:
@@ -354,14 +334,9 @@ def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: 
     head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
     foot = np.clip(head, middle - half, middle + half)
     if np.linalg.norm(head - foot) > POST_RADIUS_M:
-        post = _visual(
-            body,
-            "eye_post",
-            mujoco.mjtGeom.mjGEOM_CAPSULE,
-            [POST_RADIUS_M, 0, 0],
-            POST_GREY,
-            LENS_GROUP,
-        )
+        size = [POST_RADIUS_M, 0, 0]
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        post = _visual(body, "eye_post", capsule, size, POST_GREY, LENS_GROUP)
         post.fromto = [*foot, *head]
 
 

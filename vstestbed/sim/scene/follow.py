@@ -88,9 +88,8 @@ class Things:
             for i, root in enumerate(roots)
         ]
         named = np.array([name.startswith(SHOWN) and STRIPE not in name for name in names])
-        shown = np.flatnonzero(
-            named & (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0)
-        )
+        drawn = (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0)
+        shown = np.flatnonzero(named & drawn)
         self.geoms = shown
         self.own = np.array([names[i].startswith("robot/") for i in shown])
         shape = np.array([ROUND.get(kind, BOXES) for kind in model.geom_type[shown].tolist()])
@@ -100,9 +99,8 @@ class Things:
         """Points (G, 16, 3) in the world whose convex hulls are nearly the geoms (of a mesh, the
         box round it).
         """
-        return data.geom_xpos[self.geoms, None] + self._local @ data.geom_xmat[self.geoms].reshape(
-            -1, 3, 3
-        ).transpose(0, 2, 1)
+        R = data.geom_xmat[self.geoms].reshape(-1, 3, 3)
+        return data.geom_xpos[self.geoms, None] + self._local @ R.transpose(0, 2, 1)
 
 
 def put_overview(stage: Scene, eye: Array, view: Axes, middle: Array) -> None:
@@ -138,9 +136,8 @@ class FixedView:
 
     def place(self, stage: Scene, things: Things) -> None:
         """Set the camera of a placed stage."""
-        self._at = (
-            things.points(stage.data).reshape(-1, 3).mean(axis=0) if self._at is None else self._at
-        )
+        if self._at is None:
+            self._at = things.points(stage.data).reshape(-1, 3).mean(axis=0)
         put_overview(stage, self._at - self._distance * self._view.ahead, self._view, self._at)
 
 
@@ -204,11 +201,9 @@ class FollowCamera:
         if not self._moving:
             robot = np.vstack([robot, camera[None, :3, 3]])
         if T_world_goal is not None:
-            at_goal = (
-                transform(T_world_goal @ inverse(camera), robot)
-                if self._moving
-                else T_world_goal[None, :3, 3]
-            )
+            at_goal = T_world_goal[None, :3, 3]
+            if self._moving:
+                at_goal = transform(T_world_goal @ inverse(camera), robot)
             beside = np.vstack([beside, at_goal])
         return robot, beside
 
@@ -218,9 +213,7 @@ class FollowCamera:
         """
         if not self._moving:
             points = np.vstack([around, beside])
-            now = np.array(
-                [extremes(points, view, tangents) for tangents in (self._tangents, self._edges)]
-            )
+            now = np.array([extremes(points, view, t) for t in (self._tangents, self._edges)])
             first = not np.isfinite(self._extremes).all()
             self._extremes = np.maximum(self._extremes, now)
             if first or not holds(self._framed, self._extremes[1], view, self._edges):
@@ -233,22 +226,19 @@ class FollowCamera:
         for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):
             share = (near + far) / 2
             eye = self._showing(view, around, middle + share * (beside - middle))
-            near, far = (
-                (share, far) if self._share(eye, view, around) >= LEAST_SHARE else (near, share)
-            )
+            if self._share(eye, view, around) >= LEAST_SHARE:
+                near = share
+            else:
+                far = share
         return eye
 
     def _showing(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, with room beside a robot that moves."""
-        across = np.array(view[:2])
-        room = (
-            (AROUND - 1) * (around - around.mean(axis=0)) @ across.T @ across
-            if self._moving
-            else 0.0
-        )
-        return eye_of(
-            extremes(np.vstack([around + room, beside]), view, self._tangents), view, self._tangents
-        )
+        if self._moving:
+            across = np.array(view[:2])
+            around = around + (AROUND - 1) * (around - around.mean(axis=0)) @ across.T @ across
+        ends = extremes(np.vstack([around, beside]), view, self._tangents)
+        return eye_of(ends, view, self._tangents)
 
     def _share(self, eye: Array, view: Axes, around: Array) -> float:
         extent = max(float(np.ptp(around @ axis)) for axis in view[:2])
@@ -283,25 +273,21 @@ class FollowCamera:
         T_target = self._stage.target_pose()
         size = self._share(eye, view, around)
         at = self._stage.camera_pose()[:3, 3]
-        seen = [
-            self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places)
-        ]
-        away = -T_target[:3, :3] @ target.normals.mean(axis=0)
-        faces = (
-            float((away if len(target.places) else -UP) @ view.ahead)
-            if not target.marker.height_m
-            else 1.0
-        )
+        slack = 2 * target.marker.radius
+        seen = [self._sees(eye, p, slack) for p in transform(T_target, target.places)]
+        faces = 1.0
+        if not target.marker.height_m:
+            away = -T_target[:3, :3] @ target.normals.mean(axis=0)
+            faces = float((away if len(target.places) else -UP) @ view.ahead)
         if self._moving:
             size = min(size, ENOUGH) + 0.05 * size
             aside = 1.0
             size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)
         else:
             way = T_target[:3, 3] - at
-            seen = [*seen, self._sees(eye, at, HIDDEN_M)]
-            aside = float(
-                np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9)
-            )
+            seen.append(self._sees(eye, at, HIDDEN_M))
+            across = np.linalg.norm(np.cross(way, view.ahead))
+            aside = float(across / max(np.linalg.norm(way), 1e-9))
         merit = (
             size
             * (0.1 + sum(seen) / max(len(seen), 1)) ** 2
