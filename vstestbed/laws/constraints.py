@@ -119,7 +119,10 @@ def minimise(
     for the order in which constraints give way Escande, Mansard & Wieber 2014,
     doi:10.1177/0278364914521306.
     """
-    if not _finite(A, b, groups):
+    numbers = [A, b]
+    for group in groups:
+        numbers += group.A, group.low
+    if not all(map(all_finite, numbers)):
         return Solution(
             None, failure="the quadratic program was not solved: it has numbers that are not finite"
         )
@@ -156,19 +159,14 @@ def minimise(
     return Solution(None, failure=f"the quadratic program was not solved: {why}")
 
 
-def _finite(A: Array, b: Array, groups: tuple[Group, ...]) -> bool:
-    of_groups = all(all_finite(group.A) and all_finite(group.low) for group in groups)
-    return all_finite(A) and all_finite(b) and of_groups
-
-
 def _violated(groups: tuple[Group, ...], x: Array) -> tuple[str, ...]:
     """Words of the groups of which x (n,) violates an inequality by more than rounding."""
-    words: list[str] = []
+    words: tuple[str, ...] = ()
     for group in groups:
         rounding = 1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12)
         if (group.A @ x - group.low < -rounding).any():
-            words.append(group.word)
-    return tuple(words)
+            words += (group.word,)
+    return words
 
 
 def _of_unit_length(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:

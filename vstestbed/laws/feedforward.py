@@ -159,9 +159,8 @@ class AlphaBeta:
             return TargetEstimate(state, state[0], before.P)
         moved = before.moved + step
         beta = self.alpha**2 / (2 - self.alpha)
-        return TargetEstimate(
-            state + np.outer([self.alpha, beta / dt], moved - state[0]), moved, before.P
-        )
+        state = state + np.outer([self.alpha, beta / dt], moved - state[0])
+        return TargetEstimate(state, moved, before.P)
 
 
 def _kalman_update(
@@ -262,10 +261,8 @@ class Smith:
 FEEDFORWARDS = Registry(
     "feedforward", NoFeedforward, Integral, AlphaBeta, KalmanCV, KalmanCA, Smith, default="none"
 )
-Feedforward = Annotated[
-    NoFeedforward | Integral | AlphaBeta | KalmanCV | KalmanCA | Smith, FEEDFORWARDS
-]
 Estimator = AlphaBeta | KalmanCV | KalmanCA | Smith
+Feedforward = Annotated[NoFeedforward | Integral | Estimator, FEEDFORWARDS]
 
 
 def follow(

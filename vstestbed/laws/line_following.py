@@ -144,7 +144,8 @@ class LineFollowing(Law[LineState]):
         # class).
         e, _ = line_on_floor(rho, theta, mount, exact)[0].T
         s, J = line_on_floor(rho, theta, mount, middle)
-        rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi
+        rows = J @ L  # (lines, 2, n): of y at the middle, and of phi
+        slope = np.tan(s[:, 1])
         # the lever of the turn at the desired position, m + y* tan(phi)
         rows[:, 0, -1] += (s[:, 0] - aim) * slope
         steepest = v * math.tan(math.radians(self.approach_deg))

@@ -66,10 +66,8 @@ class PBVS(ErrorLaw):
             s_star = np.zeros(3)
         turn = _THETA_U.measure(T_goal_camera[..., :3, :3])
         e = np.concatenate([pose[..., :3, 3] - s_star, turn], axis=-1)
-        return e, np.concatenate(
-            [translation_interaction(pose, self.translation), _THETA_U.interaction_at(turn)],
-            axis=-2,
-        )
+        rows = translation_interaction(pose, self.translation), _THETA_U.interaction_at(turn)
+        return e, np.concatenate(rows, axis=-2)
 
     def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
         """Change of the pose since the last frame, as a displacement of the camera relative to the

@@ -42,11 +42,9 @@ def scale(e: NDArray[np.float32]) -> float:
     """
     # evenly spread: of 300,000 the whole partition would cost as much as the law
     some = e[:: max(1, len(e) // 20_000)]
-    return (
-        max(1.4826 * float(np.median(np.abs(some - np.median(some)))), LEAST_SIGMA)
-        if len(some)
-        else LEAST_SIGMA
-    )
+    if not len(some):
+        return LEAST_SIGMA
+    return max(1.4826 * float(np.median(np.abs(some - np.median(some)))), LEAST_SIGMA)
 
 
 def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -93,9 +91,9 @@ def luminance(image: NDArray[np.uint8], smooth_px: float = 0.0) -> Grey:
     smooth_px: standard deviation of a Gaussian that smooths it [px].
     """
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
-    return (
-        np.asarray(cv2.GaussianBlur(grey, (0, 0), smooth_px), np.float32) if smooth_px > 0 else grey
-    )
+    if smooth_px > 0:
+        grey = cv2.GaussianBlur(grey, (0, 0), smooth_px)
+    return np.asarray(grey, np.float32)
 
 
 def coarser(grey: Grey) -> Grey:
@@ -109,7 +107,7 @@ def gradient(grey: Grey) -> tuple[Grey, Grey]:
     Of a rendered picture Sobel's, which smooth across, are 20 to 25 % too small, and plain ones 15
     %; these are within 5 %.
     """
-    along = np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, DIFFERENCE, ONE))
+    along = cv2.sepFilter2D(grey, cv2.CV_32F, DIFFERENCE, ONE)
     across = cv2.sepFilter2D(grey, cv2.CV_32F, ONE, DIFFERENCE)
     return np.asarray(along, np.float32), np.asarray(across, np.float32)
 
@@ -207,11 +205,8 @@ class GoalLevel:
     @cached_property
     def L(self) -> Grey:
         """The interaction matrix at the goal, transposed, (6, n)."""
-        return np.where(
-            self.inverse_depth.ravel() > 0,
-            self.interaction(self.gradient, self.inverse_depth),
-            np.float32(0),
-        )
+        L = self.interaction(self.gradient, self.inverse_depth)
+        return np.where(self.inverse_depth.ravel() > 0, L, np.float32(0))
 
     @cached_property
     def H(self) -> Array:
@@ -282,10 +277,8 @@ class GoalLevel:
         weighted = self.of_light if w is None else self.of_light * w
         H = weighted @ self.of_light.T
         b = weighted @ e
-        found = np.asarray(
-            np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0], np.float32
-        )
-        return np.asarray(e - found @ self.of_light, np.float32)
+        found = np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0]
+        return np.asarray(e - found.astype(np.float32) @ self.of_light, np.float32)
 
     def _rows(self, band: slice, columns: list[Grey], which: Which) -> Grey:
         """L of a band of pixels: of the goal's picture, or with the columns of this one."""
@@ -514,7 +507,9 @@ class Photometric(Law[PhotometricState]):
         grey = luminance(sight.image, self.smooth_px)
         for _ in range(state.level):
             grey = coarser(grey)
-        near = self._inverse_now(sight, level, state.level)
+        near = None
+        if self._reads_depth:
+            near = _inverse(sight, level, state.level)
         if why := _unfit(pyramid[0], level, grey, near):
             return state, Command.rest(basis, why)
         robust = self.robust
@@ -524,7 +519,9 @@ class Photometric(Law[PhotometricState]):
             robust = "none"
             # at the finest level the light is fitted with the motion
             if self.light == "gain_offset":
-                grey = _in_light_of(level.grey, grey)
+                # a picture without any structure is divided by the bound
+                spread = np.float32(level.grey.std() / max(float(grey.std()), 1e-3))
+                grey = np.asarray((grey - grey.mean()) * spread + level.grey.mean(), np.float32)
         H, b, error_grey = level.normal(grey, self.interaction, robust, near)
         mu = self.damping.at(observation.t - state.t0)
         step = self._solved(basis.T @ H @ basis, basis.T @ b, mu)
@@ -534,11 +531,10 @@ class Photometric(Law[PhotometricState]):
         state = replace(state, level=self._next_level(state, basis @ step, goal))
         return state, replace(command, error_grey=error_grey)
 
-    def _inverse_now(self, sight: Sight, level: GoalLevel, number: int) -> Grey | None:
-        """1/Z of the pixels of a level in a picture [1/m]; None where those of the goal count."""
-        if self.depth.measured and self.interaction != "desired":
-            return _inverse(sight, level, number)
-        return None
+    @property
+    def _reads_depth(self) -> bool:
+        """Whether L is at the depths of this picture, not of the goal's."""
+        return self.depth.measured and self.interaction != "desired"
 
     def _solved(self, H: Array, b: Array, mu: float) -> Array | None:
         """The remaining motion (n,) by normal equations (n, n) and (n,) [m, rad]; None where the
@@ -603,13 +599,6 @@ def _unfit(finest: GoalLevel, level: GoalLevel, grey: Grey, near: Grey | None) -
         return NO_STRUCTURE
     # a wall or the floor fills the picture
     return BLANK if float(grey.std()) < 0.1 * float(level.grey.std()) else ""
-
-
-def _in_light_of(goal: Grey, grey: Grey) -> Grey:
-    """A picture with the mean and the spread of the goal's."""
-    # a picture without any structure is divided by the bound
-    spread = np.float32(goal.std() / max(float(grey.std()), 1e-3))
-    return np.asarray((grey - grey.mean()) * spread + goal.mean(), np.float32)
 
 
 def _inverse(sight: Sight | None, level: GoalLevel, number: int) -> Grey:

@@ -280,9 +280,8 @@ def _network(path: Path, written: int, known: tuple[str, ...]) -> Act:
             "pip install 'vstestbed[policy]'",
         ) from error
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = (
-        1  # comparisons have a process for each core
-    )
+    # comparisons have a process for each core
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
     with foreign(path, "an ONNX network", of_field("file")):
         network = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]

@@ -126,13 +126,10 @@ def _border_px(observation: Observation, goal: Goal, start_m: float) -> float:
 
 def _joint_margin_deg(observation: Observation, goal: Goal, start_m: float) -> float:
     robot = observation.robot
-    return (
-        math.nan
-        if robot is None
-        else math.degrees(
-            float(np.minimum(robot.q - robot.low, robot.high - robot.q).min(initial=np.inf))
-        )
-    )
+    if robot is None:
+        return math.nan
+    margins = np.minimum(robot.q - robot.low, robot.high - robot.q)
+    return math.degrees(float(margins.min(initial=np.inf)))
 
 
 QUANTITIES: dict[str, tuple[Callable[[Observation, Goal, float], float], tuple[str, ...]]] = {
@@ -165,20 +162,18 @@ fields of an Observation that it needs besides the pixels.
 # The laws that work alone; `switched`, which is made of them, joins them in the package.
 LAWS = Registry(
     "law",
-    *(
-        IBVS,
-        Partitioned,
-        PBVS,
-        Hybrid,
-        QP,
-        Predictive,
-        Uncalibrated,
-        PoseController,
-        Pursuit,
-        LineFollowing,
-        Photometric,
-        Policy,
-    ),
+    IBVS,
+    Partitioned,
+    PBVS,
+    Hybrid,
+    QP,
+    Predictive,
+    Uncalibrated,
+    PoseController,
+    Pursuit,
+    LineFollowing,
+    Photometric,
+    Policy,
     contract=LAW_CONTRACT,
 )
 
@@ -330,11 +325,11 @@ class Switched(Law[SwitchedState]):
     def limits(self) -> TwistLimits:
         """The loosest of the laws' limits; each law keeps its own."""
         limits = [part.law.limits for part in self.laws]
-        speed = max(each.speed_mps or math.inf for each in limits)
-        rate = max(each.rate_radps or math.inf for each in limits)
+        speeds = [each.speed_mps for each in limits]
+        rates = [each.rate_radps for each in limits]
         return TwistLimits(
-            speed_mps=speed if speed < math.inf else None,
-            rate_radps=rate if rate < math.inf else None,
+            speed_mps=None if None in speeds else max(speeds),
+            rate_radps=None if None in rates else max(rates),
         )
 
     @property
@@ -417,8 +412,10 @@ class Switched(Law[SwitchedState]):
         start_m = state.start_m
         if math.isnan(start_m) and "retreat" in self._quantities:
             start_m = target_distance(observation)
-        measured = self._measured(observation, goal, start_m)
-        barred = self._barred(state.barred, measured)
+        values = {
+            name: QUANTITIES[name][0](observation, goal, start_m) for name in self._quantities
+        }
+        barred = self._barred(state.barred, values)
         state = replace(state, since=t if first else state.since, barred=barred, start_m=start_m)
         wanted = self._wanted(state.active, barred)
         # times are sums of floating-point numbers
@@ -431,10 +428,6 @@ class Switched(Law[SwitchedState]):
         if self.prefer != "first" and not barred[active]:
             return active
         return next((i for i, out in enumerate(barred) if not out), active)
-
-    def _measured(self, seen: Observation, goal: Goal, start_m: float) -> dict[str, float]:
-        """The quantities that the laws' conditions compare."""
-        return {name: QUANTITIES[name][0](seen, goal, start_m) for name in self._quantities}
 
     def _barred(self, before: tuple[bool, ...], values: dict[str, float]) -> tuple[bool, ...]:
         """Which laws may not work: those whose condition to end holds, until it has receded."""

@@ -339,8 +339,8 @@ class Actors:
         self.all.append(actor)
         if actor.force is not None:
             self.forces.append(actor.force)
-        if actor.of_motors:
-            body.motor_forces.append(actor.force)
+            if actor.of_motors:
+                body.motor_forces.append(actor.force)
         if type(actor).act is not Actor.act:
             (self.each_period if actor.with_controller else self.each_step).append(actor.act)
         if type(actor).driven is not Actor.driven:

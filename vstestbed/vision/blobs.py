@@ -28,7 +28,14 @@ from vstestbed.vision.base import (
     window_round,
     windows_round,
 )
-from vstestbed.vision.colour import Blob, Region, Rim, find_blobs, noise_level
+from vstestbed.vision.colour import (
+    Blob,
+    Region,
+    Rim,
+    find_blobs,
+    mixes_colours,
+    noise_level,
+)
 from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
 # Perspective bias: the centroid of a marker's image is not the image of its centre (discs and
@@ -149,6 +156,7 @@ def _across(
 # Data association: which blob is which marker where several have its hue, by the pose of the target
 # that explains them.
 Positioned = tuple[int, Blob]  # index of the camera's panel, and a blob in it
+Found = Positioned | None  # a marker's; None: not found
 Candidates = list[list[Positioned]]  # for each marker the blobs of its hue
 # a pose (4, 4), the blobs that it may explain, and how many of them it must explain
 Hypothesis = tuple[Array, Candidates, int]
@@ -172,7 +180,7 @@ def allowed_px(uv: Array) -> float:
 
 def assign_blobs(
     candidates: Candidates, camera: Camera, target: Target, previous: Array | None
-) -> list[Positioned | None]:
+) -> list[Found]:
     """One blob for each marker, None where none fits, from the blobs of each marker's hue in a
     camera of one panel.
 
@@ -204,16 +212,16 @@ class _Association:
     target: Target
     previous: Array | None
 
-    def without_pose(self) -> list[Positioned | None]:
+    def without_pose(self) -> list[Found]:
         """The first blob of each marker, or the one nearest to where the last pose has it."""
         if self.previous is None:
             return [c[0] if c else None for c in self.few]
-        uv = self._predicted()
+        uv = self._predicted(self.previous)
         return [
             min(c, key=lambda f: _away(f[1], uv[i]), default=None) for i, c in enumerate(self.few)
         ]
 
-    def best(self, hypotheses: Iterator[Hypothesis]) -> list[Positioned | None] | None:
+    def best(self, hypotheses: Iterator[Hypothesis]) -> list[Found] | None:
         """The blobs that the best hypothesis explains; None where none explains enough of them."""
         best = 0.0
         found = None
@@ -237,7 +245,7 @@ class _Association:
                 yield T, self.few, 4
         if self.previous is None:
             return
-        uv = self._predicted()
+        uv = self._predicted(self.previous)
         # round a marker under the last pose [px], by the target's size
         radius = max(15.0, 0.15 * float(np.ptp(uv, axis=0).max()))
         near = [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(self.few)]
@@ -254,8 +262,8 @@ class _Association:
             for T in self._poses(present, self.few):
                 yield T, self.few, 3
 
-    def _predicted(self) -> Array:
-        return self.camera.project(transform(self.previous, self.target.points))
+    def _predicted(self, previous: Array) -> Array:
+        return self.camera.project(transform(previous, self.target.points))
 
     def _poses(self, which: list[int], candidates: Candidates) -> Iterator[Array]:
         points = self.target.points[which]
@@ -266,7 +274,7 @@ class _Association:
             elif (T := solve_pose_from_rays(rays, points, self.previous)) is not None:
                 yield T
 
-    def _explained(self, candidates: Candidates, T: Array) -> tuple[float, list[Positioned | None]]:
+    def _explained(self, candidates: Candidates, T: Array) -> tuple[float, list[Found]]:
         """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each
         marker that it explains.
         """
@@ -702,8 +710,6 @@ def _off(centroid: Array, expected: Outlines) -> Array:
 
 
 Place = tuple[int, Window]  # index of the camera's panel, and a window in it
-# index of the camera's panel and a marker's blob in it; None: not found
-Found = tuple[int, Blob] | None
 
 
 @spec
@@ -814,7 +820,9 @@ class Blobs(DetectorBase):
             image = picture.images[panel]
             assert image is not None
             level = noise[panel]
-            mixed = _smooth(camera.panels[panel].lens) or (level > 0 and self.moments == "binary")
+            mixed = mixes_colours(camera.panels[panel].lens) or (
+                level > 0 and self.moments == "binary"
+            )
             rim: Rim = self.moments if mixed else "sharp"
             regions.append(Region(image, window, rim, level))
         found = find_blobs(regions, self.chroma, self.least_area_px)
@@ -896,7 +904,7 @@ def _edge_px(found: Sequence[Found], noise: list[float], camera: Camera) -> floa
     a clean, sharp image has exact colours.
     """
     noisy = any(noise[f[0]] > 0 for f in found if f)
-    return 0.15 if noisy or _smooth(camera.panels[0].lens) else 0.0
+    return 0.15 if noisy or mixes_colours(camera.panels[0].lens) else 0.0
 
 
 def _may_go_on(blob: Blob, window: Window, panel: int, camera: Camera) -> bool:
@@ -912,10 +920,3 @@ def _may_go_on(blob: Blob, window: Window, panel: int, camera: Camera) -> bool:
         or bottom >= window[3] < lens.height
         or (len(camera.panels) > 1 and _slack(blob, (0.0, 0.0), lens) <= 0)
     )
-
-
-def _smooth(lens: Camera) -> bool:
-    """Whether pixels at a marker's edge mix colours: several samples a pixel, or an image
-    interpolated for a lens.
-    """
-    return lens.multisampling > 0 or lens.resampled

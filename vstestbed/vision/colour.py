@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Image, Window
+from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.lazy import cv2
 
 Rim = Literal["sharp", "binary", "grey"]
@@ -55,6 +55,13 @@ class Blob:
     hue_deg: float
     box: Window
     whole: bool
+
+
+def mixes_colours(lens: Camera) -> bool:
+    """Whether pixels at an edge mix colours: several samples a pixel, or an image interpolated for
+    a lens.
+    """
+    return lens.multisampling > 0 or lens.resampled
 
 
 def chroma(image: Image) -> Image:
@@ -194,18 +201,14 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     image, _, rim, noise = region
     height, width = image.shape[:2]
     left, top = box[:2]
+    weights = alone
     if noise > 0 or rim != "sharp":
-        left = max(left - 2, 0)
-        top = max(top - 2, 0)
-        part = image[top : box[3] + 2, left : box[2] + 2]
-        found = np.zeros(part.shape[:2], np.uint8)
-        found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
+        part, own, left, top = with_surroundings(image, alone, box, 2)
         if noise > 0:
-            m = cv2.moments(_noisy_coverage(part, found, rim))
+            weights = _noisy_coverage(part, own, rim)
         else:
-            m = cv2.moments(_coverage(chroma(part), found, rim))
-    else:
-        m = cv2.moments(alone)
+            weights = _coverage(chroma(part), own, rim)
+    m = cv2.moments(weights)
     mass = m["m00"]
     if mass <= 0:
         return None
@@ -225,6 +228,20 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     r, g, b, _ = cv2.mean(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2])
     hue_deg = 360 * colorsys.rgb_to_hsv(r, g, b)[0]  # mixing in white or grey does not change a hue
     return Blob(left + x, top + y, area, hue_deg, box, whole=inside and ellipse - area <= rough)
+
+
+def with_surroundings(
+    image: Image, alone: Image, box: Window, px: int
+) -> tuple[Image, Image, int, int]:
+    """A box in an image with some pixels around it: the image there; 255 in the pixels `alone` of
+    the box; its left and its top in the image [px].
+    """
+    left = max(box[0] - px, 0)
+    top = max(box[1] - px, 0)
+    part = image[top : box[3] + px, left : box[2] + px]
+    own = np.zeros(part.shape[:2], np.uint8)
+    own[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
+    return part, own, left, top
 
 
 def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:

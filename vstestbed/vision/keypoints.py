@@ -587,24 +587,21 @@ class Keypoints(DetectorBase):
         """Why nothing is reported though points match;
         "" where too few do, or enough are measured.
         """
+        if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
+            return ""
         plane = "motion" if self.ransac == "essential" else "plane"
         words = (
             f"detector keypoints: {matching} points match the goal's picture,"
             f" of which {agreeing} agree with one {plane}"
         )
-        if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
-            return ""
         if agreeing < self.least:
             return (
                 f"{words}: the target may have too little texture, or parts that look alike,"
                 " or show too little of itself"
             )
-        words = (
-            f"{words}; of those tried the patches of {measured} are found,"
-            f" fewer than least = {self.least}"
-        )
         return (
-            f"{words}: the others are cut by the border or not alike;"
+            f"{words}; of those tried the patches of {measured} are found,"
+            f" fewer than least = {self.least}: the others are cut by the border or not alike;"
             " subpixel: false does without patches"
         )
 

@@ -38,14 +38,12 @@ class Strip:
     its pixels.
 
     Attributes:
-        ahead: x of its middle row, the look-ahead distance [m]. row_m, column_m: size of a cell
-            [m].
+        row_m, column_m: size of a cell [m].
         lefts: y of the columns, shape (K,) [m], from left to right.
         maps: for each panel the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is
             not seen.
     """
 
-    ahead: float
     row_m: float
     column_m: float
     lefts: Array
@@ -150,7 +148,7 @@ class Lines(DetectorBase):
                 near = (apart <= min(self.hue_tolerance_deg, 180 / (n // len(strips))))[hue]
                 mask = ((colour > self.chroma) & near).astype(np.uint8)
                 lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
-        aheads = np.tile(np.array([s.ahead for s in strips]), n // len(strips))
+        aheads = np.tile(target.look_m, n // len(strips))
         uv = camera.project(on_foot(camera.mount.T, np.column_stack([aheads, lefts])))
         return (strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
 
@@ -220,7 +218,7 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
         uv = panel.lens.project(p @ panel.R_camera_panel)
         u, v = np.moveaxis(np.where(panel.lens.inside(uv)[..., None], uv, OUTSIDE), -1, 0)
         maps.append((np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)))
-    return Strip(ahead, row_m, column_m, lefts, tuple(maps))
+    return Strip(row_m, column_m, lefts, tuple(maps))
 
 
 def _from_above(picture: Picture, strip: Strip) -> Image:

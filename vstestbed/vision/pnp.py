@@ -265,7 +265,7 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
         return None
     xy = np.ascontiguousarray(xy, dtype=float)
     points = np.ascontiguousarray(points, dtype=float)
-    shape = _layout(points.tobytes())
+    shape = _layout(points)
     if shape == "line":
         return None
     if (unit := unit_for(points)) != 1.0:
@@ -286,10 +286,8 @@ def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) ->
     spread = _spread(xy)
     if previous is not None:
         T, error = _refine(xy, points, previous)
-        if (
-            error < min(STANDS * spread, MIRRORED * spread**3)
-            and _step(T, previous, points) < CONTINUES
-        ):
+        fits = error < min(STANDS * spread, MIRRORED * spread**3)
+        if fits and _step(T, previous, points) < CONTINUES:
             return T
     solutions = [c for c in _candidates(xy, points, shape) if c[0] < FITS * spread]
     if not solutions:
@@ -305,9 +303,9 @@ def _preferred(solutions: list[_Candidate], previous: Array | None, points: Arra
     if previous is None:
         return best
     rivals = [c for c in solutions if c[0] <= CLEARLY_WORSE * best[0]]
-    return (
-        rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c[1], previous, points))
-    )
+    if len(rivals) == 1:
+        return best
+    return min(rivals, key=lambda c: _step(c[1], previous, points))
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -322,11 +320,9 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
         return None
     view = _pinhole(rays)
     if view is None:
-        return (
-            None
-            if _layout(np.ascontiguousarray(points).tobytes()) == "line"
-            else solve_pose_all_round(rays, points, previous)
-        )
+        if _layout(points) == "line":
+            return None
+        return solve_pose_all_round(rays, points, previous)
     xy, T = view
     if T is None:
         return solve_pose(xy, points, previous)
@@ -338,7 +334,7 @@ def three_ray_poses(rays: Array, points: Array) -> list[Array]:
     """All poses (4, 4), at most four, of three points (3, 3) [m] on three rays (3, 3); none unless
     a virtual camera sees them.
     """
-    view = None if _layout(np.ascontiguousarray(points).tobytes()) == "line" else _pinhole(rays)
+    view = None if _layout(points) == "line" else _pinhole(rays)
     if view is None:
         return []
     xy, T = view
@@ -401,11 +397,10 @@ def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
     """
     turn = _START.T @ T[:3, :3]
     turned = points @ turn.T
-    refined = _matrix(
-        *cv2.solvePnPRefineVVS(
-            turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy(), _SETTLED
-        )
+    turn_vector, translation = cv2.solvePnPRefineVVS(
+        turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy(), _SETTLED
     )
+    refined = _matrix(turn_vector, translation)
     error = _misfit(refined, xy, turned)
     refined[:3, :3] = refined[:3, :3] @ turn
     return refined, error
@@ -466,8 +461,12 @@ def _middle(points: bytes) -> Array:
     return np.append(np.frombuffer(points).reshape(-1, 3).mean(axis=0), 1.0)
 
 
+def _layout(points: Array) -> Layout:
+    return _layout_of(np.ascontiguousarray(points).tobytes())
+
+
 @lru_cache(maxsize=4096)
-def _layout(points: bytes) -> Layout:
+def _layout_of(points: bytes) -> Layout:
     """The layout of points (N, 3), given as bytes, which can be hashed: the same few subsets of
     markers recur at every frame.
     """
@@ -477,11 +476,9 @@ def _layout(points: bytes) -> Layout:
         return "line"
     if len(p) > 3 and not _flat(s, 2):
         return "space"
-    return (
-        "line and one"
-        if any(_flat(_extent(np.delete(p, i, axis=0)), 1) for i in range(len(p)))
-        else "plane"
-    )
+    if any(_flat(_extent(np.delete(p, i, axis=0)), 1) for i in range(len(p))):
+        return "line and one"
+    return "plane"
 
 
 def _extent(points: Array) -> Array:

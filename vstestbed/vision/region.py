@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import colorsys
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -24,7 +23,13 @@ from vstestbed.features.observation import Goal
 from vstestbed.targets import Target
 from vstestbed.targets.regions import LEAST_AHEAD, centroid, covariance, evenly_along
 from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
-from vstestbed.vision.colour import Region, chroma_mask, noise_level
+from vstestbed.vision.colour import (
+    Region,
+    chroma_mask,
+    mixes_colours,
+    noise_level,
+    with_surroundings,
+)
 
 if TYPE_CHECKING:
     from cv2.typing import MatLike
@@ -529,17 +534,8 @@ class RegionDetector(DetectorBase):
         """The largest region of the target's hue in a window that is whole and to which the outline
         fits; None without one.
         """
-        noise = noise_level(image)
-        mixed = panel.lens.multisampling > 0 or panel.lens.resampled
-        region = Region(image, window, "grey" if mixed else "sharp", noise)
-        for box, alone in self._parts(region, target.hues_deg[0]):
-            found = self._fitted(region, alone, box, panel, state, target)
-            if found is not None:
-                return found
-        return None
-
-    def _parts(self, region: Region, hue_deg: float) -> Iterator[tuple[Window, Image]]:
-        """The largest connected parts of a hue, with their boxes, and 255 in their pixels there."""
+        rim = "grey" if mixes_colours(panel.lens) else "sharp"
+        region = Region(image, window, rim, noise_level(image))
         mask = chroma_mask(region.searched, self.chroma)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         order = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")
@@ -547,13 +543,19 @@ class RegionDetector(DetectorBase):
             x, y, w, h, area = stats[label].tolist()
             if area < self.least_area_px:
                 break
-            alone = np.asarray(255 * (labels[y : y + h, x : x + w] == label), np.uint8)
             if x == 0 or y == 0 or x + w == mask.shape[1] or y + h == mask.shape[0]:
                 continue  # Beyond an edge of the window, or the image's border, it may go on.
-            left = region.window[0] + x
-            top = region.window[1] + y
-            if self._has_hue(region.image[top : top + h, left : left + w], alone, hue_deg):
-                yield (left, top, left + w, top + h), alone
+            left = window[0] + x
+            top = window[1] + y
+            alone = np.asarray(255 * (labels[y : y + h, x : x + w] == label), np.uint8)
+            part = image[top : top + h, left : left + w]
+            if not self._has_hue(part, alone, target.hues_deg[0]):
+                continue
+            box = (left, top, left + w, top + h)
+            found = self._fitted(region, alone, box, panel, state, target)
+            if found is not None:
+                return found
+        return None
 
     def _has_hue(self, part: Image, alone: Image, wanted_deg: float) -> bool:
         r, g, b, _ = cv2.mean(part, mask=alone)
@@ -572,11 +574,7 @@ class RegionDetector(DetectorBase):
         """The outline fitted to a region, by `alone` (255 in its pixels in its box); None where it
         does not fit.
         """
-        left = max(box[0] - BESIDE_PX, 0)
-        top = max(box[1] - BESIDE_PX, 0)
-        part = region.image[top : box[3] + BESIDE_PX, left : box[2] + BESIDE_PX]
-        found = np.zeros(part.shape[:2], np.uint8)
-        found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
+        part, found, left, top = with_surroundings(region.image, alone, box, BESIDE_PX)
         cover = coverage(part, found)
         edge = edge_points(cover) + [left, top]
         if len(edge) < 24:
