@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera.base import FORWARD_COSINE, pixel_interaction
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, all_finite, exp, lengths, skew, transform
+from vstestbed.core.geometry import Array, all_finite, exp, homogeneous, lengths, skew, transform
 from vstestbed.core.quantity import Pixels, PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.base import Feature
@@ -81,8 +81,7 @@ def points(observation: Observation) -> Array:
     """
     if observation.ray is not None and observation.range is not None:
         return observation.ray * observation.range[:, None]
-    xy = observation.xy
-    return np.column_stack([xy, np.ones(len(xy))]) * observation.depth[:, None]
+    return homogeneous(observation.xy) * observation.depth[:, None]
 
 
 def moved_markers(observation: Observation, p: Array, which: NDArray[np.bool_]) -> Observation:
@@ -134,7 +133,7 @@ def reckoned_markers(
     kept &= ~seen.seen
     if not kept.any():
         return seen
-    ahead = np.column_stack([seen.xy, np.ones(len(seen.xy))])
+    ahead = homogeneous(seen.xy)
     rays = ahead / lengths(ahead) if seen.ray is None else seen.ray
     measured = known & np.isfinite(rays[:, 0])
     use = measured | kept

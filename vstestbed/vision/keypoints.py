@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Picture
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositivePixels, check_ordered
 from vstestbed.core.registry import Registry, kind_of
@@ -269,7 +269,7 @@ def planar_map(
     agree[usable] = mask.ravel() > 0
     # Its sign is the one that leaves the points in front of the camera.
     H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
-    ahead = np.column_stack([a[agree], np.ones(np.count_nonzero(agree))]) @ H[2]
+    ahead = homogeneous(a[agree]) @ H[2]
     return H * np.sign(np.median(ahead)), agree
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Perspective, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
@@ -675,9 +675,7 @@ class PatchDetector(DetectorBase):
         if G is None:
             lost = replace(state, before=None, tracked=False, searched_s=searched_s)
             return lost, Detection(uv=np.full((len(target.points), 2), np.nan))
-        points = np.column_stack(
-            [target.points[:, :2] / template.unit_m, np.ones(len(target.points))]
-        )
+        points = homogeneous(target.points[:, :2] / template.unit_m)
         after = PatchState(G, state.G if state.tracked else None, True, searched_s)
         return after, Detection(uv=camera.project(points @ G.T))
 

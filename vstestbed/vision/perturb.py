@@ -220,6 +220,10 @@ CONTRACT = Contract(
 PERTURBATIONS = Registry("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
 
 
+Drawn = tuple[PerturbationBase, Any, np.random.Generator]
+"""A perturbation, what was drawn once a run for it, and its generator."""
+
+
 class Perturbed:
     """The perturbations of one run, in the order in which they act, with what was drawn for it from
     the scenario's stream.
@@ -229,8 +233,8 @@ class Perturbed:
         n = len(kinds)
         # independent: what is drawn once a run, for pictures, for pixels
         streams = rng.spawn(3 * n)
-        self._pictures: list[tuple[PerturbationBase, Any, np.random.Generator]] = []
-        self._pixels: list[tuple[PerturbationBase, Any, np.random.Generator]] = []
+        self._pictures: list[Drawn] = []
+        self._pixels: list[Drawn] = []
         for i, kind in enumerate(kinds):
             state = kind.begin(streams[i])
             if "picture" in kind.changes:

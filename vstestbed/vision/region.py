@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import Pixels, PositiveAngle, PositivePixels, TighterBounds
 from vstestbed.core.spec import spec
@@ -229,7 +229,7 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
     c = math.cos(turn)
     s = math.sin(turn)
     G = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # back by the rotation
-    m = np.column_stack([e, np.ones(len(e))])
+    m = homogeneous(e)
     off = np.zeros(len(e))
     for _ in range(ROUNDS):
         x = m @ G.T
@@ -383,7 +383,7 @@ def _mapped(H: Array, flat: Array) -> Array:
     """Directions (N, 3) of a plane's points (N, 2) by its homography, turned to lie before the
     camera.
     """
-    p = np.column_stack([flat, np.ones(len(flat))]) @ H.T
+    p = homogeneous(flat) @ H.T
     return p * np.sign(p[:, 2:])
 
 
@@ -468,7 +468,7 @@ class RegionDetector(DetectorBase):
         seen = goal.xy
         flat = target.points[:, :2]
         # The affine map that fits best, without what makes both shapes round: a rotation.
-        to, _, _, _ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), seen, rcond=None)
+        to, _, _, _ = np.linalg.lstsq(homogeneous(flat), seen, rcond=None)
         R = roundness(covariance(seen)) @ to[:2].T @ inverted(roundness(covariance(flat)))
         return RegionState(expected=math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
 
