@@ -163,9 +163,9 @@ class TwistLimits:
 
     def reached(self, twist: Array) -> NDArray[np.bool_]:
         """Which twists (M, 6) are at a limit, as those are that were shortened."""
-        sizes = np.linalg.norm(twist[:, :3], axis=1), np.linalg.norm(twist[:, 3:], axis=1)
-        limits = self.speed_mps or math.inf, self.rate_radps or math.inf
-        return (sizes[0] > limits[0] * (1 - 1e-9)) | (sizes[1] > limits[1] * (1 - 1e-9))
+        sizes = np.linalg.norm(twist.reshape(-1, 2, 3), axis=2)
+        limits = np.array([self.speed_mps or math.inf, self.rate_radps or math.inf])
+        return (sizes > limits * (1 - 1e-9)).any(axis=1)
 
     def command(self, u: Array, basis: Array) -> Command:
         """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to

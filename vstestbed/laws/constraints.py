@@ -161,7 +161,7 @@ def minimise(
 
 def _violated(groups: tuple[Group, ...], x: Array) -> tuple[str, ...]:
     """Words of the groups of which x (n,) violates an inequality by more than rounding."""
-    words: tuple[str, ...] = ()
+    words = ()
     for group in groups:
         rounding = 1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12)
         if (group.A @ x - group.low < -rounding).any():

@@ -54,7 +54,9 @@ def at_goal(feature: Feature, goal: Goal) -> tuple[Array, Array] | None:
     the feature needs more.
     """
     x, distance = (getattr(goal, name) for name in feature.inputs)
-    known = np.isfinite(x[:, 0]) if goal.counted is None else np.isfinite(x[:, 0]) & goal.counted
+    known = np.isfinite(x[:, 0])
+    if goal.counted is not None:
+        known &= goal.counted
     return (x[known], distance[known]) if np.count_nonzero(known) >= feature.least_markers else None
 
 

@@ -448,14 +448,9 @@ class Predictive(Law[PlanState]):
         if not self.accelerations or B == 1 or not quick.any():
             return Group.none("acceleration", B * n)
         rows = np.kron(np.eye(B)[1:] - np.eye(B)[:-1], np.eye(n)[quick])
-        most = np.concatenate(
-            [robot.acceleration[quick] * robot.period_s * length for length in lengths[:-1]]
-        )
-        return Group(
-            "acceleration",
-            np.asarray(np.vstack([rows, -rows]), dtype=float),
-            np.concatenate([-most, -most]),
-        )
+        most = np.outer(lengths[:-1], robot.acceleration[quick] * robot.period_s).ravel()
+        A = np.asarray(np.vstack([rows, -rows]), dtype=float)
+        return Group("acceleration", A, np.tile(-most, 2))
 
     def _border(
         self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, u: Array

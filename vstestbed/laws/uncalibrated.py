@@ -103,9 +103,8 @@ class MotionSums(NamedTuple):
     taken: Array
 
     @classmethod
-    def none(cls, markers: int, columns: int) -> MotionSums:
+    def none(cls, markers: int, m: int) -> MotionSums:
         """No samples of N markers and m velocities."""
-        m = columns
         return cls(np.zeros((markers, m, m)), np.zeros((markers, 2, m)), np.zeros((m, m)))
 
     def with_one(self, x: Array, y: Array) -> MotionSums:
