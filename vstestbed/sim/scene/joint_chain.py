@@ -78,19 +78,9 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     """
     model = compiled(file)
     if (at := flange_in(model, flange)) is None:
-        there = [model.site(i).name for i in range(model.nsite)] or [
-            model.body(i).name for i in range(1, model.nbody)
-        ]
-        kind = "sites" if model.nsite else "bodies"
-        known = ", ".join(filter(None, there))
-        known = (
-            f"its {kind}: {known}"
-            if known
-            else f"its {kind} have no names"
-            if there
-            else "it has none"
+        raise ParameterError.unknown(
+            "flange", "site and no body of the file", _ends_of(model), flange
         )
-        raise ParameterError.unknown("flange", "site and no body of the file", known, flange)
     body, T_body_flange = at
     joints = _joints_to(model, body)
     found = tuple(model.joint(i).name for i in joints)
@@ -112,6 +102,19 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         friction=model.dof_frictionloss[model.jnt_dofadr[joints]].copy(),
         drives=tuple(_drive(model, i) for i in joints),
     )
+
+
+def _ends_of(model: mujoco.MjModel) -> str:
+    """What could be a flange, in words: the sites, or the bodies of a file without sites."""
+    kind = "bodies"
+    there = [model.body(i).name for i in range(1, model.nbody)]
+    if model.nsite:
+        kind = "sites"
+        there = [model.site(i).name for i in range(model.nsite)]
+    if not there:
+        return "it has none"
+    known = ", ".join(filter(None, there))
+    return f"its {kind}: {known}" if known else f"its {kind} have no names"
 
 
 @functools.lru_cache(maxsize=64)
@@ -226,11 +229,9 @@ def before(
     groups[list(left_out)] = 0
     reach = np.linalg.norm(ways, axis=1)
     for i in np.flatnonzero(np.isfinite(reach)):
-        if (
-            0
-            <= mujoco.mj_ray(model, data, eye, ways[i] / max(reach[i], 1e-9), groups, 1, -1, geom)
-            < reach[i] - slack
-        ):
+        way = ways[i] / max(reach[i], 1e-9)
+        distance = mujoco.mj_ray(model, data, eye, way, groups, 1, -1, geom)
+        if 0 <= distance < reach[i] - slack:
             found[i] = geom[0]
     return found
 
@@ -245,9 +246,8 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
     """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, flange)
     if site >= 0:
-        return int(model.site_bodyid[site]), placed(
-            model.site_pos[site], turned(model.site_quat[site])
-        )
+        T_body_flange = placed(model.site_pos[site], turned(model.site_quat[site]))
+        return int(model.site_bodyid[site]), T_body_flange
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, flange)
     return (body, np.eye(4)) if body > 0 else None
 
@@ -284,13 +284,8 @@ def _check(
             "flange", f"after 2 to {MOST_JOINTS}", f"joints, and {flange} is after {len(found)}"
         )
     if not all(found):
-        raise ParameterError(
-            "file",
-            (
-                f"must name each joint before {flange};"
-                f" joint {found.index('') + 1} of them has no name"
-            ),
-        )
+        words = f"joint {found.index('') + 1} of them has no name"
+        raise ParameterError("file", f"must name each joint before {flange}; {words}")
     for i, name in zip(joints, found, strict=True):
         _check_numbers(model, i, name)
     _check_free(model, joints)

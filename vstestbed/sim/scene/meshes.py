@@ -20,7 +20,9 @@ PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 PAPER_RGB = (0.96, 0.96, 0.96)
 PRINT_M = 2e-4  # distance of a print before its box [m]
 ENDLESS_M = 20.0
-AROUND, ALONG = 24, 8  # facets of round geoms round the axis, and from the equator to a pole
+# facets of round geoms round the axis, and from the equator to a pole
+AROUND = 24
+ALONG = 8
 
 
 @dataclass(frozen=True)
@@ -66,19 +68,11 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
         T = placed(model.geom_pos[i] + (half[2] + PRINT_M) * R[:, 2], R) @ FLIP
         share = np.minimum(model.mat_texrepeat[model.geom_matid[i]], 1.0)
         image = texels_of(model, texture)
-        columns, rows = (
-            max(1, round(n * part))
-            for n, part in zip(image.shape[1::-1], share.tolist(), strict=True)
-        )
-        found.append(
-            Pane(
-                int(model.geom_bodyid[i]),
-                T,
-                2 * float(half[0]),
-                2 * float(half[1]),
-                image[:rows, :columns].copy(),
-            )
-        )
+        columns = max(1, round(image.shape[1] * share[0].item()))
+        rows = max(1, round(image.shape[0] * share[1].item()))
+        width, height = (2 * half[:2]).tolist()
+        shown = image[:rows, :columns].copy()
+        found.append(Pane(int(model.geom_bodyid[i]), T, width, height, shown))
     return found
 
 
@@ -88,16 +82,14 @@ def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     width = model.tex_width[texture]
     channels = model.tex_nchannel[texture]
     start = model.tex_adr[texture]
-    pixels = model.tex_data[start : start + height * width * channels].reshape(
-        height, width, channels
-    )
+    pixels = model.tex_data[start : start + height * width * channels]
+    pixels = pixels.reshape(height, width, channels)
     return pixels[..., :3] if channels >= 3 else np.broadcast_to(pixels, (height, width, 3))
 
 
 def _shows_print(model: mujoco.MjModel, i: int) -> bool:
-    return bool(
-        model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP
-    )
+    box = model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX
+    return bool(box and model.geom_group[i] == TARGET_GROUP)
 
 
 def texture_of(model: mujoco.MjModel, i: int) -> int:

@@ -25,12 +25,10 @@ HEADROOM = 1.25  # margin in height, larger, since a film has a strip of plots a
 ROAM = 0.12
 ROAM_M = 0.8
 AZIMUTHS = np.radians(np.arange(0, 360, 10))
-LIGHT_HEIGHT = (
-    6.0  # height of the light that casts shadows over the middle of the view [m], above all objects
-)
-LEAST_REACH = (
-    7.0  # least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces
-)
+# height of the light that casts shadows over the middle of the view [m], above all objects
+LIGHT_HEIGHT = 6.0
+# least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces
+LEAST_REACH = 7.0
 
 
 def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
@@ -50,9 +48,8 @@ def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
     right = way - (way @ out) * out
     right /= np.linalg.norm(right)
     camera = scene.camera("overview")
-    half_width = (
-        0.75 * length + float(np.linalg.norm(target.points, axis=1).max()) + min(0.5, length)
-    )
+    size = float(np.linalg.norm(target.points, axis=1).max())
+    half_width = 0.75 * length + size + min(0.5, length)
     middle = goal - 0.75 * length * way
     camera.pos = middle + out * half_width / (np.tan(np.radians(camera.fovy / 2)) * WIDE_PICTURE)
     camera.alt.xyaxes = [*right, *np.cross(out, right)]
