@@ -145,7 +145,7 @@ class TestInertia:
         craft = Craft(
             perfect(rotor_inertia=RotorInertia(), parameters=replace(X4, rotor_lag_s=0.117))
         )
-        (on_base,) = craft.plant._actors
+        (on_base,) = craft.plant._actors.all
         craft.data.qvel[3:6], craft.data.act[:] = rates, SPEEDS**2
         orders = SPEEDS**2 + 2 * X4.rotor_lag_s * SPEEDS * gains  # dW/dt = 2 w dw/dt
         on_base.driven(tuple(orders.tolist()), 0.001)

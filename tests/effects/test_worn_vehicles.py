@@ -39,7 +39,7 @@ class Drive:
         self.stage = Scene(
             SceneDescription(robot, s.camera, s.target, World(floor_friction=floor_friction), STEP)
         )
-        self.plant = MujocoPlant(self.stage, 20, None, False, np.random.default_rng(0))
+        self.plant = MujocoPlant(self.stage, None, False, np.random.default_rng(0))
         self.model, self.data = self.stage.model, self.stage.data
 
     def go(self, duration: float, *setpoint: float) -> Truth:

@@ -18,7 +18,7 @@ from vstestbed.imaging.chain import Imaging
 from vstestbed.loop.plants import take_goal_images
 from vstestbed.scenario.distributions import IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import Plant
+from vstestbed.sim.base import Plant, SceneState
 from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.sim.replay import Replay, Rerendering
 
@@ -159,8 +159,8 @@ def test_a_film_drawn_again_shows_the_camera_at_rest():
         closing(Replay(s.scene, share=0.5)) as replay,
         closing(Replay(replace(s.scene, camera=scenario({}).camera))) as bare,
     ):
-        state = "eye", 80, 60, 0.0, s.target.T_world_start, s.robot.configuration(), np.eye(4)
-        shown, sharp = replay.picture(*state), bare.picture(*state)
+        state = SceneState(0.0, s.target.T_world_start, s.robot.configuration(), np.eye(4))
+        shown, sharp = (one.picture("eye", (80, 60), state) for one in (replay, bare))
     assert shown.shape == (120, 160, 3) and shown.mean() == pytest.approx(90, abs=3)
     assert (
         np.abs(np.diff(shown.astype(float), axis=1)).max()

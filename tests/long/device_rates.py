@@ -40,11 +40,14 @@ def pictures(worlds: int, size: tuple[int, int]) -> float:
     stage.place(0.0, s.target.pose.T, *stage.parts.start)
     asked: list[PictureRequest] = []
 
-    def keep(shot: PictureRequest) -> Any:
-        asked.append(shot)
-        return device().draw([shot])[0]
+    class Keeps:
+        name = ""
 
-    WarpRenderer(stage, s.camera, keep, "").images()
+        def draw(self, shot: PictureRequest, /) -> Any:
+            asked.append(shot)
+            return device().draw([shot])[0]
+
+    WarpRenderer(stage, s.camera, Keeps()).images()
     device().draw(asked * worlds)
     began, rounds = time.perf_counter(), 0
     while time.perf_counter() - began < 3.0:

@@ -46,7 +46,7 @@ class Craft:
         self.stage = Scene(
             SceneDescription(self.robot, scenario.camera, target, scenario.world, 0.001)
         )
-        self.plant = MujocoPlant(self.stage, 40, None, False, np.random.default_rng(3))
+        self.plant = MujocoPlant(self.stage, None, False, np.random.default_rng(3))
         self.data, self.model = self.stage.data, self.stage.model
 
     @property

@@ -125,7 +125,7 @@ def test_the_keyframe_is_the_whole_state_in_which_a_run_begins(name: str, tmp_pa
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
     stage = Scene(scene)
-    plant = MujocoPlant(stage, 1, None, False, np.random.default_rng(1))
+    plant = MujocoPlant(stage, None, False, np.random.default_rng(1))
     for part in ("qpos", "act", "ctrl", "mocap_pos", "mocap_quat"):
         np.testing.assert_array_equal(getattr(data, part), getattr(stage.data, part), err_msg=part)
     assert model.opt.timestep == stage.model.opt.timestep

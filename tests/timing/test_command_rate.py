@@ -12,7 +12,8 @@ from vstestbed.sim.build import build_plant
 
 
 def plant_of(s: Scenario) -> Plant:
-    return build_plant(s.scene, interpolator=s.timing.interpolator(*s.clock))[0]
+    setpoints = s.scene.setpoints(interpolator=s.timing.interpolator(*s.clock))
+    return build_plant(s.scene, setpoints=setpoints)[0]
 
 
 def mean_ramp(u: np.ndarray, k: int, every: int, steps: int) -> np.ndarray:

@@ -217,6 +217,11 @@ def inverse(T: Array) -> Array:
     return out
 
 
+def homogeneous(points: Array) -> Array:
+    """Points (N, d) with a 1 after the coordinates of each, (N, d + 1)."""
+    return np.column_stack([points, np.ones(len(points))])
+
+
 def transform(T: Array, p: Array) -> Array:
     """Map points p (..., N, 3) by T (..., 4, 4)."""
     return p @ T[..., :3, :3].mT + T[..., None, :3, 3]

@@ -121,10 +121,8 @@ class AdaptiveGain:
     def at(self, error: Array) -> Array:
         """The gains (..., 1) [1/s] at error vectors (..., n) in motion space."""
         span = self.at_zero - self.at_infinity
-        return (
-            span * np.exp(-self.slope_at_zero / span * np.abs(error).max(axis=-1, keepdims=True))
-            + self.at_infinity
-        )
+        x = np.abs(error).max(axis=-1, keepdims=True)
+        return span * np.exp(-self.slope_at_zero / span * x) + self.at_infinity
 
 
 GAINS = Registry("gain", ConstantGain, AdaptiveGain, number=("constant", "value"))
@@ -165,9 +163,9 @@ class TwistLimits:
 
     def reached(self, twist: Array) -> NDArray[np.bool_]:
         """Which twists (M, 6) are at a limit, as those are that were shortened."""
-        sizes = np.linalg.norm(twist[:, :3], axis=1), np.linalg.norm(twist[:, 3:], axis=1)
-        limits = self.speed_mps or math.inf, self.rate_radps or math.inf
-        return (sizes[0] > limits[0] * (1 - 1e-9)) | (sizes[1] > limits[1] * (1 - 1e-9))
+        sizes = np.linalg.norm(twist.reshape(-1, 2, 3), axis=2)
+        limits = np.array([self.speed_mps or math.inf, self.rate_radps or math.inf])
+        return (sizes > limits * (1 - 1e-9)).any(axis=1)
 
     def command(self, u: Array, basis: Array) -> Command:
         """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to
@@ -300,11 +298,9 @@ def held(limits: TwistLimits, u: Array | None, basis: Array, why: str) -> Comman
     """A frame without a measurement: the last command u (n,) again, rest where that is None; why:
     in words.
     """
-    return (
-        Command.rest(basis, why)
-        if u is None
-        else replace(limits.command(u, basis), rest_reason=why)
-    )
+    if u is None:
+        return Command.rest(basis, why)
+    return replace(limits.command(u, basis), rest_reason=why)
 
 
 def inputs_of(law: Law[Any]) -> tuple[str, ...]:
@@ -369,12 +365,9 @@ class Views:
     @cached_property
     def radius_px(self) -> Array:
         """Apparent radius of each marker by its depth as known to the law (M, N) [px]."""
-        p = self.ray * self.range[..., None]
-        return (
-            self.goal.camera.half_size(p.reshape(-1, 3), self.marker_radius_m)
-            .max(axis=1)
-            .reshape(p.shape[:2])
-        )
+        p = (self.ray * self.range[..., None]).reshape(-1, 3)
+        sizes = self.goal.camera.half_size(p, self.marker_radius_m)
+        return sizes.max(axis=1).reshape(self.range.shape)
 
     @cached_property
     def _reach(self) -> Array:
@@ -401,9 +394,9 @@ class Views:
         """
         rays = (self.ray[i], self.range[i]) if {"ray", "range"} & set(inputs) else (None, None)
         radius = self.radius_px[i] if "radius_px" in inputs else None
-        robot = (
-            OwnModel.of_ideal_camera(self.goal.camera.period, moved) if "robot" in inputs else None
-        )
+        robot = None
+        if "robot" in inputs:
+            robot = OwnModel.of_ideal_camera(self.goal.camera.period, moved)
         seen = self.xy[i], self.depth[i], self.T_camera_target[i]
         return Observation(self.t, self.uv[i], *seen, *rays, radius_px=radius, robot=robot)
 
@@ -412,7 +405,7 @@ def has_batch(law: Any) -> bool:
     """Whether a law controls a batch by the equations of its own `step`: a class that overrides
     `step` alone inherits another law's.
     """
-    first = next(
-        (vars(c) for c in type(law).__mro__ if {"step", "step_batch"} & vars(c).keys()), {}
-    )
-    return "step_batch" in first
+    for c in type(law).__mro__:
+        if {"step", "step_batch"} & vars(c).keys():
+            return "step_batch" in vars(c)
+    return False

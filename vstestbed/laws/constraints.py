@@ -22,6 +22,10 @@ from vstestbed.robots.own_model import OwnModel
 # Most iterations of one program. A count and not a time: the same run gives the same commands on
 # every machine.
 ITERATIONS = 500
+# exit codes of the solver: solved, and solved with soft constraints violated
+SOLVED = 1, 2
+INFEASIBLE = -1
+SOFT = 8  # the solver's mark of a soft constraint
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +35,9 @@ class Group:
     word: str
     A: Array
     low: Array
+
+    def __len__(self) -> int:
+        return len(self.A)
 
     @classmethod
     def none(cls, word: str, n: int) -> Group:
@@ -69,7 +76,8 @@ class Solution:
         rates = self.x[: len(robot.names)]
         twist = robot.J @ rates
         scale = limits.scale(twist)
-        rates, twist = rates * scale, twist * scale
+        rates = rates * scale
+        twist = twist * scale
         u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
         return Command(u, twist, scale=scale, rates=rates, mode=mode)
 
@@ -111,58 +119,65 @@ def minimise(
     for the order in which constraints give way Escande, Mansard & Wieber 2014,
     doi:10.1177/0278364914521306.
     """
-    if not all(
-        all_finite(part)
-        for part in (A, b, *(part for group in groups for part in (group.A, group.low)))
-    ):
+    numbers = [A, b]
+    for group in groups:
+        numbers += group.A, group.low
+    if not all(map(all_finite, numbers)):
         return Solution(
             None, failure="the quadratic program was not solved: it has numbers that are not finite"
         )
-    A, low, high = A * units, low / units, high / units
-    groups = tuple(replace(group, A=group.A * units) for group in groups if len(group.A))
+    A = A * units
+    low = low / units
+    high = high / units
+    groups = tuple(replace(group, A=group.A * units) for group in groups if len(group))
     H = A.T @ A
     mean = float(np.trace(H)) / len(H)
     if mean <= 0:
         return Solution(np.clip(np.zeros(len(H)), low, high) * units)
-    H, f = H / mean, -(A.T @ b) / mean
+    H = H / mean
+    f = -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += 1e-9  # of many solutions the smallest is taken
-    rows = np.concatenate([np.zeros((0, len(H))), *(group.A for group in groups)])
-    floor = np.concatenate([np.zeros(0), *(group.low for group in groups)])
-    size = np.linalg.norm(rows, axis=1)
-    size[size < np.finfo(float).tiny] = 1.0  # a row of zeros stays; the others get the length 1
-    rows, floor = rows / size[:, None], floor / size
-    upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
-    firm = len(low)
-    sense, infeasible = np.zeros(len(upper), dtype=np.int32), -1
-    code = infeasible
+    rows, floor = _of_unit_length(groups, len(H))
+    upper = np.concatenate([high, np.full(len(rows), np.inf)])
+    lower = np.concatenate([low, floor])
+    begins = len(low)  # of the rows of the groups
+    ends = begins + np.cumsum([0, *map(len, groups)])
+    sense = np.zeros(len(upper), dtype=np.int32)
+    why = "its bounds contradict each other"
     for level in range(len(groups) + 1):
-        if level:
-            sense[firm : firm + len(groups[level - 1].A)] = (
-                8  # the solver's mark of a soft constraint
-            )
-            firm += len(groups[level - 1].A)
+        sense[begins : ends[level]] = SOFT
         # A squared violation costs 1e6 times the mean curvature of the objective.
         x, _, code, info = load_solver()(
             H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1e-6
         )
-        if code in (1, 2):  # solved, and solved with soft constraints violated
-            rounding = [
-                1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12) for group in groups
-            ]
-            gave_way = tuple(
-                g.word
-                for g, share in zip(groups[:level], rounding, strict=False)
-                if (g.A @ x - g.low < -share).any()
-            )
+        if code in SOLVED:
+            gave_way = _violated(groups[:level], x)
             return Solution(np.clip(x, low, high) * units, gave_way, bool(np.any(info["lam"])))
-        if code != infeasible:
+        if code != INFEASIBLE:
+            why = f"the solver stopped with code {code}"
             break
-    why = (
-        "its bounds contradict each other"
-        if code == infeasible
-        else f"the solver stopped with code {code}"
-    )
     return Solution(None, failure=f"the quadratic program was not solved: {why}")
+
+
+def _violated(groups: tuple[Group, ...], x: Array) -> tuple[str, ...]:
+    """Words of the groups of which x (n,) violates an inequality by more than rounding."""
+    words = ()
+    for group in groups:
+        rounding = 1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12)
+        if (group.A @ x - group.low < -rounding).any():
+            words += (group.word,)
+    return words
+
+
+def _of_unit_length(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:
+    """The rows (m, n) of all groups, each of the length 1, but for rows of zeros; and their low
+    (m,).
+    """
+    rows = np.concatenate([np.zeros((0, n)), *(group.A for group in groups)])
+    low = np.concatenate([np.zeros(0), *(group.low for group in groups)])
+    size = np.linalg.norm(rows, axis=1)
+    size[size < np.finfo(float).tiny] = 1.0
+    return rows / size[:, None], low / size
 
 
 @cache
@@ -201,7 +216,8 @@ def velocity_bounds(
     if not accelerate:
         return low, high, False
     step = robot.acceleration * robot.period_s
-    slow, fast = robot.ordered - step, robot.ordered + step
+    slow = robot.ordered - step
+    fast = robot.ordered + step
     gave_way = bool((slow > high).any() or (fast < low).any())
     return np.clip(slow, low, high), np.clip(fast, low, high), gave_way
 
@@ -222,10 +238,11 @@ def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
     U, s, Vt = np.linalg.svd(robot.J * scale)
     if n < 6 or not 0.5 * least < s[-1] < 4 * least:  # beyond, it could not bind within a frame
         return Group.none("singularity", n)
-    u, v, step = U[:, len(s) - 1], Vt[len(s) - 1], 1e-6  # of finite differences [rad, m]
-    slopes = [
-        u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / step for d in step * np.eye(n)
-    ]
+    u = U[:, len(s) - 1]
+    v = Vt[len(s) - 1]
+    step = 1e-6  # of finite differences [rad, m]
+    changes = [robot.jacobian(robot.q + d) - robot.J for d in step * np.eye(n)]
+    slopes = [u @ (scale * change) @ v / step for change in changes]
     return Group("singularity", np.array([slopes]), np.array([-rate * (s[-1] - least)]))
 
 
@@ -236,12 +253,16 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
     forward: the sign of the wanted speed; the circle is |w| <= v / radius forward, and in reverse
     with -v.
     """
-    A, low = np.vstack([robot.sums, -robot.sums]), -np.concatenate([robot.most, robot.most])
+    A = np.vstack([robot.sums, -robot.sums])
+    low = -np.concatenate([robot.most, robot.most])
     if robot.turning_radius_m > 0:
-        sign, r = (1.0 if forward >= 0 else -1.0), robot.turning_radius_m
+        sign = 1.0 if forward >= 0 else -1.0
+        r = robot.turning_radius_m
         circle = np.zeros((2, len(robot.names)))
-        circle[:, 0], circle[:, -1] = sign / r, (1.0, -1.0)
-        A, low = np.vstack([A, circle]), np.concatenate([low, np.zeros(2)])
+        circle[:, 0] = sign / r
+        circle[:, -1] = 1.0, -1.0
+        A = np.vstack([A, circle])
+        low = np.concatenate([low, np.zeros(2)])
     return Group("shared", A, low)
 
 
@@ -249,7 +270,8 @@ def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) ->
     """|v_i| <= speed_mps, |w_i| <= rate_radps (None: no limit) for each component of the camera
     twist J @ rates: a box.
     """
-    rows, low = [np.zeros((0, J.shape[1]))], [np.zeros(0)]
+    rows = [np.zeros((0, J.shape[1]))]
+    low = [np.zeros(0)]
     for limit, part in ((speed_mps, J[:3]), (rate_radps, J[3:])):
         if limit is not None:
             rows += [part, -part]
@@ -278,9 +300,8 @@ def border(
     if isinstance(rows, str) or len(goal.camera.panels) > 1:
         return Group.none("border", robot.J.shape[1])
     L = pixel_interaction(goal.camera, points(seen)[rows])
-    distance, inwards = goal.camera.borders(
-        seen.uv[rows] + L @ (robot.way + target * robot.underway_s)
-    )
+    there = seen.uv[rows] + L @ (robot.way + target * robot.underway_s)
+    distance, inwards = goal.camera.borders(there)
     radius = 0.0 if seen.radius_px is None else seen.radius_px[rows][:, None]
     h = (distance - radius - margin_px).ravel()
     h_dot = np.einsum("nbk,nki->nbi", inwards, L).reshape(len(h), 6)
@@ -306,7 +327,9 @@ def above_plane(
     flat = len(p) > 2 and s[1] > 1e-3 * s[0]
     normal = Vt[2] if flat else middle / np.linalg.norm(middle)
     away = float(normal @ middle)
-    normal, away = (normal, away) if away > 0 else (-normal, -away)  # towards the target
+    if away <= 0:
+        normal = -normal  # towards the target
+        away = -away
     h = away - float(normal @ robot.way[:3]) - distance_m
     # The camera's origin moves with v: its distance to a plane that stands still changes by -normal
     # . v.

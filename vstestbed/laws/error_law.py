@@ -167,8 +167,7 @@ class ErrorLaw(Law[ErrorState], ABC):
     def motion(
         self,
         extra: Array,
-        e: Array,
-        J: Array,
+        equations: tuple[Array, Array],
         view: Any,
         goal: Goal,
         basis: Array | None,
@@ -177,9 +176,11 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The law's extra state (..., k), velocities u = -gain x (..., n) or the reason for rest,
         and x = pinv(J B) e, None if not needed.
 
-        basis: the robot's motions (6, n); None: all six of the camera. shift: the predicted change
-        of x (n,) until the horizon of the feedforward, None without one.
+        equations: e (..., rows) and J (..., rows, 6) of the view. basis: the robot's motions (6,
+        n); None: all six of the camera. shift: the predicted change of x (n,) until the horizon of
+        the feedforward, None without one.
         """
+        e, J = equations
         units = units_of(goal, basis)
         x = self.solve.least_squares((J if basis is None else J @ basis) * units, e)
         ahead = x if shift is None else x + shift / units
@@ -205,48 +206,48 @@ class ErrorLaw(Law[ErrorState], ABC):
         measured = self._measured(known, rows, goal, basis)
         if isinstance(measured, str):
             return self._unseen(state, basis, measured)
-        e, J, view, at = measured
-        after, shift, tau = state, None, None
+        equations, view, at = measured
+        e, J = equations
+        after = state
+        shift = tau = None
         if known.motion is not None and isinstance(self.feedforward, Estimator):
             after, shift, tau = self._estimated(state, known, goal, basis, why)
-        extra, u, x = self.motion(state.extra, e, J, view, at, basis, shift)
+        extra, u, x = self.motion(state.extra, equations, view, at, basis, shift)
         if isinstance(u, str):
             return self._unseen(state, basis, u)
         if isinstance(self.feedforward, Integral):
-            after, tau = integrated(
-                self.feedforward,
-                after,
-                known,
-                self.solve.least_squares(J @ basis, e) if x is None else x,
-            )
+            remaining = self.solve.least_squares(J @ basis, e) if x is None else x
+            after, tau = integrated(self.feedforward, after, known, remaining)
         if tau is not None:
             u = u - tau
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow
-        after, command = self._limited(
-            state,
-            after if extra is state.extra else replace(after, extra=extra),
-            u,
-            observation,
-            goal,
-            basis,
-        )
-        free, why = self.free_motions(J, e, x, basis), "" if self.cameras else why
-        return after, replace(command, free=free, rest_reason=why) if free or why else command
+        if extra is not state.extra:
+            after = replace(after, extra=extra)
+        after, command = self._limited(state, after, u, observation, goal, basis)
+        return after, self._explained(command, self.free_motions(J, e, x, basis), why)
+
+    def _explained(self, command: Command, free: Motions, why: str) -> Command:
+        """A command with the motions left free, and with what the law's camera lacks where it is
+        the only one.
+        """
+        if self.cameras:
+            why = ""
+        return replace(command, free=free, rest_reason=why) if free or why else command
 
     def _measured(
         self, known: Observation, rows: Rows | str, goal: Goal, basis: Array
-    ) -> tuple[Array, Array, Observation, Goal] | str:
+    ) -> tuple[tuple[Array, Array], Observation, Goal] | str:
         """The error and its Jacobian, with the views of which they are; or the reason for rest.
         rows: usable ones, or why none are.
         """
         if self.cameras:
             stacked = self._stacked(known, goal, basis)
-            return stacked if isinstance(stacked, str) else (*stacked, known, goal)
+            return stacked if isinstance(stacked, str) else (stacked, known, goal)
         if isinstance(rows, str):
             return rows
         view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
-        return (*self._checked(*self.equations(view, at)), view, at)
+        return self._checked(*self.equations(view, at)), view, at
 
     def _limited(
         self,
@@ -274,28 +275,34 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The error (rows,) and its Jacobian (rows, 6) in all pictures, each with what it shows, or
         the reason for rest.
         """
-        of_markers, of_pose = self._reads
         fewest = self.markers_needed(basis[:, :1])  # that a camera needs to add something
-        found, errors, jacobians, views = 0, [], [], own.cameras or {}
+        found = 0
+        errors = []
+        jacobians = []
+        views = own.cameras or {}
         for name, weight in {"": 1.0, **self.cameras}.items():
-            if (other := views.get(name)) is None and name:
+            other = views.get(name)
+            if name and other is None:
                 continue
             seen, at = (own, goal) if other is None else (other.seen, other.goal)
-            rows = usable_rows(seen, of_markers or ("xy",), fewest)
-            if at is None or isinstance(rows, str) or _without(seen, of_pose):
+            rows = self._rows_of(seen, fewest)
+            if at is None or rows is None:
                 continue
             e, J = self._checked(*self.equations(seen.of_rows(rows), at.of_rows(rows)))
+            if other is not None:
+                J = J @ adjoint(inverse(other.T_camera_this))
             found += len(seen.uv[rows])
             errors.append(math.sqrt(weight) * e)
-            jacobians.append(
-                math.sqrt(weight)
-                * (J if other is None else J @ adjoint(inverse(other.T_camera_this)))
-            )
-        return (
-            (np.concatenate(errors), np.vstack(jacobians))
-            if found >= self.markers_needed(basis)
-            else TOO_FEW
-        )
+            jacobians.append(math.sqrt(weight) * J)
+        if found < self.markers_needed(basis):
+            return TOO_FEW
+        return np.concatenate(errors), np.vstack(jacobians)
+
+    def _rows_of(self, seen: Observation, fewest: int) -> Rows | None:
+        """The usable markers of one of several cameras; None where it shows too few, or no pose."""
+        of_markers, of_pose = self._reads
+        rows = usable_rows(seen, of_markers or ("xy",), fewest)
+        return None if isinstance(rows, str) or _without(seen, of_pose) else rows
 
     @property
     def state_size(self) -> int:
@@ -311,8 +318,8 @@ class ErrorLaw(Law[ErrorState], ABC):
         state: NaN before the first frame. views: the current views. goal: the goal view of the same
             markers.
         """
-        e, J = self._checked(*self.equations(views, goal))
-        extra, u, _ = self.motion(state[:, : self.extra_size], e, J, views, goal, None, None)
+        equations = self._checked(*self.equations(views, goal))
+        extra, u, _ = self.motion(state[:, : self.extra_size], equations, views, goal, None, None)
         assert not isinstance(u, str)
         if not self._shapes:
             return extra, self.limits.within(u)
@@ -321,11 +328,8 @@ class ErrorLaw(Law[ErrorState], ABC):
             u0 = np.where(np.isnan(u0), u, u0)
             u = u - u0 * math.exp(-views.t / self.smooth_start_s)
         if self.smoothing_s > 0:
-            u = np.where(
-                np.isnan(last),
-                u,
-                last + (1 - np.exp(-(views.t - since) / self.smoothing_s)) * (u - last),
-            )
+            filtered = last + (1 - np.exp(-(views.t - since) / self.smoothing_s)) * (u - last)
+            u = np.where(np.isnan(last), u, filtered)
         return np.column_stack([extra, u0, u, np.full(len(u), views.t)]), self.limits.within(u)
 
     @cached_property
@@ -343,9 +347,12 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The next state, and the command after smooth start and filter, for the law's u (n,) at a
         time t [s].
         """
-        t0, u0 = before.t0, before.u0
+        t0 = before.t0
+        u0 = before.u0
         if self.smooth_start_s > 0:
-            t0, u0 = (t, u) if u0 is None else (t0, u0)
+            if u0 is None:
+                t0 = t
+                u0 = u
             u = u - u0 * math.exp(-(t - t0) / self.smooth_start_s)
         if self.smoothing_s > 0 and before.u is not None:
             u = before.u + (1 - math.exp(-(t - before.t) / self.smoothing_s)) * (u - before.u)
@@ -367,20 +374,15 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The observation, with what was dead-reckoned; its usable markers, or the reason for rest;
         what it lacks itself, "" if nothing.
         """
-        kind, needed, lacks, (of_markers, of_pose) = (
-            self.feedforward,
-            self.markers_needed(basis),
-            "",
-            self._reads,
-        )
+        kind = self.feedforward
+        needed = self.markers_needed(basis)
+        lacks = ""
+        of_markers, of_pose = self._reads
         if of_pose:
-            lacks = (
-                TOO_FEW
-                if np.count_nonzero(seen.seen) < needed
-                else NO_POSE
-                if _without(seen, of_pose)
-                else ""
-            )
+            if np.count_nonzero(seen.seen) < needed:
+                lacks = TOO_FEW
+            elif _without(seen, of_pose):
+                lacks = NO_POSE
             if lacks:
                 reckoned = usable_pose(kind, state, seen, goal, basis)
                 if reckoned is None or _without(reckoned, of_pose):
@@ -397,21 +399,18 @@ class ErrorLaw(Law[ErrorState], ABC):
         """The state with the next estimate, how the remaining motion changes until the prediction
         horizon (n,), and tau (n,).
         """
-        kind, motion = self.feedforward, known.motion
+        kind = self.feedforward
+        motion = known.motion
         assert isinstance(kind, Estimator) and motion is not None
         # What was dead-reckoned is no measurement: the estimate goes on without.
         change = None if why or before.target is None else self._change(before, known, goal, basis)
         target = follow(kind, before.target, change, basis, motion, self.solve)
         shift, tau = look_ahead(kind, target, basis, motion)
-        marker_t = np.where(
-            known.seen, known.t, -np.inf if before.marker_t is None else before.marker_t
-        )
+        last_t = -np.inf if before.marker_t is None else before.marker_t
+        marker_t = np.where(known.seen, known.t, last_t)
         known_t = before.known_t if why else known.t
-        return (
-            replace(before, seen=known, known_t=known_t, marker_t=marker_t, target=target),
-            shift,
-            tau,
-        )
+        after = replace(before, seen=known, known_t=known_t, marker_t=marker_t, target=target)
+        return after, shift, tau
 
     def _change(
         self, state: ErrorState, now: Observation, goal: Goal, basis: Array
@@ -419,7 +418,8 @@ class ErrorLaw(Law[ErrorState], ABC):
         """`change` since the last frame, by the markers that are known in both; None where they are
         too few, or a pose is lacking.
         """
-        before, (of_markers, of_pose) = state.seen, self._reads
+        before = state.seen
+        of_markers, of_pose = self._reads
         if before is None or _without(before, of_pose):
             return None
         if of_markers:
@@ -429,7 +429,8 @@ class ErrorLaw(Law[ErrorState], ABC):
             if np.count_nonzero(both) < self.markers_needed(basis):
                 return None
             if not both.all():
-                before, now = before.of_rows(both), now.of_rows(both)
+                before = before.of_rows(both)
+                now = now.of_rows(both)
         return self.change(before, now, goal)
 
 
@@ -447,7 +448,8 @@ def _motion_since(
     Relative to the target, the camera moves by its own measured twist and the estimated motion of
     the target, v + B tau.
     """
-    target, motion = state.target, seen.motion
+    target = state.target
+    motion = seen.motion
     if not isinstance(kind, Estimator) or target is None or motion is None:
         return None
     return exp(-(motion.twist * motion.since_s + basis @ target.ahead(motion.since_s)[0]))
@@ -465,14 +467,18 @@ def usable_pose(
 
     state: that of the law at the last frame. seen: the observation of this frame.
     """
-    motion, last = _motion_since(kind, state, seen, basis), state.seen
+    motion = _motion_since(kind, state, seen, basis)
+    last = state.seen
     if motion is None or last is None or seen.t - state.known_t > DEAD_RECKON_S:
         return None
-    T, relative = seen.T_camera_target, seen.relative
+    T = seen.T_camera_target
+    relative = seen.relative
     if T is None and last.T_camera_target is not None:
         T = motion @ last.T_camera_target
     if relative is None and last.relative is not None:
-        (H, R_camera_goal), R, n = last.relative, motion[:3, :3], goal.normal
+        H, R_camera_goal = last.relative
+        R = motion[:3, :3]
+        n = goal.normal
         relative = R @ H + np.outer(motion[:3, 3], n / (n @ goal.middle)), R @ R_camera_goal
     return replace(seen, T_camera_target=T, relative=relative)
 

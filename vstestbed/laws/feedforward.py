@@ -91,7 +91,8 @@ def white_noise(order: int, dt: float, density: float) -> Array:
 
     Reference: Bar-Shalom et al. 2001, eqs 6.2.2-4, 6.2.3-2.
     """
-    k, f = order, math.factorial
+    k = order
+    f = math.factorial
     return density * np.array(
         [
             [
@@ -158,9 +159,8 @@ class AlphaBeta:
             return TargetEstimate(state, state[0], before.P)
         moved = before.moved + step
         beta = self.alpha**2 / (2 - self.alpha)
-        return TargetEstimate(
-            state + np.outer([self.alpha, beta / dt], moved - state[0]), moved, before.P
-        )
+        state = state + np.outer([self.alpha, beta / dt], moved - state[0])
+        return TargetEstimate(state, moved, before.P)
 
 
 def _kalman_update(
@@ -176,12 +176,14 @@ def _kalman_update(
     continuous time the steady filter's poles are those of a Butterworth filter with the corner
     (density ratio)^(1/(2 order)).
     """
-    k, corner = self.order, 2 * math.pi * self.bandwidth_hz
+    k = self.order
+    corner = 2 * math.pi * self.bandwidth_hz
     if before is None:
         P = np.diag([corner, *(LEARNS * corner ** (2 * i + 1) for i in range(1, k))])
         return TargetEstimate(np.zeros((k, size)), np.zeros(size), P)
     F = _model(k, dt)
-    state, P = F @ before.state, F @ before.P @ F.T + white_noise(k, dt, corner ** (2 * k))
+    state = F @ before.state
+    P = F @ before.P @ F.T + white_noise(k, dt, corner ** (2 * k))
     if step is None:  # prediction only; the measured displacement continues from the predicted one
         return TargetEstimate(state, state[0], P)
     moved = before.moved + step
@@ -259,10 +261,8 @@ class Smith:
 FEEDFORWARDS = Registry(
     "feedforward", NoFeedforward, Integral, AlphaBeta, KalmanCV, KalmanCA, Smith, default="none"
 )
-Feedforward = Annotated[
-    NoFeedforward | Integral | AlphaBeta | KalmanCV | KalmanCA | Smith, FEEDFORWARDS
-]
 Estimator = AlphaBeta | KalmanCV | KalmanCA | Smith
+Feedforward = Annotated[NoFeedforward | Integral | Estimator, FEEDFORWARDS]
 
 
 def follow(

@@ -16,7 +16,8 @@ from vstestbed.laws.error_law import ErrorLaw
 
 # markers lie in a plane (on a line) if they extend less than this share of the set's length off it
 FLAT = 1e-3
-_THETA_U, _POINT = ThetaU(), Point()
+_THETA_U = ThetaU()
+_POINT = Point()
 
 
 @spec
@@ -89,7 +90,8 @@ class Hybrid(ErrorLaw):
 
     def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
         """The law's equations with the last frame in place of the goal."""
-        (m0, R0), (m1, R1) = self._compared(before, goal), self._compared(now, goal)
+        m0, R0 = self._compared(before, goal)
+        m1, R1 = self._compared(now, goal)
         middle = m0 * goal.middle[2]
         e, L = self.of_middle(m1 / m0[2], R0.T @ R1, middle)
         # The mean of both matrices: with one of them, the change is explained to first order in the
@@ -113,8 +115,11 @@ class Hybrid(ErrorLaw):
         m: the markers' mean over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the mean at
         the goal (3,) [m].
         """
-        xy, goal_xy, ratio = m[..., :2] / m[..., 2:], goal_middle[:2] / goal_middle[2], m[..., 2:]
-        at, depth = xy[..., None, :], ratio * goal_middle[2]
+        xy = m[..., :2] / m[..., 2:]
+        goal_xy = goal_middle[:2] / goal_middle[2]
+        ratio = m[..., 2:]
+        at = xy[..., None, :]
+        depth = ratio * goal_middle[2]
         turn = _THETA_U.measure(R_goal_camera)
         # Rows in the order of e: x, y, log Z, theta u.
         rows = (

@@ -82,7 +82,8 @@ class Large:
 
     def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> Motions:
         """The free motions; see `Classical.free`."""
-        share, gradient = self.share(solved), A.T @ e
+        share = self.share(solved)
+        gradient = A.T @ e
         classical = basis @ solve.null_space(A)
         if share == 0 or not gradient.any():
             return ((1.0, classical),)
@@ -160,27 +161,27 @@ class IBVS(ErrorLaw):
         return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
     def free_motions(self, J: Array, e: Array, x: Array | None, basis: Array) -> Motions:
-        return (
-            self.projection.free(self.solve, J @ basis, e, x, basis)
-            if self.redundant and x is not None
-            else ()
-        )
+        if not self.redundant or x is None:
+            return ()
+        return self.projection.free(self.solve, J @ basis, e, x, basis)
 
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
         """E = s - s* (..., rows), and L at the views that `interaction` names (..., rows, 6),
         (rows, 6) for `desired`.
         """
-        feature, (what, distance) = self.feature, self.feature.inputs
-        x, goal_x = getattr(view, what), getattr(goal, what)
+        feature = self.feature
+        what, distance = feature.inputs
+        x = getattr(view, what)
+        goal_x = getattr(goal, what)
+        s = feature.measure(x)
         if self.interaction == "current":
-            return feature.error(feature.measure(x), feature.measure(goal_x)), feature.interaction(
-                x, getattr(view, distance)
-            )
+            e = feature.error(s, feature.measure(goal_x))
+            return e, feature.interaction(x, getattr(view, distance))
         s_star, L_star = _at_goal(feature, goal_x.tobytes(), getattr(goal, distance).tobytes())
-        e = feature.error(feature.measure(x), s_star)
-        return e, L_star if self.interaction == "desired" else 0.5 * (
-            feature.interaction(x, getattr(view, distance)) + L_star
-        )
+        e = feature.error(s, s_star)
+        if self.interaction == "desired":
+            return e, L_star
+        return e, 0.5 * (feature.interaction(x, getattr(view, distance)) + L_star)
 
 
 @lru_cache(maxsize=256)

@@ -132,27 +132,28 @@ class LineFollowing(Law[LineState]):
             return state, held(self.limits, u, basis, TOO_FEW)
         # the desired lateral position of each line, to the left [m]
         aim = _on_floor(goal.xy, goal)[seen, :, 1].mean(axis=1)
-        xy, mount, v = observation.xy.reshape(-1, 2, 2)[seen], goal.T_base_camera, self.cruise_mps
+        xy = observation.xy.reshape(-1, 2, 2)[seen]
+        mount = goal.T_base_camera
+        v = self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
-        middle, exact = (near + far) / 2, near * far / (near + far)
+        middle = (near + far) / 2
+        exact = near * far / (near + far)
         rho, theta = np.moveaxis(_LINE.measure(xy), -1, 0)
         L = line_interaction(rho, theta, floor_plane(mount)) @ basis
         # One chord, evaluated at two distances: the error at x_e, its derivative at m (see the
         # class).
-        (e, _), (s, J) = (
-            line_on_floor(rho, theta, mount, exact)[0].T,
-            line_on_floor(rho, theta, mount, middle),
-        )
-        rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi
+        e, _ = line_on_floor(rho, theta, mount, exact)[0].T
+        s, J = line_on_floor(rho, theta, mount, middle)
+        rows = J @ L  # (lines, 2, n): of y at the middle, and of phi
+        slope = np.tan(s[:, 1])
         # the lever of the turn at the desired position, m + y* tan(phi)
         rows[:, 0, -1] += (s[:, 0] - aim) * slope
         steepest = v * math.tan(math.radians(self.approach_deg))
-        A, b = rows[:, 0], -np.clip(self.gain * (e - aim), -steepest, steepest)
+        A = rows[:, 0]
+        b = -np.clip(self.gain * (e - aim), -steepest, steepest)
         if basis.shape[1] > 2:  # a car's two motions are determined by the speed and by e
-            A, b = (
-                np.concatenate([A, rows[:, 1]]),
-                np.concatenate([b, -v * slope / (middle + aim * slope)]),
-            )
+            A = np.concatenate([A, rows[:, 1]])
+            b = np.concatenate([b, -v * slope / (middle + aim * slope)])
         # the given speed, moved to the right side
         u = np.concatenate([[v], self.solve.least_squares(A[:, 1:], b - v * A[:, 0])])
         return (observation.t, u), self.limits.command(u, basis)

@@ -24,7 +24,8 @@ from vstestbed.laws.solve import least_squares, units_of
 # column of the twist of each motion that a single feature can command
 COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 Axis = Literal["x", "y", "z", "wz"]
-_POINT, _POLYGON = Point(), Polygon()
+_POINT = Point()
+_POLYGON = Polygon()
 # An angle is known up to a full turn: the candidates beside it are the same orientation, the other
 # way round.
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
@@ -142,15 +143,13 @@ class Partitioned(ErrorLaw):
 
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
         """Those of all points, which `motion` divides: the error (..., 2N) and L (..., 2N, 6)."""
-        return _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy)), _POINT.interaction(
-            view.xy, view.depth
-        )
+        e = _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy))
+        return e, _POINT.interaction(view.xy, view.depth)
 
     def motion(
         self,
         extra: Array,
-        e: Array,
-        J: Array,
+        equations: tuple[Array, Array],
         view: Any,
         goal: Goal,
         basis: Array | None,
@@ -164,13 +163,11 @@ class Partitioned(ErrorLaw):
             # its difference from the horizon's.
             p = transform(exp(-basis @ shift), points(view))
             view = moved_markers(view, p, np.ones(len(p), dtype=bool))
-            e, J = self.equations(view, goal)
-        sigma, d, sigma_star, d_star = (
-            size(view.xy),
-            segments(view.xy),
-            size(goal.xy),
-            segments(goal.xy),
-        )
+            equations = self.equations(view, goal)
+        sigma = size(view.xy)
+        d = segments(view.xy)
+        sigma_star = size(goal.xy)
+        d_star = segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         if basis is not None and flat:
             return extra, NO_AREA, None
@@ -179,17 +176,20 @@ class Partitioned(ErrorLaw):
         if basis is None:
             sigma = np.where(flat, sigma_star, sigma)
         turn = self._turn(extra[..., 0], angle_error(d, d_star))
-        twist = self._twist(e, J, view, goal, size_error(sigma, sigma_star, self.sigma), turn)
+        too_large = size_error(sigma, sigma_star, self.sigma)
+        twist = self._twist(equations, view, goal, too_large, turn)
         if basis is None:
             twist[flat] = np.nan
-        return turn[..., None], twist if basis is None else least_squares(basis, twist), None
+            return turn[..., None], twist, None
+        return turn[..., None], least_squares(basis, twist), None
 
     def _twist(
-        self, e: Array, L: Array, view: Any, goal: Goal, too_large: Array, turn: Array
+        self, equations: tuple[Array, Array], view: Any, goal: Goal, too_large: Array, turn: Array
     ) -> Array:
-        """Camera twists (..., 6) for given errors of size and angle (...); e (..., 2N) and L (...,
-        2N, 6) of the points.
+        """Camera twists (..., 6) for given errors of size and angle (...); equations: e (..., 2N)
+        and L (..., 2N, 6) of the points.
         """
+        e, L = equations
         twist = np.empty((*e.shape[:-1], 6))
         for axis in self.axes:
             i = COLUMN[axis]
@@ -202,7 +202,8 @@ class Partitioned(ErrorLaw):
                 twist[..., i] = self.gain_xy * aside / (1 / view.depth).mean(axis=-1)
         for i, axis in enumerate(("x", "y")):
             if axis in self.axes:  # the equations of this coordinate, from the markers' mean
-                e, L = e.copy(), L.copy()
+                e = e.copy()
+                L = L.copy()
                 e[..., i::2] -= e[..., i::2].mean(axis=-1, keepdims=True)
                 L[..., i::2, :] -= L[..., i::2, :].mean(axis=-2, keepdims=True)
         given, rest = self._columns
@@ -212,9 +213,8 @@ class Partitioned(ErrorLaw):
         # The motion along and about the axis moves the points, too; the gain must not multiply this
         # part (see the errata).
         carried = (L[..., given] @ twist[..., given, None])[..., 0]
-        twist[..., rest] = -units[rest] * (
-            self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried)
-        )
+        wanted = self.gain.at(by_points) * by_points + self.solve.least_squares(A, carried)
+        twist[..., rest] = -units[rest] * wanted
         return twist
 
     @cached_property
@@ -226,7 +226,8 @@ class Partitioned(ErrorLaw):
         """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first
         frame, where `last` is NaN, and kept.
         """
-        ways, first = np.asarray(angle)[..., None] + _ROUND, np.isnan(last)
+        ways = np.asarray(angle)[..., None] + _ROUND
+        first = np.isnan(last)
         if not first.any():
             # near a half turn the wrapped angle would change its sign
             cost = np.abs(ways - last[..., None])
@@ -236,7 +237,6 @@ class Partitioned(ErrorLaw):
             low, high = (math.radians(limit) for limit in self.turn_limits_deg)
             beyond = np.maximum(np.maximum(low - ways, ways - high), 0.0)
             # Of those that exceed the bounds the least, the shortest.
-            cost = np.where(
-                first[..., None], np.abs(ways) + 1e3 * beyond, np.abs(ways - last[..., None])
-            )
+            at_first = np.abs(ways) + 1e3 * beyond
+            cost = np.where(first[..., None], at_first, np.abs(ways - last[..., None]))
         return np.take_along_axis(ways, np.argmin(cost, axis=-1, keepdims=True), axis=-1)[..., 0]

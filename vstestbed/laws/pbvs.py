@@ -55,21 +55,19 @@ class PBVS(ErrorLaw):
         """The error (..., 6) and L (..., 6, 6) by the poses of the target in the camera frame and
         in the goal frame.
         """
-        T_camera_target, T_goal_target = view.T_camera_target, goal.T_camera_target
+        T_camera_target = view.T_camera_target
+        T_goal_target = goal.T_camera_target
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
         if self.translation == "cMo":
-            pose, s_star = T_camera_target, T_goal_target[:3, 3]
+            pose = T_camera_target
+            s_star = T_goal_target[:3, 3]
         else:
-            pose, s_star = (
-                inverse(T_goal_camera) if self.translation == "cMcd" else T_goal_camera,
-                np.zeros(3),
-            )
+            pose = inverse(T_goal_camera) if self.translation == "cMcd" else T_goal_camera
+            s_star = np.zeros(3)
         turn = _THETA_U.measure(T_goal_camera[..., :3, :3])
         e = np.concatenate([pose[..., :3, 3] - s_star, turn], axis=-1)
-        return e, np.concatenate(
-            [translation_interaction(pose, self.translation), _THETA_U.interaction_at(turn)],
-            axis=-2,
-        )
+        rows = translation_interaction(pose, self.translation), _THETA_U.interaction_at(turn)
+        return e, np.concatenate(rows, axis=-2)
 
     def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
         """Change of the pose since the last frame, as a displacement of the camera relative to the

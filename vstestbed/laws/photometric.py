@@ -42,11 +42,9 @@ def scale(e: NDArray[np.float32]) -> float:
     """
     # evenly spread: of 300,000 the whole partition would cost as much as the law
     some = e[:: max(1, len(e) // 20_000)]
-    return (
-        max(1.4826 * float(np.median(np.abs(some - np.median(some)))), LEAST_SIGMA)
-        if len(some)
-        else LEAST_SIGMA
-    )
+    if not len(some):
+        return LEAST_SIGMA
+    return max(1.4826 * float(np.median(np.abs(some - np.median(some)))), LEAST_SIGMA)
 
 
 def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -74,7 +72,8 @@ Grey = NDArray[np.float32]  # luminance (h, w) [grey levels, 0 to 255]
 Which = Literal["current", "desired", "mean"]
 # pixels whose rows of L are held at a time: six float32 columns of them fit into a core's cache
 BAND_PX = 16384
-DIFFERENCE, ONE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12, np.array([1.0])
+DIFFERENCE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
+ONE = np.array([1.0])
 """Kernels of a central difference of fourth order, and of none."""
 # points along each side of the picture by whose mean motion a step of the camera is measured in
 # pixels
@@ -92,9 +91,9 @@ def luminance(image: NDArray[np.uint8], smooth_px: float = 0.0) -> Grey:
     smooth_px: standard deviation of a Gaussian that smooths it [px].
     """
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
-    return (
-        np.asarray(cv2.GaussianBlur(grey, (0, 0), smooth_px), np.float32) if smooth_px > 0 else grey
-    )
+    if smooth_px > 0:
+        grey = cv2.GaussianBlur(grey, (0, 0), smooth_px)
+    return np.asarray(grey, np.float32)
 
 
 def coarser(grey: Grey) -> Grey:
@@ -108,10 +107,8 @@ def gradient(grey: Grey) -> tuple[Grey, Grey]:
     Of a rendered picture Sobel's, which smooth across, are 20 to 25 % too small, and plain ones 15
     %; these are within 5 %.
     """
-    along, across = (
-        np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, DIFFERENCE, ONE)),
-        cv2.sepFilter2D(grey, cv2.CV_32F, ONE, DIFFERENCE),
-    )
+    along = cv2.sepFilter2D(grey, cv2.CV_32F, DIFFERENCE, ONE)
+    across = cv2.sepFilter2D(grey, cv2.CV_32F, ONE, DIFFERENCE)
     return np.asarray(along, np.float32), np.asarray(across, np.float32)
 
 
@@ -186,7 +183,8 @@ class GoalLevel:
         """The gradient of these pixels in normalised coordinates, of one in pixels of the level,
         (h, w) each.
         """
-        gu, gv = along[0][self.at], along[1][self.at]
+        gu = along[0][self.at]
+        gv = along[1][self.at]
         ux, uy, vx, vy = self.slope
         if isinstance(ux, float):
             return gu * np.float32(ux), gv * np.float32(vy)
@@ -207,11 +205,8 @@ class GoalLevel:
     @cached_property
     def L(self) -> Grey:
         """The interaction matrix at the goal, transposed, (6, n)."""
-        return np.where(
-            self.inverse_depth.ravel() > 0,
-            self.interaction(self.gradient, self.inverse_depth),
-            np.float32(0),
-        )
+        L = self.interaction(self.gradient, self.inverse_depth)
+        return np.where(self.inverse_depth.ravel() > 0, L, np.float32(0))
 
     @cached_property
     def H(self) -> Array:
@@ -233,12 +228,8 @@ class GoalLevel:
         """
         known = self.inverse_depth[self.inverse_depth > 0]
         size = MOTION * np.repeat([1 / float(known.mean()) if len(known) else 1.0, 1.0], 3)
-        return float(
-            np.sqrt(
-                max(np.linalg.eigvalsh(self.H * np.outer(size, size))[0], 0.0)
-                / max(self.L.shape[1], 1)
-            )
-        )
+        least = max(np.linalg.eigvalsh(self.H * np.outer(size, size))[0], 0.0)
+        return float(np.sqrt(least / max(self.L.shape[1], 1)))
 
     def normal(
         self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None
@@ -260,7 +251,8 @@ class GoalLevel:
             e = self._unlit(e, None)
             w = weights(robust, e)
         else:  # those whose depth is not known have the weight 0
-            e, w = self._unlit(e, known.astype(np.float32)), np.zeros(len(e), np.float32)
+            e = self._unlit(e, known.astype(np.float32))
+            w = np.zeros(len(e), np.float32)
             among = weights(robust, e[known])
             w[known] = 1 if among is None else among
         H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
@@ -269,7 +261,8 @@ class GoalLevel:
         if len(b) > 6:
             right = np.column_stack([H[6:, :6], b[6:]])
             of_light = np.linalg.lstsq(H[6:, 6:], right, rcond=1e-9)[0]
-            H, b = H[:6, :6] - H[:6, 6:] @ of_light[:, :6], b[:6] - H[:6, 6:] @ of_light[:, 6]
+            b = b[:6] - H[:6, 6:] @ of_light[:, 6]
+            H = H[:6, :6] - H[:6, 6:] @ of_light[:, :6]
         e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e
         total = float(len(e) if w is None else w.sum(dtype=float))
@@ -282,11 +275,17 @@ class GoalLevel:
         if self.light == "same":
             return e
         weighted = self.of_light if w is None else self.of_light * w
-        H, b = weighted @ self.of_light.T, weighted @ e
-        found = np.asarray(
-            np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0], np.float32
-        )
-        return np.asarray(e - found @ self.of_light, np.float32)
+        H = weighted @ self.of_light.T
+        b = weighted @ e
+        found = np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0]
+        return np.asarray(e - found.astype(np.float32) @ self.of_light, np.float32)
+
+    def _rows(self, band: slice, columns: list[Grey], which: Which) -> Grey:
+        """L of a band of pixels: of the goal's picture, or with the columns of this one."""
+        if not columns:
+            return self.L[:, band]
+        current = rows(*(column[band] for column in columns))
+        return np.float32(0.5) * (current + self.L[:, band]) if which == "mean" else current
 
     def _sums(
         self, along: tuple[Grey, Grey] | None, which: Which, near: Grey, e: Grey, w: Grey | None
@@ -297,19 +296,16 @@ class GoalLevel:
         n = 6 if self.light == "same" else 8
         if along is None and w is None and n == 6:
             return self.H, _summed(self.L, e[None])[:, 0]
-        H, b = np.zeros((n, n)), np.zeros(n)
-        columns = (
-            None
-            if along is None
-            else [g.ravel() for g in (*self.normalised(along), self.x, self.y, near)]
-        )
+        H = np.zeros((n, n))
+        b = np.zeros(n)
+        columns: list[Grey] = []
+        if along is not None:
+            columns = [g.ravel() for g in (*self.normalised(along), self.x, self.y, near)]
         for start in range(0, self.L.shape[1], BAND_PX):
             band = slice(start, start + BAND_PX)
-            L = self.L[:, band]
-            if columns is not None:
-                current = rows(*(column[band] for column in columns))
-                L = np.float32(0.5) * (current + L) if which == "mean" else current
-            L = L if n == 6 else np.concatenate([L, self.of_light[:, band]])
+            L = self._rows(band, columns, which)
+            if n > 6:
+                L = np.concatenate([L, self.of_light[:, band]])
             weighted = L if w is None else L * w[band]
             H += weighted @ L.T
             b += weighted @ e[band]
@@ -318,11 +314,8 @@ class GoalLevel:
 
 def _summed(a: Grey, b: Grey) -> Array:
     """Products a b^T of (m, n) and (k, n): in float32 band by band, their sum in float64."""
-    return np.sum(
-        [a[:, i : i + BAND_PX] @ b[:, i : i + BAND_PX].T for i in range(0, a.shape[1], BAND_PX)],
-        axis=0,
-        dtype=float,
-    )
+    bands = [slice(i, i + BAND_PX) for i in range(0, a.shape[1], BAND_PX)]
+    return np.sum([a[:, band] @ b[:, band].T for band in bands], axis=0, dtype=float)
 
 
 def motion_px(camera: Perspective, step: Array, depth: float) -> float:
@@ -332,7 +325,9 @@ def motion_px(camera: Perspective, step: Array, depth: float) -> float:
     side = (np.arange(PROBES) + 0.5) / PROBES
     u, v = np.meshgrid(side * camera.width, side * camera.height)
     x, y = camera.normalise(np.stack([u.ravel(), v.ravel()], axis=-1)).astype(np.float32).T
-    one, zero, near = np.ones_like(x), np.zeros_like(x), np.full_like(x, 1 / depth)
+    one = np.ones_like(x)
+    zero = np.zeros_like(x)
+    near = np.full_like(x, 1 / depth)
     moved = np.concatenate([step @ rows(one, zero, x, y, near), step @ rows(zero, one, x, y, near)])
     return camera.f * float(np.sqrt(2 * np.mean(moved**2)))
 
@@ -504,39 +499,42 @@ class Photometric(Law[PhotometricState]):
         sight = observation.image
         if sight is None:
             return state, Command.rest(basis, NO_PICTURE)
-        if state.pyramid is None or state.goal is not goal.image:
+        pyramid = state.pyramid
+        if pyramid is None or state.goal is not goal.image:
             pyramid = self._pyramid(goal)
             state = PhotometricState(pyramid, len(pyramid) - 1, observation.t, goal.image)
-        assert state.pyramid is not None
-        level, near, grey = state.pyramid[state.level], None, luminance(sight.image, self.smooth_px)
+        level = pyramid[state.level]
+        grey = luminance(sight.image, self.smooth_px)
         for _ in range(state.level):
             grey = coarser(grey)
-        if self.depth.measured and self.interaction != "desired":
+        near = None
+        if self._reads_depth:
             near = _inverse(sight, level, state.level)
-        if not (state.pyramid[0].inverse_depth.any() and (near is None or near.any())):
-            return state, Command.rest(basis, NO_DEPTH)
-        if state.pyramid[0].least_change < LEAST_CHANGE:
-            return state, Command.rest(basis, NO_STRUCTURE)
-        # a wall or the floor fills the picture
-        if float(grey.std()) < 0.1 * float(level.grey.std()):
-            return state, Command.rest(basis, BLANK)
-        # Far from the goal most pixels differ, and those that differ most tell where it is: only
-        # near it are they outliers.
-        robust = self.robust if state.level == 0 else "none"
-        # at the finest level the light is fitted with the motion
-        if state.level > 0 and self.light == "gain_offset":
-            # a picture without any structure is divided by the bound
-            spread = np.float32(level.grey.std() / max(float(grey.std()), 1e-3))
-            grey = np.asarray((grey - grey.mean()) * spread + level.grey.mean(), np.float32)
+        if why := _unfit(pyramid[0], level, grey, near):
+            return state, Command.rest(basis, why)
+        robust = self.robust
+        if state.level > 0:
+            # Far from the goal most pixels differ, and those that differ most tell where it is:
+            # only near it are they outliers.
+            robust = "none"
+            # at the finest level the light is fitted with the motion
+            if self.light == "gain_offset":
+                # a picture without any structure is divided by the bound
+                spread = np.float32(level.grey.std() / max(float(grey.std()), 1e-3))
+                grey = np.asarray((grey - grey.mean()) * spread + level.grey.mean(), np.float32)
         H, b, error_grey = level.normal(grey, self.interaction, robust, near)
-        step = self._solved(
-            basis.T @ H @ basis, basis.T @ b, self.damping.at(observation.t - state.t0)
-        )
+        mu = self.damping.at(observation.t - state.t0)
+        step = self._solved(basis.T @ H @ basis, basis.T @ b, mu)
         if step is None:
             return state, Command.rest(basis, "no pixel of the picture fits the goal's")
         command = self.limits.command(-self.gain.at(step) * step, basis)
         state = replace(state, level=self._next_level(state, basis @ step, goal))
         return state, replace(command, error_grey=error_grey)
+
+    @property
+    def _reads_depth(self) -> bool:
+        """Whether L is at the depths of this picture, not of the goal's."""
+        return self.depth.measured and self.interaction != "desired"
 
     def _solved(self, H: Array, b: Array, mu: float) -> Array | None:
         """The remaining motion (n,) by normal equations (n, n) and (n,) [m, rad]; None where the
@@ -570,7 +568,8 @@ class Photometric(Law[PhotometricState]):
             raise ParameterError.missing(
                 "goal.image", "law photometric compares with it; give goal_images to the Controller"
             )
-        made, grey = [], luminance(goal.image.image, self.smooth_px)
+        made = []
+        grey = luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
             light = self.light if number == 0 else "same"
             level = GoalLevel.of(goal.camera, grey, number, self.margin_px, self.stride, light)
@@ -588,6 +587,18 @@ class Photometric(Law[PhotometricState]):
             nx, ny, nz = goal.normal / float(goal.normal @ goal.middle)
             return np.maximum(nx * level.x + ny * level.y + nz, 0).astype(np.float32)
         return _inverse(goal.image, level, number)
+
+
+def _unfit(finest: GoalLevel, level: GoalLevel, grey: Grey, near: Grey | None) -> str:
+    """Why the law rests before a picture (h, w) of a level, with 1/Z of its pixels where it is
+    measured; "" where it does not.
+    """
+    if not (finest.inverse_depth.any() and (near is None or near.any())):
+        return NO_DEPTH
+    if finest.least_change < LEAST_CHANGE:
+        return NO_STRUCTURE
+    # a wall or the floor fills the picture
+    return BLANK if float(grey.std()) < 0.1 * float(level.grey.std()) else ""
 
 
 def _inverse(sight: Sight | None, level: GoalLevel, number: int) -> Grey:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera.base import FORWARD_COSINE, pixel_interaction
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, all_finite, exp, lengths, skew, transform
+from vstestbed.core.geometry import Array, all_finite, exp, homogeneous, lengths, skew, transform
 from vstestbed.core.quantity import Pixels, PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.base import Feature
@@ -20,11 +20,9 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.solve import least_squares, units_of
 
 Rows = slice | NDArray[np.bool_]  # selection of markers along the first axis of an array
-TOO_FEW, NO_DEPTH, NO_POSE = (
-    "too few markers in sight",
-    "the depth of the markers in sight is unknown",
-    "the pose cannot be estimated",
-)
+TOO_FEW = "too few markers in sight"
+NO_DEPTH = "the depth of the markers in sight is unknown"
+NO_POSE = "the pose cannot be estimated"
 # Reasons for rest (`Command.rest_reason`); a run that ends as `target_lost` quotes them
 NO_AREA = "the markers in sight span no area"
 ALL = slice(None)
@@ -56,7 +54,9 @@ def at_goal(feature: Feature, goal: Goal) -> tuple[Array, Array] | None:
     the feature needs more.
     """
     x, distance = (getattr(goal, name) for name in feature.inputs)
-    known = np.isfinite(x[:, 0]) if goal.counted is None else np.isfinite(x[:, 0]) & goal.counted
+    known = np.isfinite(x[:, 0])
+    if goal.counted is not None:
+        known &= goal.counted
     return (x[known], distance[known]) if np.count_nonzero(known) >= feature.least_markers else None
 
 
@@ -64,7 +64,8 @@ def check_goal(feature: Feature, goal: Goal) -> None:
     """Refuse a goal view at which a feature cannot work, as its own `check_goal` says, where it has
     one.
     """
-    check, inputs = getattr(feature, "check_goal", None), at_goal(feature, goal)
+    check = getattr(feature, "check_goal", None)
+    inputs = at_goal(feature, goal)
     if check is not None and inputs is not None:
         check(*inputs)
 
@@ -82,8 +83,7 @@ def points(observation: Observation) -> Array:
     """
     if observation.ray is not None and observation.range is not None:
         return observation.ray * observation.range[:, None]
-    xy = observation.xy
-    return np.column_stack([xy, np.ones(len(xy))]) * observation.depth[:, None]
+    return homogeneous(observation.xy) * observation.depth[:, None]
 
 
 def moved_markers(observation: Observation, p: Array, which: NDArray[np.bool_]) -> Observation:
@@ -99,10 +99,8 @@ def moved_markers(observation: Observation, p: Array, which: NDArray[np.bool_]) 
         "depth": np.where(which, p[:, 2], observation.depth),
     }
     if observation.ray is not None and observation.range is not None:
-        new |= {
-            "ray": np.where(which[:, None], ray, observation.ray),
-            "range": np.where(which, reach[:, 0], observation.range),
-        }
+        new["ray"] = np.where(which[:, None], ray, observation.ray)
+        new["range"] = np.where(which, reach[:, 0], observation.range)
     return replace(observation, **new)
 
 
@@ -137,7 +135,7 @@ def reckoned_markers(
     kept &= ~seen.seen
     if not kept.any():
         return seen
-    ahead = np.column_stack([seen.xy, np.ones(len(seen.xy))])
+    ahead = homogeneous(seen.xy)
     rays = ahead / lengths(ahead) if seen.ray is None else seen.ray
     measured = known & np.isfinite(rays[:, 0])
     use = measured | kept
@@ -252,9 +250,7 @@ def check_margin(
     if nearest[marker] <= margin_px:
         words = (
             f"reaches marker {called(marker)} of the goal view,"
-            f" whose edge is {nearest[marker]:.4g} px from the border"
+            f" whose edge is {nearest[marker]:.4g} px from the border, and would keep it"
+            " off its goal; use less, or a goal farther back"
         )
-        words += ", and would keep it"
-        raise ParameterError(
-            field, f"{words} off its goal; use less, or a goal farther back", margin_px
-        )
+        raise ParameterError(field, words, margin_px)

@@ -58,11 +58,9 @@ def observed(
             f"markers_{name}": _pixels(uv),
             f"seen_{name}": np.isfinite(uv[:, 0]).astype(np.float32),
         }
-    return (
-        found
-        if seen.proprioception is None
-        else found | {"agent_pos": np.array(seen.proprioception, dtype=np.float32)}
-    )
+    if seen.proprioception is not None:
+        found["agent_pos"] = np.array(seen.proprioception, dtype=np.float32)
+    return found
 
 
 def _pixels(uv: Array) -> NDArray[np.float32]:
@@ -77,7 +75,8 @@ def action_unit(limits: TwistLimits, basis: Array) -> Array:
     They are a law's limits, 1 m/s and 1 rad/s where it has none: a motion that turns the camera has
     the limit of rate.
     """
-    speed, rate = limits.speed_mps or 1.0, limits.rate_radps or 1.0
+    speed = limits.speed_mps or 1.0
+    rate = limits.rate_radps or 1.0
     # a turn of the base also moves the camera; a translation never turns it
     turns = np.abs(basis[3:]).max(axis=0) > 1e-9
     return np.where(turns, rate, speed)
@@ -149,9 +148,9 @@ class Policy(Law[Act]):
     @property
     def _sees(self) -> tuple[str, ...]:
         """The names of what it sees."""
-        views = (
-            ("markers", "seen", "goal") if self.picture_px is None else ("pixels", "goal_pixels")
-        )
+        views = ("markers", "seen", "goal")
+        if self.picture_px is not None:
+            views = ("pixels", "goal_pixels")
         return (*views, "agent_pos") if self.agent_pos else views
 
     @property
@@ -209,11 +208,9 @@ class Policy(Law[Act]):
             action = np.zeros(0)
         n = basis.shape[1]
         if action.shape != (n,):
-            found = (
-                f"shape {np.shape(given)}"
-                if isinstance(given, np.ndarray | list | tuple)
-                else type(given).__name__
-            )
+            found = type(given).__name__
+            if isinstance(given, np.ndarray | list | tuple):
+                found = f"shape {np.shape(given)}"
             raise ParameterError.returned(
                 "law.file",
                 f"act of {Path(self.file).name}",
@@ -222,9 +219,8 @@ class Policy(Law[Act]):
             )
         if not action.any() and not observation.seen.all():
             return state, Command.rest(basis, "the policy rests while a marker is out of sight")
-        command = self.limits.command(
-            action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0), basis
-        )
+        u = action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0)
+        command = self.limits.command(u, basis)
         return state, replace(command, error_grey=error_grey)
 
     def _seen(
@@ -243,14 +239,12 @@ class Policy(Law[Act]):
             )
         if observation.image is None:
             return None, math.nan
-        pictures = [
-            scaled(sight.image, self.picture_px) for sight in (observation.image, goal.image)
-        ]
-        here, there = map(luminance, pictures)
-        pixels = dict(zip(("pixels", "goal_pixels"), pictures, strict=True))
-        return pixels | ({"agent_pos": own["agent_pos"]} if "agent_pos" in own else {}), float(
-            np.sqrt(np.mean((here - there) ** 2))
-        )
+        now = scaled(observation.image.image, self.picture_px)
+        there = scaled(goal.image.image, self.picture_px)
+        seen: dict[str, NDArray[Any]] = {"pixels": now, "goal_pixels": there}
+        if "agent_pos" in own:
+            seen["agent_pos"] = own["agent_pos"]
+        return seen, float(np.sqrt(np.mean((luminance(now) - luminance(there)) ** 2)))
 
 
 def _loaded(file: str, sees: tuple[str, ...]) -> Any:
@@ -286,9 +280,8 @@ def _network(path: Path, written: int, known: tuple[str, ...]) -> Act:
             "pip install 'vstestbed[policy]'",
         ) from error
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = (
-        1  # comparisons have a process for each core
-    )
+    # comparisons have a process for each core
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
     with foreign(path, "an ONNX network", of_field("file")):
         network = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]

@@ -109,7 +109,8 @@ def polar_law(
     rest_m: distance from the goal under which both are 0 [m]. Returns v [m/s], w [rad/s], (...)
     each; the vehicle limits arcs that are tighter than its own.
     """
-    (k_rho, k_alpha, k_beta), (rho, alpha, beta) = gains, polar(place, goal, direction)
+    k_rho, k_alpha, k_beta = gains
+    rho, alpha, beta = polar(place, goal, direction)
     v = k_rho * rho
     # v is proportional to rho, so that 1e-12 only avoids 0/0 at the goal.
     scale = np.where(rho < rest_m, 0.0, np.minimum(1.0, speed_limit / np.maximum(v, 1e-12)))
@@ -206,7 +207,8 @@ class PoseController(Law[PoseState]):
         """One frame; the first column of basis (6, n) is the forward motion, the last one the
         rotation.
         """
-        place, there = observation.place, goal.place
+        place = observation.place
+        there = goal.place
         if place is None or there is None:
             return state, Command.rest(basis, "the vehicle's place cannot be estimated")
         u = np.zeros(basis.shape[1])

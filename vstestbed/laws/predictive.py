@@ -72,7 +72,9 @@ def blocks_of(horizon: int, blocks: int) -> NDArray[np.intp]:
     Reference: Cagienard, Grieder, Kerrigan & Morari 2007, doi:10.1016/j.jprocont.2007.01.001 (move
     blocking).
     """
-    left, lengths, blocks = horizon, [], min(blocks, horizon)
+    left = horizon
+    lengths = []
+    blocks = min(blocks, horizon)
     for after in reversed(range(blocks)):
         length = max(1, left // 2**after) if after else left
         lengths.append(min(length, left - after))
@@ -103,13 +105,16 @@ def lagged(block: NDArray[np.intp], plan: Array, before: Array, lag: float) -> t
     """
     decay = math.exp(-1 / lag) if lag > 0 else 0.0
     kept = lag * (1 - decay)
-    r, R = before, np.zeros(len(plan))
-    means, changes = [], []
+    r = before
+    R = np.zeros(len(plan))
+    means = []
+    changes = []
     for b in block:
         means.append((1 - kept) * plan[b] + kept * r)
         changes.append(kept * R)
         changes[-1][b] += 1 - kept
-        r, R = (1 - decay) * plan[b] + decay * r, decay * R
+        r = (1 - decay) * plan[b] + decay * r
+        R = decay * R
         R[b] += 1 - decay
     return np.array(means), np.array(changes)
 
@@ -133,22 +138,31 @@ def predict(
     throughout. target: camera twist (6,) that would move the markers as the target's own motion
     does.
     """
-    n, period = len(robot.names), robot.period_s
+    n = len(robot.names)
+    period = robot.period_s
     mean, change = lagged(block, plan, robot.ordered, robot.lag_s / period)
-    steps, size = len(mean), plan.size
-    p, q = transform(exp(-(robot.way + target * robot.underway_s)), p), robot.q_then
-    D, Q = np.zeros((6, size)), np.zeros((n, size))
-    p_begin, found = p, []
+    steps = len(mean)
+    size = plan.size
+    p = transform(exp(-(robot.way + target * robot.underway_s)), p)
+    q = robot.q_then
+    D = np.zeros((6, size))
+    Q = np.zeros((n, size))
+    p_begin = p
+    found = []
     each = change[:, :, None, None] * np.eye(n)  # (K, B, n, n)
     each = each.transpose(0, 2, 1, 3).reshape(steps, n, size) * period
     way = mean * period
     for k in range(steps):
         J = robot.jacobian(q) if relinearise else robot.J
         twist = J @ way[k] + target * period
-        back, change = exp(-twist), J @ each[k]
-        V, W = skew(twist[:3]), skew(twist[3:])
+        back = exp(-twist)
+        change = J @ each[k]
+        V = skew(twist[:3])
+        W = skew(twist[3:])
         D = adjoint(back) @ D + change - np.block([[W, V], [np.zeros((3, 3)), W]]) @ change / 2
-        p, q, Q = transform(back, p), q + way[k], Q + each[k]
+        p = transform(back, p)
+        q = q + way[k]
+        Q = Q + each[k]
         found.append((p, D, q, Q, J))
     return Predicted(p_begin, *(np.stack(values) for values in zip(*found, strict=True)))
 
@@ -242,11 +256,8 @@ class Predictive(Law[PlanState]):
     @property
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The inputs of the feature, the robot, and the markers' radii for the border."""
-        return (
-            *self.feature.inputs,
-            "robot",
-            *(("radius_px",) if self.margin_px is not None else ()),
-        )
+        radius = ("radius_px",) if self.margin_px is not None else ()
+        return *self.feature.inputs, "robot", *radius
 
     @property
     def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -290,24 +301,23 @@ class Predictive(Law[PlanState]):
         rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return (None, None), Command.rest(basis, rows)
-        robot, (before, tracked) = observation.robot, state
+        robot = observation.robot
+        before, tracked = state
         assert robot is not None
         # the camera twist (6,) that would move the markers as the target's own motion does
         target = STILL
         if isinstance(self.feedforward, Estimator):
             tracked, _ = self._ibvs.step(tracked or self._ibvs.init(goal), observation, goal, basis)
             target = STILL if tracked.target is None else basis @ tracked.target.rate
-        plan = (
-            np.tile(robot.ordered, (self._block[-1] + 1, 1))
-            if before is None
-            else shifted(before, self._block)
-        )
+        if before is None:
+            plan = np.tile(robot.ordered, (self._block[-1] + 1, 1))
+        else:
+            plan = shifted(before, self._block)
         solution = self._solved(rows, observation, goal, robot, plan, target)
         command = solution.command(robot, basis, self.limits, GIVE_WAY)
-        return (None, None) if solution.x is None else (
-            solution.x.reshape(plan.shape),
-            tracked,
-        ), command
+        if solution.x is None:
+            return (None, None), command
+        return (solution.x.reshape(plan.shape), tracked), command
 
     @cached_property
     def _block(self) -> NDArray[np.intp]:
@@ -318,7 +328,8 @@ class Predictive(Law[PlanState]):
         self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, plan: Array, target: Array
     ) -> Solution:
         """The plan as one vector."""
-        p, relinearise = points(seen)[rows], self.model == "global"
+        p = points(seen)[rows]
+        relinearise = self.model == "global"
         ahead = predict(p, robot, self._block, plan, relinearise, target)
         # of a plan that flies through the target nothing can be predicted
         if not _in_front(ahead.p, self.feature, goal):
@@ -333,14 +344,16 @@ class Predictive(Law[PlanState]):
         )
         # only speeds are bounded after the next command
         later = np.tile(robot.speed, len(plan) - 1)
-        low, high = np.concatenate([low, -later]), np.concatenate([high, later])
-        trusted, shared = self._trusted(p, robot.period_s), shared_limits(robot, float(plan[0, 0]))
+        low = np.concatenate([low, -later])
+        high = np.concatenate([high, later])
+        trusted = self._trusted(p, robot.period_s)
+        shared = shared_limits(robot, float(plan[0, 0]))
         # The camera's twist in each block, at the Jacobian with which it begins.
         of_blocks = [twist_limits(*trusted, J) for J in ahead.J[beginnings(self._block)]]
-        rows_of_blocks = np.einsum(
-            "bmn,bc->bmcn", [part.A for part in of_blocks], np.eye(len(of_blocks))
-        ).reshape(-1, len(u))
-        twist = Group("twist", rows_of_blocks, np.concatenate([part.low for part in of_blocks]))
+        A_of_blocks = [part.A for part in of_blocks]
+        rows_of_blocks = np.einsum("bmn,bc->bmcn", A_of_blocks, np.eye(len(of_blocks)))
+        low_of_blocks = np.concatenate([part.low for part in of_blocks])
+        twist = Group("twist", rows_of_blocks.reshape(-1, len(u)), low_of_blocks)
         repeated = np.asarray(np.kron(np.eye(len(plan)), shared.A), dtype=float)
         groups = [
             self._positions(ahead, robot, u),
@@ -350,9 +363,8 @@ class Predictive(Law[PlanState]):
         ]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
-        return minimise(A, b, low, high, tuple(groups), self._units(goal, robot)).and_accelerations(
-            too_quick
-        )
+        solution = minimise(A, b, low, high, tuple(groups), self._units(goal, robot))
+        return solution.and_accelerations(too_quick)
 
     def _trusted(self, p: Array, period_s: float) -> tuple[float, float]:
         """Largest speed [m/s] and rate [rad/s] within the law's limits and those within which the
@@ -360,7 +372,8 @@ class Predictive(Law[PlanState]):
         """
         # Numbers, no TwistLimits: of a marker far away, or at a high frame rate, they are beyond
         # what a scenario may give.
-        speed, rate = TRUST * float(np.linalg.norm(p, axis=-1).min()) / period_s, TRUST / period_s
+        speed = TRUST * float(np.linalg.norm(p, axis=-1).min()) / period_s
+        rate = TRUST / period_s
         given = self.limits
         return min(speed, given.speed_mps or speed), min(rate, given.rate_radps or rate)
 
@@ -385,28 +398,29 @@ class Predictive(Law[PlanState]):
             if _in_front(moved.p, self.feature, goal):
                 A, b = self._wanted(moved, view.goal, rows, robot, u)
                 parts.append((math.sqrt(weight) * A, math.sqrt(weight) * b))
-        A, b = np.vstack([A for A, _ in parts]), np.concatenate([b for _, b in parts])
+        A = np.vstack([A for A, _ in parts])
+        b = np.concatenate([b for _, b in parts])
         units = self._units(goal, robot)
         scaled = A * units
         weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", scaled, scaled)) / len(u))
-        return np.vstack([A, weight * np.eye(len(u)) / units]), np.concatenate(
-            [b, np.zeros(len(u))]
-        )
+        A = np.vstack([A, weight * np.eye(len(u)) / units])
+        return A, np.concatenate([b, np.zeros(len(u))])
 
     def _units(self, goal: Goal, robot: OwnModel) -> Array:
         """Units (B n,) of the plan's velocities."""
-        return np.tile(
-            np.broadcast_to(units_of(goal, robot.J), len(robot.names)), self._block[-1] + 1
-        )
+        units = np.broadcast_to(units_of(goal, robot.J), len(robot.names))
+        return np.tile(units, self._block[-1] + 1)
 
     def _wanted(
         self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array
     ) -> tuple[Array, Array]:
         """A and b of the wanted A u = b of one camera."""
-        feature, K = self.feature, len(ahead.p)
+        feature = self.feature
+        K = len(ahead.p)
         s_star = feature.measure(getattr(goal, feature.inputs[0])[rows])
         x, distance = _inputs(ahead.p, feature.inputs)
-        e, L = feature.error(feature.measure(x), s_star), feature.interaction(x, distance)
+        e = feature.error(feature.measure(x), s_star)
+        L = feature.interaction(x, distance)
         if self.model == "local":
             L = np.broadcast_to(L[0], L.shape)
         change = L @ ahead.D  # (K, rows, B n)
@@ -417,33 +431,33 @@ class Predictive(Law[PlanState]):
     def _positions(self, ahead: Predicted, robot: OwnModel, u: Array) -> Group:
         """Joint positions within their limits, less the margin, at the end of each period."""
         limited = np.isfinite(robot.low) | np.isfinite(robot.high)
-        Q, q = ahead.Q[:, limited], (ahead.q - ahead.Q @ u)[:, limited]
+        Q = ahead.Q[:, limited]
+        q = (ahead.q - ahead.Q @ u)[:, limited]
         below = (robot.low + self.joint_margin)[limited] - q
         above = q - (robot.high - self.joint_margin)[limited]
-        A, low = np.concatenate([Q, -Q]).reshape(-1, len(u)), np.concatenate([below, above]).ravel()
+        A = np.concatenate([Q, -Q]).reshape(-1, len(u))
+        low = np.concatenate([below, above]).ravel()
         return Group("positions", A[known := np.isfinite(low)], low[known])
 
     def _slopes(self, robot: OwnModel) -> Group:
         """Accelerations from block to block."""
-        lengths, quick = np.bincount(self._block), np.isfinite(robot.acceleration)
-        n, B = len(robot.names), len(lengths)
+        lengths = np.bincount(self._block)
+        quick = np.isfinite(robot.acceleration)
+        n = len(robot.names)
+        B = len(lengths)
         if not self.accelerations or B == 1 or not quick.any():
             return Group.none("acceleration", B * n)
         rows = np.kron(np.eye(B)[1:] - np.eye(B)[:-1], np.eye(n)[quick])
-        most = np.concatenate(
-            [robot.acceleration[quick] * robot.period_s * length for length in lengths[:-1]]
-        )
-        return Group(
-            "acceleration",
-            np.asarray(np.vstack([rows, -rows]), dtype=float),
-            np.concatenate([-most, -most]),
-        )
+        most = np.outer(lengths[:-1], robot.acceleration[quick] * robot.period_s).ravel()
+        A = np.asarray(np.vstack([rows, -rows]), dtype=float)
+        return Group("acceleration", A, np.tile(-most, 2))
 
     def _border(
         self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, u: Array
     ) -> Group:
         """Markers' edges inside the picture, less the margin, at the end of each period."""
-        camera, K = goal.camera, len(ahead.p)
+        camera = goal.camera
+        K = len(ahead.p)
         if len(camera.panels) > 1:
             return Group.none("border", len(u))
         flat = ahead.p.reshape(-1, 3)
@@ -452,7 +466,8 @@ class Predictive(Law[PlanState]):
         radius = 0.0 if seen.radius_px is None else np.tile(seen.radius_px[rows], K)[:, None]
         h = (distance - radius - (self.margin_px or 0.0)).reshape(K, -1)
         change = np.einsum("mbk,mki->mbi", inwards, L).reshape(K, -1, 6) @ ahead.D
-        A, low = change.reshape(-1, len(u)), (change @ u - h).ravel()
+        A = change.reshape(-1, len(u))
+        low = (change @ u - h).ravel()
         known = np.isfinite(low)
         return Group("border", A[known], low[known])
 

@@ -84,25 +84,26 @@ class Pursuit(Law[PursuitState]):
         """One frame; the first column of basis (6, n) is the forward motion, the last one the
         rotation.
         """
-        T, way = observation.T_camera_target, observation.odometry
+        T = observation.T_camera_target
+        way = observation.odometry
         if T is None or way is None or goal.gap_m is None or not observation.seen.any():
             u = state.u if observation.t - state.t <= self.coast_s else None
-            return state, held(
-                self.limits, u, basis, NO_POSE if observation.seen.any() else TOO_FEW
-            )
+            why = NO_POSE if observation.seen.any() else TOO_FEW
+            return state, held(self.limits, u, basis, why)
         x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
         gap = math.hypot(x, y)
         # the first frame has no difference: the leader is taken to stand, which is the safe side
-        dt, speed = observation.t - state.t, 0.0
+        dt = observation.t - state.t
+        speed = 0.0
         if state.odometry is not None and dt > 0:
-            measured = (gap - state.gap) / dt + float(
-                relative(state.odometry, way)[0]
-            ) / dt * math.cos(math.atan2(y, x))
+            own = float(relative(state.odometry, way)[0]) / dt
+            measured = (gap - state.gap) / dt + own * math.cos(math.atan2(y, x))
             # First-order low-pass, discretised exactly, so that a frame that comes late weighs
             # more.
             speed = state.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - state.speed)
         v = max(speed + self.gain * (gap - goal.gap_m), 0.0)
         u = np.zeros(basis.shape[1])
         # the bound: at the target itself the curvature is infinite
-        u[0], u[-1] = v, v * 2 * y / max(gap, 1e-3) ** 2
+        u[0] = v
+        u[-1] = v * 2 * y / max(gap, 1e-3) ** 2
         return PursuitState(observation.t, gap, way, u, speed), self.limits.command(u, basis)

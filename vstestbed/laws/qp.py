@@ -127,10 +127,9 @@ class Manipulability:
     def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Array, Array]:
         """A (n, n) and b (n,) of the wanted A x = b."""
         n = len(robot.names)
-        ahead, behind = (
-            np.array([manipulability(robot.jacobian(robot.q + side * d)) for d in STEP * np.eye(n)])
-            for side in (1, -1)
-        )
+        steps = STEP * np.eye(n)
+        ahead = np.array([manipulability(robot.jacobian(robot.q + d)) for d in steps])
+        behind = np.array([manipulability(robot.jacobian(robot.q - d)) for d in steps])
         gradient = (ahead - behind) / (2 * STEP)
         size = float(np.linalg.norm(gradient))
         return np.eye(n), self.gain * gradient / size if size > 1e-9 else np.zeros(n)
@@ -145,31 +144,33 @@ def manipulability(J: Array) -> float:
     return float(np.prod(np.linalg.svd(J, compute_uv=False)))
 
 
-def added(
-    A: Array,
-    b: Array,
+Equations = list[tuple[Array, Array]]  # of the wanted A x = b, each A (m, n) and b (m,)
+
+
+def rows_of(
     tasks: tuple[Secondary, ...],
+    priority: Priority,
     seen: Observation,
     goal: Goal,
     robot: OwnModel,
-    priority: Priority = "weighted",
-) -> tuple[Array, Array]:
-    """The rows A x = b, and those of the tasks of a priority, times the roots of their weights."""
-    parts = [(A, b)]
+) -> Equations:
+    """The rows of the tasks of a priority, times the roots of their weights."""
+    parts: Equations = []
     for task in tasks:
         if task.priority == priority:
-            more, wanted = task.rows(seen, goal, robot)
-            parts.append((np.sqrt(task.weight) * more, np.sqrt(task.weight) * wanted))
-    return np.vstack([rows for rows, _ in parts]), np.concatenate([wanted for _, wanted in parts])
+            rows, wanted = task.rows(seen, goal, robot)
+            parts.append((np.sqrt(task.weight) * rows, np.sqrt(task.weight) * wanted))
+    return parts
+
+
+def _stacked(parts: Equations) -> tuple[Array, Array]:
+    return np.vstack([A for A, _ in parts]), np.concatenate([b for _, b in parts])
 
 
 def among_solutions(
     solution: Solution,
     main: Array,
-    tasks: tuple[Secondary, ...],
-    seen: Observation,
-    goal: Goal,
-    robot: OwnModel,
+    strict: Equations,
     low: Array,
     high: Array,
     groups: tuple[Group, ...],
@@ -180,9 +181,10 @@ def among_solutions(
     x + N z with N the directions that `main` (m, n) does not see. Reference: Siciliano & Slotine
     1991, doi:10.1109/ICAR.1991.240390.
     """
-    A, b = added(np.zeros((0, main.shape[1])), np.zeros(0), tasks, seen, goal, robot, "strict")
     x = solution.x
-    assert x is not None
+    if x is None or not strict:
+        return solution
+    A, b = _stacked(strict)
     if not len(A):
         return solution
     _, s, Vt = np.linalg.svd(main)
@@ -191,9 +193,8 @@ def among_solutions(
         return solution
     # The bounds of x as inequalities of z, which z = 0 satisfies; rounding may have put x on the
     # wrong side.
-    bounds = Group(
-        "bounds", np.vstack([N, -N]), np.minimum(np.concatenate([low - x, x - high]), 0.0)
-    )
+    room = np.minimum(np.concatenate([low - x, x - high]), 0.0)
+    bounds = Group("bounds", np.vstack([N, -N]), room)
     inside = tuple(
         Group(group.word, group.A @ N, np.minimum(group.low - group.A @ x, 0.0)) for group in groups
     )
@@ -201,9 +202,8 @@ def among_solutions(
     found = minimise(A @ N, b - A @ x, -endless, endless, (*inside, bounds))
     if found.x is None:
         return solution
-    return replace(
-        solution, x=np.clip(x + N @ found.x, low, high), bound=solution.bound or found.bound
-    )
+    x = np.clip(x + N @ found.x, low, high)
+    return replace(solution, x=x, bound=solution.bound or found.bound)
 
 
 # laws whose motion a quadratic program may take
@@ -297,17 +297,11 @@ class QP(Law[ErrorState]):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Those of the law within, the robot, and what the constraints need."""
-        seen = (
-            ("xy", "depth", "radius_px")
-            if self.margin_px is not None or self.plane_m is not None
-            else ()
-        )
-        named = (
-            *inputs_of(self.law),
-            "robot",
-            *seen,
-            *(name for task in self.secondary for name in task.inputs),
-        )
+        named = [*inputs_of(self.law), "robot"]
+        if self.margin_px is not None or self.plane_m is not None:
+            named += "xy", "depth", "radius_px"
+        for task in self.secondary:
+            named += task.inputs
         return tuple(dict.fromkeys(named))
 
     def markers_needed(self, basis: Array) -> int:
@@ -324,10 +318,8 @@ class QP(Law[ErrorState]):
         self.law.check_view(goal, marker_radius_m, called)
         if self.margin_px is not None and len(goal.camera.panels) == 1:
             check_margin("law.margin_px", self.margin_px, goal, marker_radius_m, called)
-        if (
-            self.plane_m is not None
-            and (distance := float(goal.normal @ goal.middle)) <= self.plane_m
-        ):
+        distance = float(goal.normal @ goal.middle)
+        if self.plane_m is not None and distance <= self.plane_m:
             words = (
                 f"{distance:.4g} m, the distance of the goal from the target's plane,"
                 " which it would keep the camera off"
@@ -383,9 +375,8 @@ class QP(Law[ErrorState]):
         M, N, _ = views.p.shape
         distance, inwards = goal.camera.borders(views.uv.reshape(-1, 2))
         h = (distance - views.radius_px.reshape(-1, 1) - self.margin_px).reshape(M, -1)
-        L = pixel_interaction(
-            goal.camera, (views.ray * views.range[..., None]).reshape(-1, 3)
-        ).reshape(M, N, 2, 6)
+        p = (views.ray * views.range[..., None]).reshape(-1, 3)
+        L = pixel_interaction(goal.camera, p).reshape(M, N, 2, 6)
         uv_dot = np.einsum("mnki,mi->mnk", L, twist).reshape(-1, 2)
         h_dot = np.einsum("nbk,nk->nb", inwards, uv_dot).reshape(M, -1)
         return (h_dot < -self.barrier_gain * h).any(axis=1) | binds.any(axis=1)
@@ -406,22 +397,20 @@ class QP(Law[ErrorState]):
             barriers.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
         twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
         groups = (*barriers, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted)))
-        n, W, feature = len(robot.names), np.eye(6), self.law.feature
+        n = len(robot.names)
+        W = np.eye(6)
+        feature = self.law.feature
         if feature is not None and not isinstance(
             rows := usable_rows(seen, feature.inputs, 1), str
         ):
             W = feature.interaction(*(getattr(seen, name)[rows] for name in feature.inputs))
         main = W @ robot.J
-        A, b = added(main, W @ wanted, self.secondary, seen, goal, robot)
+        parts = [(main, W @ wanted), *rows_of(self.secondary, "weighted", seen, goal, robot)]
         # as that of `resolved_rate`, by the weight of a twist
         if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:
-            A, b = (
-                np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)]),
-                np.concatenate([b, np.zeros(n)]),
-            )
-        solution = minimise(A, b, low, high, groups, units_of(goal, robot.J))
-        if solution.x is not None:
-            solution = among_solutions(
-                solution, main, self.secondary, seen, goal, robot, low, high, groups
-            )
+            damping = np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6))
+            parts.append((damping * np.eye(n), np.zeros(n)))
+        solution = minimise(*_stacked(parts), low, high, groups, units_of(goal, robot.J))
+        strict = rows_of(self.secondary, "strict", seen, goal, robot)
+        solution = among_solutions(solution, main, strict, low, high, groups)
         return solution.and_accelerations(too_quick)

@@ -47,9 +47,8 @@ def least_squares(A: Array, b: Array) -> Array:
     if A.ndim == 2 and b.ndim > 1:
         return b @ np.linalg.pinv(A, PINV_RCOND).T
     if A.ndim > 2:
-        return _many(A.reshape(-1, *A.shape[-2:]), b.reshape(-1, b.shape[-1])).reshape(
-            *A.shape[:-2], A.shape[-1]
-        )
+        x = _many(A.reshape(-1, *A.shape[-2:]), b.reshape(-1, b.shape[-1]))
+        return x.reshape(*A.shape[:-2], A.shape[-1])
     m, n = A.shape
     if not (m and n):
         return np.zeros(n)  # LAPACK refuses empty matrices
@@ -70,9 +69,8 @@ def _many(A: Array, b: Array) -> Array:
     right = np.ascontiguousarray(b.T)
     if A.shape[1] < A.shape[2]:  # fewer equations than unknowns: A^T A would be singular
         rows = np.ascontiguousarray(A.transpose(1, 2, 0))
-        return np.asarray(
-            np.einsum("mik,mk->ki", rows, _cholesky(rows, right.copy(), np.zeros(len(b))))
-        )
+        y = _cholesky(rows, right.copy(), np.zeros(len(b)))
+        return np.asarray(np.einsum("mik,mk->ki", rows, y))
     # the problems last, where numpy's loops run
     columns = np.ascontiguousarray(A.transpose(2, 1, 0))
     x = np.einsum("imk,mk->ik", columns, right)
@@ -204,9 +202,8 @@ class Solve:
             # diag(H)) x = A^T b.
             size = np.sqrt(mu)[..., None] * np.linalg.norm(A, axis=-2)
             below = size[..., None] * np.eye(A.shape[-1])
-            A = np.concatenate(
-                [np.broadcast_to(A, (*below.shape[:-2], *A.shape[-2:])), below], axis=-2
-            )
+            A = np.broadcast_to(A, (*below.shape[:-2], *A.shape[-2:]))
+            A = np.concatenate([A, below], axis=-2)
             b = np.concatenate([b, np.zeros(size.shape)], axis=-1)
         if self.cutoff == PINV_RCOND and damping == 0:
             return least_squares(A, b)

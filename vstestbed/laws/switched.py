@@ -126,13 +126,10 @@ def _border_px(observation: Observation, goal: Goal, start_m: float) -> float:
 
 def _joint_margin_deg(observation: Observation, goal: Goal, start_m: float) -> float:
     robot = observation.robot
-    return (
-        math.nan
-        if robot is None
-        else math.degrees(
-            float(np.minimum(robot.q - robot.low, robot.high - robot.q).min(initial=np.inf))
-        )
-    )
+    if robot is None:
+        return math.nan
+    margins = np.minimum(robot.q - robot.low, robot.high - robot.q)
+    return math.degrees(float(margins.min(initial=np.inf)))
 
 
 QUANTITIES: dict[str, tuple[Callable[[Observation, Goal, float], float], tuple[str, ...]]] = {
@@ -165,20 +162,18 @@ fields of an Observation that it needs besides the pixels.
 # The laws that work alone; `switched`, which is made of them, joins them in the package.
 LAWS = Registry(
     "law",
-    *(
-        IBVS,
-        Partitioned,
-        PBVS,
-        Hybrid,
-        QP,
-        Predictive,
-        Uncalibrated,
-        PoseController,
-        Pursuit,
-        LineFollowing,
-        Photometric,
-        Policy,
-    ),
+    IBVS,
+    Partitioned,
+    PBVS,
+    Hybrid,
+    QP,
+    Predictive,
+    Uncalibrated,
+    PoseController,
+    Pursuit,
+    LineFollowing,
+    Photometric,
+    Policy,
     contract=LAW_CONTRACT,
 )
 
@@ -330,11 +325,11 @@ class Switched(Law[SwitchedState]):
     def limits(self) -> TwistLimits:
         """The loosest of the laws' limits; each law keeps its own."""
         limits = [part.law.limits for part in self.laws]
-        speed = max(each.speed_mps or math.inf for each in limits)
-        rate = max(each.rate_radps or math.inf for each in limits)
+        speeds = [each.speed_mps for each in limits]
+        rates = [each.rate_radps for each in limits]
         return TwistLimits(
-            speed_mps=speed if speed < math.inf else None,
-            rate_radps=rate if rate < math.inf else None,
+            speed_mps=None if None in speeds else max(speeds),
+            rate_radps=None if None in rates else max(rates),
         )
 
     @property
@@ -353,7 +348,8 @@ class Switched(Law[SwitchedState]):
         """The laws' words, numbered where a word is there twice; of a law with modes of its own
         each of them behind its word.
         """
-        kinds, words = [part.law.kind for part in self.laws], list[str]()
+        kinds = [part.law.kind for part in self.laws]
+        words = list[str]()
         for i, (kind, part) in enumerate(zip(kinds, self.laws, strict=True)):
             word = f"{kind} {kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else kind
             words += [f"{word} {mode}" for mode in part.law.modes] or [word]
@@ -394,14 +390,13 @@ class Switched(Law[SwitchedState]):
         """One frame of the active law, which the conditions choose first."""
         state = self._chosen(state, observation, goal)
         inner, command = self.laws[state.active].law.step(state.inner, observation, goal, basis)
-        if (
-            state.left is not None
-            and not command.rest_reason
-            and observation.t - state.left[0] < self.blend_s
-        ):
-            a = (observation.t - state.left[0]) / self.blend_s
-            u = a * command.u + (1 - a) * state.left[1].u
-            command = replace(command, u=u, twist=basis @ u, rates=None)
+        if state.left is not None and not command.rest_reason:
+            t, last = state.left
+            since = observation.t - t
+            if since < self.blend_s:
+                a = since / self.blend_s
+                u = a * command.u + (1 - a) * last.u
+                command = replace(command, u=u, twist=basis @ u, rates=None)
         modes_before = sum(len(part.law.modes) or 1 for part in self.laws[: state.active])
         command = replace(command, mode=modes_before + command.mode)
         return replace(state, inner=inner, last=(observation.t, command)), command
@@ -412,28 +407,33 @@ class Switched(Law[SwitchedState]):
 
     def _chosen(self, state: SwitchedState, observation: Observation, goal: Goal) -> SwitchedState:
         """The state with the law that is to work in this frame."""
-        t, first = observation.t, math.isnan(state.since)
-        start_m = (
-            target_distance(observation)
-            if math.isnan(state.start_m) and "retreat" in self._quantities
-            else state.start_m
-        )
+        t = observation.t
+        first = math.isnan(state.since)
+        start_m = state.start_m
+        if math.isnan(start_m) and "retreat" in self._quantities:
+            start_m = target_distance(observation)
         values = {
             name: QUANTITIES[name][0](observation, goal, start_m) for name in self._quantities
         }
-        barred = tuple(
-            part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
-            for part, was in zip(self.laws, state.barred, strict=True)
-        )
+        barred = self._barred(state.barred, values)
         state = replace(state, since=t if first else state.since, barred=barred, start_m=start_m)
-        wanted = state.active
-        if self.prefer == "first" or barred[wanted]:
-            wanted = next((i for i, out in enumerate(barred) if not out), wanted)
+        wanted = self._wanted(state.active, barred)
         # times are sums of floating-point numbers
         if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):
             return state
-        return replace(
-            state, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=state.last
+        inner = self.laws[wanted].law.init(goal)
+        return replace(state, inner=inner, active=wanted, since=t, left=state.last)
+
+    def _wanted(self, active: int, barred: tuple[bool, ...]) -> int:
+        if self.prefer != "first" and not barred[active]:
+            return active
+        return next((i for i, out in enumerate(barred) if not out), active)
+
+    def _barred(self, before: tuple[bool, ...], values: dict[str, float]) -> tuple[bool, ...]:
+        """Which laws may not work: those whose condition to end holds, until it has receded."""
+        return tuple(
+            part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
+            for part, was in zip(self.laws, before, strict=True)
         )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -102,19 +103,16 @@ class MotionSums(NamedTuple):
     taken: Array
 
     @classmethod
-    def none(cls, markers: int, columns: int) -> MotionSums:
+    def none(cls, markers: int, m: int) -> MotionSums:
         """No samples of N markers and m velocities."""
-        return cls(
-            np.zeros((markers, columns, columns)),
-            np.zeros((markers, 2, columns)),
-            np.zeros((columns, columns)),
-        )
+        return cls(np.zeros((markers, m, m)), np.zeros((markers, 2, m)), np.zeros((m, m)))
 
     def with_one(self, x: Array, y: Array) -> MotionSums:
         """One more displacement x (m,) with its motion in the picture y (N, 2), NaN for markers
         that are not seen.
         """
-        seen, one = np.isfinite(y[:, 0]), np.outer(x, x)
+        seen = np.isfinite(y[:, 0])
+        one = np.outer(x, x)
         y = np.where(seen[:, None], y, 0.0)
         return MotionSums(
             self.xx + seen[:, None, None] * one, self.yx + y[..., None] * x, self.taken + one
@@ -208,7 +206,9 @@ class Excitation:
         state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the
         robot's first. robot: its own.
         """
-        n, x, y = len(robot.names), state.x + moved, uv - state.uv
+        n = len(robot.names)
+        x = state.x + moved
+        y = uv - state.uv
         if len(x) == n:  # a sample since the start, where noise counts least
             state = replace(state, x=x, samples=state.samples.with_one(x, y))
         else:  # from picture to picture, where a target moves
@@ -223,22 +223,18 @@ class Excitation:
             elif state.which + 1 == len(state.x):
                 state = replace(state, which=state.which + 1)  # all have moved
             else:
-                i, slow = (
-                    state.which + 1,
-                    state.speed
-                    / 4
-                    * float(state.units[state.which + 1] / state.units[state.which]),
-                )
+                i = state.which + 1
                 state = replace(
                     state,
                     which=i,
                     leg=OUT,
                     side=0.0,
-                    speed=slow,
+                    speed=state.speed / 4 * float(state.units[i] / state.units[i - 1]),
                     pixels=float(state.known[i]),
                     elapsed_s=0.0,
+                    uv_before=uv,
+                    x_before=float(state.x[i]),
                 )
-                state = replace(state, uv_before=uv, x_before=float(state.x[i]))
         if state.which == n:
             return state, None
         return self._ordered(state, robot)
@@ -276,34 +272,30 @@ class Excitation:
         ahead = _ahead(state, robot)
         if state.leg == BACK:
             # Also in the picture, or the rest of this way would count as the next velocity's.
-            return (
-                max(abs(ahead), abs(float(robot.underway[state.which]))) * state.pixels
-                <= RETURNED_PX
-            )
+            left = max(abs(ahead), abs(float(robot.underway[state.which])))
+            return left * state.pixels <= RETURNED_PX
         side = _side(state, robot)
         lost = side * ahead > 0 and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
         near_limit = _room(state.which, side, robot) <= 0.02  # [rad, m]
         return lost or near_limit or side * ahead * state.pixels >= self.amplitude_px / 2
 
     def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:
-        i, side = state.which, _side(state, robot)
+        i = state.which
+        side = _side(state, robot)
         most = self.speed_share * float(robot.speed[i])
         speed = max(state.speed, min(FIRST * float(state.units[i]), most))
         if state.pixels:
             speed = 2 * self.amplitude_px / (self.time_s * state.pixels)
         elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
             speed = 2 * speed  # not before the picture has shown what was ordered
-        state = replace(
-            state, speed=min(speed, most), side=side if state.leg == OUT else state.side
-        )
+        speed = min(speed, most)
+        state = replace(state, speed=speed, side=side if state.leg == OUT else state.side)
         rates = np.zeros(len(robot.names))
         if state.leg == BACK:
             # The time constant of this approach, four periods, is one that a servo can follow.
-            rates[i] = np.clip(
-                -_ahead(state, robot) / (4 * robot.period_s), -state.speed, state.speed
-            )
+            rates[i] = np.clip(-_ahead(state, robot) / (4 * robot.period_s), -speed, speed)
         else:
-            rates[i] = side * state.speed
+            rates[i] = side * speed
         return state, rates
 
 
@@ -450,6 +442,11 @@ class Uncalibrated(Law[UncalibratedState]):
     patience_s: Time = 3.0
     settled_px: PositivePixels = 0.2
 
+    @cached_property
+    def _time(self) -> Array:
+        """The column of time (1,) of a target that may move; (0,) without."""
+        return np.ones(int(self.dynamic))
+
     def init(self, goal: Goal) -> UncalibratedState:
         return UncalibratedState(patience_s=self.patience_s)
 
@@ -459,17 +456,14 @@ class Uncalibrated(Law[UncalibratedState]):
         """One frame; rest where too few markers are seen, or too few of them are known. An
         excitation that loses them goes back first.
         """
-        robot, uv = observation.robot, observation.uv
+        robot = observation.robot
+        uv = observation.uv
         assert robot is not None
         if robot.turning_radius_m or robot.tilt is not None:
             return state, Command.rest(basis, NO_CIRCLE if robot.turning_radius_m else TILTS)
-        moved = np.append(robot.moved, robot.since_s * np.ones(int(self.dynamic)))
-        state = replace(
-            state,
-            units=np.append(
-                units_of(goal, robot.J) * np.ones(len(robot.names)), np.ones(int(self.dynamic))
-            ),
-        )
+        moved = np.append(robot.moved, robot.since_s * self._time)
+        units = units_of(goal, robot.J) * np.ones(len(robot.names))
+        state = replace(state, units=np.append(units, self._time))
         if np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._blind(state, moved, robot, basis)
         if state.excited is None and state.estimate is None:
@@ -478,13 +472,8 @@ class Uncalibrated(Law[UncalibratedState]):
             excited, rates = self.excitation.step(state.excited, uv, moved, robot)
             if rates is not None:
                 return replace(state, excited=excited), _command(rates, robot, basis, EXCITES)
-            state = replace(
-                state,
-                excited=None,
-                estimate=self._measured(excited, uv),
-                least_px=math.inf,
-                t=observation.t,
-            )
+            known = self._measured(excited, uv)
+            state = replace(state, excited=None, estimate=known, least_px=math.inf, t=observation.t)
             moved = np.zeros(len(moved))
         return self._servo(state, observation, goal, basis, robot, moved)
 
@@ -496,9 +485,8 @@ class Uncalibrated(Law[UncalibratedState]):
         """
         if state.excited is not None:
             excited, rates = self.excitation.retreat(state.excited, moved, robot)
-            return replace(state, excited=excited), replace(
-                _command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW
-            )
+            command = replace(_command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW)
+            return replace(state, excited=excited), command
         if state.estimate is not None:
             known = state.estimate
             state = replace(state, estimate=replace(known, x=known.x + known.scale * moved))
@@ -507,7 +495,8 @@ class Uncalibrated(Law[UncalibratedState]):
     def _begun(self, state: UncalibratedState, uv: Array, columns: int) -> UncalibratedState:
         """The state with an excitation before its first motion, for markers uv (N, 2) [px]."""
         known = np.zeros(columns) if state.estimate is None else state.estimate.scale
-        samples, turn = MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2)
+        samples = MotionSums.none(len(uv), columns)
+        turn = MotionSums.none(len(uv), 2)
         excited = Excited(
             uv, np.zeros(columns), samples, turn, known, state.units, uv, pixels=float(known[0])
         )
@@ -515,16 +504,13 @@ class Uncalibrated(Law[UncalibratedState]):
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
         J = excited.samples.jacobian()
+        known = np.count_nonzero(np.isfinite(J[:, 0, 0]))
         with np.errstate(invalid="ignore"):
-            scale = np.sqrt(
-                np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0])))
-            )
+            scale = np.sqrt(np.nansum(J**2, axis=(0, 1)) / max(1, known))
         if self.dynamic:
-            scale[-1] = (
-                # of the column of time: a target's motion in the picture that counts as much as the
-                # robot's [px/s]
-                50.0
-            )
+            # of the column of time: a target's motion in the picture that counts as much as the
+            # robot's [px/s]
+            scale[-1] = 50.0
         most = float((scale * excited.units).max())
         # of a velocity that hardly moves the markers
         scale = np.maximum(scale, 1e-3 * max(most, np.finfo(float).tiny) / excited.units)
@@ -545,23 +531,23 @@ class Uncalibrated(Law[UncalibratedState]):
         known = self._corrected(state.estimate, seen.uv, moved)
         rows = np.isfinite(known.J[:, 0, 0]) & seen.seen
         if np.count_nonzero(rows) < self.markers_needed(basis):
-            return replace(state, estimate=known), Command.rest(
-                basis, "the image Jacobian of the markers in sight is unknown"
-            )
-        n, scale = len(robot.names), known.scale
-        e, J = (seen.uv - goal.uv)[rows].ravel(), known.J[rows].reshape(-1, len(scale))
+            why = "the image Jacobian of the markers in sight is unknown"
+            return replace(state, estimate=known), Command.rest(basis, why)
+        n = len(robot.names)
+        scale = known.scale
+        e = (seen.uv - goal.uv)[rows].ravel()
+        J = known.J[rows].reshape(-1, len(scale))
         state = self._judged(replace(state, estimate=known), _mean(e), seen)
         if self.predict:
-            ahead = np.append(robot.underway, robot.underway_s * np.ones(int(self.dynamic)))
+            ahead = np.append(robot.underway, robot.underway_s * self._time)
             e = e + J @ (scale * ahead)
         damping = _mean(e) / self.trust_px
         solved = self.solve.least_squares(J[:, :n], e, damping) / scale[:n]
         u = -self.gain.at(solved) * solved
         if self.dynamic:
             u = u - self.solve.least_squares(J[:, :n], J[:, n] * scale[n], damping) / scale[:n]
-        u = u * min(
-            1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny)
-        )
+        pxps = _mean(J[:, :n] @ (scale[:n] * u))
+        u = u * min(1.0, self.most_pxps / max(pxps, np.finfo(float).tiny))
         return state, _command(u, robot, basis, SERVOES)
 
     def _corrected(self, known: ImageJacobian, uv: Array, moved: Array) -> ImageJacobian:
@@ -571,7 +557,8 @@ class Uncalibrated(Law[UncalibratedState]):
             return replace(known, x=x)
         y = uv - known.uv
         both = np.isfinite(y[:, 0]) & np.isfinite(known.J[:, 0, 0])
-        J, P = known.J.copy(), known.P.copy()
+        J = known.J.copy()
+        P = known.P.copy()
         J[both], P[both] = self.estimator.corrected(
             J[both], P[both], x, y[both], 1 / self.step_px**2
         )

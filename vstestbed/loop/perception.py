@@ -23,7 +23,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Observer
 from vstestbed.vision.base import Detection
 from vstestbed.vision.derotate import level_from_tilt
-from vstestbed.vision.observe import CameraPixels
+from vstestbed.vision.observe import CameraPixels, SensorData
 
 # an observation older than so many periods of its camera, and its latency, tells nothing of now
 FRESH_PERIODS = 2.5
@@ -180,25 +180,13 @@ class Perception:
         """What a law may know of a picture. twist: of the camera (6,) since the last one. partner:
         the second camera of a pair. others: what further cameras see, for a fused pose.
         """
-        picture, reading = shot.picture, shot.reading
-        depth = picture.depth if picture else None
-        pair = (
-            None
-            if partner is None or partner.seen.ray is None
-            else (partner.seen.ray, partner.T_camera_this)
-        )
+        depth = shot.picture.depth if shot.picture else None
+        pair = None
+        if partner is not None and partner.seen.ray is not None:
+            pair = partner.seen.ray, partner.T_camera_this
+        sensors = SensorData(shot.reading.heading, shot.reading.tilt, own, depth, pair, others)
         self._observed, seen = self.observer.observe(
-            self._observed,
-            shot.t,
-            detection,
-            twist,
-            self._rng,
-            reading.heading,
-            reading.tilt,
-            own,
-            depth,
-            pair,
-            others,
+            self._observed, shot.t, detection, twist, self._rng, sensors
         )
         self.before = shot
         return seen

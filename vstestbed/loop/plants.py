@@ -185,13 +185,16 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
         from vstestbed.sim.scene.scenery import warn_of_colours
 
         warn_of_colours(scenery.file, scenario.detector.kind, chroma)
+    scene = replace(scenario.scene, plate_m=plate_m)
+    timing = scenario.timing
     return build_plant(
-        replace(scenario.scene, plate_m=plate_m),
+        scene,
         _pictures(scenario, pictures),
         sensor_rng=scenario.rng(SENSOR_STREAM),
         motion_rng=scenario.rng(MOTION_STREAM),
-        order_s=scenario.timing.order_s(scenario.camera),
-        interpolator=scenario.timing.interpolator(*scenario.clock),
+        setpoints=scene.setpoints(
+            timing.order_s(scenario.camera), timing.interpolator(*scenario.clock)
+        ),
         others={name: _pictures(eye, pictures) for name, eye in scenario.eyes.items()},
     )
 

@@ -5,6 +5,7 @@ plant that is an ideal camera.
 from __future__ import annotations
 
 import contextlib
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -60,9 +61,31 @@ class SceneDescription:
     @property
     def glossy(self) -> bool:
         """Whether the target is a picture that shows highlights, or the floor does."""
-        return self.world.floor.gloss > 0 or (
-            self.target.sheet is not None and self.target.sheet.gloss > 0
-        )
+        sheet = self.target.sheet
+        return self.world.floor.gloss > 0 or (sheet is not None and sheet.gloss > 0)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether MuJoCo is needed even without pictures: for a body, or what may hide markers."""
+        solid = self.target.body is not None and not self.target.outlined
+        return self.robot.body is not None or self.plate_m > 0 or self.world.hides or solid
+
+    @property
+    def steps_per_frame(self) -> int:
+        """Physics steps between two pictures of the servo camera."""
+        return round(self.camera.period / self.step)
+
+    def setpoints(
+        self, order_s: float = math.inf, interpolator: Interpolator | None = None
+    ) -> SetpointBuffer:
+        """The setpoints of a run.
+
+        order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one
+        command to the next; None: at once.
+        """
+        robot = self.robot
+        first = robot.onboard and robot.onboard.first_setpoint
+        return SetpointBuffer(robot.stopping, first, order_s / self.step, self.step, interpolator)
 
     @property
     def T_world_target(self) -> Array:
@@ -73,6 +96,18 @@ class SceneDescription:
     def start(self) -> tuple[Array, Array]:
         """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
         return self.robot.start_joints(), camera_start(self.robot, self.camera, self.target)
+
+
+class SceneState(NamedTuple):
+    """A state of a scene, as a run's log has it.
+
+    t: time [s]. T_world_target, T_world_camera: poses (4, 4). q: joints (n,).
+    """
+
+    t: float
+    T_world_target: Array
+    q: Array
+    T_world_camera: Array
 
 
 @dataclass(frozen=True)
@@ -169,7 +204,9 @@ class PlantCamera(ABC):
     """
 
     def __init__(self, step_s: float, steps_per_frame: int, sensor: ImageSensor | None):
-        self.step_s, self.steps_per_frame, self._eye = step_s, steps_per_frame, sensor
+        self.step_s = step_s
+        self.steps_per_frame = steps_per_frame
+        self._eye = sensor
 
     @property
     @abstractmethod
@@ -237,11 +274,10 @@ class PlantCamera(ABC):
 class Plant(PlantCamera):
     """The simulated robot, camera and target. The clock counts whole physics steps.
 
-    parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene;
-    None for an ideal camera without pictures and occlusion. eye: takes the pictures; None where no
-    detector needs them. path: the pose of a target that moves by itself as a function of time, else
-    None. order_s: how long a setpoint lasts before the robot stops [s]. interpolator: leads from
-    one setpoint to the next; None: at once. others: its further cameras by name.
+    parts: of the scene. stage: the compiled scene; None for an ideal camera without pictures and
+    occlusion. eye: takes the pictures; None where no detector needs them. path: the pose of a
+    target that moves by itself as a function of time, else None. others: its further cameras by
+    name.
     """
 
     _stage: Scene | None
@@ -249,25 +285,20 @@ class Plant(PlantCamera):
     def __init__(
         self,
         parts: SceneDescription,
-        steps_per_frame: int,
         stage: Scene | None,
         eye: ImageSensor | None,
         path: Path | None,
-        order_s: float,
-        interpolator: Interpolator | None,
+        setpoints: SetpointBuffer,
     ):
-        robot = parts.robot
-        super().__init__(parts.step, steps_per_frame, eye)
-        self._parts, self._stage, self._path, self._target = parts, stage, path, parts.target
+        super().__init__(parts.step, parts.steps_per_frame, eye)
+        self._parts = parts
+        self._stage = stage
+        self._path = path
+        self._target = parts.target
         self._own_path = path  # without what `move_target` has shifted
-        self._steps, self.others = 0, dict[str, OtherEye]()
-        self._setpoints = SetpointBuffer(
-            robot.stopping,
-            robot.onboard and robot.onboard.first_setpoint,
-            order_s / parts.step,
-            parts.step,
-            interpolator,
-        )
+        self._steps = 0
+        self.others = dict[str, OtherEye]()
+        self._setpoints = setpoints
 
     @property
     def _t(self) -> float:
@@ -306,11 +337,9 @@ class Plant(PlantCamera):
         """What stands now before each of points p_camera (N, 3) of a camera at a pose (4, 4), by
         the name of its body; "" for nothing.
         """
-        return (
-            self._stage.names_before(T_world_camera, p_camera)
-            if self._stage
-            else ("",) * len(p_camera)
-        )
+        if self._stage is None:
+            return ("",) * len(p_camera)
+        return self._stage.names_before(T_world_camera, p_camera)
 
     def apply(self, setpoint: Array, stop: Stop = "") -> None:
         """Set the setpoint, which stays in force until the next one, or until it has lasted its
@@ -377,12 +406,10 @@ class OtherEye(PlantCamera):
         see_hidden: bool,
     ):
         super().__init__(plant.step_s, round(viewpoint.camera.period / plant.step_s), sensor)
-        self._plant, self._viewpoint, self._target, self._see_hidden = (
-            plant,
-            viewpoint,
-            target,
-            see_hidden,
-        )
+        self._plant = plant
+        self._viewpoint = viewpoint
+        self._target = target
+        self._see_hidden = see_hidden
 
     @property
     def _t(self) -> float:
@@ -401,11 +428,10 @@ class OtherEye(PlantCamera):
         truth = self._plant.truth()
         T = self._plant.pose_of(self._viewpoint)
         p_camera = self._target.seen_from(inverse(truth.T_world_target) @ T)
-        hidden = (
-            self._plant.hidden(self._viewpoint, T, p_camera)
-            if self._see_hidden
-            else np.zeros(len(p_camera), dtype=bool)
-        )
+        if self._see_hidden:
+            hidden = self._plant.hidden(self._viewpoint, T, p_camera)
+        else:
+            hidden = np.zeros(len(p_camera), dtype=bool)
         return truth._replace(T_world_camera=T, p_camera=p_camera, hidden=hidden)
 
 
@@ -443,7 +469,8 @@ def posture_at(robot: Robot, T_world_flange: Array) -> Array:
 
     Raises UnreachableError: it does not get there.
     """
-    rng, nominal = np.random.default_rng(0), robot.configuration()
+    rng = np.random.default_rng(0)
+    nominal = robot.configuration()
     for _ in range(POSTURES):
         with contextlib.suppress(UnreachableError):
             return robot.configuration_at(T_world_flange, nominal)
@@ -453,7 +480,8 @@ def posture_at(robot: Robot, T_world_flange: Array) -> Array:
 
 # The ideal plant: a camera that follows its twist exactly. It needs MuJoCo only for pictures and
 # occlusion.
-NONE, STILL_AIR = np.zeros(0), np.zeros(3)
+NONE = np.zeros(0)
+STILL_AIR = np.zeros(3)
 NO_JOINTS = Reading(NONE, NONE)
 
 
@@ -520,7 +548,8 @@ class IdealPlant(Plant):
     def _actuate(self) -> None:
         setpoint = self._setpoints.at(self._steps)
         if setpoint is not None and setpoint is not self._followed:
-            self._followed, self._twist = setpoint, self._to_camera @ setpoint
+            self._followed = setpoint
+            self._twist = self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
         """Advance by exact exponentials: no integration error, however many steps each stands for.

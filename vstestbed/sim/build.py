@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,7 +10,9 @@ import numpy as np
 from vstestbed.camera import Camera, Perspective
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.sim.base import IdealPlant, OtherEye, Plant, SceneDescription, Viewpoint
-from vstestbed.timing.setpoints import Interpolator
+from vstestbed.targets import Target
+from vstestbed.targets.motion import Path
+from vstestbed.timing.setpoints import SetpointBuffer
 from vstestbed.vision.perturb import Perturbed
 
 if TYPE_CHECKING:
@@ -49,8 +50,7 @@ def build_plant(
     *,
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
-    order_s: float = math.inf,
-    interpolator: Interpolator | None = None,
+    setpoints: SetpointBuffer | None = None,
     others: Mapping[str, PictureSetup] = NO_OTHERS,
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
@@ -65,63 +65,43 @@ def build_plant(
             none where nothing is said.
         sensor_rng, motion_rng: generators of the robot's sensor noise, and of a target's random
             walk.
-        order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one
-            command to the next; None: at once.
+        setpoints: of the run; None: each command acts at once, until the next.
     """
-    robot, camera, target = scene.robot, scene.camera, scene.target
-    steps_per_frame = round(camera.period / scene.step)
-    path = target.path(_given(motion_rng)) if target.motion.by_itself else None
-    may_hide = scene.world.hides or (target.body is not None and not target.outlined)
-    pictured = pictures.needs_image or any(other.needs_image for other in others.values())
-    ideal = robot.body is None
-    if ideal and not (pictured or scene.plate_m or may_hide):
-        plant: Plant = IdealPlant(scene, steps_per_frame, None, None, path, order_s, interpolator)
-        plant.others = {
-            view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), None)
-            for view in scene.others
-        }
-        return plant, "none"
-    # Here, and in the functions below: a run with the ideal camera and the oracle starts without
-    # loading any renderer.
-    from vstestbed.sim.scene.scene import Scene
+    stage = eye = None
+    renderer = "none"
+    if scene.simulated or any(one.needs_image for one in (pictures, *others.values())):
+        # Here, and in the functions below: a run with the ideal camera and the oracle starts
+        # without loading any renderer.
+        from vstestbed.sim.scene.scene import Scene
 
-    stage = Scene(
-        scene,
-        samples=max(camera.multisampling, *(view.camera.multisampling for view in scene.others), 0),
-    )
-    eye, renderer = None, "none"
-    if pictures.needs_image:
-        eye, renderer = _sensor(stage, camera, "eye", pictures)
-    if ideal:
-        plant = IdealPlant(scene, steps_per_frame, stage, eye, path, order_s, interpolator)
+        others_samples = (view.camera.multisampling for view in scene.others)
+        stage = Scene(scene, samples=max(0, scene.camera.multisampling, *others_samples))
+        if pictures.needs_image:
+            eye, renderer = _sensor(stage, scene.camera, "eye", pictures)
+    path = _path(scene.target, motion_rng)
+    setpoints = setpoints or scene.setpoints()
+    if stage is None or scene.robot.body is None:
+        plant: Plant = IdealPlant(scene, stage, eye, path, setpoints)
     else:
         from vstestbed.sim.plant import MujocoPlant
 
-        plant = MujocoPlant(
-            stage,
-            steps_per_frame,
-            eye,
-            pictures.needs_truth,
-            _given(sensor_rng),
-            path,
-            order_s,
-            interpolator,
-        )
-    plant.others = {
-        view.name: _other_eye(plant, view, others.get(view.name, NO_PICTURES), stage)
-        for view in scene.others
-    }
+        rng = _given(sensor_rng)
+        plant = MujocoPlant(stage, eye, pictures.needs_truth, rng, path, setpoints)
+    for view in scene.others:
+        plant.others[view.name] = _other_eye(plant, view, others.get(view.name, NO_PICTURES), stage)
     return plant, renderer
+
+
+def _path(target: Target, rng: np.random.Generator | None) -> Path | None:
+    return target.path(_given(rng)) if target.motion.by_itself else None
 
 
 def _other_eye(
     plant: Plant, view: Viewpoint, pictures: PictureSetup, stage: Scene | None
 ) -> OtherEye:
-    sensor = (
-        _sensor(stage, view.camera, view.name, pictures)[0]
-        if stage is not None and pictures.needs_image
-        else None
-    )
+    sensor = None
+    if stage is not None and pictures.needs_image:
+        sensor, _ = _sensor(stage, view.camera, view.name, pictures)
     return OtherEye(plant, view, plant.target, sensor, pictures.needs_truth)
 
 
@@ -135,9 +115,8 @@ def _sensor(
 
     # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the
     # noise is estimated.
-    drawn_by = servo_renderer(
-        stage, camera, pictures.image_sigma > 0 and not camera.readout_s, eye=eye
-    )
+    noisy = pictures.image_sigma > 0 and not camera.readout_s
+    drawn_by = servo_renderer(stage, camera, noisy, eye=eye)
     depth = None
     if isinstance(camera, Perspective) and camera.depth_sensor is not None:
         depth = DepthCamera(camera, camera.depth_sensor, _given(pictures.depth_rng))
@@ -172,14 +151,16 @@ def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
 
     robot = scene.robot
     if robot.body is None:
-        spec, T = compose(scene), robot.flange_pose(robot.configuration())
+        spec = compose(scene)
+        T = robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")
-        body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
+        body.pos = T[:3, 3]
+        body.quat = quaternion_wxyz(T[:3, :3])
     else:
         stage = Scene(scene)
-        spec, state = stage.spec, stage.data
-        path = scene.target.path(_given(None)) if scene.target.motion.by_itself else None
-        plant = MujocoPlant(stage, 1, None, False, _given(None), path)
+        spec = stage.spec
+        state = stage.data
+        plant = MujocoPlant(stage, None, False, _given(None), _path(scene.target, None))
         own = {
             "qpos": state.qpos,
             "act": state.act,

@@ -155,9 +155,8 @@ def _after_fork() -> None:
     if "OpenGL.EGL" in sys.modules:
         atexit.unregister(sys.modules["OpenGL.EGL"].eglTerminate)
     for made in _contexts:
-        made._render_executor._terminated = (
-            True  # given up without being freed: the rendering thread does not exist here
-        )
+        # given up without being freed: the rendering thread does not exist here
+        made._render_executor._terminated = True
         gl_probe.switch_off(
             "this process is a fork of one that has drawn with it",
             "start processes with multiprocessing's method spawn",
@@ -232,7 +231,8 @@ class Physics(dm.Physics):
         contexts: Any = self.contexts
         if contexts is None:
             raise RuntimeError("dm_control's rendering is switched off")
-        size, buffer = self.model.ptr.vis.global_, contexts.mujoco.ptr
+        size = self.model.ptr.vis.global_
+        buffer = contexts.mujoco.ptr
         if (buffer.offWidth, buffer.offHeight) != (size.offwidth, size.offheight):
             self._free_rendering_contexts()
             contexts = self.contexts
@@ -303,9 +303,8 @@ def _sample_aslant(context: mujoco.MjrContext, model: mujoco.MjModel, samples: i
     from OpenGL.raw.GL.EXT import texture_filter_anisotropic as aslant
     from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1
 
-    for texture in np.flatnonzero(
-        (model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D) & ~repeated(model)
-    ):
+    flat = model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D
+    for texture in np.flatnonzero(flat & ~repeated(model)):
         GL_1_1.glBindTexture(GL_1_0.GL_TEXTURE_2D, context.texture[texture])
         GL_1_0.glTexParameterf(GL_1_0.GL_TEXTURE_2D, aslant.GL_TEXTURE_MAX_ANISOTROPY_EXT, samples)
 
@@ -320,24 +319,19 @@ def _looks(model: mujoco.MjModel) -> tuple[object, ...]:
     """A key of everything in a model that enters a rendering context: sizes, shapes, materials,
     textures.
     """
-    quality, size = model.vis.quality, model.vis.global_
+    quality = model.vis.quality
+    size = model.vis.global_
     # Planes are compiled to display lists by their size, hence the geoms beside the assets.
     names = [n for n in dir(model) if n.startswith(("tex_", "mat_", "mesh_", "hfield_", "skin_"))]
-    arrays = [
-        getattr(model, name)
-        for name in (*names, "geom_type", "geom_size", "geom_dataid", "geom_matid")
-    ]
-    buffers = (
+    names += "geom_type", "geom_size", "geom_dataid", "geom_matid"
+    return (
         model.vis.map.shadowclip * model.stat.extent,
         size.offwidth,
         size.offheight,
         quality.offsamples,
         quality.shadowsize,
-    )
-    return (
-        *buffers,
         quality.numslices,
         quality.numstacks,
         quality.numquads,
-        hash(tuple(np.asarray(a).tobytes() for a in arrays)),
+        hash(tuple(np.asarray(getattr(model, name)).tobytes() for name in names)),
     )

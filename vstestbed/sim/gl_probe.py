@@ -32,7 +32,8 @@ LIBRARIES = {
 """Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
 DEVICE_PLATFORM = 0x313F  # EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device
 DEVICE = "MUJOCO_EGL_DEVICE_ID"  # the variable that names one of EGL's devices, a GPU of several
-ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
+ON = "", "1", "on", "true", "enable", "enabled"
+OFF = "0", "off", "false", "disable", "disabled"
 # why OpenGL is switched off, as (lack, remedy); empty where it is not
 _lack: list[tuple[str, str]] = []
 
@@ -45,12 +46,9 @@ def remedy() -> str:
         release = platform.freedesktop_os_release()
     except OSError:  # not Linux, or a bare container
         release = {}
-    words = (
-        f"{release.get('ID', '')} {release.get('ID_LIKE', '')}".replace("opensuse", "suse")
-        .replace("ubuntu", "debian")
-        .split()
-    )
-    known = [word for word in words if word in INSTALL]
+    words = f"{release.get('ID', '')} {release.get('ID_LIKE', '')}"
+    words = words.replace("opensuse", "suse").replace("ubuntu", "debian")
+    known = [word for word in words.split() if word in INSTALL]
     command = INSTALL[known[0]] if known else f"(on Debian or Ubuntu) {INSTALL['debian']}"
     return f"as root: {command}; then `vstestbed doctor` tells whether it works"
 
@@ -91,8 +89,10 @@ def _egl_lack() -> tuple[str, str] | None:
     alone, because importing PyOpenGL would fix its platform.
     """
     egl = ctypes.CDLL("libEGL.so.1")
-    pointer, number = ctypes.c_void_p, ctypes.c_int
-    egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
+    pointer = ctypes.c_void_p
+    number = ctypes.c_int
+    egl.eglGetProcAddress.restype = pointer
+    egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
     egl.eglInitialize.argtypes = [pointer, pointer, pointer]
     address = [
         egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")
@@ -102,7 +102,8 @@ def _egl_lack() -> tuple[str, str] | None:
         return none
     query = ctypes.CFUNCTYPE(ctypes.c_uint, number, pointer, pointer)(address[0])
     display_of = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(address[1])
-    devices, count = (pointer * 16)(), number()
+    devices = (pointer * 16)()
+    count = number()
     if not query(16, devices, ctypes.byref(count)):
         return none
     try:
@@ -110,11 +111,8 @@ def _egl_lack() -> tuple[str, str] | None:
     except ValueError as error:
         return str(error), f"unset {DEVICE}"
     displays = [display_of(DEVICE_PLATFORM, device, None) for device in taken]
-    return (
-        None
-        if any(display and egl.eglInitialize(display, None, None) for display in displays)
-        else none
-    )
+    starts = any(display and egl.eglInitialize(display, None, None) for display in displays)
+    return None if starts else none
 
 
 def choose_backend() -> None:
@@ -127,7 +125,11 @@ def choose_backend() -> None:
     if not sys.platform.startswith("linux"):
         return
     word = os.environ.get("MUJOCO_GL", "").strip().lower()
-    backend = "egl" if word in ON else "disable" if word in OFF else word
+    backend = word
+    if word in ON:
+        backend = "egl"
+    elif word in OFF:
+        backend = "disable"
     if backend != "disable" and (lack := _lack_of(backend, requested=word not in ON)):
         _lack.append(lack)
         backend = "disable"
@@ -149,15 +151,12 @@ def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
         lack = f"{' and '.join(missing)} not found"
         if not requested:
             return lack, remedy()
-        return (
-            f"{lack}, which MUJOCO_GL={backend} needs",
-            remedy() if backend == "egl" else UNSET_REMEDY,
-        )
+        way = remedy() if backend == "egl" else UNSET_REMEDY
+        return f"{lack}, which MUJOCO_GL={backend} needs", way
     if backend == "egl" and (lack := _egl_lack()) is not None:
         return lack
-    if backend == "glfw" and not any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    ):
+    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if backend == "glfw" and not shown:
         return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
     return None
 
@@ -171,9 +170,11 @@ def require() -> None:
         return
     elif missing := missing_libraries():
         # the user switched it off, or a parent process did and MUJOCO_GL was inherited
-        lack, way = f"{' and '.join(missing)} not found", remedy()
+        lack = f"{' and '.join(missing)} not found"
+        way = remedy()
     else:
-        lack, way = f"MUJOCO_GL={word} is set", UNSET_REMEDY
+        lack = f"MUJOCO_GL={word} is set"
+        way = UNSET_REMEDY
     raise EnvironmentLackError(f"no OpenGL: {lack}", way)
 
 

@@ -18,7 +18,7 @@ from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import place_of, pose_on_ground, relative
-from vstestbed.effects.base import Actor, Effect, StateIndices
+from vstestbed.effects.base import Actor, Effect, RobotBody, StateIndices
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth, Viewpoint
@@ -26,7 +26,7 @@ from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.attach import add_robot
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
-from vstestbed.timing.setpoints import Interpolator
+from vstestbed.timing.setpoints import SetpointBuffer
 
 
 class RobotContacts:
@@ -39,9 +39,8 @@ class RobotContacts:
         self._model = model
         bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
         self._feet = np.zeros(model.ngeom, dtype=bool)
-        self._feet[
-            [model.geom(f"robot/{name}").id for name in (robot.body.feet if robot.body else ())]
-        ] = True
+        for name in robot.body.feet if robot.body else ():
+            self._feet[model.geom(f"robot/{name}").id] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
         self._floors = [i for i in range(model.ngeom) if model.geom(i).name.startswith("floor")]
         self._on_wheels = robot.base == "planar"
@@ -69,24 +68,16 @@ class RobotContacts:
         found = np.flatnonzero(touching.any(axis=1))
         if not len(found):
             return ""
-        pair = pairs[found[0]].tolist()
-        return " and ".join(
-            self._name(geom) for geom in (pair if touching[found[0], 0] else pair[::-1])
-        )
+        one, other = map(self._name, pairs[found[0]].tolist())
+        return f"{one} and {other}" if touching[found[0], 0] else f"{other} and {one}"
 
     def _name(self, geom: int) -> str:
         """Name of a geom, or of the body it belongs to, without the prefix of its part of the
         scene.
         """
         name = self._model.geom(geom).name or self._model.body(self._model.geom_bodyid[geom]).name
-        words = (
-            name.removeprefix("robot/")
-            .removeprefix("scenery/")
-            .strip("/")
-            .replace("/", " ")
-            .replace("_", " ")
-        )
-        return words or "something without a name"
+        words = name.removeprefix("robot/").removeprefix("scenery/").strip("/")
+        return words.replace("/", " ").replace("_", " ") or "something without a name"
 
 
 NO_JOINTS = np.zeros(0)
@@ -99,12 +90,13 @@ class SensorReader:
     """
 
     def __init__(self, stage: Scene, rng: np.random.Generator, actors: Sequence[Actor] = ()):
-        robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
-        self._at, self._has_encoders = stage.at, len(stage.at.motor_qpos) > 0
-        self._model, self._felt = (
-            robot.instruments(rng),
-            [actor.felt for actor in actors if type(actor).felt is not Actor.felt],
-        )
+        robot = stage.parts.robot
+        self._data = stage.data
+        self._values = stage.data.sensordata
+        self._at = stage.at
+        self._has_encoders = len(stage.at.motor_qpos) > 0
+        self._model = robot.instruments(rng)
+        self._felt = [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
         self._sensors = []
         for name in robot.body.sensors if robot.body else ():
             sensor = stage.model.sensor(f"robot/{name}")
@@ -124,8 +116,10 @@ class SensorReader:
             q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
             if self._has_encoders:
                 # the encoders are on the motors
-                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]
-            self._reading, self.read_at = self._model(q, qd, sensors), step
+                q = self._data.qpos[self._at.motor_qpos]
+                qd = self._data.qvel[self._at.motor_qvel]
+            self._reading = self._model(q, qd, sensors)
+            self.read_at = step
         return self._reading
 
 
@@ -169,16 +163,17 @@ def check_static_load(stage: Scene) -> None:
     a run. Raises UnreachableError: a joint that holds less, with the torques, and the payload that
     it would hold.
     """
-    robot, model, data = stage.parts.robot, stage.model, stage.data
+    robot = stage.parts.robot
+    model = stage.model
+    data = stage.data
     if stage.root is not None or not robot.joints:
         return
     # at rest the bias is gravity alone
     drives = robot.body and robot.body.actuation
-    weight = (
-        data.qfrc_bias
-        if drives is not None and drives.carried
-        else data.qfrc_bias - data.qfrc_gravcomp
-    )[stage.at.qvel]
+    weight = data.qfrc_bias
+    if drives is None or not drives.carried:
+        weight = weight - data.qfrc_gravcomp
+    weight = weight[stage.at.qvel]
     holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
         return
@@ -200,25 +195,21 @@ def _largest_torques(stage: Scene) -> Array:
     """Largest torque of each joint's motors (n,) [Nm, N]: the lower of the actuators' limit and the
     joint's; infinite without both.
     """
-    model, found = stage.model, []
+    model = stage.model
+    joints = model.dof_jntid[stage.at.motor_qvel]
+    most = np.full(len(joints), np.inf)
     motors = np.array(
         [model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int
     )
     motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
-    for joint in model.dof_jntid[stage.at.motor_qvel]:
+    for i, joint in enumerate(joints):
         own = motors[model.actuator_trnid[motors, 0] == joint]
-        limited = len(own) and model.actuator_forcelimited[own].all()
-        most = (
-            float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum())
-            if limited
-            else np.inf
-        )
-        found.append(
-            min(most, float(model.jnt_actfrcrange[joint, 1]))
-            if model.jnt_actfrclimited[joint]
-            else most
-        )
-    return np.array(found)
+        if len(own) and model.actuator_forcelimited[own].all():
+            gear = np.abs(model.actuator_gear[own, 0])
+            most[i] = (gear * model.actuator_forcerange[own, 1]).sum()
+        if model.jnt_actfrclimited[joint]:
+            most[i] = min(most[i], model.jnt_actfrcrange[joint, 1])
+    return most
 
 
 def settle(stage: Scene) -> None:
@@ -230,7 +221,9 @@ def settle(stage: Scene) -> None:
     motors cannot hold it there.
     """
     # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
-    model, data, robot = stage.model, stage.data, stage.parts.robot
+    model = stage.model
+    data = stage.data
+    robot = stage.parts.robot
     stage.rest()
     mujoco.mj_forward(model, data)
     check_static_load(stage)
@@ -253,7 +246,8 @@ def settle(stage: Scene) -> None:
 
 
 PERIOD_S = 0.01  # period of the path following [s], that of a car's onboard servos
-CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
+CROSS_GAIN = 1.5
+HEADING_GAIN = 2.5
 """Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The
 offset decays within some 1.6 m.
 """
@@ -275,15 +269,13 @@ class LeadVehicle:
         motion = stage.parts.target.carrier
         if motion is None or stage.leader is None or stage.parts.leader is None:
             raise TypeError("no vehicle carries the target")
-        self._stage, self._motion, self._root = stage, motion, stage.leader
+        self._stage = stage
+        self._motion = motion
+        self._root = stage.leader
         self._robot = stage.parts.leader
         self._mount = Mount.of(np.eye(4))
-        self._at = StateIndices.of(
-            stage.model,
-            self._robot.joints,
-            self._robot.body.actuators if self._robot.body else (),
-            "leader/",
-        )
+        names = self._robot.body.actuators if self._robot.body else ()
+        self._at = StateIndices.of(stage.model, self._robot.joints, names, "leader/")
         self._memory: Any = self._robot.onboard.begin() if self._robot.onboard else None
         self._s = motion.from_m
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
@@ -324,6 +316,37 @@ SETTLE_S = 1.0
 LONGEST_PUSH_S = 10.0
 
 
+class Actors:
+    """What acts on a robot while a run lasts, for its effects and for the wind, by when it acts."""
+
+    def __init__(self, effects: Sequence[Effect], body: RobotBody, rng: np.random.Generator):
+        self.all: list[Actor] = []
+        self.rows: list[tuple[Effect, Actor]] = []  # what fills the effects' columns
+        self.forces: list[Array] = []
+        self.each_step: list[Callable[[float, float], None]] = []
+        self.each_period: list[Callable[[float, float], None]] = []
+        self.driven: list[Callable[[Sequence[float], float], Sequence[float]]] = []
+        for effect in effects:
+            # Each has a stream of its own: turbulence, drawn at the control rate, must not shift
+            # the noise that the sensors draw.
+            actor = effect.actor(body, rng.spawn(1)[0])
+            if effect.columns:
+                self.rows.append((effect, actor or Actor()))
+            if actor is not None:
+                self._add(actor, body)
+
+    def _add(self, actor: Actor, body: RobotBody) -> None:
+        self.all.append(actor)
+        if actor.force is not None:
+            self.forces.append(actor.force)
+            if actor.of_motors:
+                body.motor_forces.append(actor.force)
+        if type(actor).act is not Actor.act:
+            (self.each_period if actor.with_controller else self.each_step).append(actor.act)
+        if type(actor).driven is not Actor.driven:
+            self.driven.append(actor.driven)
+
+
 class MujocoPlant(Plant):
     """Steps a scene; setpoints go to the actuators, through the robot's onboard controller where it
     has one.
@@ -338,47 +361,36 @@ class MujocoPlant(Plant):
     def __init__(
         self,
         stage: Scene,
-        steps_per_frame: int,
         eye: ImageSensor | None,
         see_hidden: bool,
         rng: np.random.Generator,
         path: Path | None = None,
-        order_s: float = math.inf,
-        interpolator: Interpolator | None = None,
+        setpoints: SetpointBuffer | None = None,
     ):
-        robot, world = stage.parts.robot, stage.parts.world
-        super().__init__(stage.parts, steps_per_frame, stage, eye, path, order_s, interpolator)
-        self._robot, self._scenery = robot, bool(world.movers) or stage.hand_plate is not None
-        self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
+        robot = stage.parts.robot
+        world = stage.parts.world
+        super().__init__(stage.parts, stage, eye, path, setpoints or stage.parts.setpoints())
+        self._robot = robot
+        self._scenery = bool(world.movers) or stage.hand_plate is not None
+        self._see_hidden = see_hidden
+        self._visible = np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
-        # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the
-        # noise that the sensors draw.
         self._of_robot = stage.body
-        made = [
-            (effect, effect.actor(self._of_robot, rng.spawn(1)[0]))
-            for effect in (world.wind, *robot.acting)
-        ]
-        self._actors = [actor for _, actor in made if actor is not None]
-        self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
-        self._forces = [actor.force for actor in self._actors if actor.force is not None]
-        self._of_robot.motor_forces.extend(actor.force for actor in self._actors if actor.of_motors)
-        self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
+        self._actors = Actors((world.wind, *robot.acting), self._of_robot, rng)
+        self._forces = self._actors.forces
+        self._sensors = SensorReader(stage, rng, self._actors.all)
+        self._ctrl = stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
         # whether a push acts, and the physics step at which it ends
-        self._pushes, self._push_ends = False, 0
+        self._pushes = False
+        self._push_ends = 0
         self._onboard = robot.onboard
-        self._memory: Any = self._onboard.begin() if self._onboard else None
-        # 0: none
-        self._control_steps = (
-            max(1, round(self._onboard.control_period_s / self.step_s)) if self._onboard else 0
-        )
-        acting = [actor for actor in self._actors if type(actor).act is not Actor.act]
-        self._each_step = [actor.act for actor in acting if not actor.with_controller]
-        self._each_period = [actor.act for actor in acting if actor.with_controller]
-        self._driven = [
-            actor.driven for actor in self._actors if type(actor).driven is not Actor.driven
-        ]
+        self._memory: Any = None
+        self._control_steps = 0  # none
+        if self._onboard:
+            self._memory = self._onboard.begin()
+            self._control_steps = max(1, round(self._onboard.control_period_s / self.step_s))
         self._start()
         self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
 
@@ -390,16 +402,15 @@ class MujocoPlant(Plant):
             yield self._leader.steps, self._leader.drive
         if self._control_steps:
             yield self._control_steps, self._control
-        for act in self._each_step:
+        for act in self._actors.each_step:
             yield 1, lambda dt, act=act: act(self._t, dt)
 
     def _start(self) -> None:
-        q, T = self._stage.parts.start
-        self._stage.place(
-            0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T
-        )
+        parts = self._stage.parts
+        T_target = parts.T_world_target if self._path is None else self._path(0.0)
+        self._stage.place(0.0, T_target, *parts.start)
         settle(self._stage)
-        for actor in self._actors:
+        for actor in self._actors.all:
             actor.start()
         if self._robot.base == "planar" or self._leader:
             self._stand()
@@ -408,11 +419,10 @@ class MujocoPlant(Plant):
         """Let vehicles settle on their springs, then move them back to their start, at rest, at
         time 0.
         """
-        stage, data = self._stage, self._stage.data
-        T_robot, T_leader = (
-            stage.parts.start[1] @ stage.mount_inverse,
-            self._target.T_world_start @ stage.target_inverse,
-        )
+        stage = self._stage
+        data = stage.data
+        T_robot = stage.parts.start[1] @ stage.mount_inverse
+        T_leader = self._target.T_world_start @ stage.target_inverse
         # Out of the way: it is not controlled yet, and would fall on the vehicle.
         if self._robot.base == "floating" and stage.root is not None:
             stage.root.put(data.qpos, AWAY @ T_robot)
@@ -427,7 +437,8 @@ class MujocoPlant(Plant):
             if root is not None:
                 # What settled is the height; x, y and heading are the scenario's, whatever the
                 # settling did to them.
-                T, settled = T_start.copy(), root.pose(data)
+                T = T_start.copy()
+                settled = root.pose(data)
                 T[2, 3] = settled[2, 3] if stands else T[2, 3]
                 if root is stage.root and any(effect.uneven for effect in self._robot.acting):
                     # with its tilt there
@@ -446,10 +457,10 @@ class MujocoPlant(Plant):
         """Advance without controllers, with what acts at each step; False when MuJoCo reports an
         instability.
         """
-        if not self._each_step:
+        if not self._actors.each_step:
             return self._stage.step(steps)
         for _ in range(steps):
-            for act in self._each_step:
+            for act in self._actors.each_step:
                 act(0.0, self.step_s)
             self._apply()
             if not self._stage.step(1):
@@ -464,7 +475,8 @@ class MujocoPlant(Plant):
         """Move plates, decoys, a lamp and a target with a path
         of its own to their present poses.
         """
-        stage, t = self._stage, self._t
+        stage = self._stage
+        t = self._t
         if self._scenery or self._path is not None:
             stage.place_plates(t)
             if self._path is not None:
@@ -476,22 +488,24 @@ class MujocoPlant(Plant):
         # time. After MuJoCo's own `mj_step` they would be one step old, .5 mm for a fast arm.
         stage = self._stage
         self._show()
-        T, T_target = stage.camera_pose(), stage.target_pose()
+        T = stage.camera_pose()
+        T_target = stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
         # relative to the target in the gripper; the camera itself is at rest
         if stage.parts.target.on_gripper:
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = (
-            stage.data.qpos[stage.at.qpos],
-            stage.data.qvel[stage.at.qvel],
-            self._ctrl[stage.at.ctrl].copy(),
-        )
+        q = stage.data.qpos[stage.at.qpos]
+        qd = stage.data.qvel[stage.at.qvel]
+        ctrl = self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
-        effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
-        wind, tau = stage.model.opt.wind.copy(), self._of_robot.motor_torque()
+        effects = tuple(
+            value for effect, actor in self._actors.rows for value in _row(effect, actor)
+        )
+        wind = stage.model.opt.wind.copy()
+        tau = self._of_robot.motor_torque()
         return Truth(
             T,
             T_target,
@@ -516,15 +530,12 @@ class MujocoPlant(Plant):
         stage = self._stage
         assert self._eye is not None
         with stage.kept():
-            joints = (
-                stage.data.qpos[stage.at.qpos] if q is None else shown_at(stage, T_world_flange, q)
-            )
-            stage.place(
-                stage.data.time,
-                stage.target_pose(),
-                joints,
-                T_world_flange @ stage.parts.camera.mount.T,
-            )
+            if q is None:
+                joints = stage.data.qpos[stage.at.qpos]
+            else:
+                joints = shown_at(stage, T_world_flange, q)
+            T_world_camera = T_world_flange @ stage.parts.camera.mount.T
+            stage.place(stage.data.time, stage.target_pose(), joints, T_world_camera)
             return self._eye.clean(self._t)
 
     def pose_of(self, viewpoint: Viewpoint) -> Array:
@@ -582,14 +593,15 @@ class MujocoPlant(Plant):
         return True
 
     def _control(self, dt: float) -> None:
-        step, stage = self._steps, self._stage
-        for act in self._each_period:
+        step = self._steps
+        stage = self._stage
+        for act in self._actors.each_period:
             act(step * self.step_s, dt)
         setpoint = self._setpoints.at(step)
         if setpoint is not None and self._onboard is not None:
             reading = self._sensors.read(step)
             self._memory, orders = self._onboard.actuate(self._memory, setpoint, reading, dt)
-            for driven in self._driven:
+            for driven in self._actors.driven:
                 orders = driven(orders, dt)  # pyright: ignore[reportArgumentType] - plain floats, of a craft
             self._ctrl[stage.at.ctrl] = orders
 
@@ -615,7 +627,8 @@ class MujocoPlant(Plant):
                 "duration_s", "more than", f"0 and at most {LONGEST_PUSH_S:g} s", duration_s
             )
         self._stage.data.xfrc_applied[self._stage.flange_body, :3] = given
-        self._pushes, self._push_ends = True, self._steps + max(1, round(duration_s / self.step_s))
+        self._pushes = True
+        self._push_ends = self._steps + max(1, round(duration_s / self.step_s))
 
     def close(self) -> None:
         # methods of this object: a cycle, which would keep the model until the garbage collector
@@ -671,23 +684,29 @@ def linear_arm(robot: Robot) -> LinearArm:
     add_robot(scene, robot, "robot/", None)
     model = scene.compile()
     names = robot.body.actuators if robot.body else ()
-    data, at = mujoco.MjData(model), StateIndices.of(model, robot.joints, names, "robot/")
+    data = mujoco.MjData(model)
+    at = StateIndices.of(model, robot.joints, names, "robot/")
     data.qpos[at.qpos] = data.qpos[at.motor_qpos] = robot.configuration()
     mujoco.mj_forward(model, data)
     soft = at.motor_qvel != at.qvel
     z = np.concatenate([at.qvel, at.motor_qvel[soft]])
-    n, N, M = len(at.qvel), len(z), np.zeros((model.nv, model.nv))
+    n = len(at.qvel)
+    N = len(z)
+    M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
-    spring, damper = np.zeros((N, N)), np.diag(model.dof_damping[z])
+    spring = np.zeros((N, N))
+    damper = np.diag(model.dof_damping[z])
     load = (data.qfrc_bias - data.qfrc_gravcomp)[at.qvel]
     for k, c in filter(None, (effect.springs(load) for effect in robot.acting)):
         for i, joint in enumerate(np.flatnonzero(soft)):
             pair = np.zeros(N)
-            pair[joint], pair[n + i] = -1.0, 1.0
+            pair[joint] = -1.0
+            pair[n + i] = 1.0
             spring += k[joint] * np.outer(pair, pair)
             damper += c[joint] * np.outer(pair, pair)
     motors = (z[:, None] == at.motor_qvel[None, :]).astype(float)
     actuators = [model.actuator(f"robot/{name}").id for name in names]
-    kp, kv = -model.actuator_biasprm[actuators, 1], -model.actuator_biasprm[actuators, 2]
+    kp = -model.actuator_biasprm[actuators, 1]
+    kv = -model.actuator_biasprm[actuators, 2]
     integrates = model.actuator_dyntype[actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
     return LinearArm(M[np.ix_(z, z)], spring, damper, motors, kp, kv, integrates)

@@ -17,7 +17,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
-from vstestbed.sim.base import SceneDescription
+from vstestbed.sim.base import SceneDescription, SceneState
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import bare_renderer, outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
@@ -29,7 +29,9 @@ from vstestbed.targets.base import Target
 
 FILM_SHADOW_PX = 2048  # shadow map of the outside view: half of MuJoCo's default
 
-FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
+FILM_SLICES = 20
+FILM_STACKS = 12
+FILM_QUADS = 2
 """Facets of round geoms in it: a cylinder of 40 px deviates from its circle by .25 px. MuJoCo's 28,
 16 and 4 make twice the work, which for a base with 36 rollers was a third of an image's time.
 """
@@ -43,7 +45,9 @@ a slate blue.
 """
 SKY = 0.62, 0.69, 0.78  # factors of the sky's colours in films, before which light lines stand out
 FLOOR_M = 80.0  # half of the floor's edge in films [m]: its end is not in the picture
-AMBIENT, KEY, FILL = 0.40, 0.72, 0.22
+AMBIENT = 0.40
+KEY = 0.72
+FILL = 0.22
 """Brightness of the lights in films: more from one side than the servo camera's, so that edges
 between faces show.
 """
@@ -75,13 +79,12 @@ class Replay:
         self._stage = Scene(scene, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
-        quality.numslices, quality.numstacks, quality.numquads = (
-            FILM_SLICES,
-            FILM_STACKS,
-            FILM_QUADS,
-        )
+        quality.numslices = FILM_SLICES
+        quality.numstacks = FILM_STACKS
+        quality.numquads = FILM_QUADS
         _repaint(self._stage.model)
-        self._shadows, self._share = shadows, share
+        self._shadows = shadows
+        self._share = share
         self._things = Things(self._stage.model)
         self._follow: FollowCamera | None = None
         self._view = view
@@ -94,9 +97,8 @@ class Replay:
         """Another replay, of the same scene with this target, whose servo camera gives images of
         the same size; it is to be closed.
         """
-        return Replay(
-            replace(self._parts, target=target, others=()), self._shadows, share=self._share
-        )
+        parts = replace(self._parts, target=target, others=())
+        return Replay(parts, self._shadows, share=self._share)
 
     @property
     def cameras(self) -> list[str]:
@@ -106,16 +108,12 @@ class Replay:
     def picture(
         self,
         camera: str,
-        width: int,
-        height: int,
-        t: float,
-        T_world_target: Array,
-        q: Array,
-        T_world_camera: Array,
+        size: tuple[int, int],
+        state: SceneState,
         T_world_goal: Array | None = None,
     ) -> Image:
-        """One picture (H, W, 3) uint8; the servo camera `eye` and further cameras have lenses of
-        their own, and `share` of their size whatever width and height say.
+        """One picture (H, W, 3) uint8 of a size (width, height); the servo camera `eye` and further
+        cameras have lenses of their own, and `share` of their size whatever `size` says.
 
         `overview` follows the robot from picture to picture, so that it, the target and
         T_world_goal, the servo camera's goal pose (4, 4), are in sight. Raises ParameterError:
@@ -125,31 +123,27 @@ class Replay:
             raise ParameterError.choice("--camera", self.cameras, camera)
         if camera in self._lenses:
             stage, view = self._own_lens(camera)
-            stage.place(t, T_world_target, q, T_world_camera)
+            stage.place(*state)
             image = view()
-            self._seen = (t, image) if camera == "eye" else self._seen
+            self._seen = (state.t, image) if camera == "eye" else self._seen
             return image
         if camera not in self._views:
-            view = outside_view(
-                self._stage, camera, width, height, self._parts.camera, self._shadows
-            )
-            model, data = self._stage.model, self._stage.data
-            lens = Perspective(
-                width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0])
-            )
-            self._views[camera] = (
-                StillView(view.full_image, model, data, camera, lens.f, view.part),
-                lens,
-            )
-        self._stage.place(t, T_world_target, q, T_world_camera)
+            self._views[camera] = self._outside(camera, *size)
+        self._stage.place(*state)
         if camera == "overview" and self._view is not None:
             self._view.place(self._stage, self._things)
         elif camera == "overview":
-            self._follow = self._follow or FollowCamera(
-                self._stage, self._things, width / height, FREE
-            )
-            self._follow.place(t, T_world_goal)
+            if self._follow is None:
+                aspect = size[0] / size[1]
+                self._follow = FollowCamera(self._stage, self._things, aspect, FREE)
+            self._follow.place(state.t, T_world_goal)
         return self._views[camera][0].full_image()
+
+    def _outside(self, camera: str, width: int, height: int) -> tuple[StillView, Perspective]:
+        view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
+        fovy_deg = float(self._stage.model.camera(camera).fovy[0])
+        lens = Perspective(width=width, height=height, fovy_deg=fovy_deg)
+        return StillView(view.full_image, self._stage.data, camera, lens.f, view.part), lens
 
     @property
     def solids(self) -> list[Solid]:
@@ -226,15 +220,11 @@ class Replay:
 
             view = imaged
         else:
-            drawn_by, f = (
-                servo_renderer(stage, lens, share=self._share, eye=eye),
-                self._share * pixels_per_radian(lens),
-            )
+            drawn_by = servo_renderer(stage, lens, share=self._share, eye=eye)
+            f = self._share * pixels_per_radian(lens)
             # what is out of sight may cast shadows
             sides = None if lens.shadows else half_tangents(lens)
-            view = StillView(
-                drawn_by.full_image, stage.model, stage.data, eye, f, sides=sides
-            ).full_image
+            view = StillView(drawn_by.full_image, stage.data, eye, f, sides=sides).full_image
         self._own[eye] = stage, view
         return stage, view
 
@@ -250,16 +240,18 @@ def _repaint(model: mujoco.MjModel) -> None:
     and to that camera markers.
     """
     floor = texels_of(model, model.texture("floor").id)
-    floor[:] = np.where(
-        (floor == floor[0, 0]).all(axis=-1, keepdims=True), *np.array(FLOOR, np.uint8)
-    )
+    first = (floor == floor[0, 0]).all(axis=-1, keepdims=True)
+    floor[:] = np.where(first, *np.array(FLOOR, np.uint8))
     # scenery may have brought its own
     if any(model.texture(i).name == "sky" for i in range(model.ntex)):
         sky = texels_of(model, model.texture("sky").id)
         sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M
-    key, fill = model.light("key"), model.light("fill")
-    key.diffuse[:], fill.diffuse[:], fill.ambient[:] = KEY, FILL, AMBIENT
+    key = model.light("key")
+    fill = model.light("fill")
+    key.diffuse[:] = KEY
+    fill.diffuse[:] = FILL
+    fill.ambient[:] = AMBIENT
     model.vis.map.shadowclip = LEAST_REACH / model.stat.extent
 
 
@@ -290,13 +282,10 @@ class Rerendering:
     ):
         camera = scene.camera
         self._stage = Scene(replace(scene, others=()), samples=camera.multisampling)
-        drawn_by, noise = (
-            servo_renderer(self._stage, camera, image_sigma > 0),
-            ImageNoise(image_sigma, rng),
-        )
-        self._sensor = ImageSensor(
-            self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift)
-        )
+        drawn_by = servo_renderer(self._stage, camera, image_sigma > 0)
+        noise = ImageNoise(image_sigma, rng)
+        chain = Chain(camera.imaging(imaging_rng), noise, drift)
+        self._sensor = ImageSensor(self._stage, drawn_by, chain)
 
     def picture(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
         """The picture of a state at a time [s], (H, W, 3) uint8 RGB; a copy."""

@@ -85,9 +85,9 @@ def measure_lags(scenario: Scenario, delay_frames: float, off: float) -> list[La
     d. off: amplitude of each joint [rad].
     """
     # neither images nor true poses are needed: the encoders are the measurement
-    plant, _ = build_plant(
-        scenario.scene, interpolator=scenario.timing.interpolator(*scenario.clock)
-    )
+    interpolator = scenario.timing.interpolator(*scenario.clock)
+    scene = scenario.scene
+    plant, _ = build_plant(scene, setpoints=scene.setpoints(interpolator=interpolator))
     try:
         return [
             _lag_of(plant, name, i, scenario.camera.period, delay_frames, off)

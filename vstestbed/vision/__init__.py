@@ -15,9 +15,18 @@ from vstestbed.vision.pnp import solve_pose, solve_pose_from_rays
 from vstestbed.vision.region import RegionDetector
 from vstestbed.vision.tags import Tags
 
-_KINDS = Blobs, Tags, Lines, Keypoints, PatchDetector, RegionDetector, Oracle, NoDetector
 DETECTORS = Registry(
-    "detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase)
+    "detector",
+    Blobs,
+    Tags,
+    Lines,
+    Keypoints,
+    PatchDetector,
+    RegionDetector,
+    Oracle,
+    NoDetector,
+    default="blobs",
+    contract=Contract(Detector, base=DetectorBase),
 )
 
 __all__ = [

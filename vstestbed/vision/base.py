@@ -136,7 +136,8 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
     Their depths are the depth camera's at the nearest pixel where it measured, else those of the
     target's plane z = 0 at the goal pose.
     """
-    ray, normal = goal.camera.ray(uv), goal.T_camera_target[:3, 2]
+    ray = goal.camera.ray(uv)
+    normal = goal.T_camera_target[:3, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         # where rays meet the plane; negative behind the camera
         z = (normal @ goal.T_camera_target[:3, 3]) / (ray @ normal) * ray[:, 2]
@@ -151,9 +152,11 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
         return replace(
             goal, uv=uv, depth=p[:, 2], ray=ray, range=reach, counted=known if len(uv) else None
         )
-    made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
-    full = made.rows(np.where(known, np.cumsum(known) - 1, -1)) if not known.all() else made
-    counted = None if known.all() else known
+    full = made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
+    counted = None
+    if not known.all():
+        full = made.rows(np.where(known, np.cumsum(known) - 1, -1))
+        counted = known
     return replace(
         goal,
         uv=uv,
@@ -181,13 +184,14 @@ def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window
 
     It is clipped to the image; None outside of it.
     """
-    (left, top, right, bottom), (du, dv) = box, move
-    grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
-    left, top = max(0, int(left + du - grow_u)), max(0, int(top + dv - grow_v))
-    right, bottom = (
-        min(lens.width, math.ceil(right + du + grow_u)),
-        min(lens.height, math.ceil(bottom + dv + grow_v)),
-    )
+    left, top, right, bottom = box
+    du, dv = move
+    grow_u = margin + abs(du) / 2
+    grow_v = margin + abs(dv) / 2
+    left = max(0, int(left + du - grow_u))
+    top = max(0, int(top + dv - grow_v))
+    right = min(lens.width, math.ceil(right + du + grow_u))
+    bottom = min(lens.height, math.ceil(bottom + dv + grow_v))
     return (left, top, right, bottom) if left < right and top < bottom else None
 
 
@@ -208,18 +212,17 @@ def windows_round(
         panels: index of the camera's panel in which each object is; None: of a camera with one
             panel, in others it is None.
     """
-    if panels is None and len(camera.panels) > 1:
-        return None
+    if panels is None:
+        if len(camera.panels) > 1:
+            return None
+        panels = [0] * len(boxes)
     out: list[Window] = []
-    for box, move, panel in zip(boxes, moves, panels or [0] * len(boxes), strict=True):
+    for box, move, panel in zip(boxes, moves, panels, strict=True):
         window = window_round(box, move, camera.panels[panel].lens, margin) if box else None
         if window is None:
             return None
         out.append(window)
-    covered = sum((w[2] - w[0]) * (w[3] - w[1]) for w in out)
+    covered = sum((right - left) * (bottom - top) for left, top, right, bottom in out)
+    size = sum(p.lens.width * p.lens.height for p in camera.panels)
     # Where windows cover more of the image together, a search of the whole is faster.
-    return (
-        out
-        if out and covered <= 0.3 * sum(p.lens.width * p.lens.height for p in camera.panels)
-        else None
-    )
+    return out if out and covered <= 0.3 * size else None

@@ -5,10 +5,10 @@ perspective bias.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import combinations, product
+from itertools import combinations, compress, product
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -28,7 +28,14 @@ from vstestbed.vision.base import (
     window_round,
     windows_round,
 )
-from vstestbed.vision.colour import Blob, Region, Rim, find_blobs, noise_level
+from vstestbed.vision.colour import (
+    Blob,
+    Region,
+    Rim,
+    find_blobs,
+    mixes_colours,
+    noise_level,
+)
 from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
 # Perspective bias: the centroid of a marker's image is not the image of its centre (discs and
@@ -39,7 +46,8 @@ CORNERS = 32
 # Closed polygon with the area of the unit circle: cosines and sines, shape (CORNERS + 1,) each.
 _ANGLE = np.arange(CORNERS + 1) * (2 * math.pi / CORNERS)
 _SWELL = math.sqrt(2 * math.pi / (CORNERS * math.sin(2 * math.pi / CORNERS)))
-_COS, _SIN = _SWELL * np.cos(_ANGLE), _SWELL * np.sin(_ANGLE)
+_COS = _SWELL * np.cos(_ANGLE)
+_SIN = _SWELL * np.sin(_ANGLE)
 
 
 class Outlines(NamedTuple):
@@ -65,12 +73,12 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outli
     This holds for any lens. Where the lens does not see a whole rim the result is NaN. In closed
     form for a pinhole and a disc: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468.
     """
-    points, radius = target.points, target.marker.radius
+    points = target.points
+    radius = target.marker.radius
     with np.errstate(invalid="ignore", divide="ignore"):
         if not target.marker.height_m:  # flat
-            p = transform(
-                T_camera_target, _disc_rims(points.tobytes(), target.normals.tobytes(), radius)
-            ).reshape(len(points), -1, 3)
+            rims = _disc_rims(points.tobytes(), target.normals.tobytes(), radius)
+            p = transform(T_camera_target, rims).reshape(len(points), -1, 3)
         else:
             p = _sphere_rims(transform(T_camera_target, points), radius)
         return _of_rims(camera, p)
@@ -79,7 +87,8 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outli
 def _of_rims(camera: Camera, p: Array) -> Outlines:
     uv = camera.project(p)
     q = uv[:, 1:] - uv[:, :1]
-    here, there = q[:, :-1], q[:, 1:]
+    here = q[:, :-1]
+    there = q[:, 1:]
     a = here[..., 0] * there[..., 1] - here[..., 1] * there[..., 0]
     twice_area = np.add.reduce(a, axis=1)
     bias = np.einsum("nik,ni->nk", here + there, a) / (3 * twice_area[:, None])
@@ -90,7 +99,8 @@ def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Ar
     """The bias (N, 2) [px] of balls from centroids (N, 2) [px] and areas (N,) [px^2], which give
     their distances; NaN stays NaN.
     """
-    bias, reach = np.zeros_like(centroid), np.full(len(area), 10 * radius)
+    bias = np.zeros_like(centroid)
+    reach = np.full(len(area), 10 * radius)
     with np.errstate(invalid="ignore", divide="ignore"):
         # distance and bias then have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off
         # axis)
@@ -109,9 +119,7 @@ def _disc_rims(points: bytes, normals: bytes, radius: float) -> Array:
     normals (N, 3) as bytes, for the cache.
     """
     centre = np.frombuffer(points).reshape(-1, 1, 3)
-    across = np.array(
-        [_across(*normal) for normal in np.frombuffer(normals).reshape(-1, 3).tolist()]
-    )
+    across = np.array([_across(*n) for n in np.frombuffer(normals).reshape(-1, 3).tolist()])
     rim = centre + radius * (_COS[:, None] * across[:, :1] - _SIN[:, None] * across[:, 1:])
     return np.concatenate([centre, rim], axis=1).reshape(-1, 3)
 
@@ -148,12 +156,14 @@ def _across(
 # Data association: which blob is which marker where several have its hue, by the pose of the target
 # that explains them.
 Positioned = tuple[int, Blob]  # index of the camera's panel, and a blob in it
+Found = Positioned | None  # a marker's; None: not found
 Candidates = list[list[Positioned]]  # for each marker the blobs of its hue
 # a pose (4, 4), the blobs that it may explain, and how many of them it must explain
 Hypothesis = tuple[Array, Candidates, int]
 
 # candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
-MOST_OF_A_HUE, SEEDS = 4, 4
+MOST_OF_A_HUE = 4
+SEEDS = 4
 
 
 def allowed_px(uv: Array) -> float:
@@ -163,13 +173,14 @@ def allowed_px(uv: Array) -> float:
     It is far more than the detection's error, and more than the distortion of a target by a lens
     some percent out of calibration.
     """
+    # in plain floats, which are quicker for so few
     seen = [(u, v) for u, v in uv.tolist() if math.isfinite(u)]
     return max([3.0, *(0.03 * (max(side) - min(side)) for side in zip(*seen, strict=True))])
 
 
 def assign_blobs(
     candidates: Candidates, camera: Camera, target: Target, previous: Array | None
-) -> list[Positioned | None]:
+) -> list[Found]:
     """One blob for each marker, None where none fits, from the blobs of each marker's hue in a
     camera of one panel.
 
@@ -184,84 +195,106 @@ def assign_blobs(
         sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE]
         for c in candidates
     ]
-    present = [i for i, c in enumerate(few) if c]
-    if len(present) < 3 or max(map(len, few)) < 2:
-        if previous is None:
-            return [c[0] if c else None for c in few]
-        uv = camera.project(transform(previous, target.points))
-        return [min(c, key=lambda f: _away(f[1], uv[i]), default=None) for i, c in enumerate(few)]
-    for hypotheses in (_of_four_or_near, _of_three):
-        best, found = 0.0, None
-        for T, blobs, least in hypotheses(few, present, camera, target, previous):
+    association = _Association(few, camera, target, previous)
+    if len(_present(few)) < 3 or max(map(len, few)) < 2:
+        return association.without_pose()
+    return (
+        association.best(association.of_four_or_near())
+        or association.best(association.of_three())
+        or [None] * len(few)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Association:
+    few: Candidates
+    camera: Camera
+    target: Target
+    previous: Array | None
+
+    def without_pose(self) -> list[Found]:
+        """The first blob of each marker, or the one nearest to where the last pose has it."""
+        if self.previous is None:
+            return [c[0] if c else None for c in self.few]
+        uv = self._predicted(self.previous)
+        return [
+            min(c, key=lambda f: _away(f[1], uv[i]), default=None) for i, c in enumerate(self.few)
+        ]
+
+    def best(self, hypotheses: Iterator[Hypothesis]) -> list[Found] | None:
+        """The blobs that the best hypothesis explains; None where none explains enough of them."""
+        best = 0.0
+        found = None
+        for T, blobs, least in hypotheses:
             # from behind it shows no markers: it is the mirror image of a right match
-            if target.one_sided and inverse(T)[2, 3] >= 0:
+            if self.target.one_sided and inverse(T)[2, 3] >= 0:
                 continue
-            score, chosen = _explained(blobs, T, camera, target)
-            if score > best and sum(f is not None for f in chosen) >= least:
-                best, found = score, chosen
-        if found is not None:
-            return found
-    return [None] * len(few)
+            score, chosen = self._explained(blobs, T)
+            if score > best and len(chosen) - chosen.count(None) >= least:
+                best = score
+                found = chosen
+        return found
+
+    def of_four_or_near(self) -> Iterator[Hypothesis]:
+        """Poses of the four markers with the fewest blobs, and of three whose blobs lie near the
+        last pose's.
+        """
+        seeds = sorted(_present(self.few), key=lambda i: len(self.few[i]))[:SEEDS]
+        if len(seeds) > 3:
+            for T in self._poses(seeds, self.few):
+                yield T, self.few, 4
+        if self.previous is None:
+            return
+        uv = self._predicted(self.previous)
+        # round a marker under the last pose [px], by the target's size
+        radius = max(15.0, 0.15 * float(np.ptp(uv, axis=0).max()))
+        near = [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(self.few)]
+        for three in combinations(_present(near)[:SEEDS], 3):
+            for T in self._poses(list(three), near):
+                yield T, near, 3
+
+    def of_three(self) -> Iterator[Hypothesis]:
+        """Poses of three blobs anywhere: where three markers are all that is seen, and continue a
+        pose or are the whole target.
+        """
+        present = _present(self.few)
+        if len(present) == 3 and (self.previous is not None or len(self.target.points) == 3):
+            for T in self._poses(present, self.few):
+                yield T, self.few, 3
+
+    def _predicted(self, previous: Array) -> Array:
+        return self.camera.project(transform(previous, self.target.points))
+
+    def _poses(self, which: list[int], candidates: Candidates) -> Iterator[Array]:
+        points = self.target.points[which]
+        for some in product(*(candidates[i] for i in which)):
+            rays = self.camera.ray(np.array([(b.u, b.v) for _, b in some]))
+            if len(which) == 3 and self.previous is None:
+                yield from three_ray_poses(rays, points)
+            elif (T := solve_pose_from_rays(rays, points, self.previous)) is not None:
+                yield T
+
+    def _explained(self, candidates: Candidates, T: Array) -> tuple[float, list[Found]]:
+        """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each
+        marker that it explains.
+        """
+        bias, area, centre = centre_bias(self.camera, self.target, T)
+        uv = centre + bias
+        allowed = allowed_px(uv)
+        chosen = []
+        score = 0.0
+        for i, some in enumerate(candidates):
+            # Not balls of another size elsewhere in the scene; a cut one may have any area.
+            like = [f for f in some if not f[1].whole or abs(np.log(f[1].area / area[i])) <= 0.3]
+            fitting = [(f, _away(f[1], uv[i])) for f in like]
+            f, distance = min(fitting, key=lambda g: g[1], default=(None, np.inf))
+            chosen.append(f if distance <= allowed else None)
+            score += max(0.0, 1 - distance / allowed)
+        return score, chosen
 
 
-def _of_four_or_near(
-    few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None
-) -> Iterator[Hypothesis]:
-    seeds = sorted(present, key=lambda i: len(few[i]))[:SEEDS]
-    if len(seeds) > 3:
-        for T in _poses(seeds, few, camera, target, previous):
-            yield T, few, 4
-    if previous is None:
-        return
-    uv = camera.project(transform(previous, target.points))
-    # round a marker under the last pose [px], by the target's size
-    radius = max(15.0, 0.15 * float(np.ptp(uv, axis=0).max()))
-    near = [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(few)]
-    for three in combinations([i for i in present if near[i]][:SEEDS], 3):
-        for T in _poses(list(three), near, camera, target, previous):
-            yield T, near, 3
-
-
-def _of_three(
-    few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None
-) -> Iterator[Hypothesis]:
-    """Poses of three blobs anywhere: where three markers are all that is seen, and continue a pose
-    or are the whole target.
-    """
-    if len(present) == 3 and (previous is not None or len(target.points) == 3):
-        for T in _poses(present, few, camera, target, previous):
-            yield T, few, 3
-
-
-def _poses(
-    which: list[int], few: Candidates, camera: Camera, target: Target, previous: Array | None
-) -> Iterator[Array]:
-    points = target.points[which]
-    for some in product(*(few[i] for i in which)):
-        rays = camera.ray(np.array([(b.u, b.v) for _, b in some]))
-        if len(which) == 3 and previous is None:
-            yield from three_ray_poses(rays, points)
-        elif (T := solve_pose_from_rays(rays, points, previous)) is not None:
-            yield T
-
-
-def _explained(
-    few: Candidates, T: Array, camera: Camera, target: Target
-) -> tuple[float, list[Positioned | None]]:
-    """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each
-    marker that it explains.
-    """
-    bias, area, centre = centre_bias(camera, target, T)
-    uv = centre + bias
-    allowed, chosen, score = allowed_px(uv), [], 0.0
-    for i, some in enumerate(few):
-        # Not balls of another size elsewhere in the scene; a cut one may have any area.
-        like = [f for f in some if not f[1].whole or abs(np.log(f[1].area / area[i])) <= 0.3]
-        fitting = [(f, _away(f[1], uv[i])) for f in like]
-        f, distance = min(fitting, key=lambda g: g[1], default=(None, np.inf))
-        chosen.append(f if distance <= allowed else None)
-        score += max(0.0, 1 - distance / allowed)
-    return score, chosen
+def _present(candidates: Candidates) -> list[int]:
+    return [i for i, c in enumerate(candidates) if c]
 
 
 def _away(blob: Blob, uv: Array) -> float:
@@ -303,9 +336,8 @@ def windows(state: BlobsState, camera: Camera, margin: int) -> list[Window] | No
     """A window around each marker's predicted blob, in its panel; None where one is lost or a whole
     search is faster.
     """
-    return windows_round(
-        [b.box if b else None for b in state.blobs], state.moves, camera, margin, state.panels
-    )
+    boxes = [b.box if b else None for b in state.blobs]
+    return windows_round(boxes, state.moves, camera, margin, state.panels)
 
 
 def regions_of(state: BlobsState, camera: Camera, margin: int) -> Regions | None:
@@ -323,16 +355,15 @@ def regions_of(state: BlobsState, camera: Camera, margin: int) -> Regions | None
         # so that a marker a little outside of its predicted window is still rendered
         wide = margin + 0.1 * lens.width
         # In its own panel and, near the border, in every other that sees it.
-        for panel in [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels)):
-            seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
-            window = (
-                window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide)
-                if seen
-                else None
-            )
+        near = _slack(blob, move, lens) < wide
+        for panel in range(len(camera.panels)) if near else [home]:
+            seen = seen_from(blob, move, home, panel, camera)
+            if seen is None:
+                continue
+            window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide)
             if window is not None:
                 out[panel].append(window)
-    return tuple(tuple(some) for some in out)
+    return tuple(map(tuple, out))
 
 
 def moves_of(
@@ -343,14 +374,17 @@ def moves_of(
 
     Zero where none is known in the panel in which the blob is now.
     """
-    none = (None,) * len(blobs)
+    if not state.blobs:
+        return ((0.0, 0.0),) * len(blobs)
     out: list[Move] = []
-    last = zip(state.blobs or none, state.moves or none, state.panels or none, strict=True)
-    for (a, move, before), b, panel in zip(last, blobs, panels, strict=True):
-        if before is not None and before != panel:
-            seen = seen_from(a, (0.0, 0.0), before, panel, camera) if a else None
-            a, move = seen[0] if seen else None, None
-        out.append((b.u - a.u, b.v - a.v) if a and b else move or (0.0, 0.0))
+    for last, move, before, blob, panel in zip(
+        state.blobs, state.moves, state.panels, blobs, panels, strict=True
+    ):
+        if before != panel:
+            move = (0.0, 0.0)
+            seen = seen_from(last, move, before, panel, camera) if last else None
+            last = seen[0] if seen else None
+        out.append((blob.u - last.u, blob.v - last.v) if last and blob else move)
     return tuple(out)
 
 
@@ -358,20 +392,22 @@ def hand_over(state: BlobsState, camera: Camera, margin: int) -> BlobsState:
     """The same with each blob that nears its panel's border in the panel where it will be farthest
     from a border.
     """
-    blobs, moves, panels = list(state.blobs), list(state.moves), list(state.panels)
-    for i, (blob, move, home) in enumerate(
-        zip(state.blobs, state.moves, state.panels, strict=True)
-    ):
+    blobs = list(state.blobs)
+    moves = list(state.moves)
+    panels = list(state.panels)
+    last = zip(state.blobs, state.moves, state.panels, strict=True)
+    for i, (blob, move, home) in enumerate(last):
         if blob is None:
             continue
         most = _slack(blob, move, camera.panels[home].lens)
         if most >= margin + max(abs(move[0]), abs(move[1])) / 2:
             continue
         for panel in range(len(camera.panels)):
-            seen = seen_from(blob, move, home, panel, camera) if panel != home else None
+            seen = seen_from(blob, move, home, panel, camera)
             if seen is not None and _slack(*seen, camera.panels[panel].lens) > most:
                 most = _slack(*seen, camera.panels[panel].lens)
-                (blobs[i], moves[i]), panels[i] = seen, panel
+                blobs[i], moves[i] = seen
+                panels[i] = panel
     return replace(state, blobs=tuple(blobs), moves=tuple(moves), panels=tuple(panels))
 
 
@@ -379,34 +415,31 @@ def seen_from(
     blob: Blob, move: Move, panel: int, other: int, camera: Camera
 ) -> tuple[Blob, Move] | None:
     """A blob and its move in another panel's pixels; None where the blob's prediction lies outside
-    of that panel.
+    of that other panel.
     """
-    here, there = camera.panels[panel], camera.panels[other]
-    left, top, right, bottom = blob.box
-    corners = [
-        (left - 0.5, top - 0.5),
-        (right - 0.5, top - 0.5),
-        (left - 0.5, bottom - 0.5),
-        (right - 0.5, bottom - 0.5),
-    ]
+    if other == panel:
+        return blob, move
+    here = camera.panels[panel]
+    there = camera.panels[other]
+    left, top, right, bottom = (side - 0.5 for side in blob.box)
+    corners = [(left, top), (right, top), (left, bottom), (right, bottom)]
     px = np.array([(blob.u, blob.v), (blob.u + move[0], blob.v + move[1]), *corners])
     uv = there.lens.project(here.lens.ray(px) @ here.R_camera_panel.T @ there.R_camera_panel)
     if not (np.isfinite(uv).all() and there.lens.inside(uv[1:2]).all()):
         return None
-    low, high = (
-        np.floor(uv[2:].min(axis=0) + 0.5).astype(int),
-        np.ceil(uv[2:].max(axis=0) + 0.5).astype(int),
-    )
-    (u, v), (du, dv) = uv[0].tolist(), (uv[1] - uv[0]).tolist()
-    box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-    return replace(blob, u=u, v=v, box=box), (du, dv)
+    left, top = np.floor(uv[2:].min(axis=0) + 0.5).astype(int).tolist()
+    right, bottom = np.ceil(uv[2:].max(axis=0) + 0.5).astype(int).tolist()
+    u, v = uv[0].tolist()
+    du, dv = (uv[1] - uv[0]).tolist()
+    return replace(blob, u=u, v=v, box=(left, top, right, bottom)), (du, dv)
 
 
 def _slack(blob: Blob, move: Move, lens: Camera) -> float:
     """Least distance of the predicted blob's box from the image's border [px]; negative where it
     reaches beyond.
     """
-    (left, top, right, bottom), (du, dv) = blob.box, move
+    left, top, right, bottom = blob.box
+    du, dv = move
     return min(left + du, top + dv, lens.width - right - du, lens.height - bottom - dv)
 
 
@@ -428,8 +461,13 @@ def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] |
         camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)
     ]
     panel, blob = found[best]
-    others = [i for i, (p, b) in enumerate(found) if p != panel and b.whole == blob.whole]
-    same = [i for i in others if in_camera[i] @ in_camera[best] > SAME_MARKER_COSINE]
+    same = [
+        i
+        for i, (p, b) in enumerate(found)
+        if p != panel
+        and b.whole == blob.whole
+        and in_camera[i] @ in_camera[best] > SAME_MARKER_COSINE
+    ]
     return found[max([*same, best], key=lambda i: cosine[i])]
 
 
@@ -441,6 +479,7 @@ AREA_NOISE_PX = 3.5
 # sum over three markers of |log(area / predicted)|: the right pose of rendered discs has under .05,
 # most others over .6
 SURPRISE = 0.15
+_NOT_WHOLE = Blob(math.nan, math.nan, math.nan, math.nan, (0, 0, 0, 0), whole=False)
 
 
 class MarkerFit:
@@ -456,20 +495,19 @@ class MarkerFit:
     def __init__(
         self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float
     ):
-        self._camera, self._target, self._tolerance, self._edge = (
-            camera,
-            target,
-            area_tolerance,
-            edge,
-        )
+        self._camera = camera
+        self._target = target
+        self._tolerance = area_tolerance
+        self._edge = edge
         # The panels in which markers are, each with which they are: all (a slice, which is
         # quicker), or (N,) bool.
         self._of: list[tuple[Panel, slice | NDArray[np.bool_]]] | None = None
         if len(camera.panels) > 1:
-            several, of = len(set(panels)) > 1, np.array(panels)
+            of = np.array(panels)
+            used = set(panels)
             self._of = [
-                (camera.panels[panel], of == panel if several else slice(None))
-                for panel in set(panels)
+                (camera.panels[panel], of == panel if len(used) > 1 else slice(None))
+                for panel in used
             ]
         self.outliers = np.zeros(len(target.points), dtype=bool)
         """Which blobs are no markers of this target: they lie far from where the pose of the others
@@ -487,15 +525,17 @@ class MarkerFit:
                 and pose start the iteration.
             correct: subtract the bias from the centres.
         """
-        whole = [b if b and b.whole else None for b in blobs]
-        centroid = np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole])
-        area = np.array([b.area if b else np.nan for b in whole])
+        whole = [b if b and b.whole else _NOT_WHOLE for b in blobs]
+        centroid = np.array([(b.u, b.v) for b in whole])
+        area = np.array([b.area for b in whole])
         assumed = np.zeros_like(centroid) if state.bias is None else state.bias
         T, bias = self._fitted(centroid, area, assumed, state.T_camera_target)
         if T is None:
             bias = self._bias_without_pose(centroid, area, bias, state.T_camera_target)
         uv = centroid - bias if correct else centroid
-        return (uv if self._of is None else self._camera.project(self._rays(uv))), T, bias
+        if self._of is not None:
+            uv = self._camera.project(self._rays(uv))
+        return uv, T, bias
 
     def _fitted(
         self, centroid: Array, area: Array, assumed: Array, previous: Array | None
@@ -568,9 +608,11 @@ class MarkerFit:
         allowed = allowed_px(centroid)
         if misfit <= 1 and _off(centroid, expected)[seen].max() <= allowed:
             return None
-        best, found = math.inf, None
+        best = math.inf
+        found = None
         for i in seen.tolist():
-            others, left = centroid.copy(), area.copy()
+            others = centroid.copy()
+            left = area.copy()
             others[i] = left[i] = np.nan
             pose = self._of_others(others - expected.bias, left, previous)
             if pose is None:
@@ -579,7 +621,8 @@ class MarkerFit:
             surprise = float(np.nanmean(np.abs(np.log(left / there.area)))) / SURPRISE
             score = surprise + float(np.nanmax(_off(others, there))) / allowed
             if score < best:
-                best, found = score, (i, pose, there)
+                best = score
+                found = i, pose, there
         if found is None:
             return None
         index, pose, there = found
@@ -606,9 +649,8 @@ class MarkerFit:
         for panel, mine in self._of:
             T = T_camera_target.copy()
             T[:3] = panel.R_camera_panel.T @ T[:3]
-            for all_of_them, there in zip(
-                out, centre_bias(panel.lens, self._target, T), strict=True
-            ):
+            in_panel = centre_bias(panel.lens, self._target, T)
+            for all_of_them, there in zip(out, in_panel, strict=True):
                 all_of_them[mine] = there[mine]
         return out
 
@@ -628,9 +670,11 @@ class MarkerFit:
         n = int(np.count_nonzero(seen))
         if n < 3:
             return None
-        rays, points = self._rays(uv), self._target.points
+        rays = self._rays(uv)
+        points = self._target.points
         if n < len(seen):
-            rays, points = rays[seen], points[seen]
+            rays = rays[seen]
+            points = points[seen]
         if len(points) == 3 and previous is None:
             return self._first_of_three(rays, area)
         return solve_pose_from_rays(rays, points, previous)
@@ -647,7 +691,8 @@ class MarkerFit:
         """Index of the area (N,) farthest from the predicted one, and that difference over the one
         allowed; NaN areas are skipped.
         """
-        worst, most = 0, -1.0
+        worst = 0
+        most = -1.0
         # A loop in Python: on these few numbers it is quicker than NumPy.
         for i, (a, e) in enumerate(zip(area.tolist(), expected.tolist(), strict=True)):
             if math.isnan(a):
@@ -655,7 +700,8 @@ class MarkerFit:
             allowed = self._tolerance * e + AREA_NOISE_PX + self._edge * 2 * math.sqrt(math.pi * e)
             misfit = math.inf if math.isnan(e) else abs(a - e) / allowed
             if misfit > most:
-                worst, most = i, misfit
+                worst = i
+                most = misfit
         return worst, most
 
 
@@ -664,8 +710,6 @@ def _off(centroid: Array, expected: Outlines) -> Array:
 
 
 Place = tuple[int, Window]  # index of the camera's panel, and a window in it
-# index of the camera's panel and a marker's blob in it; None: not found
-Found = tuple[int, Blob] | None
 
 
 @spec
@@ -756,18 +800,14 @@ class Blobs(DetectorBase):
             f[0] if f else last
             for f, last in zip(found, state.panels or (0,) * len(found), strict=True)
         ]
-        noisy = any(noise[f[0]] > 0 for f in found if f)
-        # Error of a smoothed, shaded blob's border [px] (rendered balls of 5 px radius and more); a
-        # clean, sharp image has exact colours.
-        edge = 0.15 if noisy or _smooth(camera.panels[0].lens) else 0.0
+        edge = _edge_px(found, noise, camera)
         markers = MarkerFit(camera, target, panels, self.area_tolerance, edge)
         uv, T, bias = markers.centres(blobs, state, self.correct_centre)
         for i in np.flatnonzero(markers.outliers):
             blobs[i] = None  # not tracked: its window would follow the wrong object
         kept = T if T is not None else state.T_camera_target
-        after = BlobsState(
-            tuple(blobs), moves_of(state, blobs, panels, camera), kept, bias, tuple(panels)
-        )
+        moves = moves_of(state, blobs, panels, camera)
+        after = BlobsState(tuple(blobs), moves, kept, bias, tuple(panels))
         if len(camera.panels) > 1:
             after = hand_over(after, camera, self.window_margin_px)
         return after, Detection(uv=uv, T_camera_target=T)
@@ -777,23 +817,21 @@ class Blobs(DetectorBase):
     ) -> list[list[Blob]]:
         regions: list[Region] = []
         for panel, window in places:
-            image, lens, level = picture.images[panel], camera.panels[panel].lens, noise[panel]
+            image = picture.images[panel]
             assert image is not None
-            rim: Rim = (
-                self.moments
-                if _smooth(lens) or (level > 0 and self.moments == "binary")
-                else "sharp"
+            level = noise[panel]
+            mixed = mixes_colours(camera.panels[panel].lens) or (
+                level > 0 and self.moments == "binary"
             )
+            rim: Rim = self.moments if mixed else "sharp"
             regions.append(Region(image, window, rim, level))
         found = find_blobs(regions, self.chroma, self.least_area_px)
         for (panel, _), blobs in zip(places, found, strict=True):
             lens = camera.panels[panel].lens
             # noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray
             if blobs and not lens.sees_all:
-                seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in blobs]))[:, 0])
-                blobs[:] = [
-                    blob for blob, is_seen in zip(blobs, seen.tolist(), strict=True) if is_seen
-                ]
+                rays = lens.ray(np.array([(blob.u, blob.v) for blob in blobs]))
+                blobs[:] = compress(blobs, np.isfinite(rays[:, 0]))
         return found
 
     def _track(
@@ -816,24 +854,14 @@ class Blobs(DetectorBase):
         for hue, last, move, (panel, window), blobs in zip(
             target.hues_deg, state.blobs, state.moves, places, by_marker, strict=True
         ):
-            lens = camera.panels[panel].lens
             if last is None:
                 return None
-            u, v = last.u + move[0], last.v + move[1]
+            u = last.u + move[0]
+            v = last.v + move[1]
             alike = [b for b in blobs if self._has_hue(b, hue, target)]
             blob = min(alike, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
-            if blob is None:
+            if blob is None or _may_go_on(blob, window, panel, camera):
                 return None
-            left, top, right, bottom = blob.box
-            if (
-                left <= window[0] > 0
-                or top <= window[1] > 0
-                or right >= window[2] < lens.width
-                or bottom >= window[3] < lens.height
-            ):
-                return None  # it may go on beyond an edge of the window
-            if len(camera.panels) > 1 and _slack(blob, (0.0, 0.0), lens) <= 0:
-                return None  # at the image's border: another panel may have the whole of it
             found.append((panel, blob))
         return found
 
@@ -848,20 +876,16 @@ class Blobs(DetectorBase):
         """Each marker's blob in the whole image: of those of its hue the one that the geometry
         explains; with panels the largest.
         """
-        hues, drawn = (
-            target.hues_deg,
-            [i for i, image in enumerate(picture.images) if image is not None],
-        )
-        whole = [
-            (i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn
-        ]
+        everywhere: list[Positioned] = []
         # One by one: a panel is too large for the time of a call to count.
-        everywhere = [
-            (place[0], blob)
-            for place in whole
-            for blob in self._blobs_in([place], picture, noise, camera)[0]
+        for i, image in enumerate(picture.images):
+            if image is not None:
+                whole = (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)
+                blobs = self._blobs_in([(i, whole)], picture, noise, camera)[0]
+                everywhere += [(i, blob) for blob in blobs]
+        by_marker = [
+            [f for f in everywhere if self._has_hue(f[1], hue, target)] for hue in target.hues_deg
         ]
-        by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, target)] for hue in hues]
         if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
             return list(assign_blobs(by_marker, camera, target, state.T_camera_target))
         return [largest(some, camera) for some in by_marker]
@@ -875,8 +899,24 @@ def _noise_levels(picture: Picture) -> list[float]:
     return [0.0 if image is None else noise_level(image) for image in picture.images]
 
 
-def _smooth(lens: Camera) -> bool:
-    """Whether pixels at a marker's edge mix colours: several samples a pixel, or an image
-    interpolated for a lens.
+def _edge_px(found: Sequence[Found], noise: list[float], camera: Camera) -> float:
+    """Error of the border of a smoothed, shaded blob [px] (rendered balls of 5 px radius and more);
+    a clean, sharp image has exact colours.
     """
-    return lens.multisampling > 0 or lens.resampled
+    noisy = any(noise[f[0]] > 0 for f in found if f)
+    return 0.15 if noisy or mixes_colours(camera.panels[0].lens) else 0.0
+
+
+def _may_go_on(blob: Blob, window: Window, panel: int, camera: Camera) -> bool:
+    """Whether a blob may go on beyond an edge of the window in which it was found, or in another
+    panel, which may have the whole of one at the image's border.
+    """
+    lens = camera.panels[panel].lens
+    left, top, right, bottom = blob.box
+    return (
+        left <= window[0] > 0
+        or top <= window[1] > 0
+        or right >= window[2] < lens.width
+        or bottom >= window[3] < lens.height
+        or (len(camera.panels) > 1 and _slack(blob, (0.0, 0.0), lens) <= 0)
+    )

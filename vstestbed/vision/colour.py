@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Image, Window
+from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.lazy import cv2
 
 Rim = Literal["sharp", "binary", "grey"]
@@ -27,7 +27,9 @@ STRIP_PX = 38400
 # with facets) and this area [px^2] (rendered discs and balls of 2 to 24 px radius reach .3, .8 and
 # 1.2), more by noise [px^2 per grey level of its standard deviation] (balls of 4 to 30 px). A disc
 # of 8 px of which 7 % are hidden is past all.
-ROUGHNESS, ROUGHNESS_PX, NOISE_ROUGHNESS_PX = 0.005, {"sharp": 1.0, "binary": 1.5, "grey": 1.5}, 0.1
+ROUGHNESS = 0.005
+ROUGHNESS_PX = {"sharp": 1.0, "binary": 1.5, "grey": 1.5}
+NOISE_ROUGHNESS_PX = 0.1
 # noise is estimated from one row in so many: 480 rows give 5112 differences, enough for a few
 # percent
 NOISE_ROWS = 60
@@ -53,6 +55,13 @@ class Blob:
     hue_deg: float
     box: Window
     whole: bool
+
+
+def mixes_colours(lens: Camera) -> bool:
+    """Whether pixels at an edge mix colours: several samples a pixel, or an image interpolated for
+    a lens.
+    """
+    return lens.multisampling > 0 or lens.resampled
 
 
 def chroma(image: Image) -> Image:
@@ -81,7 +90,8 @@ def noise_level(image: Image) -> float:
     """
     of = noise_rows(len(image))
     rows = cv2.extractChannel(image[of.start :: of.step], 1)
-    here, there = rows[:, 1:], rows[:, :-1]
+    here = rows[:, 1:]
+    there = rows[:, :-1]
     if 2 * np.count_nonzero(here != there) <= here.size:  # the median is 0: no need to sort
         return 0.0
     return float(np.median(cv2.absdiff(here, there))) / MEDIAN_STEP
@@ -142,37 +152,40 @@ def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> 
     """All blobs of at least `least_area` [px^2] whose chroma exceeds the threshold (0..255), in
     each of the regions (one or more).
     """
-    parts = [region.searched for region in regions]
-    lefts = list(accumulate((part.shape[1] + 1 for part in parts), initial=0))
-    canvas = parts[0]
-    # side by side, a pixel apart: one call of OpenCV takes longer to make than to run on a window
-    # of some 40 pixels
-    if len(parts) > 1:
-        canvas = np.zeros((max(map(len, parts)), lefts[-1], 3), np.uint8)
-        for part, left in zip(parts, lefts[:-1], strict=True):
-            canvas[: len(part), left : left + part.shape[1]] = part
+    canvas, lefts = _side_by_side([region.searched for region in regions])
     mask = chroma_mask(canvas, threshold)
-    boxed = [
-        (contour, cv2.boundingRect(contour))
-        for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
-    ]
-    where = [bisect_right(lefts, box[0]) - 1 for _, box in boxed]
+    contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+    boxes = [cv2.boundingRect(contour) for contour in contours]
+    where = [bisect_right(lefts, box[0]) - 1 for box in boxes]
     out: list[list[Blob]] = [[] for _ in regions]
-    crowd = [where.count(i) for i in range(len(regions))]
-    for (contour, (x, y, w, h)), i in zip(boxed, where, strict=True):
+    for contour, (x, y, w, h), i in zip(contours, boxes, where, strict=True):
         if w * h < least_area:  # the box bounds the area: most specks of noise end here
             continue
         alone = mask[y : y + h, x : x + w]
-        if crowd[i] > 1:  # remove the parts of other blobs from this one's box
+        if where.count(i) > 1:  # remove the parts of other blobs from this one's box
             filled = cv2.drawContours(
                 np.zeros((h, w), np.uint8), [contour], 0, 255, cv2.FILLED, offset=(-x, -y)
             )
             alone = np.asarray(cv2.bitwise_and(alone, filled), np.uint8)
-        left, top = regions[i].window[0] + x - lefts[i], regions[i].window[1] + y
+        left = regions[i].window[0] + x - lefts[i]
+        top = regions[i].window[1] + y
         blob = _blob(regions[i], alone, (left, top, left + w, top + h))
         if blob is not None and blob.area >= least_area:
             out[i].append(blob)
     return out
+
+
+def _side_by_side(parts: list[Image]) -> tuple[Image, list[int]]:
+    """Images side by side in one, a pixel apart, and the first column of each: one call of OpenCV
+    takes longer to make than to run on a window of some 40 pixels.
+    """
+    lefts = list(accumulate((part.shape[1] + 1 for part in parts), initial=0))
+    if len(parts) == 1:
+        return parts[0], lefts
+    canvas = np.zeros((max(map(len, parts)), lefts[-1], 3), np.uint8)
+    for part, left in zip(parts, lefts[:-1], strict=True):
+        canvas[: len(part), left : left + part.shape[1]] = part
+    return canvas, lefts
 
 
 def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
@@ -188,34 +201,47 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     image, _, rim, noise = region
     height, width = image.shape[:2]
     left, top = box[:2]
+    weights = alone
     if noise > 0 or rim != "sharp":
-        left, top = max(left - 2, 0), max(top - 2, 0)
-        part = image[top : box[3] + 2, left : box[2] + 2]
-        found = np.zeros(part.shape[:2], np.uint8)
-        found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
-        m = cv2.moments(
-            _noisy_coverage(part, found, rim) if noise > 0 else _coverage(chroma(part), found, rim)
-        )
-    else:
-        m = cv2.moments(alone)
+        part, own, left, top = with_surroundings(image, alone, box, 2)
+        if noise > 0:
+            weights = _noisy_coverage(part, own, rim)
+        else:
+            weights = _coverage(chroma(part), own, rim)
+    m = cv2.moments(weights)
     mass = m["m00"]
     if mass <= 0:
         return None
     area = mass / 255
-    x, y = m["m10"] / mass, m["m01"] / mass
+    x = m["m10"] / mass
+    y = m["m01"] / mass
     spread = 1 / 12 if rim == "grey" else 0.0
     # OpenCV's central moments are sums; divided by the mass they are variances about the centroid.
-    xx, yy, xy = m["mu20"] / mass - spread, m["mu02"] / mass - spread, m["mu11"] / mass
+    xx = m["mu20"] / mass - spread
+    yy = m["mu02"] / mass - spread
+    xy = m["mu11"] / mass
     ellipse = 4 * math.pi * math.sqrt(max(xx * yy - xy * xy, 0.0))
+    rough = ROUGHNESS * area + ROUGHNESS_PX[rim] + NOISE_ROUGHNESS_PX * noise
     inside = box[0] > 0 and box[1] > 0 and box[2] < width and box[3] < height
-    whole = (
-        inside
-        and ellipse - area <= ROUGHNESS * area + ROUGHNESS_PX[rim] + NOISE_ROUGHNESS_PX * noise
-    )
-    u, v = left + round(x), top + round(y)
+    u = left + round(x)
+    v = top + round(y)
     r, g, b, _ = cv2.mean(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2])
     hue_deg = 360 * colorsys.rgb_to_hsv(r, g, b)[0]  # mixing in white or grey does not change a hue
-    return Blob(u=left + x, v=top + y, area=area, hue_deg=hue_deg, box=box, whole=whole)
+    return Blob(left + x, top + y, area, hue_deg, box, whole=inside and ellipse - area <= rough)
+
+
+def with_surroundings(
+    image: Image, alone: Image, box: Window, px: int
+) -> tuple[Image, Image, int, int]:
+    """A box in an image with some pixels around it: the image there; 255 in the pixels `alone` of
+    the box; its left and its top in the image [px].
+    """
+    left = max(box[0] - px, 0)
+    top = max(box[1] - px, 0)
+    part = image[top : box[3] + px, left : box[2] + px]
+    own = np.zeros(part.shape[:2], np.uint8)
+    own[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
+    return part, own, left, top
 
 
 def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
@@ -250,7 +276,8 @@ def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
     chroma of the blob's pixels next to it, both less the background's. It may be below 0 or above
     255: clipping would bias the mean.
     """
-    smooth, raw = chroma(_smoothed(part)).astype(np.float32), chroma(part).astype(np.float32)
+    smooth = chroma(_smoothed(part)).astype(np.float32)
+    raw = chroma(part).astype(np.float32)
     near = cv2.dilate(found, _NEIGHBOURS)
     around = cv2.dilate(near, _NEIGHBOURS) == 0
     if around.any():

@@ -31,14 +31,16 @@ from vstestbed.core.geometry import Array
 from vstestbed.features import Point, Spherical
 
 Derotation = Literal["none", "exact", "first_order", "as_printed"]
-_ANGLES, _PLANE = Spherical(), Point()
+_ANGLES = Spherical()
+_PLANE = Point()
 
 
 def level_from_tilt(tilt: Array, R_base_camera: Array) -> Array:
     """R_level_camera (3, 3): rotation from the camera's frame to that of the level craft's camera,
     for (roll, pitch) (2,) [rad].
     """
-    (cr, cp), (sr, sp) = np.cos(tilt).tolist(), np.sin(tilt).tolist()
+    cr, cp = np.cos(tilt).tolist()
+    sr, sp = np.sin(tilt).tolist()
     R_level_base = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
     return R_base_camera.T @ R_level_base @ R_base_camera
 
@@ -107,19 +109,19 @@ def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Arra
     seen = np.isfinite(ray[:, 0])
     if not seen.any():
         return out
-    rays, one = ray[seen], np.ones(np.count_nonzero(seen))
+    rays = ray[seen]
+    one = np.ones(np.count_nonzero(seen))
     if how == "first_order" and isinstance(camera, Perspective):
         xy = rays[:, :2] / rays[:, 2:]
         xy = xy - _PLANE.interaction(xy, one).reshape(-1, 2, 6)[..., 3:] @ turn
         level = np.column_stack([xy, one])
         out[seen] = level / np.linalg.norm(level, axis=1, keepdims=True)
         return out
-    s, L = (
-        _ANGLES.measure(rays).reshape(-1, 2),
-        _ANGLES.interaction(rays, one).reshape(-1, 2, 6)[..., 3:],
-    )
+    s = _ANGLES.measure(rays).reshape(-1, 2)
+    L = _ANGLES.interaction(rays, one).reshape(-1, 2, 6)[..., 3:]
     if how == "as_printed":  # wrong, see the module's docstring
-        (theta, phi), turn = s.T, turn[:2]
+        theta, phi = s.T
+        turn = turn[:2]
         rows = [
             [np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)],
             [np.sin(phi), -np.cos(phi)],

@@ -39,7 +39,8 @@ def solve_place(
     Reference: virtual visual servoing (there with six unknowns): Marchand, Uchiyama & Spindler
     2016, doi:10.1109/TVCG.2015.2513408.
     """
-    d, origin = rays @ T_base_camera[:3, :3].T, T_base_camera[:3, 3]
+    d = rays @ T_base_camera[:3, :3].T
+    origin = T_base_camera[:3, 3]
     # The previous pose may be a local minimum: the closed form competes with it, unless it leads to
     # the same one.
     solved = [] if previous is None else [_refined(d, points, origin, previous)]
@@ -67,12 +68,15 @@ def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
         usable = slice(None)  # views, where a mask would copy
     here = origin[:2] + d[usable, :2] / d[usable, 2:] * height[usable, None]
     there = points[usable, :2]
-    middle, goal = np.add.reduce(here) / len(here), np.add.reduce(there) / len(there)
-    a, b = here - middle, there - goal
+    middle = np.add.reduce(here) / len(here)
+    goal = np.add.reduce(there) / len(there)
+    a = here - middle
+    b = there - goal
     heading = math.atan2(
         np.add.reduce(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.add.reduce(a * b, axis=None)
     )
-    c, s = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    s = math.sin(heading)
     return np.array([*(goal - np.array([[c, -s], [s, c]]) @ middle), heading])
 
 
@@ -102,16 +106,23 @@ def _errors(
     d: Array, across: Array, points: Array, origin: Array, place: Array
 ) -> tuple[Array, Array]:
     """Errors (3 N,) [1] and their Jacobian (3 N, 3) by (x, y, heading)."""
-    c, s = math.cos(place[2]), math.sin(place[2])
+    c = math.cos(place[2])
+    s = math.sin(place[2])
     x, y = (points[:, :2] - place[:2]).T
     p = np.empty((len(points), 3))
-    p[:, 0], p[:, 1], p[:, 2] = c * x + s * y, -s * x + c * y, points[:, 2]
+    p[:, 0] = c * x + s * y
+    p[:, 1] = -s * x + c * y
+    p[:, 2] = points[:, 2]
     p -= origin
     reach = np.maximum(lengths(p), AT_THE_LENS)
     unit = p / reach
     dp = np.zeros((len(points), 3, 3))
-    dp[:, 0, 0], dp[:, 0, 1], dp[:, 1, 0], dp[:, 1, 1] = -c, -s, s, -c
-    dp[:, 0, 2], dp[:, 1, 2] = p[:, 1] + origin[1], -p[:, 0] - origin[0]
+    dp[:, 0, 0] = -c
+    dp[:, 0, 1] = -s
+    dp[:, 1, 0] = s
+    dp[:, 1, 1] = -c
+    dp[:, 0, 2] = p[:, 1] + origin[1]
+    dp[:, 1, 2] = -p[:, 0] - origin[0]
     dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
     e = (across @ unit[:, :, None])[..., 0]
     behind = np.add.reduce(unit * d, axis=1) < 0

@@ -37,7 +37,8 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     seen = np.isfinite(xy[:, 0]) & np.isfinite(goal_xy[:, 0])
     if np.count_nonzero(seen) < 4:
         return None
-    goal_xy, xy = goal_xy[seen], xy[seen]
+    goal_xy = goal_xy[seen]
+    xy = xy[seen]
     H = homography(goal_xy, xy, OPEN)
     if H is None:
         return None
@@ -45,7 +46,8 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     ratios = goal_xy @ H[2, :2] + H[2, 2]
     if ratios.min() < 0 < ratios.max():  # points on both sides of the camera
         return None
-    H = H if ratios.min() > 0 else -H
+    if ratios.min() <= 0:
+        H = -H
     return H, _rotation(H, goal_xy, goal_normal)
 
 
@@ -59,13 +61,17 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
     largest.
     Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
     """
-    (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)
-    s, Vt = np.linalg.svd(_equations((a - a_mean) / a_size, (b - b_mean) / b_size))[1:]
+    a_mean, a_size = _scaling(a)
+    b_mean, b_size = _scaling(b)
+    A = _equations((a - a_mean) / a_size, (b - b_mean) / b_size)
+    s, Vt = np.linalg.svd(A)[1:]
     if not s[7] > least * s[0]:
         return None
-    (x, y), size = a_mean[0].tolist(), a_size.item()
+    x, y = a_mean[0].tolist()
+    size = a_size.item()
     to_a = np.array([(1 / size, 0, -x / size), (0, 1 / size, -y / size), (0, 0, 1)])
-    (x, y), size = b_mean[0].tolist(), b_size.item()
+    x, y = b_mean[0].tolist()
+    size = b_size.item()
     from_b = np.array([(size, 0, x), (0, size, y), (0, 0, 1)])
     return from_b @ Vt[8].reshape(3, 3) @ to_a
 
@@ -74,11 +80,10 @@ def left_open(a: Array, b: Array) -> NDArray[np.bool_]:
     """Whether points a, b (..., N, 2) of two views leave their homography open: two of nine
     singular values are (nearly) zero.
     """
-    (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)
-    s = np.linalg.svd(
-        _equations(*np.broadcast_arrays((a - a_mean) / a_size, (b - b_mean) / b_size)),
-        compute_uv=False,
-    )
+    a_mean, a_size = _scaling(a)
+    b_mean, b_size = _scaling(b)
+    A = _equations(*np.broadcast_arrays((a - a_mean) / a_size, (b - b_mean) / b_size))
+    s = np.linalg.svd(A, compute_uv=False)
     return np.asarray(s[..., 7] <= OPEN * s[..., 0])
 
 
@@ -114,7 +119,8 @@ def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
     """
     (s1, _, s3), Vt = np.linalg.svd(H)[1:]
     v1, v2, v3 = Vt
-    a, b = np.sqrt(max(1 - s3 * s3, 0.0)), np.sqrt(max(s1 * s1 - 1, 0.0))
+    a = np.sqrt(max(1 - s3 * s3, 0.0))
+    b = np.sqrt(max(s1 * s1 - 1, 0.0))
     size = np.hypot(a, b)
     a, b = (a / size, b / size) if size > 0 else (1.0, 0.0)
     solutions = []
@@ -129,10 +135,8 @@ def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
         # one.
         solutions.append((float(n @ goal_normal) - (0.0 if visible else 2.0), u))
     u = max(solutions, key=lambda solution: solution[0])[1]
-    plane, seen = (
-        np.stack([v2, u, np.cross(v2, u)]),
-        np.stack([H @ v2, H @ u, np.cross(H @ v2, H @ u)]),
-    )
+    plane = np.stack([v2, u, np.cross(v2, u)])
+    seen = np.stack([H @ v2, H @ u, np.cross(H @ v2, H @ u)])
     # The nearest rotation to the product: rounding in v2 and u would leave it slightly off
     # orthogonal.
     U, _, Wt = np.linalg.svd(seen.T @ plane)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Picture
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositivePixels, check_ordered
 from vstestbed.core.registry import Registry, kind_of
@@ -80,7 +80,8 @@ def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Ar
     out = np.full(uv.shape, np.nan)
     if not known.any():
         return out
-    size, start = (klt.window_px, klt.window_px), uv[known].astype(np.float32)[:, None]
+    size = klt.window_px, klt.window_px
+    start = uv[known].astype(np.float32)[:, None]
     # Three levels of the pyramid besides the picture itself: a window reaches 2^3 times as far.
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         before, now, start, start.copy(), winSize=size, maxLevel=3
@@ -113,7 +114,8 @@ def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, in
 
 # Places of matches below a pixel: each point's patch of the goal's picture, laid over this one.
 HALF = 10  # half the side of a patch, without its middle [px of the goal's picture]
-ROUNDS, SETTLED_PX = 8, 0.005  # most Gauss-Newton steps, and the step under which none follows [px]
+ROUNDS = 8  # most Gauss-Newton steps
+SETTLED_PX = 0.005  # the step under which none follows [px]
 ALIKE = 0.8  # least correlation of a patch with the goal's [1]
 # least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an
 # edge alone is no place
@@ -140,18 +142,12 @@ def refined(
     point.
     Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     """
-    x = np.stack(
-        np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0)), axis=-1
-    ).reshape(-1, 2)
-    template, contrast = _normalised(_sampled(goal, uv_goal[:, None] + x))
-    gradient = np.stack(
-        [
-            (_sampled(goal, uv_goal[:, None] + x + s) - _sampled(goal, uv_goal[:, None] + x - s))
-            / 2
-            for s in np.eye(2)
-        ],
-        -1,
-    )
+    side = np.arange(-HALF, HALF + 1.0)
+    x = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    there = uv_goal[:, None] + x
+    template, contrast = _normalised(_sampled(goal, there))
+    by_uv = [(_sampled(goal, there + s) - _sampled(goal, there - s)) / 2 for s in np.eye(2)]
+    gradient = np.stack(by_uv, -1)
     gradient = gradient - gradient.mean(axis=1, keepdims=True)
     normal = gradient.mT @ gradient
     least, most = np.linalg.eigvalsh(normal).T
@@ -163,21 +159,19 @@ def refined(
     )
     normal[~usable] = np.eye(2)
     over = np.einsum("kij,pj->kpi", np.where(usable[:, None, None], A, np.eye(2)), x)
-    start, A = np.where(usable[:, None], uv, 0.0), np.where(usable[:, None, None], A, 0.0)
+    A = np.where(usable[:, None, None], A, 0.0)
+    start = np.where(usable[:, None], uv, 0.0)
     at = start.copy()
     alike = np.zeros(len(uv))
     for _ in range(ROUNDS):
         patch, _ = _normalised(_sampled(image, at[:, None] + over))
         alike = np.mean(patch * template, axis=1)
-        d = np.linalg.solve(
-            normal,
-            np.einsum("kpi,kp->ki", gradient, (patch - template) * contrast[:, None])[..., None],
-        )
-        step = (A @ d)[..., 0]
+        right = np.einsum("kpi,kp->ki", gradient, (patch - template) * contrast[:, None])
+        step = (A @ np.linalg.solve(normal, right[..., None]))[..., 0]
         at = at - step
         if np.abs(step).max(initial=0.0) < SETTLED_PX:
             break
-    usable &= _inside(goal, uv_goal[:, None] + x) & _inside(image, at[:, None] + over)
+    usable &= _inside(goal, there) & _inside(image, at[:, None] + over)
     # farther away it has found something else
     found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < 3.0)
     return np.where(found[:, None], at, np.nan)
@@ -198,9 +192,13 @@ def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
     outside, that of the border.
     """
     height, width = image.shape
-    u, v = np.clip(uv[..., 0], 0, width - 1.001), np.clip(uv[..., 1], 0, height - 1.001)
-    i, j = u.astype(np.intp), v.astype(np.intp)
-    a, b, k = u - i, v - j, j * width + i
+    u = np.clip(uv[..., 0], 0, width - 1.001)
+    v = np.clip(uv[..., 1], 0, height - 1.001)
+    i = u.astype(np.intp)
+    j = v.astype(np.intp)
+    a = u - i
+    b = v - j
+    k = j * width + i
     flat = image.ravel()
     top = flat[k] * (1 - a) + flat[k + 1] * a
     return top * (1 - b) + (flat[k + width] * (1 - a) + flat[k + width + 1] * a) * b
@@ -233,9 +231,8 @@ def map_derivatives(camera: Camera, H: Array, uv_goal: Array) -> Array:
     """
     steps = 0.5 * np.eye(2)  # [px]
     # (K, 2 directions, 2)
-    ahead, back = (
-        camera.project(camera.ray(uv_goal[:, None] + sign * steps) @ H.T) for sign in (1, -1)
-    )
+    ahead = camera.project(camera.ray(uv_goal[:, None] + steps) @ H.T)
+    back = camera.project(camera.ray(uv_goal[:, None] - steps) @ H.T)
     return (ahead - back).mT
 
 
@@ -254,12 +251,15 @@ def planar_map(
     doi:10.1006/cviu.1999.0832.
     """
     f = _px_per_unit(camera)
-    a, b = camera.normalise(uv_goal), camera.normalise(uv)
+    a = camera.normalise(uv_goal)
+    b = camera.normalise(uv)
     usable = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     if np.count_nonzero(usable) < LEAST_INLIERS:
         return None
     method = cv2.UsacParams()
-    method.threshold, method.confidence, method.maxIterations = within_px, 0.9999, 5000
+    method.threshold = within_px
+    method.confidence = 0.9999
+    method.maxIterations = 5000
     method.randomGeneratorState = 1  # a seed, so that a run repeats
     # in pixels: of smaller numbers it loses its way
     H, mask = cv2.findHomography(f * a[usable], f * b[usable], method)
@@ -269,7 +269,7 @@ def planar_map(
     agree[usable] = mask.ravel() > 0
     # Its sign is the one that leaves the points in front of the camera.
     H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
-    ahead = np.column_stack([a[agree], np.ones(np.count_nonzero(agree))]) @ H[2]
+    ahead = homogeneous(a[agree]) @ H[2]
     return H * np.sign(np.median(ahead)), agree
 
 
@@ -280,7 +280,8 @@ def of_one_motion(
     within_px of its lines; None with under five. OpenCV's RANSAC over the five-point algorithm
     (Nister 2004, doi:10.1109/TPAMI.2004.17), confidence 0.999.
     """
-    a, b = camera.normalise(uv_goal), camera.normalise(uv)
+    a = camera.normalise(uv_goal)
+    b = camera.normalise(uv)
     usable = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     if np.count_nonzero(usable) < 5:
         return None
@@ -357,17 +358,20 @@ class Slots:
         free = iter(np.setdiff1d(np.arange(len(self.ids)), at).tolist())
         next_id = self.next_id
         for m in np.flatnonzero(at < 0).tolist():
-            at[m], ids[m], next_id = next(free), next_id, next_id + 1
-        made.uv_goal[at], made.uv[at], made.ids[at] = uv_goal, uv, ids
-        return Slots(made.uv_goal, made.uv, made.ids, next_id)
+            at[m] = next(free)
+            ids[m] = next_id
+            next_id += 1
+        made.uv_goal[at] = uv_goal
+        made.uv[at] = uv
+        made.ids[at] = ids
+        return replace(made, next_id=next_id)
 
     def moved(self, uv: Array) -> Slots:
         """The same points at uv (K, 2); those with NaN leave their rows."""
         stays = self.taken & np.isfinite(uv).all(axis=1)
-        goal = np.where(stays[:, None], self.uv_goal, np.nan)
-        return Slots(
-            goal, np.where(stays[:, None], uv, np.nan), np.where(stays, self.ids, -1), self.next_id
-        )
+        uv_goal = np.where(stays[:, None], self.uv_goal, np.nan)
+        uv = np.where(stays[:, None], uv, np.nan)
+        return Slots(uv_goal, uv, np.where(stays, self.ids, -1), self.next_id)
 
 
 @dataclass(frozen=True, slots=True)
@@ -495,10 +499,9 @@ class Keypoints(DetectorBase):
         if self._extractor is not None:
             uv, descriptors = extracted(self._extractor, goal.image.image)
             there = self._usable(goal, target, uv)
-            if np.count_nonzero(there) < self._matching:
-                raise ParameterError(
-                    "detector.features", self._too_few(len(uv), int(np.count_nonzero(there)))
-                )
+            usable = int(np.count_nonzero(there))
+            if usable < self._matching:
+                raise ParameterError("detector.features", self._too_few(len(uv), usable))
             learned = uv[there], descriptors[there]
         return KeypointsState(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
 
@@ -518,10 +521,8 @@ class Keypoints(DetectorBase):
         )
         words = f"must find {wanted} in the goal's picture: {self.features.kind} finds {found}"
         if found < self._matching:
-            return (
-                f"{words}; use a target with more"
-                f" texture{', or ransac: none' if plane and found >= self.least else ''}"
-            )
+            otherwise = ", or ransac: none" if plane and found >= self.least else ""
+            return f"{words}; use a target with more texture{otherwise}"
         if self.within == "board":
             return (
                 f"{words}, of which {usable} lie on the target's board;"
@@ -563,50 +564,44 @@ class Keypoints(DetectorBase):
             raise ParameterError.fixed("state", "that of `begin`, which learns the goal's picture")
         dim = grey(image)
         slots = self._followed(state, dim, camera)
-        since, why = state.since + 1, ""
+        since = state.since + 1
+        why = ""
         if slots is None or self._due(slots, since):
-            kept = (
-                (slots.uv_goal[slots.taken], slots.uv[slots.taken]) if slots is not None else None
-            )
+            kept = None
+            if slots is not None:
+                kept = slots.uv_goal[slots.taken], slots.uv[slots.taken]
             pairs = self._matches(state, image, target)
             found, agreeing = self._chosen(state, pairs, kept, dim, camera)
-            slots, since, why = (
-                state.slots.placed(*found),
-                0,
-                self._why(len(pairs[0]), agreeing, len(found[0])),
-            )
+            slots = state.slots.placed(*found)
+            since = 0
+            why = self._why(len(pairs[0]), agreeing, len(found[0]))
         if np.count_nonzero(slots.taken) < self.least:
-            last = state.slots  # its points: a law that coasts knows what it saw there
-            slots = Slots(last.uv_goal, np.full(last.uv.shape, np.nan), last.ids, last.next_id)
-        state = replace(
-            state, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since
-        )
-        return state, Detection(
-            slots.uv, goal=goal_of_points(state.goal, slots.uv_goal), ids=slots.ids, why=why
-        )
+            # its points: a law that coasts knows what it saw there
+            slots = replace(state.slots, uv=np.full(slots.uv.shape, np.nan))
+        last = dim if isinstance(self.track, Klt) else None
+        state = replace(state, slots=slots, last=last, since=since)
+        goal = goal_of_points(state.goal, slots.uv_goal)
+        return state, Detection(slots.uv, goal=goal, ids=slots.ids, why=why)
 
     def _why(self, matching: int, agreeing: int, measured: int) -> str:
         """Why nothing is reported though points match;
         "" where too few do, or enough are measured.
         """
+        if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
+            return ""
         plane = "motion" if self.ransac == "essential" else "plane"
         words = (
             f"detector keypoints: {matching} points match the goal's picture,"
             f" of which {agreeing} agree with one {plane}"
         )
-        if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
-            return ""
         if agreeing < self.least:
             return (
                 f"{words}: the target may have too little texture, or parts that look alike,"
                 " or show too little of itself"
             )
-        words = (
-            f"{words}; of those tried the patches of {measured} are found,"
-            f" fewer than least = {self.least}"
-        )
         return (
-            f"{words}: the others are cut by the border or not alike;"
+            f"{words}; of those tried the patches of {measured} are found,"
+            f" fewer than least = {self.least}: the others are cut by the border or not alike;"
             " subpixel: false does without patches"
         )
 
@@ -634,11 +629,9 @@ class Keypoints(DetectorBase):
         """The homography of the pairs and which agree with it, where `ransac` or `subpixel` need
         one.
         """
-        return (
-            planar_map(camera, *pairs, self.ransac_px)
-            if self.ransac == "homography" or self.subpixel
-            else None
-        )
+        if self.ransac == "homography" or self.subpixel:
+            return planar_map(camera, *pairs, self.ransac_px)
+        return None
 
     def _agreeing(
         self, camera: Camera, pairs: Pairs, plane: tuple[Array, NDArray[np.bool_]] | None
@@ -670,20 +663,19 @@ class Keypoints(DetectorBase):
         first = 0 if kept is None else len(kept[0])
         if kept is not None:
             new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1)
-            pairs = (
-                np.concatenate([kept[0], pairs[0][new]]),
-                np.concatenate([kept[1], pairs[1][new]]),
-            )
+            uv_goal = np.concatenate([kept[0], pairs[0][new]])
+            pairs = uv_goal, np.concatenate([kept[1], pairs[1][new]])
         found = self._plane(camera, pairs)
         agree = self._agreeing(camera, pairs, found)
-        pairs, first = those(
-            pairs, np.zeros(len(pairs[0]), dtype=bool) if agree is None else agree, first
-        )
+        if agree is None:
+            agree = np.zeros(len(pairs[0]), dtype=bool)
+        pairs, first = those(pairs, agree, first)
         agreeing = len(pairs[0])
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing
         H = found[0]
-        pairs, first = those(pairs, whole(dim, *pairs, map_derivatives(camera, H, pairs[0])), first)
+        uncut = whole(dim, *pairs, map_derivatives(camera, H, pairs[0]))
+        pairs, first = those(pairs, uncut, first)
         return self._measured(state, pairs, first, dim, camera, H), agreeing
 
     def _measured(
@@ -707,11 +699,10 @@ class Keypoints(DetectorBase):
         """At most `most` of the pairs, which are in the order of their distance; the `first` ones
         are among them.
         """
-        index = (
-            spread_out(pairs[0], most, first)
-            if self.choose == "spread"
-            else np.arange(min(most, len(pairs[0])))
-        )
+        if self.choose == "spread":
+            index = spread_out(pairs[0], most, first)
+        else:
+            index = np.arange(min(most, len(pairs[0])))
         return pairs[0][index], pairs[1][index]
 
     def _refined(
@@ -721,9 +712,7 @@ class Keypoints(DetectorBase):
         off the plane.
         """
         found = refined(state.smooth, smooth(dim), uv_goal, uv, map_derivatives(camera, H, uv_goal))
-        better = (
-            planar_map(camera, uv_goal, found, within_px=0.25)
-            if self.ransac == "homography"
-            else None
-        )
+        if self.ransac != "homography":
+            return found
+        better = planar_map(camera, uv_goal, found, within_px=0.25)
         return found if better is None else np.where(better[1][:, None], found, np.nan)

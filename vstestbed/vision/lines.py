@@ -20,7 +20,7 @@ from vstestbed.core.quantity import PositiveAngle, PositiveLength, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.ground_lines import GroundLines, on_foot
-from vstestbed.vision.base import Detection, DetectorBase, TruthView
+from vstestbed.vision.base import Detection, DetectorBase, TruthView, window_round
 from vstestbed.vision.colour import chroma
 
 # rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of
@@ -38,14 +38,12 @@ class Strip:
     its pixels.
 
     Attributes:
-        ahead: x of its middle row, the look-ahead distance [m]. row_m, column_m: size of a cell
-            [m].
+        row_m, column_m: size of a cell [m].
         lefts: y of the columns, shape (K,) [m], from left to right.
         maps: for each panel the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is
             not seen.
     """
 
-    ahead: float
     row_m: float
     column_m: float
     lefts: Array
@@ -59,16 +57,9 @@ class Strip:
         uv = uv[uv[:, 0] != OUTSIDE]
         if not len(uv):
             return None
-        (left, top), (right, bottom) = (
-            (np.floor(uv.min(axis=0)) - 1).astype(int),
-            (np.ceil(uv.max(axis=0)) + 2).astype(int),
-        )
-        return (
-            max(0, int(left)),
-            max(0, int(top)),
-            min(lens.width, int(right)),
-            min(lens.height, int(bottom)),
-        )
+        left, top = (np.floor(uv.min(axis=0)) - 1).astype(int).tolist()
+        right, bottom = (np.ceil(uv.max(axis=0)) + 2).astype(int).tolist()
+        return window_round((left, top, right, bottom), (0.0, 0.0), lens, 0)
 
 
 LinesState = tuple[tuple[Strip, ...], Array | None]
@@ -120,11 +111,11 @@ class Lines(DetectorBase):
         """The windows that hold the strips; None before the first picture."""
         if not state[0]:
             return None
-        panels = enumerate(camera.panels)
-        return tuple(
-            tuple(w for s in state[0] if (w := s.window(i, panel.lens)) is not None)
-            for i, panel in panels
-        )
+        regions: list[tuple[Window, ...]] = []
+        for i, panel in enumerate(camera.panels):
+            windows = [strip.window(i, panel.lens) for strip in state[0]]
+            regions.append(tuple(filter(None, windows)))
+        return tuple(regions)
 
     def detect(
         self,
@@ -136,17 +127,18 @@ class Lines(DetectorBase):
         rng: np.random.Generator,
     ) -> tuple[LinesState, Detection]:
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen."""
-        picture, (strips, last), n = self._given(picture), state, len(target.points)
+        picture = self._given(picture)
+        strips, last = state
+        n = len(target.points)
         assert isinstance(target, GroundLines)  # a scenario refuses others
         strips = strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)
         last = np.full(n, np.nan) if last is None else last
-        hues, lefts = target.hues_deg, np.full(n, np.nan)
+        hues = target.hues_deg
+        lefts = np.full(n, np.nan)
         for k, strip in enumerate(strips):
             floor = _from_above(picture, strip)
-            colour, hue = (
-                chroma(floor),
-                np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8),
-            )
+            colour = chroma(floor)
+            hue = np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
             # Points are commanded line by line, each at all look-ahead distances: every
             # len(strips)-th is in this strip.
             for i in range(k, n, len(strips)):
@@ -156,7 +148,7 @@ class Lines(DetectorBase):
                 near = (apart <= min(self.hue_tolerance_deg, 180 / (n // len(strips))))[hue]
                 mask = ((colour > self.chroma) & near).astype(np.uint8)
                 lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
-        aheads = np.tile(np.array([s.ahead for s in strips]), n // len(strips))
+        aheads = np.tile(target.look_m, n // len(strips))
         uv = camera.project(on_foot(camera.mount.T, np.column_stack([aheads, lefts])))
         return (strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
 
@@ -174,32 +166,25 @@ class Lines(DetectorBase):
             return math.nan
         areas = stats[1:, cv2.CC_STAT_AREA]
         able = 1 + np.flatnonzero(2 * areas >= areas.max())
-        far = (
-            np.abs(strip.lefts[np.rint(centres[able, 0]).astype(int)] - last)
-            if math.isfinite(last)
-            else -areas[able - 1]
-        )
-        one = int(able[np.argmin(far)])
-        weight = np.where(
-            cv2.dilate((labels == one).astype(np.uint8), np.ones((1, 3), np.uint8)) > 0, colour, 0
-        ).astype(float)
-        rows = np.flatnonzero(
-            (weight[:, 0] == 0) & (weight[:, -1] == 0) & ((labels == one).any(axis=1))
-        )
+        far = -areas[able - 1]
+        if math.isfinite(last):
+            far = np.abs(strip.lefts[np.rint(centres[able, 0]).astype(int)] - last)
+        mine = labels == able[np.argmin(far)]
+        around = cv2.dilate(mine.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
+        weight = np.where(around, colour, 0).astype(float)
+        rows = np.flatnonzero((weight[:, 0] == 0) & (weight[:, -1] == 0) & mine.any(axis=1))
         if len(rows) < 5:
             return math.nan
         mass = weight[rows].sum(axis=1)
         columns = weight[rows] @ np.arange(weight.shape[1]) / mass
-        points = np.column_stack(
-            [(rows - ROWS // 2) * strip.row_m / strip.column_m, columns]
-        ).astype(np.float32)
+        ahead = (rows - ROWS // 2) * strip.row_m / strip.column_m
+        points = np.column_stack([ahead, columns]).astype(np.float32)
         # With Huber's loss, outliers beyond a unit or so weigh little.
         vx, vy, x0, y0 = cv2.fitLine(points, cv2.DIST_HUBER, 0, 1e-3, 1e-3).ravel().tolist()
         slope = vy / vx if abs(vx) > 1e-6 else math.copysign(1e6, vy)
         crossing = y0 - slope * x0
-        width = (
-            float(np.median(mass)) / float(weight.max()) * strip.column_m / math.hypot(1.0, slope)
-        )
+        columns_wide = float(np.median(mass)) / float(weight.max())
+        width = columns_wide * strip.column_m / math.hypot(1.0, slope)
         if abs(width - width_m) > self.width_tolerance * width_m:
             return math.nan
         return float(strip.lefts[0] + crossing * (strip.lefts[1] - strip.lefts[0]))
@@ -210,10 +195,10 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     where the camera does not see the floor.
     """
     # Pixels per metre by finite differences of 2 mm, which hold for any lens.
-    mount, step = camera.mount.T, 0.002
-    here, on, left = camera.project(
-        on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]]))
-    )
+    mount = camera.mount.T
+    step = 0.002
+    probes = np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]])
+    here, on, left = camera.project(on_foot(mount, probes))
     # a cell is a pixel, if neither
     row_m, column_m = (
         float(np.clip(step / np.linalg.norm(uv - here), 5e-4, 0.02)) for uv in (on, left)
@@ -233,7 +218,7 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
         uv = panel.lens.project(p @ panel.R_camera_panel)
         u, v = np.moveaxis(np.where(panel.lens.inside(uv)[..., None], uv, OUTSIDE), -1, 0)
         maps.append((np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)))
-    return Strip(ahead, row_m, column_m, lefts, tuple(maps))
+    return Strip(row_m, column_m, lefts, tuple(maps))
 
 
 def _from_above(picture: Picture, strip: Strip) -> Image:
@@ -242,12 +227,8 @@ def _from_above(picture: Picture, strip: Strip) -> Image:
     for image, maps in zip(picture.images, strip.maps, strict=True):
         if image is None or (maps[0] == OUTSIDE).all():
             continue
-        seen = np.asarray(
-            cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP), np.uint8
-        )
-        out = (
-            seen
-            if out is None
-            else np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
-        )
+        seen = cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP)
+        if out is not None:
+            seen = np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
+        out = np.asarray(seen, np.uint8)
     return np.full((*strip.maps[0][0].shape, 3), BACKDROP[0], np.uint8) if out is None else out

@@ -207,10 +207,8 @@ def matched(features: Matcher, goal_image: Image, image: Image) -> tuple[Array, 
     uv_goal, uv, distance = _arrays(
         features, "match", features.match(goal_image, image), ("uv_goal", "uv", "distance")
     )
-    uv_goal, uv = (
-        _points(features, "match", "uv_goal", uv_goal),
-        _points(features, "match", "uv", uv),
-    )
+    uv_goal = _points(features, "match", "uv_goal", uv_goal)
+    uv = _points(features, "match", "uv", uv)
     if not len(uv_goal) == len(uv) == len(distance) or distance.ndim != 1:
         words = f"uv_goal, uv and distance of as many pairs, distance of shape ({len(uv)},)"
         _refuse(features, "match", words, (uv_goal.shape, uv.shape, distance.shape))
@@ -271,10 +269,12 @@ def mutual_matches(
         nothing = np.empty(0, dtype=np.intp)
         return nothing, nothing, np.empty(0)
     bits = a.dtype == np.uint8
-    a, b = _numbers(a), _numbers(b)
+    a = _numbers(a)
+    b = _numbers(b)
     squared = np.einsum("ij,ij->i", a, a)[:, None] + np.einsum("ij,ij->i", b, b) - 2 * (a @ b.T)
     np.maximum(squared, 0, out=squared)
-    nearest, back = squared.argmin(axis=1), squared.argmin(axis=0)
+    nearest = squared.argmin(axis=1)
+    back = squared.argmin(axis=0)
     i = np.flatnonzero(back[nearest] == np.arange(len(a)))
     j = nearest[i]
     distance = squared[i, j].astype(float)
@@ -283,7 +283,9 @@ def mutual_matches(
     if ratio is not None and len(b) > 1:
         second = np.partition(squared[i], 1, axis=1)[:, 1].astype(float)
         kept = distance < ratio * (second if bits else np.sqrt(second))
-        i, j, distance = i[kept], j[kept], distance[kept]
+        i = i[kept]
+        j = j[kept]
+        distance = distance[kept]
     order = np.argsort(distance, kind="stable")
     return i[order], j[order], distance[order]
 

@@ -71,14 +71,15 @@ class FlowState:
         """The state for rows with points `ids` (N,): of a point that was not in its row nothing is
         known.
         """
-        if ids is None or self.ids is None:
-            return self if ids is None else replace(self, ids=ids)
+        if ids is None:
+            return self
+        if self.ids is None:
+            return replace(self, ids=ids)
         same = ids == self.ids
-        theta, ray = (
-            np.where(same, self.inverse_range, np.nan),
-            np.where(same[:, None], self.ray, np.nan),
-        )
-        return FlowState(theta, np.where(same, self.information, 0.0), ray, self.t, ids)
+        theta = np.where(same, self.inverse_range, np.nan)
+        information = np.where(same, self.information, 0.0)
+        ray = np.where(same[:, None], self.ray, np.nan)
+        return FlowState(theta, information, ray, self.t, ids)
 
 
 def init_flow(n: int) -> FlowState:
@@ -134,7 +135,8 @@ def update_flow(
     innovation = np.einsum("ni,ni->n", phi, y - phi * theta[:, None])
     # The limits keep a single bad frame from sending a range to infinity or to zero.
     theta = theta + np.where(teaches, innovation / information, 0.0)
-    low, high = 1 / (RANGE * estimate.initial_m), RANGE / estimate.initial_m
+    low = 1 / (RANGE * estimate.initial_m)
+    high = RANGE / estimate.initial_m
     theta = np.clip(_advance(np.clip(theta, low, high), nearing, dt / 2), low, high)
     return FlowState(theta, information, ray, t, state.ids)
 
@@ -178,13 +180,17 @@ def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
       leaves the rotation.
     """
     q = scale[:, None] * transform(T, points)
-    at, to = points.mean(axis=0), q.mean(axis=0)
+    at = points.mean(axis=0)
+    to = q.mean(axis=0)
     U, s, Vt = np.linalg.svd((q - to).T @ (points - at))
     # collinear: the registration leaves the rotation about the line open, the old one is kept
-    line = s[1] < 1e-9 * s[0]
-    R = T[:3, :3] if line else U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    if s[1] < 1e-9 * s[0]:
+        R = T[:3, :3]
+    else:
+        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
     out = np.eye(4)
-    out[:3, :3], out[:3, 3] = R, to - R @ at
+    out[:3, :3] = R
+    out[:3, 3] = to - R @ at
     return out
 
 
@@ -211,6 +217,31 @@ class ObserverState(NamedTuple):
     odometry: Array | None = None
     trim: Trim = NO_TRIM
     uv: Array | None = None
+
+
+class SensorData(NamedTuple):
+    """What is measured beside the markers at an exposure.
+
+    Attributes:
+        compass: a vehicle's heading [rad]; None without a compass.
+        tilt: a craft's estimated roll and pitch (2,) [rad]; None for robots that do not tilt.
+        motion: the camera's own, passed on to a law that requires it.
+        depth_image: (H, W) [m], NaN in its holes; None without one.
+        pair: rays (N, 3) of the second camera of a pair, and its pose (4, 4) in this one's frame;
+            None without one.
+        others: what further cameras see. The pose is then that of all pictures, and markers that
+            this one lacks are where it puts them.
+    """
+
+    compass: float | None = None
+    tilt: Array | None = None
+    motion: EgoMotion | None = None
+    depth_image: NDArray[np.float32] | None = None
+    pair: tuple[Array, Array] | None = None
+    others: Sequence[CameraPixels] = ()
+
+
+NOTHING_ELSE = SensorData()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,17 +282,15 @@ class Observer:
     rows: int | None = None
     points: Array | None = None
 
-    @property
+    @cached_property
     def _points(self) -> Array:
         return self.target.points if self.points is None else self.points
 
     def init(self) -> ObserverState:
         """The state before the first frame."""
-        flow = (
-            None
-            if self.depth.estimator is None
-            else init_flow(len(self.target.points) if self.rows is None else self.rows)
-        )
+        flow = None
+        if self.depth.estimator is not None:
+            flow = init_flow(len(self.target.points) if self.rows is None else self.rows)
         return ObserverState(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     @cached_property
@@ -279,24 +308,24 @@ class Observer:
         frame: the ideal loop, at its speed.
         """
         changed = (
-            self.dropout > 0
-            or self.pixel_sigma_px > 0
-            or self.perturbed is not None
-            or self.depth_scale is not None
+            self.dropout,
+            self.pixel_sigma_px,
+            self.perturbed is not None,
+            self.depth_scale is not None,
         )
         kept = (
-            self.needs_pose
-            or self.depth.estimator is not None
-            or self.grounded
-            or self.derotation != "none"
+            self.needs_pose,
+            self.depth.estimator is not None,
+            self.grounded,
+            self.derotation != "none",
         )
         read = (
-            self.depth.measured
-            or self.depth.needs_size
-            or bool(self.depth.camera)
-            or not {"xy", "xyw", "depth"}.issuperset(self.required_fields)
+            self.depth.measured,
+            self.depth.needs_size,
+            self.depth.camera,
+            not {"xy", "xyw", "depth"}.issuperset(self.required_fields),
         )
-        return not (changed or kept or read)
+        return not any(changed + kept + read)
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` reads the measured twist: for depth from motion, odometry, or a pose
@@ -315,12 +344,7 @@ class Observer:
         detection: Detection,
         twist: Array,
         rng: np.random.Generator,
-        compass: float | None = None,
-        tilt: Array | None = None,
-        own: EgoMotion | None = None,
-        depth_image: NDArray[np.float32] | None = None,
-        pair: tuple[Array, Array] | None = None,
-        others: Sequence[CameraPixels] = (),
+        sensors: SensorData = NOTHING_ELSE,
     ) -> tuple[ObserverState, Observation]:
         """What a law may know of one frame.
 
@@ -331,67 +355,56 @@ class Observer:
         Args:
             t: time of exposure [s]. twist: of the camera (6,) since the last frame, in its frame,
                 as the robot measures it [m/s, rad/s].
-            rng: source of the pixel noise and of the dropout. compass: a vehicle's measured heading
-                [rad]; None without a compass.
-            tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots
-                that do not tilt.
-            own: the camera's own motion, passed on to a law that requires it. depth_image: (H, W)
-                [m], NaN in its holes; None without one.
-            pair: rays (N, 3) of the second camera of a pair, and its pose (4, 4) in this one's
-                frame; None without one.
-            others: what further cameras see. The pose is then that of all pictures, and markers
-                that this one lacks are where it puts them.
+            rng: source of the pixel noise and of the dropout.
 
         Raises ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
+            alone = sensors._replace(pair=None, others=())
             state, seen = own_points.observe(
-                state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image
+                state, t, replace(detection, goal=None), twist, rng, alone
             )
             return state, replace(seen, ids=detection.ids)
         if self._direct:
             xy = self.camera.normalise(detection.uv)
             depth = self.depth.depths(DepthCues(self.goal, xy, p_true=detection.p_camera))
             return state, Observation(t, detection.uv, xy, depth, detection.T_camera_target)
+        return self._estimated(state, t, detection, twist, rng, sensors)
+
+    def _estimated(
+        self,
+        state: ObserverState,
+        t: float,
+        detection: Detection,
+        twist: Array,
+        rng: np.random.Generator,
+        sensors: SensorData,
+    ) -> tuple[ObserverState, Observation]:
         uv, T = self._reported(detection, t, rng)
-        xy = self.camera.normalise(uv)
-        tilt = tilt if self.derotation != "none" else None
-        ray = (
-            self.camera.ray(uv)
-            if self._solves(T) or self._reads_rays or pair is not None or tilt is not None
-            else None
-        )
+        reads_rays = self._reads_rays or self._solves(T) or sensors.pair is not None
+        ray = self.camera.ray(uv) if reads_rays else None
         T, solved = self._pose(ray, t, state, T, twist)
-        flow, estimator = state.flow, self.depth.estimator
-        if estimator is not None and flow is not None and ray is not None:
-            flow = update_flow(estimator, flow.of(detection.ids), t, ray, twist)
-        measured_uv, fused = (
-            None,
-            pose_of_all(T, self._points, CameraPixels(self.camera, uv, np.eye(4)), others)
-            if others
-            else None,
-        )
+        flow = self._flow(state, t, ray, detection.ids, twist)
+        measured_uv = None
+        fused = self._fused(T, uv, sensors.others)
         if fused is not None:
-            T, solved, measured_uv = fused, True, uv
+            T = fused
+            solved = True
+            measured_uv = uv
             uv = np.where(np.isfinite(uv), uv, self.camera.project(transform(T, self._points)))
-            xy, ray = self.camera.normalise(uv), None if ray is None else self.camera.ray(uv)
-        cues = DepthCues(
-            self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv)
-        )
-        if pair is not None and ray is not None:
-            cues = cues._replace(p_by_pair=triangulated(ray, *pair))
-        view, trim = self._view(t, uv, ray, T, flow, cues, own), state.trim
-        if tilt is not None:
-            trim = self._trimmed(state, t, tilt, T) if solved and T is not None else trim
-            view = self._leveled(view, tilt + trim[0])
-        odometry, place = self._driven(
-            state, t, twist, view.T_camera_target if solved else None, compass
-        )
+            ray = None if ray is None else self.camera.ray(uv)
+        cues = self._cues(uv, ray, T, flow, detection, sensors)
+        view = self._view(t, uv, ray, T, cues, sensors.motion)
+        trim = state.trim
+        if sensors.tilt is not None and self.derotation != "none":
+            trim = self._trimmed(state, t, sensors.tilt, T if solved else None)
+            view = self._leveled(view, sensors.tilt + trim[0])
+        measured_T = view.T_camera_target if solved else None
+        odometry, place = self._driven(state, t, twist, measured_T, sensors.compass)
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
-        return ObserverState(t, T, flow, place, odometry, trim, measured_uv), self._observation(
-            view, solved, odometry, place
-        )
+        after = ObserverState(t, T, flow, place, odometry, trim, measured_uv)
+        return after, self._observation(view, solved, odometry, place)
 
     @cached_property
     def _reads_rays(self) -> bool:
@@ -399,15 +412,60 @@ class Observer:
             "ray" in self.required_fields
             or self.depth.estimator is not None
             or self.depth.needs_size
+            or self.derotation != "none"
         )
 
-    def _trimmed(self, state: ObserverState, t: float, tilt: Array, T: Array) -> Trim:
-        """The trim of the tilt, corrected by a pose of the target."""
-        if not self.trim_s:
+    def _flow(
+        self,
+        state: ObserverState,
+        t: float,
+        ray: Array | None,
+        ids: NDArray[np.intp] | None,
+        twist: Array,
+    ) -> FlowState | None:
+        if self.depth.estimator is None or state.flow is None or ray is None:
+            return state.flow
+        return update_flow(self.depth.estimator, state.flow.of(ids), t, ray, twist)
+
+    def _fused(self, T: Array | None, uv: Array, others: Sequence[CameraPixels]) -> Array | None:
+        """The pose (4, 4) by all cameras; None where there are no others, or it is open."""
+        if not others:
+            return None
+        own = CameraPixels(self.camera, uv, np.eye(4))
+        return pose_of_all(T, self._points, own, others)
+
+    def _trimmed(self, state: ObserverState, t: float, tilt: Array, T: Array | None) -> Trim:
+        """The trim of the tilt, corrected by a pose of the target where one was measured."""
+        if T is None or not self.trim_s:
             return state.trim
         gain = 0.0 if math.isnan(state.t) else 1 - math.exp(-(t - state.t) / self.trim_s)
         return trimmed(
             state.trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain
+        )
+
+    def _cues(
+        self,
+        uv: Array,
+        ray: Array | None,
+        T: Array | None,
+        flow: FlowState | None,
+        detection: Detection,
+        sensors: SensorData,
+    ) -> DepthCues:
+        """What the depths may be from."""
+        by_pose = by_size = by_pair = by_flow = None
+        if T is not None and self.depth.needs_pose:
+            by_pose = transform(T, self._points)
+        if ray is not None and self.depth.needs_size:
+            by_size = self.target.by_size(ray)
+        if ray is not None and sensors.pair is not None:
+            by_pair = triangulated(ray, *sensors.pair)
+        if flow is not None:
+            by_flow = flow.ray, 1 / flow.inverse_range
+        xy = self.camera.normalise(uv)
+        measured = self.depth.read(sensors.depth_image, uv)
+        return DepthCues(
+            self.goal, xy, by_pose, detection.p_camera, by_flow, measured, by_size, by_pair
         )
 
     def _view(
@@ -416,21 +474,13 @@ class Observer:
         uv: Array,
         ray: Array | None,
         T: Array | None,
-        flow: FlowState | None,
         cues: DepthCues,
-        own: EgoMotion | None,
+        motion: EgoMotion | None,
     ) -> Observation:
         """What is measured in the camera's frame."""
-        p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
-        sized = self.target.by_size(ray) if ray is not None and self.depth.needs_size else None
-        cues = cues._replace(
-            p_estimated=p,
-            p_by_size=sized,
-            by_flow=None if flow is None else (flow.ray, 1 / flow.inverse_range),
-        )
         needs_ranges = "ray" in self.required_fields or self.derotation != "none"
         ranges = self.depth.ranges(cues) if needs_ranges else None
-        return Observation(t, uv, cues.xy, self.depth.depths(cues), T, ray, ranges, motion=own)
+        return Observation(t, uv, cues.xy, self.depth.depths(cues), T, ray, ranges, motion=motion)
 
     def _reported(
         self, detection: Detection, t: float, rng: np.random.Generator
@@ -438,14 +488,17 @@ class Observer:
         """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout
         took a marker from under it.
         """
-        uv, T = detection.uv, detection.T_camera_target
+        uv = detection.uv
+        T = detection.T_camera_target
         if self.dropout > 0:
             dropped = rng.random(len(uv)) < self.dropout
-            uv, T = np.where(dropped[:, None], np.nan, uv), None if dropped.any() else T
+            uv = np.where(dropped[:, None], np.nan, uv)
+            T = None if dropped.any() else T
         if self.pixel_sigma_px > 0:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
         if self.perturbed is not None:
-            uv, T = self.perturbed.pixels(uv, t), None  # the detector's pose is not perturbed
+            uv = self.perturbed.pixels(uv, t)
+            T = None  # the detector's pose is not perturbed
         return uv, T
 
     def prepare(self, needs_image: bool) -> None:
@@ -468,37 +521,36 @@ class Observer:
             return T, T is not None
         last = state.T_camera_target
         predicted = T if last is None else exp(-twist * (t - state.t)) @ last
+        found = self._solved(ray, predicted)
+        return (predicted, False) if found is None else (found, True)
+
+    def _solved(self, ray: Array, predicted: Array | None) -> Array | None:
+        """The pose (4, 4) from rays (N, 3); None where too few are seen, or they leave it open."""
         seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's image circle
         if np.count_nonzero(seen) < (1 if self.depth.on_floor else 3):
-            return predicted, False
-        rays, points, mount, place = (
-            ray[seen],
-            self._points[seen],
-            self.camera.mount.T,
-            self.target.pose.T,
-        )
+            return None
+        rays = ray[seen]
+        points = self._points[seen]
+        mount = self.camera.mount.T
+        place = self.target.pose.T
         if self.depth.on_floor:
-            found = pose_on_floor(rays, points, mount, place, predicted)
-        else:
-            found = solve_pose_from_rays(rays, points, predicted)
-            if found is None and predicted is None and self.grounded:
-                # Three markers leave up to four poses; of a vehicle's, one has the base upright on
-                # the floor.
-                found = solve_pose_from_rays(
-                    rays, points, pose_on_floor(rays, points, mount, place, None)
-                )
-        return (predicted, False) if found is None else (found, True)
+            return pose_on_floor(rays, points, mount, place, predicted)
+        found = solve_pose_from_rays(rays, points, predicted)
+        if found is None and predicted is None and self.grounded:
+            # Three markers leave up to four poses; of a vehicle's, one has the base upright on the
+            # floor.
+            upright = pose_on_floor(rays, points, mount, place, None)
+            found = solve_pose_from_rays(rays, points, upright)
+        return found
 
     def _leveled(self, view: Observation, tilt: Array) -> Observation:
         """The same in the level camera's frame."""
         assert view.ray is not None
         mount = self.camera.mount.T[:3, :3]
-        ray, T, depth, own = (
-            level_rays(view.ray, tilt, self.camera, self.derotation),
-            view.T_camera_target,
-            view.depth,
-            view.motion,
-        )
+        ray = level_rays(view.ray, tilt, self.camera, self.derotation)
+        T = view.T_camera_target
+        depth = view.depth
+        motion = view.motion
         ahead = ray[:, 2:]
         xy = ray[:, :2] / np.where(ahead > FORWARD_COSINE, ahead, np.nan)
         if T is not None:
@@ -507,13 +559,13 @@ class Observer:
             T = T_level_camera @ T
         if view.range is not None and not self.depth.preset:
             depth = view.range * ray[:, 2]  # the rotation leaves ranges alone
-        if own is not None:
-            own = replace(
-                own,
-                twist=level_twist(own.twist, tilt, mount),
-                moved=level_twist(own.moved, tilt, mount),
+        if motion is not None:
+            motion = replace(
+                motion,
+                twist=level_twist(motion.twist, tilt, mount),
+                moved=level_twist(motion.moved, tilt, mount),
             )
-        return replace(view, ray=ray, xy=xy, depth=depth, T_camera_target=T, motion=own)
+        return replace(view, ray=ray, xy=xy, depth=depth, T_camera_target=T, motion=motion)
 
     def _driven(
         self, state: ObserverState, t: float, twist: Array, T: Array | None, compass: float | None
@@ -521,11 +573,9 @@ class Observer:
         if state.odometry is None:
             return None, state.place
         dt = t - state.t
-        step = (
-            np.zeros(3)
-            if np.isnan(state.t)
-            else arc(adjoint(self.camera.mount.T)[[0, 1, 5]] @ twist, dt)
-        )
+        step = np.zeros(3)
+        if not np.isnan(state.t):
+            step = arc(adjoint(self.camera.mount.T)[[0, 1, 5]] @ twist, dt)
         odometry = composed(state.odometry, step)
         if self.target.moves:  # no landmark
             return odometry, None
@@ -541,40 +591,44 @@ class Observer:
     ) -> Observation:
         """What the law requires of a view, with the errors of the calibration in its depths."""
         required = self.required_fields
-        # the pose of any other target is known only while it is seen
-        predictable = not self.target.moves or self.target.on_gripper
-        pose = view.T_camera_target if solved or predictable else None
-        depth, reach, scale = view.depth, view.range, self.depth_scale
-        if scale is not None:
-            depth, reach = depth * scale, None if reach is None else reach * scale
-            pose = None if pose is None else pose_by_depth(pose, self._points, scale)
+        pose = view.T_camera_target if solved or self._predictable else None
+        depth = view.depth
+        reach = view.range
+        if self.depth_scale is not None:
+            depth = depth * self.depth_scale
+            if reach is not None:
+                reach = reach * self.depth_scale
+            if pose is not None:
+                pose = pose_by_depth(pose, self._points, self.depth_scale)
+        radius = self._radius_px(view.uv, depth, reach) if "radius_px" in required else None
         rays = (view.ray, reach) if "ray" in required else (None, None)
-        relative = (
-            relative_view(self.goal.xy, view.xy, self.goal.normal)
-            if "relative" in required
-            else None
-        )
         motion = view.motion if "motion" in required else None
-        radius = None
-        # the larger of half width and half height; without ranges by the depths
-        if "radius_px" in required:
-            ray = self.camera.ray(view.uv)
-            p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
-            radius = self.camera.half_size(p, self.target.marker.radius).max(axis=1)
+        relative = None
+        if "relative" in required:
+            relative = relative_view(self.goal.xy, view.xy, self.goal.normal)
         return Observation(
             view.t, view.uv, view.xy, depth, pose, *rays, relative, odometry, place, motion, radius
         )
 
+    @cached_property
+    def _predictable(self) -> bool:
+        """Whether the target's pose is known while it is not seen."""
+        return not self.target.moves or self.target.on_gripper
+
+    def _radius_px(self, uv: Array, depth: Array, reach: Array | None) -> Array:
+        """The larger of half width and half height (N,); without ranges by the depths."""
+        ray = self.camera.ray(uv)
+        p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
+        return self.camera.half_size(p, self.target.marker.radius).max(axis=1)
+
 
 # The target's pose by the pictures of several cameras at once.
-ROUNDS, SETTLED = 10, 1e-9
-"""Most steps of Gauss and Newton, and the step [unit, rad] at which they end: from a pose of one
-picture it takes three or four.
-"""
-LEAST_MARKERS, LEAST_SHARE = 3, 1e-6
-"""Fewest markers in all pictures together that tell a pose, and the least singular value of L, as a
-share of the largest, with which they do.
-"""
+# most Gauss-Newton steps: from a pose of one picture it takes three or four
+ROUNDS = 10
+SETTLED = 1e-9  # the step [unit, rad] at which they end
+LEAST_MARKERS = 3  # fewest markers in all pictures together that tell a pose
+# the least singular value of L, as a share of the largest, with which they do
+LEAST_SHARE = 1e-6
 
 
 class CameraPixels(NamedTuple):
@@ -606,20 +660,20 @@ def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[A
     Navigation, section 3.4 (least squares and its covariance).
     """
     rows = [np.isfinite(one.uv[:, 0]) for one in seen]
-    if sum(int(np.count_nonzero(of_one)) for of_one in rows) < LEAST_MARKERS:
+    if sum(map(np.count_nonzero, rows)) < LEAST_MARKERS:
         return None
     units = np.repeat([unit_for(points), 1.0], 3)  # of steps
     for _ in range(ROUNDS):
-        information, gradient = np.zeros((6, 6)), np.zeros(6)
+        information = np.zeros((6, 6))
+        gradient = np.zeros(6)
         for one, known in zip(seen, rows, strict=True):
             p = transform(one.T_this_reference @ T, points[known])
             error = one.uv[known] - one.camera.project(p)
             # beside the lens: the pose to begin with was a wrong one
             if not np.isfinite(error).all():
                 return None
-            L = (pixel_interaction(one.camera, p) @ adjoint(one.T_this_reference)).reshape(
-                -1, 6
-            ) * units
+            L = pixel_interaction(one.camera, p) @ adjoint(one.T_this_reference)
+            L = L.reshape(-1, 6) * units
             information += one.weight * L.T @ L
             gradient += one.weight * L.T @ error.ravel()
         values = np.linalg.eigvalsh(information)
@@ -645,6 +699,9 @@ def pose_of_all(
     for other in others:
         n = np.count_nonzero(np.isfinite(other.uv[:, 0]))
         if other.T_this_target is not None and (T is None or n > most):
-            most, T = n, inverse(other.T_this_reference) @ other.T_this_target
-    found = None if T is None else fused_pose(T, points, [own, *others])
+            most = n
+            T = inverse(other.T_this_reference) @ other.T_this_target
+    if T is None:
+        return None
+    found = fused_pose(T, points, [own, *others])
     return None if found is None else found[0]

@@ -51,13 +51,11 @@ class Oracle(DetectorBase):
     ) -> tuple[None, Detection]:
         """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others."""
         if view is None:
-            raise ParameterError.missing(
-                "view",
-                (
-                    "the oracle needs the true view of the target;"
-                    " use detector blobs where there is none"
-                ),
+            words = (
+                "the oracle needs the true view of the target;"
+                " use detector blobs where there is none"
             )
+            raise ParameterError.missing("view", words)
         p = view.p_camera
         uv = camera.project(p)
         if self.field_of_view == "unlimited" and all_finite(uv):

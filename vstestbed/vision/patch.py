@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Perspective, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
@@ -116,9 +116,8 @@ def template_of(path: Path, written_ns: int, width_m: float, most_texels: int) -
     share = min(1.0, (most_texels / grey.size) ** 0.5)
     levels: list[TemplateSize] = []
     while min(height, width) * share >= LEAST_SIDE or not levels:
-        levels.append(
-            _level(grey, (max(4, round(width * share)), max(4, round(height * share))), half)
-        )
+        size = max(4, round(width * share)), max(4, round(height * share))
+        levels.append(_level(grey, size, half))
         share /= 2
     return Template(tuple(levels), width_m / 2 / half[0], half, _features(image, half))
 
@@ -127,16 +126,15 @@ def _level(grey: GreyImage, size: tuple[int, int], half: tuple[float, float]) ->
     """The template reduced to a size (w, h) by averaging, so that its texels' places stay where
     they are.
     """
-    small = (
-        grey
-        if size == grey.shape[::-1]
-        else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
-    )
+    small = grey
+    if size != grey.shape[::-1]:
+        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     small = np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.float32)
     w, h = size
     texel = 2 * half[0] / w, 2 * half[1] / h
     u, v = np.meshgrid(np.arange(w), np.arange(h))
-    x, y = ((u - (w - 1) / 2) * texel[0]).ravel(), ((v - (h - 1) / 2) * texel[1]).ravel()
+    x = ((u - (w - 1) / 2) * texel[0]).ravel()
+    y = ((v - (h - 1) / 2) * texel[1]).ravel()
     inner = ((np.minimum(u, w - 1 - u) >= EDGE) & (np.minimum(v, h - 1 - v) >= EDGE)).ravel()
     across, down = (max(1, round(BLOCKS * side)) for side in half)  # the same blocks in every size
     block = (v * down // h * across + u * across // w).ravel()
@@ -147,12 +145,19 @@ def _level(grey: GreyImage, size: tuple[int, int], half: tuple[float, float]) ->
     slope = slopes(small, texel)
     # A flat texel may differ by four grey levels from the picture, and an edge may seem to be
     # shifted by .3 texels in it.
-    sampled = np.hypot(4.0, 0.3 * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(
-        np.float32
-    )
-    x, y = x.astype(np.float32), y.astype(np.float32)
+    steepness = np.hypot(slope[0] * texel[0], slope[1] * texel[1])
     return TemplateSize(
-        small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down)
+        small,
+        x.astype(np.float32),
+        y.astype(np.float32),
+        to_plane,
+        slope,
+        texel,
+        inner,
+        np.hypot(4.0, 0.3 * steepness).astype(np.float32),
+        block,
+        spread > FLAT,
+        (across, down),
     )
 
 
@@ -180,7 +185,8 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
     """
     height, width = image.shape[:2]
     share = min(1.0, 640 / max(height, width))  # a picture shows no finer ones
-    w, h = round(width * share), round(height * share)
+    w = round(width * share)
+    h = round(height * share)
     small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
     px, descriptors = _sift().extract(np.asarray(small, np.uint8))
     return ((px + 0.5) / [w, h] * 2 - 1) * half, descriptors
@@ -206,13 +212,10 @@ class GreyPicture:
             if image is None:
                 continue
             left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
-            grey = np.asarray(
-                cv2.cvtColor(
-                    np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY
-                ),
-                np.uint8,
-            )
-            self._sizes[k], self._begin[k] = [grey.astype(np.float32)], np.array([left, top], float)
+            part = np.ascontiguousarray(image[top:bottom, left:right])
+            grey = np.asarray(cv2.cvtColor(part, cv2.COLOR_RGB2GRAY), np.float32)
+            self._sizes[k] = [grey]
+            self._begin[k] = np.array([left, top], float)
 
     def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
         """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where
@@ -235,30 +238,26 @@ class GreyPicture:
             self._smooth[k, halvings] = np.asarray(
                 cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR), np.float32
             )
-        panel, image, begin = self.camera.panels[k], self._smooth[k, halvings], self._begin[k]
-        turned, lens = panel.R_camera_panel.T @ rays, panel.lens
+        image = self._smooth[k, halvings]
+        begin = self._begin[k]
+        lens = self.camera.panels[k].lens
+        turned = self.camera.panels[k].R_camera_panel.T @ rays
         h, w = shape
         ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
         if isinstance(lens, Perspective) and not lens.resampled and ahead.min() > 0:
-            to_part = (
-                np.array([[1, 0, -begin[0]], [0, 1, -begin[1]], [0, 0, 2**halvings]])
-                @ lens.K
-                @ turned
-            )
-            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            to_part = np.array([[1, 0, -begin[0]], [0, 1, -begin[1]], [0, 0, 2**halvings]])
             found = cv2.warpPerspective(
                 image,
-                to_part,
+                to_part @ lens.K @ turned,
                 (w, h),
-                flags=flags,
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
                 borderMode=cv2.BORDER_CONSTANT,
                 borderValue=np.nan,
             )
             return np.asarray(found, np.float32)
         at = (lens.project(_grid(shape) @ turned.T) - begin) / 2**halvings
-        u, v = np.ascontiguousarray(
-            np.moveaxis(np.nan_to_num(at.astype(np.float32), nan=OUTSIDE), -1, 0)
-        )
+        at = np.nan_to_num(at.astype(np.float32), nan=OUTSIDE)
+        u, v = np.ascontiguousarray(np.moveaxis(at, -1, 0))
         found = cv2.remap(
             image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan
         )
@@ -282,7 +281,8 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
     areas: list[float] = []
     for panel in camera.panels:
         uv = panel.lens.project(rays @ panel.R_camera_panel).reshape(len(GRID), len(GRID), 2)
-        a, b = uv[1:, 1:] - uv[:-1, :-1], uv[1:, :-1] - uv[:-1, 1:]
+        a = uv[1:, 1:] - uv[:-1, :-1]
+        b = uv[1:, :-1] - uv[:-1, 1:]
         area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) / 2
         area = area[np.isfinite(area) & panel.lens.inside(uv[1:, 1:])]
         areas.extend(area.tolist())
@@ -348,16 +348,14 @@ def align(
     visible = 0.0
     sizes = _sizes(template, picture, G)
     # most iterations, on the smallest copy first
-    for (level, halvings), rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):
+    for size, rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):
         # They end when no corner moves by more than this in the picture [px]; in the smaller copies
         # earlier.
-        still = 0.03 * (1 if level is sizes[-1][0] else 8.0)
-        found = _aligned(
-            level, picture, halvings, G, rounds, still, least_correlation, template.corners
-        )
+        still = 0.03 if size is sizes[-1] else 0.24
+        found = size.aligned(G, rounds, still, least_correlation, template.corners)
         if found is None:
             return None
-        G, visible = found[0], found[1][2]
+        G, (_, _, visible) = found
     return G if sizes and visible >= least_visible else None
 
 
@@ -370,17 +368,59 @@ def similarity(
     sizes = _sizes(template, picture, G)
     if not sizes:
         return 0.0, 0.0
-    level, halvings = sizes[0]
-    _, correlation, share = _compared(
-        level, _sampled(level, picture, halvings, G), least_correlation
-    )
+    _, correlation, share = sizes[0].compared(G, least_correlation)
     return share, correlation
 
 
-def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[TemplateSize, int]]:
-    """The template's copies to align with, smallest first, each with how often the picture is
-    halved for it; empty where not seen.
-    """
+class _Size(NamedTuple):
+    """One size of a template, and a picture with how often it is halved to be of similar size."""
+
+    level: TemplateSize
+    picture: GreyPicture
+    halvings: int
+
+    def sampled(self, G: Array) -> GreyImage:
+        """The picture's grey levels (n,) at the texels."""
+        rays = G @ self.level.to_plane
+        return self.picture.sampled(rays, self.level.grey.shape, self.halvings).ravel()
+
+    def compared(self, G: Array, least: float) -> BlockFits:
+        """How well each block fits."""
+        return _compared(self.level, self.sampled(G), least)
+
+    def aligned(
+        self, G: Array, rounds: int, still: float, least: float, corners: Array
+    ) -> tuple[Array, BlockFits] | None:
+        """G aligned, and how well each block fits there; None where too little of the plane is in
+        the picture.
+        """
+        level = self.level
+        before = self.picture.camera.project(corners @ G.T)
+        counted = light = None
+        for _ in range(rounds):
+            grey = self.sampled(G)
+            if counted is None:
+                counted = _compared(level, grey, least)[0]
+            seen = counted[level.block] & level.inner & np.isfinite(grey)
+            if np.count_nonzero(seen) < 100:  # texels
+                return None
+            warp, light = _step(level, grey, seen, light)
+            G = normalised(G @ warp)
+            if not np.isfinite(G).all() or np.linalg.det(G) <= 0:
+                return None
+            now = self.picture.camera.project(corners @ G.T)
+            moved = np.abs(now - before)
+            before = now
+            if not (moved > still).any():
+                blocks = self.compared(G, least)
+                if (blocks[0] == counted).all():
+                    return G, blocks
+                counted = blocks[0]
+        return G, self.compared(G, least)
+
+
+def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[_Size]:
+    """The template's copies to align with, smallest first; empty where not seen."""
     scale = pixels_per_unit(picture.camera, G, template.half)
     if not scale > 0:
         return []
@@ -389,47 +429,10 @@ def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Tem
     # times those.
     first = next((k for k, size in enumerate(px) if size >= 0.7), len(px) - 1)
     used = [k for k in range(first, len(px)) if px[k] <= 4.0 * 1.2 * px[first]]
-    return [(template.levels[k], max(0, round(float(np.log2(px[k]))))) for k in reversed(used)]
-
-
-def _sampled(level: TemplateSize, picture: GreyPicture, halvings: int, G: Array) -> GreyImage:
-    return picture.sampled(G @ level.to_plane, level.grey.shape, halvings).ravel()
-
-
-def _aligned(
-    level: TemplateSize,
-    picture: GreyPicture,
-    halvings: int,
-    G: Array,
-    rounds: int,
-    still: float,
-    least: float,
-    corners: Array,
-) -> tuple[Array, BlockFits] | None:
-    """G aligned in one size, and how well each block fits there; None where too little of the plane
-    is in the picture.
-    """
-    before = picture.camera.project(corners @ G.T)
-    counted = light = None
-    for _ in range(rounds):
-        grey = _sampled(level, picture, halvings, G)
-        if counted is None:
-            counted = _compared(level, grey, least)[0]
-        seen = counted[level.block] & level.inner & np.isfinite(grey)
-        if np.count_nonzero(seen) < 100:  # texels
-            return None
-        warp, light = _step(level, grey, seen, light)
-        G = normalised(G @ warp)
-        if not np.isfinite(G).all() or np.linalg.det(G) <= 0:
-            return None
-        now = picture.camera.project(corners @ G.T)
-        moved, before = np.abs(now - before), now
-        if not (moved > still).any():
-            blocks = _compared(level, _sampled(level, picture, halvings, G), least)
-            if (blocks[0] == counted).all():
-                return G, blocks
-            counted = blocks[0]
-    return G, _compared(level, _sampled(level, picture, halvings, G), least)
+    return [
+        _Size(template.levels[k], picture, max(0, round(float(np.log2(px[k])))))
+        for k in reversed(used)
+    ]
 
 
 def _step(
@@ -438,43 +441,30 @@ def _step(
     """The warp exp(A(z)) (3, 3) of the template's plane in one iteration, and the light (6,) after
     it: gain and offset, each (1, x, y).
     """
-    template, x, y = level.grey.ravel(), level.x, level.y
+    template = level.grey.ravel()
+    x = level.x
+    y = level.y
     known = np.where(seen, grey, 0)
     if light is None:  # that by which the grey levels have the template's mean and spread
-        i, t = grey[seen], template[seen]
+        i = grey[seen]
+        t = template[seen]
         ratio = t.std() / max(float(i.std()), 1e-3)
         light = np.array([ratio, 0, 0, t.mean() - ratio * i.mean(), 0, 0])
     a = light
     gain = (a[0] + a[1] * x + a[2] * y).astype(np.float32)
     residual = gain * known + (a[3] + a[4] * x + a[5] * y).astype(np.float32) - template
-    shape = level.grey.shape
-    gx, gy = 0.5 * (
-        gain * slopes(np.where(np.isfinite(grey), grey, 0).reshape(shape), level.texel)
-        + level.slopes
-    )
+    image = np.where(np.isfinite(grey), grey, 0).reshape(level.grey.shape)
+    gx, gy = 0.5 * (gain * slopes(image, level.texel) + level.slopes)
     along = gx * x + gy * y
+    of_warp = gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along
     scaled = known / LIGHT
-    lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
-    rows = np.stack(
-        [
-            gx,
-            gy,
-            gx * y,
-            gy * x,
-            gx * x - gy * y,
-            -along - gy * y,
-            -x * along,
-            -y * along,
-            *lit,
-            residual,
-        ]
-    )
+    of_light = scaled, scaled * x, scaled * y, np.ones_like(x), x, y
+    rows = np.stack([*of_warp, *of_light, residual])
     rows = np.asarray(rows * np.sqrt(_weights(residual, level, seen)), np.float32)
     # rows rows^T in parts so small that a linear algebra library does not share them out among
     # threads
-    N = np.add.reduce(
-        [(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]
-    ).astype(float)
+    parts = [rows[:, k : k + PART] for k in range(0, rows.shape[1], PART)]
+    N = np.add.reduce([part @ part.T for part in parts]).astype(float)
     n = len(N) - 1
     # The ridge leaves where it is what the template leaves open.
     z = -np.linalg.solve(N[:n, :n] + 1e-6 * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
@@ -497,7 +487,8 @@ def _exponential(z: Array) -> Array:
     """
     A = np.array([[z[4], z[2], z[0]], [z[3], -z[4] - z[5], z[1]], [z[6], z[7], z[5]]])
     A *= min(1.0, 1.0 / max(np.abs(A).max(), 1e-12))
-    out, term = np.eye(3), np.eye(3)
+    out = np.eye(3)
+    term = out
     for k in range(1, 8):
         term = term @ A / k
         out = out + term
@@ -509,20 +500,15 @@ def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
     normalised correlation with them.
     """
     seen = level.inner & np.isfinite(grey)
-    # About their means, which single precision would otherwise keep too few digits beside.
-    i, t = (
-        np.where(seen, of - of[seen].mean(), 0) if seen.any() else np.zeros_like(of)
-        for of in (grey, level.grey.ravel())
-    )
-    s, si, st, sii, stt, sit = (
-        level.by_block(values) for values in (seen.astype(np.float32), i, t, i * i, t * t, i * t)
-    )
+    i = _centred(grey, seen)
+    t = _centred(level.grey.ravel(), seen)
+    s = level.by_block(seen.astype(np.float32))
+    si = level.by_block(i)
+    st = level.by_block(t)
     some = np.maximum(s, 1e-3)
-    cov, vi, vt = (
-        sit - si * st / some,
-        np.maximum(sii - si * si / some, 0),
-        np.maximum(stt - st * st / some, 0),
-    )
+    cov = level.by_block(i * t) - si * st / some
+    vi = np.maximum(level.by_block(i * i) - si * si / some, 0)
+    vt = np.maximum(level.by_block(t * t) - st * st / some, 0)
     inside = level.textured & (s >= INSIDE * level.by_block(level.inner.astype(np.float32)))
     each = cov / np.sqrt(np.maximum(vi, FAINT**2) * np.maximum(vt, FAINT**2))
     alike = inside & (each >= least)
@@ -532,6 +518,13 @@ def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
     # others.
     counted = alike & (each >= 0.8 * np.median(each[alike])) if share >= ENOUGH else inside
     return counted, total, share
+
+
+def _centred(grey: GreyImage, seen: NDArray[np.bool_]) -> GreyImage:
+    """Grey levels (n,) about the mean of those seen, beside which single precision would keep too
+    few of their digits; 0 where not seen.
+    """
+    return np.where(seen, grey - grey[seen].mean(), 0) if seen.any() else np.zeros_like(grey)
 
 
 # A plane's template found anywhere in a picture: keypoints matched, and the homography on which
@@ -553,7 +546,7 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
         for image, panel in zip(picture.images, camera.panels, strict=True)
         if image is not None
     ]
-    rays, index = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+    rays, index = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     if len(rays) < LEAST_MATCHES:
         return None
     R = looking_along(np.median(rays, axis=0))
@@ -668,24 +661,21 @@ class PatchDetector(DetectorBase):
         """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not
         found.
         """
-        picture, template = self._given(picture), self._template(target)
-        G, searched_s = self._tracked(state, picture, template, camera, target), state.searched_s
+        picture = self._given(picture)
+        template = self._template(target)
+        searched_s = state.searched_s
+        G = self._tracked(state, picture, template, camera, target)
         if G is None and picture.t - searched_s >= self.search_s:
-            whole, searched_s = picture.completed(), picture.t
-            if (rough := found(template, whole, camera)) is not None:
-                G = align(
-                    template,
-                    GreyPicture(whole, camera),
-                    rough,
-                    self.least_correlation,
-                    self.least_visible,
-                )
+            searched_s = picture.t
+            whole = picture.completed()
+            rough = found(template, whole, camera)
+            if rough is not None:
+                grey = GreyPicture(whole, camera)
+                G = align(template, grey, rough, self.least_correlation, self.least_visible)
         if G is None:
             lost = replace(state, before=None, tracked=False, searched_s=searched_s)
             return lost, Detection(uv=np.full((len(target.points), 2), np.nan))
-        points = np.column_stack(
-            [target.points[:, :2] / template.unit_m, np.ones(len(target.points))]
-        )
+        points = homogeneous(target.points[:, :2] / template.unit_m)
         after = PatchState(G, state.G if state.tracked else None, True, searched_s)
         return after, Detection(uv=camera.project(points @ G.T))
 
@@ -734,14 +724,16 @@ class PatchDetector(DetectorBase):
         if not state.tracked or state.G is None:
             return None
         # Places along the template's sides, and between, whose images make its bounding box.
-        half, along = self._template(target).half, np.linspace(-1, 1, 5)
+        half = self._template(target).half
+        along = np.linspace(-1, 1, 5)
         x, y = np.meshgrid(along * half[0], along * half[1])
         plane = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
         uv = camera.project(plane @ state.G.T)
         before = uv if state.before is None else camera.project(plane @ state.before.T)
         if not (np.isfinite(uv).all() and np.isfinite(before).all()):
             return None
-        (left, top), (right, bottom) = uv.min(axis=0).tolist(), uv.max(axis=0).tolist()
+        left, top = uv.min(axis=0).tolist()
+        right, bottom = uv.max(axis=0).tolist()
         box = (
             max(-camera.width, int(left)),
             max(-camera.height, int(top)),

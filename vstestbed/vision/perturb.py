@@ -91,11 +91,14 @@ class Erasing(PerturbationBase):
             return image
         height, width = image.shape[:2]
         for _ in range(self.tries):
-            (least, most), ratio = self.area, rng.uniform(self.aspect, 1 / self.aspect)
+            least, most = self.area
+            ratio = rng.uniform(self.aspect, 1 / self.aspect)
             area = rng.uniform(least, most) * width * height
-            h, w = round(np.sqrt(area * ratio)), round(np.sqrt(area / ratio))
+            h = round(np.sqrt(area * ratio))
+            w = round(np.sqrt(area / ratio))
             if 0 < h < height and 0 < w < width:
-                v, u = rng.integers(height - h + 1), rng.integers(width - w + 1)
+                v = rng.integers(height - h + 1)
+                u = rng.integers(width - w + 1)
                 size = 1 if self.fill == "grey" else (h, w, 3)
                 image[v : v + h, u : u + w] = rng.integers(0, 256, size, dtype=np.uint8)
                 return image
@@ -130,9 +133,8 @@ class ColorJitter(PerturbationBase):
         b, c, s = (state if self.each == "run" else self._factors(rng)).astype(np.float32)
         contrasted = c * (image.astype(np.float32) - np.float32(GREY)) + np.float32(GREY)
         grey = (contrasted @ LUMA)[..., None]
-        return np.clip(b * (s * (contrasted - grey) + grey) + np.float32(0.5), 0, 255).astype(
-            np.uint8
-        )
+        changed = b * (s * (contrasted - grey) + grey) + np.float32(0.5)
+        return np.clip(changed, 0, 255).astype(np.uint8)
 
     def _factors(self, rng: np.random.Generator) -> Array:
         return 1.0 + rng.uniform(-1, 1, 3) * (self.brightness, self.contrast, self.saturation)
@@ -177,13 +179,11 @@ class Shadow(PerturbationBase):
         at = reach * (2 * ((t / self.period_s + begun) % 1) - 1)
         x = ((np.arange(width, dtype=np.float32) - (width - 1) / 2) / width)[None]
         y = ((np.arange(height, dtype=np.float32) - (height - 1) / 2) / width)[:, None]
-        c, s = np.float32(np.cos(angle)), np.float32(np.sin(angle))
-        along = c * x + s * y - np.float32(at)
-        far = (
-            np.abs(along)
-            if self.shape == "band"
-            else np.hypot(along, c * y - s * x - np.float32(beside))
-        )
+        c = np.float32(np.cos(angle))
+        s = np.float32(np.sin(angle))
+        far = np.abs(c * x + s * y - np.float32(at))
+        if self.shape == "blob":
+            far = np.hypot(far, c * y - s * x - np.float32(beside))
         inside = np.clip(((self.width + self.edge) / 2 - far) / self.edge, 0, 1)
         light = 1 - self.darkness * inside * inside * (3 - 2 * inside)
         return (image * light[..., None].astype(np.float32) + np.float32(0.5)).astype(np.uint8)
@@ -209,7 +209,8 @@ class Outliers(PerturbationBase):
 
     def pixels(self, state: None, uv: Array, t: float, rng: np.random.Generator) -> Array:
         hit = rng.random(len(uv)) < self.probability
-        r, a = self.radius_px * np.sqrt(rng.random(len(uv))), rng.uniform(0, 2 * np.pi, len(uv))
+        r = self.radius_px * np.sqrt(rng.random(len(uv)))
+        a = rng.uniform(0, 2 * np.pi, len(uv))
         return uv + np.where(hit[:, None], np.column_stack([r * np.cos(a), r * np.sin(a)]), 0.0)
 
 
@@ -217,6 +218,10 @@ CONTRACT = Contract(
     PerturbationBase, base=PerturbationBase, words={"changes": ("picture", "pixels")}
 )
 PERTURBATIONS = Registry("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
+
+
+Drawn = tuple[PerturbationBase, Any, np.random.Generator]
+"""A perturbation, what was drawn once a run for it, and its generator."""
 
 
 class Perturbed:
@@ -228,17 +233,14 @@ class Perturbed:
         n = len(kinds)
         # independent: what is drawn once a run, for pictures, for pixels
         streams = rng.spawn(3 * n)
-        begun = [(kind, kind.begin(stream)) for kind, stream in zip(kinds, streams, strict=False)]
-        self._pictures = [
-            (*one, s)
-            for one, s in zip(begun, streams[n : 2 * n], strict=True)
-            if "picture" in one[0].changes
-        ]
-        self._pixels = [
-            (*one, s)
-            for one, s in zip(begun, streams[2 * n :], strict=True)
-            if "pixels" in one[0].changes
-        ]
+        self._pictures: list[Drawn] = []
+        self._pixels: list[Drawn] = []
+        for i, kind in enumerate(kinds):
+            state = kind.begin(streams[i])
+            if "picture" in kind.changes:
+                self._pictures.append((kind, state, streams[n + i]))
+            if "pixels" in kind.changes:
+                self._pixels.append((kind, state, streams[2 * n + i]))
 
     @property
     def on_pixels(self) -> bool:
@@ -254,10 +256,7 @@ class Perturbed:
         def changed(t: float, images: Images) -> Images:
             for kind, state, seed in drawn:
                 images = tuple(
-                    None
-                    if i is None
-                    else _picture(kind, state, i.copy(), t, np.random.default_rng(seed))
-                    for i in images
+                    None if i is None else _picture(kind, state, i.copy(), t, seed) for i in images
                 )
             return images
 
@@ -275,17 +274,14 @@ class Perturbed:
         return uv
 
 
-def _picture(
-    kind: PerturbationBase, state: Any, image: Image, t: float, rng: np.random.Generator
-) -> Image:
-    shape, after = image.shape, kind.picture(state, image, t, rng)
-    if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
-        found = (
-            f"{after.shape} {after.dtype}"
-            if isinstance(after, np.ndarray)
-            else type(after).__name__
-        )
+def _picture(kind: PerturbationBase, state: Any, image: Image, t: float, seed: int) -> Image:
+    wanted = f"{image.shape} uint8"
+    after = kind.picture(state, image, t, np.random.default_rng(seed))
+    found = type(after).__name__
+    if isinstance(after, np.ndarray):
+        found = f"{after.shape} {after.dtype}"
+    if found != wanted:
         raise ParameterError.returned(
-            f"noise.perturb: {kind.kind}", "picture", f"an image {shape} uint8", found
+            f"noise.perturb: {kind.kind}", "picture", f"an image {wanted}", found
         )
     return after

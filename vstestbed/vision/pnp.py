@@ -61,16 +61,21 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
         return []
     tilt = np.sqrt((1 - s2 / s1) * (1 + s2 / s1)) * Vt[1]
     columns = np.empty((2, 3, 2))
-    columns[:, :2], columns[0, 2], columns[1, 2] = A / s1, tilt, -tilt
+    columns[:, :2] = A / s1
+    columns[0, 2] = tilt
+    columns[1, 2] = -tilt
     R = np.array([_rotation_of(R_v @ both) for both in columns]) @ R_target_plane.T
     # Translations by least squares: x (r_z p + t_z) = r_x p + t_x, and alike for y.
-    p, A = points @ R.transpose(0, 2, 1), np.zeros((len(xy), 2, 3))
+    p = points @ R.transpose(0, 2, 1)
+    A = np.zeros((len(xy), 2, 3))
     A[:, 0, 0] = A[:, 1, 1] = 1.0
     A[:, :, 2] = -xy
     A = A.reshape(-1, 3)
     t = np.linalg.solve(A.T @ A, A.T @ (xy * p[..., 2:] - p[..., :2]).reshape(2, -1).T).T
     T = np.zeros((2, 4, 4))
-    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, t, 1.0
+    T[:, :3, :3] = R
+    T[:, :3, 3] = t
+    T[:, 3, 3] = 1.0
     return list(T)
 
 
@@ -194,13 +199,15 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
     return T, error
 
 
-_K, _EYE = np.eye(3), np.eye(4)
+_K = np.eye(3)
+_EYE = np.eye(4)
 # A refined previous pose is accepted if its reprojection error is below STANDS times the image
 # points' spread (a mirror pose that fits as well is indistinguishable from the right one) and below
 # MIRRORED times its cube: a mirror pose is a local minimum only if the plane's tilt is larger than
 # about the spread, with an error of some spread^2 x tilt; 1.5 spread^3 was the least of 3000 views
 # nearly frontal.
-STANDS, MIRRORED = 1e-3, 0.4
+STANDS = 1e-3
+MIRRORED = 0.4
 # ... and nearer to the previous pose (radians plus share of the distance), from where few
 # iterations converge to rounding
 CONTINUES = 0.2
@@ -256,8 +263,9 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     """
     if len(points) < 3:
         return None
-    xy, points = np.ascontiguousarray(xy, dtype=float), np.ascontiguousarray(points, dtype=float)
-    shape = _layout(points.tobytes())
+    xy = np.ascontiguousarray(xy, dtype=float)
+    points = np.ascontiguousarray(points, dtype=float)
+    shape = _layout(points)
     if shape == "line":
         return None
     if (unit := unit_for(points)) != 1.0:
@@ -278,10 +286,8 @@ def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) ->
     spread = _spread(xy)
     if previous is not None:
         T, error = _refine(xy, points, previous)
-        if (
-            error < min(STANDS * spread, MIRRORED * spread**3)
-            and _step(T, previous, points) < CONTINUES
-        ):
+        fits = error < min(STANDS * spread, MIRRORED * spread**3)
+        if fits and _step(T, previous, points) < CONTINUES:
             return T
     solutions = [c for c in _candidates(xy, points, shape) if c[0] < FITS * spread]
     if not solutions:
@@ -297,9 +303,9 @@ def _preferred(solutions: list[_Candidate], previous: Array | None, points: Arra
     if previous is None:
         return best
     rivals = [c for c in solutions if c[0] <= CLEARLY_WORSE * best[0]]
-    return (
-        rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c[1], previous, points))
-    )
+    if len(rivals) == 1:
+        return best
+    return min(rivals, key=lambda c: _step(c[1], previous, points))
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -314,11 +320,9 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
         return None
     view = _pinhole(rays)
     if view is None:
-        return (
-            None
-            if _layout(np.ascontiguousarray(points).tobytes()) == "line"
-            else solve_pose_all_round(rays, points, previous)
-        )
+        if _layout(points) == "line":
+            return None
+        return solve_pose_all_round(rays, points, previous)
     xy, T = view
     if T is None:
         return solve_pose(xy, points, previous)
@@ -330,7 +334,7 @@ def three_ray_poses(rays: Array, points: Array) -> list[Array]:
     """All poses (4, 4), at most four, of three points (3, 3) [m] on three rays (3, 3); none unless
     a virtual camera sees them.
     """
-    view = None if _layout(np.ascontiguousarray(points).tobytes()) == "line" else _pinhole(rays)
+    view = None if _layout(points) == "line" else _pinhole(rays)
     if view is None:
         return []
     xy, T = view
@@ -393,11 +397,10 @@ def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
     """
     turn = _START.T @ T[:3, :3]
     turned = points @ turn.T
-    refined = _matrix(
-        *cv2.solvePnPRefineVVS(
-            turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy(), _SETTLED
-        )
+    turn_vector, translation = cv2.solvePnPRefineVVS(
+        turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy(), _SETTLED
     )
+    refined = _matrix(turn_vector, translation)
     error = _misfit(refined, xy, turned)
     refined[:3, :3] = refined[:3, :3] @ turn
     return refined, error
@@ -433,7 +436,8 @@ def _step(T: Array, previous: Array, points: Array) -> float:
     its distance from the camera.
     """
     middle = _middle(points.tobytes())
-    now, before = (T @ middle).tolist(), (previous @ middle).tolist()
+    now = (T @ middle).tolist()
+    before = (previous @ middle).tolist()
     return turn_between(T, previous) + math.dist(now, before) / math.hypot(*now[:3])
 
 
@@ -457,8 +461,12 @@ def _middle(points: bytes) -> Array:
     return np.append(np.frombuffer(points).reshape(-1, 3).mean(axis=0), 1.0)
 
 
+def _layout(points: Array) -> Layout:
+    return _layout_of(np.ascontiguousarray(points).tobytes())
+
+
 @lru_cache(maxsize=4096)
-def _layout(points: bytes) -> Layout:
+def _layout_of(points: bytes) -> Layout:
     """The layout of points (N, 3), given as bytes, which can be hashed: the same few subsets of
     markers recur at every frame.
     """
@@ -468,11 +476,9 @@ def _layout(points: bytes) -> Layout:
         return "line"
     if len(p) > 3 and not _flat(s, 2):
         return "space"
-    return (
-        "line and one"
-        if any(_flat(_extent(np.delete(p, i, axis=0)), 1) for i in range(len(p)))
-        else "plane"
-    )
+    if any(_flat(_extent(np.delete(p, i, axis=0)), 1) for i in range(len(p))):
+        return "line and one"
+    return "plane"
 
 
 def _extent(points: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import Pixels, PositiveAngle, PositivePixels, TighterBounds
 from vstestbed.core.spec import spec
@@ -23,7 +23,13 @@ from vstestbed.features.observation import Goal
 from vstestbed.targets import Target
 from vstestbed.targets.regions import LEAST_AHEAD, centroid, covariance, evenly_along
 from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
-from vstestbed.vision.colour import Region, chroma_mask, noise_level
+from vstestbed.vision.colour import (
+    Region,
+    chroma_mask,
+    mixes_colours,
+    noise_level,
+    with_surroundings,
+)
 
 if TYPE_CHECKING:
     from cv2.typing import MatLike
@@ -32,10 +38,7 @@ REACH = 2  # pixels to each side of the border that are added up
 NEIGHBOURS = np.ones((3, 3), np.uint8)
 # a pixel's neighbours whose mean colours, of those wholly covered and of those not covered at all,
 # meet at a border
-NEAR = (
-    7,
-    7,
-)
+NEAR = 7, 7
 
 
 def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -48,15 +51,16 @@ def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
     Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a
     border).
     """
-    near, inner = cv2.dilate(alone, NEIGHBOURS), cv2.erode(alone, NEIGHBOURS)
+    near = cv2.dilate(alone, NEIGHBOURS)
+    inner = cv2.erode(alone, NEIGHBOURS)
     out = (inner > 0).astype(np.float32)
     # the colours are worked out there alone: most of a region is its inside
     border = (near > 0) & (inner == 0)
-    F, B = _mean_near(part, inner, border), _mean_near(part, cv2.bitwise_not(near), border)
+    F = _mean_near(part, inner, border)
+    B = _mean_near(part, cv2.bitwise_not(near), border)
     span = F - B
-    out[border] = ((part[border] - B) * span).sum(axis=1) / np.maximum(
-        (span * span).sum(axis=1), 1.0
-    )
+    size2 = (span * span).sum(axis=1)
+    out[border] = ((part[border] - B) * span).sum(axis=1) / np.maximum(size2, 1.0)
     return out
 
 
@@ -64,15 +68,10 @@ def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np
     """Mean colours (K, 3) of the pixels of `which` (255 there) near each of K pixels `at`; where
     there are none, of all of them.
     """
-    total = cv2.boxFilter(
-        cv2.bitwise_and(part, part, mask=which),
-        cv2.CV_32F,
-        NEAR,
-        normalize=False,
-        borderType=cv2.BORDER_CONSTANT,
-    )
-    counted = cv2.boxFilter(
-        which, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT
+    colours = cv2.bitwise_and(part, part, mask=which)
+    total, counted = (
+        cv2.boxFilter(image, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for image in (colours, which)
     )
     count = counted[at][:, None] / 255
     overall = np.array(cv2.mean(part, which)[:3], np.float32)
@@ -88,7 +87,8 @@ def edge_points(cover: NDArray[np.floating]) -> Array:
     since a pixel's coverage is the mean over its height; flatter ones are measured along columns.
     """
     c = np.pad(cover.astype(np.float32), REACH)
-    du, dv = (np.abs(cv2.Sobel(c, cv2.CV_32F, *order, ksize=3)) for order in ((1, 0), (0, 1)))
+    du = np.abs(cv2.Sobel(c, cv2.CV_32F, 1, 0, ksize=3))
+    dv = np.abs(cv2.Sobel(c, cv2.CV_32F, 0, 1, ksize=3))
     along_rows = _crossings(c, du >= dv)
     along_columns = _crossings(np.ascontiguousarray(c.T), np.ascontiguousarray((dv > du).T))
     return np.concatenate([along_rows, along_columns[:, ::-1]]) - REACH
@@ -159,7 +159,6 @@ def fit_polygon(
     middle: Array,
     spread: Array,
     corners: Array,
-    plane: tuple[Array, Array],
     turns: tuple[float, ...],
     expected: float,
 ) -> PolygonFit | None:
@@ -172,13 +171,15 @@ def fit_polygon(
     next to G e_k and n_k the normal of its side.
 
     Args:
-        middle, spread: centroid (2,) and covariance (2, 2) of the region's area; plane: those of
-            the polygon's.
+        middle, spread: centroid (2,) and covariance (2, 2) of the region's area.
         turns: rotations to begin with [rad]; empty: all round. expected: the rotation that is taken
             where several fit alike.
     """
-    whiten, colour = roundness(spread), _root(plane[1])
-    e, q = (edge - middle) @ whiten, (corners - plane[0]) @ inverted(colour)
+    middle_of_polygon = centroid(corners)
+    whiten = roundness(spread)
+    colour = _root(covariance(corners))
+    e = (edge - middle) @ whiten
+    q = (corners - middle_of_polygon) @ inverted(colour)
     best: PolygonFit | None = None
     for turn in turns or _likely(e, q, expected):
         found = _refined(e, q, turn)
@@ -187,20 +188,20 @@ def fit_polygon(
         G, off, left = found
         if best is not None and not _better(off, turn, best, expected):
             continue
-        to_plane = _affine(colour, plane[0]) @ G @ inverted(_affine(inverted(whiten), middle))
+        to_plane = _affine(colour, middle_of_polygon) @ G
+        to_plane = to_plane @ inverted(_affine(inverted(whiten), middle))
         best = inverted(to_plane), left, off
     return best
 
 
 def _better(off: Array, turn: float, best: PolygonFit, expected: float) -> bool:
-    size, before = (
-        float(np.sqrt(np.mean(np.minimum(distance, 0.5) ** 2))) for distance in (off, best[2])
-    )
+    _, turn_before, off_before = best
+    size = float(np.sqrt(np.mean(np.minimum(off, 0.5) ** 2)))
+    before = float(np.sqrt(np.mean(np.minimum(off_before, 0.5) ** 2)))
     if max(size, before) > PREFERRED * min(size, before) + FAINT:
         return size < before
-    return abs(math.remainder(turn - expected, 2 * math.pi)) < abs(
-        math.remainder(best[1] - expected, 2 * math.pi)
-    )
+    away = abs(math.remainder(turn - expected, 2 * math.pi))
+    return away < abs(math.remainder(turn_before - expected, 2 * math.pi))
 
 
 def _likely(e: Array, q: Array, expected: float) -> list[float]:
@@ -209,7 +210,8 @@ def _likely(e: Array, q: Array, expected: float) -> list[float]:
     """
     few = e[:: max(1, len(e) // 40)]
     turns = expected + np.arange(TURNS) * (2 * math.pi / TURNS)
-    c, s = np.cos(turns), np.sin(turns)
+    c = np.cos(turns)
+    s = np.sin(turns)
     # rotated back by each, (TURNS, K, 2)
     turned = few @ np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -1)
     distance = _foot(turned.reshape(-1, 2), q)[2].reshape(TURNS, -1)
@@ -224,9 +226,10 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
     """G (3, 3) from round points e (K, 2) to a round polygon q (E, 2), the points' distances (K,),
     and the rotation in it.
     """
-    c, s = math.cos(turn), math.sin(turn)
+    c = math.cos(turn)
+    s = math.sin(turn)
     G = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # back by the rotation
-    m = np.column_stack([e, np.ones(len(e))])
+    m = homogeneous(e)
     off = np.zeros(len(e))
     for _ in range(ROUNDS):
         x = m @ G.T
@@ -239,10 +242,9 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
         if np.count_nonzero(used) < 16:
             return None
         rows = m[used] / x[used, 2:]
-        n, along = normal[used], (normal[used] * p[used]).sum(axis=1)
-        J = np.concatenate(
-            [n[:, :1] * rows, n[:, 1:] * rows, -along[:, None] * rows[:, :2]], axis=1
-        )
+        n = normal[used]
+        along = (n * p[used]).sum(axis=1)[:, None]
+        J = np.concatenate([n[:, :1] * rows, n[:, 1:] * rows, -along * rows[:, :2]], axis=1)
         step = np.linalg.lstsq(J, -height[used], rcond=None)[0]
         G = G + np.append(step, 0.0).reshape(3, 3)
         if np.abs(step).max() < SETTLED:
@@ -291,7 +293,8 @@ def _root(S: Array) -> Array:
 
 def _affine(A: Array, shift: Array) -> Array:
     out = np.eye(3)
-    out[:2, :2], out[:2, 2] = A, shift
+    out[:2, :2] = A
+    out[:2, 2] = shift
     return out
 
 
@@ -349,34 +352,39 @@ def fit_outline(
         turn: the rotation in the last picture [rad]; None where it is to be sought all round.
         expected: the rotation that is taken where several fit alike [rad].
     """
-    rays, corners = border.rays(border.edge), target.figure_corners
+    rays = border.rays(border.edge)
+    corners = target.figure_corners
     if corners is None:
-        # A round region of pixels with standard deviation s has the radius 2 s.
         found = target.round_outline(rays)
-        return (
-            None if found is None else OutlineFit(found[0], found[1] * 2 * border.size_px, found[0])
-        )
+        if found is None:
+            return None
+        p, off = found
+        # A round region of pixels with standard deviation s has the radius 2 s.
+        return OutlineFit(p, off * 2 * border.size_px, p)
     if not (rays[:, 2] > LEAST_AHEAD).all():
         return None
     xy = rays[:, :2] / rays[:, 2:]
     # normalised coordinates of the region's centroid, and their derivative by pixels
     near = border.rays(border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     m = near[:, :2] / near[:, 2:]
-    middle, J = m[0], (m[1:] - m[0]).T
-    plane, turns = (centroid(corners), covariance(corners)), () if turn is None else (turn,)
-    fit = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
+    J = (m[1:] - m[0]).T
+    turns = () if turn is None else (turn,)
+    fit = fit_polygon(xy, m[0], J @ border.spread @ J.T, corners, turns, expected)
     if fit is None:
         return None
     H, turned, off = fit
+    p = _mapped(H, target.points[:, :2])
     # of the outline 200 points, by which it is compared with the border in the picture
-    p, close = (
-        np.column_stack([xy, np.ones(len(xy))]) @ H.T
-        for xy in (target.points[:, :2], evenly_along(corners, 200))
-    )
-    # directions, turned to lie before the camera
-    return OutlineFit(
-        p * np.sign(p[:, 2:]), off * border.size_px, close * np.sign(close[:, 2:]), turned
-    )
+    close = _mapped(H, evenly_along(corners, 200))
+    return OutlineFit(p, off * border.size_px, close, turned)
+
+
+def _mapped(H: Array, flat: Array) -> Array:
+    """Directions (N, 3) of a plane's points (N, 2) by its homography, turned to lie before the
+    camera.
+    """
+    p = homogeneous(flat) @ H.T
+    return p * np.sign(p[:, 2:])
 
 
 # a region is measured so far beyond its box [px], which may touch the window in which it was
@@ -457,9 +465,10 @@ class RegionDetector(DetectorBase):
         """Nothing seen yet; a shape is expected as the goal view shows it."""
         if target.figure_corners is None or not np.isfinite(goal.xy).all():
             return RegionState()
-        seen, flat = goal.xy, target.points[:, :2]
+        seen = goal.xy
+        flat = target.points[:, :2]
         # The affine map that fits best, without what makes both shapes round: a rotation.
-        to, _, _, _ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), seen, rcond=None)
+        to, _, _, _ = np.linalg.lstsq(homogeneous(flat), seen, rcond=None)
         R = roundness(covariance(seen)) @ to[:2].T @ inverted(roundness(covariance(flat)))
         return RegionState(expected=math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
 
@@ -491,46 +500,42 @@ class RegionDetector(DetectorBase):
         picture = self._given(picture)
         if not target.outlined:
             raise ParameterError.fixed("target", "a shape or a ball", where="for detector region")
-        window, image = self._window(state, camera, self.window_margin_px), picture.images[0]
-        found = (
-            None
-            if window is None or image is None
-            else self._largest(image, 0, window, state, camera, target)
-        )
-        for panel, whole in enumerate(picture.completed().images if found is None else ()):
-            if whole is not None and found is None:
-                found = self._largest(
-                    whole, panel, (0, 0, whole.shape[1], whole.shape[0]), state, camera, target
-                )
+        found = None
+        window = self._window(state, camera, self.window_margin_px)
+        image = picture.images[0]
+        if window is not None and image is not None:
+            found = self._largest(image, window, camera.panels[0], state, target)
         if found is None:
-            return RegionState(state.expected), Detection(
-                uv=np.full((len(target.points), 2), np.nan)
-            )
+            found = self._searched(picture.completed(), state, camera, target)
+        if found is None:
+            unseen = np.full((len(target.points), 2), np.nan)
+            return RegionState(state.expected), Detection(uv=unseen)
         box, middle, fit = found
         du, dv = (0.0, 0.0) if state.middle is None else (middle - state.middle).tolist()
-        return RegionState(state.expected, box, middle, (du, dv), fit.turn), Detection(
-            uv=camera.project(fit.p)
-        )
+        after = RegionState(state.expected, box, middle, (du, dv), fit.turn)
+        return after, Detection(uv=camera.project(fit.p))
+
+    def _searched(
+        self, picture: Picture, state: RegionState, camera: Camera, target: Target
+    ) -> Found | None:
+        """The region in the first of the whole images that shows one."""
+        for image, panel in zip(picture.images, camera.panels, strict=True):
+            if image is None:
+                continue
+            whole = (0, 0, image.shape[1], image.shape[0])
+            found = self._largest(image, whole, panel, state, target)
+            if found is not None:
+                return found
+        return None
 
     def _largest(
-        self,
-        image: Image,
-        panel: int,
-        window: Window,
-        state: RegionState,
-        camera: Camera,
-        target: Target,
+        self, image: Image, window: Window, panel: Panel, state: RegionState, target: Target
     ) -> Found | None:
         """The largest region of the target's hue in a window that is whole and to which the outline
         fits; None without one.
         """
-        lens = camera.panels[panel].lens
-        region = Region(
-            image,
-            window,
-            "grey" if lens.multisampling > 0 or lens.resampled else "sharp",
-            noise_level(image),
-        )
+        rim = "grey" if mixes_colours(panel.lens) else "sharp"
+        region = Region(image, window, rim, noise_level(image))
         mask = chroma_mask(region.searched, self.chroma)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         order = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")
@@ -538,50 +543,38 @@ class RegionDetector(DetectorBase):
             x, y, w, h, area = stats[label].tolist()
             if area < self.least_area_px:
                 break
+            if x == 0 or y == 0 or x + w == mask.shape[1] or y + h == mask.shape[0]:
+                continue  # Beyond an edge of the window, or the image's border, it may go on.
+            left = window[0] + x
+            top = window[1] + y
             alone = np.asarray(255 * (labels[y : y + h, x : x + w] == label), np.uint8)
-            left, top = window[0] + x, window[1] + y
-            box = (left, top, left + w, top + h)
-            # Beyond an edge of the window, or the image's border, it may go on.
-            inside = (
-                left > window[0]
-                and top > window[1]
-                and left + w < window[2]
-                and top + h < window[3]
-            )
-            if not inside or not self._has_hue(
-                image[top : top + h, left : left + w], alone, target.hues_deg[0]
-            ):
+            part = image[top : top + h, left : left + w]
+            if not self._has_hue(part, alone, target.hues_deg[0]):
                 continue
-            if (
-                found := self._fitted(region, alone, box, panel, state, camera, target)
-            ) is not None:
+            box = (left, top, left + w, top + h)
+            found = self._fitted(region, alone, box, panel, state, target)
+            if found is not None:
                 return found
         return None
 
     def _has_hue(self, part: Image, alone: Image, wanted_deg: float) -> bool:
         r, g, b, _ = cv2.mean(part, mask=alone)
-        return (
-            abs(math.remainder(360 * colorsys.rgb_to_hsv(r, g, b)[0] - wanted_deg, 360))
-            <= self.hue_tolerance_deg
-        )
+        hue_deg = 360 * colorsys.rgb_to_hsv(r, g, b)[0]
+        return abs(math.remainder(hue_deg - wanted_deg, 360)) <= self.hue_tolerance_deg
 
     def _fitted(
         self,
         region: Region,
         alone: Image,
         box: Window,
-        panel: int,
+        panel: Panel,
         state: RegionState,
-        camera: Camera,
         target: Target,
     ) -> Found | None:
         """The outline fitted to a region, by `alone` (255 in its pixels in its box); None where it
         does not fit.
         """
-        left, top = max(box[0] - BESIDE_PX, 0), max(box[1] - BESIDE_PX, 0)
-        part = region.image[top : box[3] + BESIDE_PX, left : box[2] + BESIDE_PX]
-        found = np.zeros(part.shape[:2], np.uint8)
-        found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
+        part, found, left, top = with_surroundings(region.image, alone, box, BESIDE_PX)
         cover = coverage(part, found)
         edge = edge_points(cover) + [left, top]
         if len(edge) < 24:
@@ -593,7 +586,7 @@ class RegionDetector(DetectorBase):
         mass = m["m00"]
         middle = np.array([left + m["m10"] / mass, top + m["m01"] / mass])
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / mass
-        border = Border(edge, middle, spread, camera.panels[panel])
+        border = Border(edge, middle, spread, panel)
         # [px], and [px per grey level of its standard deviation]
         tolerance = self.tolerance_px + 0.05 * region.noise
         # as in the last picture, or else all round
@@ -605,9 +598,7 @@ class RegionDetector(DetectorBase):
             # px or under noise, then had under 0.015 of their length farther from the region's
             # pixels.
             bare = bare_share(border.project(fit.close) - (left, top), found, tolerance + 1.0)
-            if (
-                float(np.mean(fit.off_px > tolerance)) <= self.hidden_share
-                and bare <= self.hidden_share
-            ):
+            off = float(np.mean(fit.off_px > tolerance))
+            if max(off, bare) <= self.hidden_share:
                 return box, middle, fit
         return None

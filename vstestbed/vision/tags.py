@@ -5,8 +5,10 @@ tracked in windows.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import compress
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -20,7 +22,7 @@ from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Marker, Tag
-from vstestbed.vision.base import Detection, DetectorBase, TruthView, windows_round
+from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
 from vstestbed.vision.colour import Image
 from vstestbed.vision.pnp import solve_pose_from_rays
 
@@ -29,6 +31,16 @@ from vstestbed.vision.pnp import solve_pose_from_rays
 
 # positions along an edge at which it is measured, shares of its length, without the blurred corners
 ALONG = np.linspace(0.1, 0.9, 16)
+# these positions on the sides of the unit square (4, 2, S), and the sides' outward normals
+SIDES = np.array(
+    [
+        [ALONG, 0 * ALONG],
+        [0 * ALONG + 1, ALONG],
+        [1 - ALONG, 0 * ALONG + 1],
+        [0 * ALONG, 1 - ALONG],
+    ]
+)
+OUTWARDS = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])[:, :, None]
 ACROSS = np.linspace(-1, 1, 25)  # samples of one profile across an edge, in units of its reach
 ENDS = 3  # samples at each end of a profile whose mean is its black or white level
 # half length of a profile in modules: it ends within the black border and within the white quiet
@@ -59,7 +71,8 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
             # another round would move them by a fraction of that
             if np.abs(edges[0] - corners).max() < 0.02:
                 break
-            corners, edges = edges[0], _measured_once(grey, edges[0], modules)
+            corners = edges[0]
+            edges = _measured_once(grey, edges[0], modules)
     return edges
 
 
@@ -67,13 +80,15 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
     size = np.array([grey.shape[1], grey.shape[0]]) - 1
     middle, reach = _profiles(corners, modules)
     where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
-    u, v = where.reshape(1, -1, 2)[..., 0], where.reshape(1, -1, 2)[..., 1]
+    u, v = np.moveaxis(where.reshape(1, -1, 2), -1, 0)
     profile = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     profile = np.asarray(profile, float).reshape(where.shape[:-1])
     # The edge's place in each profile, from -1 at its inner to 1 at its outer end, and the step's
     # height.
-    black, white = profile[..., :ENDS].mean(axis=-1), profile[..., -ENDS:].mean(axis=-1)
-    step, mean = white - black, np.trapezoid(profile, axis=-1) / (len(ACROSS) - 1)
+    black = profile[..., :ENDS].mean(axis=-1)
+    white = profile[..., -ENDS:].mean(axis=-1)
+    step = white - black
+    mean = np.trapezoid(profile, axis=-1) / (len(ACROSS) - 1)
     share = np.clip(1 - 2 * (mean - black) / np.maximum(step, 1.0), -1, 1)
     measured, misfit = _cross(middle + share[..., None] * reach)
     contrast = step.min(axis=(1, 2)) / np.maximum(np.median(step, axis=(1, 2)), 1.0)
@@ -90,27 +105,25 @@ def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
     and Image Warping, section 2.2.3.
     """
     a, b, c, d = (corners[:, k] for k in range(4))
-    e, f, s = b - c, d - c, a - b + c - d
-    cross = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((e, f), (s, f), (e, s))]
-    g, h = cross[1] / cross[0], cross[2] / cross[0]
+    e = b - c
+    f = d - c
+    s = a - b + c - d
+    area = _cross2(e, f)
+    g = _cross2(s, f) / area
+    h = _cross2(e, s) / area
     H = np.zeros((len(corners), 3, 3))
-    H[:, :2, 0], H[:, :2, 1], H[:, :2, 2] = b - a + g[:, None] * b, d - a + h[:, None] * d, a
+    H[:, :2, 0] = b - a + g[:, None] * b
+    H[:, :2, 1] = d - a + h[:, None] * d
+    H[:, :2, 2] = a
     H[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
-    out = REACH / modules
-    s, zero = ALONG, np.zeros_like(ALONG)
-    on = np.stack(
-        [
-            np.stack([s, zero]),
-            np.stack([zero + 1, s]),
-            np.stack([1 - s, zero + 1]),
-            np.stack([zero, 1 - s]),
-        ]
-    )
-    normal = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])[:, :, None]
-    inner, outer = (_mapped(H, on + sign * out * normal) for sign in (-1, 1))
-    reach = (outer - inner) / 2
+    out = REACH / modules * OUTWARDS
+    reach = (_mapped(H, SIDES + out) - _mapped(H, SIDES - out)) / 2
     long = np.linalg.norm(reach, axis=-1, keepdims=True)
-    return _mapped(H, on), reach * np.minimum(1, MOST_REACH_PX / np.maximum(long, 1e-9))
+    return _mapped(H, SIDES), reach * np.minimum(1, MOST_REACH_PX / np.maximum(long, 1e-9))
+
+
+def _cross2(p: Array, q: Array) -> Array:
+    return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
 
 
 def _mapped(H: Array, p: Array) -> Array:
@@ -127,7 +140,9 @@ def _cross(points: Array) -> tuple[Array, Array]:
     """
     mean = points.mean(axis=2)
     d = points - mean[:, :, None]
-    xx, yy, xy = (d[..., 0] ** 2).sum(-1), (d[..., 1] ** 2).sum(-1), (d[..., 0] * d[..., 1]).sum(-1)
+    xx = (d[..., 0] ** 2).sum(-1)
+    yy = (d[..., 1] ** 2).sum(-1)
+    xy = (d[..., 0] * d[..., 1]).sum(-1)
     # the scatter matrix's minor axis, in closed form
     angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -148,11 +163,8 @@ PX_PER_MODULE = 16
 def dictionary(family: str) -> cv2.aruco.Dictionary:
     """OpenCV's dictionary of a family of tags."""
     kind, _, name = family.partition("_")
-    return cv2.aruco.getPredefinedDictionary(
-        getattr(
-            cv2.aruco, f"DICT_APRILTAG_{name}" if kind == "apriltag" else f"DICT_{name.upper()}"
-        )
-    )
+    word = f"DICT_APRILTAG_{name}" if kind == "apriltag" else f"DICT_{name.upper()}"
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, word))
 
 
 def tag_picture(tag: Tag, number: int, px: int = PX_PER_MODULE) -> NDArray[np.uint8]:
@@ -189,7 +201,7 @@ class TagsState:
     """
 
     corners: tuple[Array | None, ...] = ()
-    moves: tuple[tuple[float, float], ...] = ()
+    moves: tuple[Move, ...] = ()
     T_camera_target: Array | None = None
 
 
@@ -255,22 +267,18 @@ class Tags(DetectorBase):
         """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it
         can be solved.
         """
-        picture, tag, n = self._given(picture), target.marker, len(target.points)
+        picture = self._given(picture)
+        tag = target.marker
+        n = len(target.points)
         assert isinstance(tag, Tag)  # a scenario refuses others
-        found = self._track(_greys(picture), state, camera, tag, n) or self._search(
-            _greys(picture.completed()), camera, tag, n
-        )
+        found = self._track(_greys(picture), state, camera, tag, n)
+        if found is None:
+            found = self._search(_greys(picture.completed()), camera, tag, n)
         uv, T = _measure(found, state.T_camera_target, camera, target, tag)
         corners = tuple(found[i][1] if i in found else None for i in range(n))
         kept = T if T is not None else state.T_camera_target
-        last = zip(
-            state.corners or (None,) * n, corners, state.moves or ((0.0, 0.0),) * n, strict=True
-        )
-        # The last known move of a tag that was not seen then, or is not now.
-        moves = [move if a is None or b is None else (b - a).mean(axis=0) for a, b, move in last]
-        return TagsState(
-            corners, tuple((float(du), float(dv)) for du, dv in moves), kept
-        ), Detection(uv=uv, T_camera_target=T)
+        after = TagsState(corners, _moves(state, corners), kept)
+        return after, Detection(uv=uv, T_camera_target=T)
 
     def _windows(self, state: TagsState, camera: Camera) -> list[Window] | None:
         boxes = [None if c is None else _box(c) for c in state.corners]
@@ -282,16 +290,17 @@ class Tags(DetectorBase):
         """All tags, each from a window of its own; None where one is lost and the whole image must
         be searched.
         """
-        windows, grey = self._windows(state, camera), greys[0]
+        windows = self._windows(state, camera)
+        grey = greys[0]
         if windows is None or grey is None:
             return None
-        rough = {
-            i: quad
-            for i, w in enumerate(windows)
-            for k, quad in _read(grey, w, tag, n, self.misread).items()
-            if k == i
-        }
-        whole = self._whole(grey, rough, tag) if len(rough) == n else {}
+        rough: dict[int, Array] = {}
+        for i, window in enumerate(windows):
+            quads = _read(grey, window, tag, n, self.misread)
+            if i not in quads:
+                return None
+            rough[i] = quads[i]
+        whole = self._whole(grey, rough, tag)
         return {i: (0, corners) for i, corners in whole.items()} if len(whole) == n else None
 
     def _search(
@@ -305,13 +314,12 @@ class Tags(DetectorBase):
         for panel, grey in enumerate(greys):
             if grey is None:
                 continue
-            whole = self._whole(
-                grey, _read(grey, (0, 0, grey.shape[1], grey.shape[0]), tag, n, self.misread), tag
-            )
-            for i, corners in whole.items():
+            rough = _read(grey, (0, 0, grey.shape[1], grey.shape[0]), tag, n, self.misread)
+            for i, corners in self._whole(grey, rough, tag).items():
                 cosine = float(camera.panels[panel].lens.ray(corners.mean(axis=0))[2])
                 if cosine > cosines.get(i, -2.0):
-                    found[i], cosines[i] = (panel, corners), cosine
+                    cosines[i] = cosine
+                    found[i] = panel, corners
         return found
 
     def _whole(self, grey: Image, rough: dict[int, Array], tag: Tag) -> dict[int, Array]:
@@ -321,11 +329,22 @@ class Tags(DetectorBase):
             grey, np.stack(list(rough.values())), tag.modules
         )
         good = (astray <= self.astray_px) & (contrast >= self.contrast) & (border >= 0)
-        return {
-            i: corners
-            for i, corners, whole in zip(rough, measured, good.tolist(), strict=True)
-            if whole
-        }
+        return dict(compress(zip(rough, measured, strict=True), good))
+
+
+def _moves(state: TagsState, corners: Sequence[Array | None]) -> tuple[Move, ...]:
+    """How each tag has moved since the last picture [px]; the last known move of one that was not
+    seen then, or is not now.
+    """
+    if not state.corners:
+        return ((0.0, 0.0),) * len(corners)
+    moves: list[Move] = []
+    for before, now, move in zip(state.corners, corners, state.moves, strict=True):
+        if before is not None and now is not None:
+            du, dv = (now - before).mean(axis=0).tolist()
+            move = du, dv
+        moves.append(move)
+    return tuple(moves)
 
 
 def _greys(picture: Picture) -> list[Image | None]:
@@ -344,18 +363,15 @@ def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[i
         grey[top:bottom, left:right]
     )
     rough: dict[int, Array] = {}
-    for quad, marker in zip(
-        quads, [] if markers is None else np.asarray(markers, int).ravel(), strict=True
-    ):
+    if markers is None:
+        return rough
+    for quad, marker in zip(quads, np.asarray(markers, int).ravel().tolist(), strict=True):
         corners = np.asarray(quad, float).reshape(4, 2)
         out = corners - corners.mean(axis=0)
         # OpenCV's corners are centres of the outermost black pixels, and lie so far inside the
         # black square.
-        rough[int(marker)] = (
-            corners
-            + (left, top)
-            + math.sqrt(0.5) * out / np.linalg.norm(out, axis=1, keepdims=True)
-        )
+        inside = math.sqrt(0.5) * out / np.linalg.norm(out, axis=1, keepdims=True)
+        rough[marker] = corners + (left, top) + inside
     return rough
 
 
@@ -396,7 +412,9 @@ def _measure(
 
 
 def _box(corners: Array) -> Window:
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     room = QUIET * (high - low).max()
-    (left, top), (right, bottom) = (low - room).tolist(), (high + room + 1).tolist()
+    left, top = (low - room).tolist()
+    right, bottom = (high + room + 1).tolist()
     return int(left), int(top), math.ceil(right), math.ceil(bottom)

@@ -103,16 +103,15 @@ def test_a_part_that_is_drawn_again_fits_into_the_picture() -> None:
     replay, other = replay_of(s, DRAFT), replay_of(s, DRAFT)
     try:
         frame = at_the_start(s)
-        poses = frame.T_world_target, frame.q + 0.02, frame.T_world_camera
-        first = replay.picture(
-            "overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera
-        )
+        at_start = frame.state._replace(t=0.0)
+        moved = at_start._replace(q=frame.q + 0.02)
+        first = replay.picture("overview", SIZE, at_start)
         replay._views["overview"][0]._view = lambda: pytest.fail("the whole picture was drawn")
         # at the same time the camera keeps its place
-        second = replay.picture("overview", *SIZE, 0.0, *poses)
-        other.picture("overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera)
+        second = replay.picture("overview", SIZE, moved)
+        other.picture("overview", SIZE, at_start)
         other._views.clear()
-        whole = other.picture("overview", *SIZE, 0.0, *poses)
+        whole = other.picture("overview", SIZE, moved)
         assert (np.abs(first.astype(int) - whole).max(axis=2) > 12).sum() > 50  # the arm has moved
         # half a pixel at most along an edge
         assert (np.abs(second.astype(int) - whole).max(axis=2) > 12).sum() < 5
@@ -127,11 +126,7 @@ def test_an_inset_alone_is_drawn_at_its_own_size_unless_the_film_is_fine() -> No
     for quality, inset_in in ((DRAFT, None), (DRAFT, DRAFT.size), (FINE, FINE.size)):
         replay = replay_of(s, quality, inset_in)
         try:
-            sizes.append(
-                replay.picture(
-                    "eye", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera
-                ).shape[1::-1]
-            )
+            sizes.append(replay.picture("eye", SIZE, frame.state).shape[1::-1])
         finally:
             replay.close()
     assert sizes == [(640, 480), (round(0.26 * 640), round(0.26 * 640 * 480 / 640)), (640, 480)]

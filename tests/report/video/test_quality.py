@@ -42,8 +42,8 @@ def test_frames_are_due_by_their_time_whatever_is_missing():
 class NoReplay:
     """Draws grey pictures."""
 
-    def picture(self, camera: str, width: int, height: int, *_: object) -> np.ndarray:
-        return np.full((height, width, 3), 100, np.uint8)
+    def picture(self, camera: str, size: tuple[int, int], *_: object) -> np.ndarray:
+        return np.full((*size[::-1], 3), 100, np.uint8)
 
 
 def test_a_film_keeps_real_time_where_pictures_stayed_away(tmp_path: Path):

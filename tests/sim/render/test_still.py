@@ -37,7 +37,7 @@ class TestMotion:
         self.model = mujoco.MjModel.from_xml_string(SCENE)
         self.data = mujoco.MjData(self.model)
         self.counts = Counts()
-        self.view = StillView(self.counts.full_image, self.model, self.data, "eye", F)
+        self.view = StillView(self.counts.full_image, self.data, "eye", F)
 
     def image(self) -> int:
         mujoco.mj_kinematics(self.model, self.data)
@@ -78,7 +78,7 @@ class TestMotion:
     )
     def test_what_is_out_of_sight_moves_unseen(self, place: tuple[float, float, float], drawn: int):
         self.view = StillView(
-            self.counts.full_image, self.model, self.data, "eye", F, sides=(0.5, 0.5)
+            self.counts.full_image, self.data, "eye", F, sides=(0.5, 0.5)
         )  # .75 m aside, 1.5 m before the camera
         self.data.mocap_pos[0] = place
         assert self.image() == 1
@@ -97,7 +97,7 @@ class TestParts:
         self.model = mujoco.MjModel.from_xml_string(SCENE)
         self.data = mujoco.MjData(self.model)
         self.drawn: list[Window | None] = []
-        self.view = StillView(self.full_image, self.model, self.data, "eye", F, self.part)
+        self.view = StillView(self.full_image, self.data, "eye", F, self.part)
         self.image()
 
     def full_image(self) -> np.ndarray:

@@ -4,7 +4,8 @@ runs at once.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -41,10 +42,17 @@ def stage_of(scenario: vs.Scenario) -> Scene:
     return stage
 
 
+@dataclass
+class Draws:
+    """What draws the pictures."""
+
+    draw: Callable[[PictureRequest], Sequence[Image]]
+    name: str = ""
+
+
 def renderer(stage: Scene, camera: vs.Camera | None = None) -> WarpRenderer:
-    return WarpRenderer(
-        stage, camera or stage.parts.camera, lambda shot: device().draw([shot])[0], "device"
-    )
+    alone = Draws(lambda shot: device().draw([shot])[0], "device")
+    return WarpRenderer(stage, camera or stage.parts.camera, alone)
 
 
 def pixels(images: tuple[Image | None, ...]) -> np.ndarray:
@@ -122,7 +130,9 @@ def test_a_picture_does_not_depend_on_the_others() -> None:
     ]
     q = stages[1].parts.start[0]
     stages[1].place(0.0, stages[1].target_pose(), q + 0.05)  # the same scene, seen from elsewhere
-    alone = [pixels(WarpRenderer(stage, stage.parts.camera, keep, "").images()) for stage in stages]
+    alone = [
+        pixels(WarpRenderer(stage, stage.parts.camera, Draws(keep)).images()) for stage in stages
+    ]
     shots[3] = replace(shots[3], tiles=shots[3].tiles[:1])
     together = device().draw(shots)
     assert [len(tiles) for tiles in together] == [len(shot.tiles) for shot in shots]
@@ -172,7 +182,7 @@ def test_slots_hold_every_tile_once() -> None:
         return device().draw([shot])[0]
 
     windows = tuple((u, v, u + 6, v + 6) for u in range(0, 150, 10) for v in range(0, 110, 10))
-    WarpRenderer(stage, stage.parts.camera, keep, "").images((windows,))
+    WarpRenderer(stage, stage.parts.camera, Draws(keep)).images((windows,))
     slots = list(slots_of(0, asked[0]))
     assert [tile for slot in slots for _, _, tile in slot.tiles] == list(windows)
     assert all(slot.places <= PLACES and len(slot.tiles) <= MOST_TILES for slot in slots)

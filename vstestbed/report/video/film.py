@@ -206,9 +206,7 @@ class Pictures:
         return self._replay.seen(frame.t) if frame.image is None else frame.image
 
     def _rendered(self, camera: str, m: FilmFrame) -> Image:
-        return self._replay.picture(
-            camera, *self._size, m.t, m.T_world_target, m.q, m.T_world_camera
-        )
+        return self._replay.picture(camera, self._size, m.state)
 
 
 def panels(
@@ -244,12 +242,9 @@ class OtherPanel:
         shown = frame.cameras.get(self._eye.name)
         if shown is None:
             return np.zeros((self._size[1], self._size[0], 3), np.uint8)
-        scene = frame.t, frame.T_world_target, frame.q, frame.T_world_camera
-        image = (
-            replay.picture(self._eye.name, *self._size, *scene)
-            if shown.image is None
-            else shown.image
-        )
+        image = shown.image
+        if image is None:
+            image = replay.picture(self._eye.name, self._size, frame.state)
         image = np.array(scaled(image, self._size))
         uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (shown.uv, shown.goal_uv))
         self._overlay.draw(image, uv, goal_uv)

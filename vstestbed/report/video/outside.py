@@ -76,11 +76,8 @@ class Outside:
         """One picture (H, W, 3); T_world_goal: the servo camera's pose (4, 4) at its goal, if it
         has one.
         """
-        width, height = self._size
         T_target, T_camera = frame.T_world_target, frame.T_world_camera
-        scene = self._replay.picture(
-            self._name, width, height, frame.t, T_target, frame.q, T_camera, T_world_goal
-        )
+        scene = self._replay.picture(self._name, self._size, frame.state, T_world_goal)
         pen = Pen(scene, *self._replay.sight(self._name), self._line)
         strokes: list[Stroke] = (
             [] if T_world_goal is None else self._goal(pen, T_world_goal, T_camera, T_target)

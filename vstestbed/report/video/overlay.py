@@ -22,6 +22,7 @@ from vstestbed.loop.columns import POSE
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.distributions import GOAL_STREAM
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import SceneState
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 
@@ -340,6 +341,11 @@ class FilmFrame:
     # what further cameras showed last, by name
     cameras: Mapping[str, OtherPicture] = field(default_factory=dict[str, "OtherPicture"])
 
+    @property
+    def state(self) -> SceneState:
+        """Of the scene."""
+        return SceneState(self.t, self.T_world_target, self.q, self.T_world_camera)
+
     @classmethod
     def of_frame(cls, frame: Frame) -> FilmFrame:
         """A frame of a running loop."""
@@ -458,15 +464,9 @@ class Residual:
         # Of a scene of its own: the target as it was before `noise.target`, and no picture that
         # others take for one of the run.
         with closing(self._replay.of_target(s.target)) as taught:
-            image = taught.picture(
-                "eye",
-                s.camera.width,
-                s.camera.height,
-                frame.t,
-                frame.T_world_target,
-                frame.q,
-                T_world_goal,
-            ).copy()
+            size = s.camera.width, s.camera.height
+            state = frame.state._replace(T_world_camera=T_world_goal)
+            image = taught.picture("eye", size, state).copy()
         return self._goal.setdefault(
             view, image if said is None else said.under_its_light(image, s.rng(GOAL_STREAM))
         )

@@ -50,7 +50,8 @@ def covering(px: Array, f: float, face: str = "front") -> Pinhole:
     """The smallest image that holds all of px (..., 2), relative to its principal point [px]."""
     px = px.reshape(-1, 2)
     # One pixel more on each side: bilinear resampling reads the four pixels round a point.
-    low, high = np.floor(px.min(axis=0)) - 1, np.ceil(px.max(axis=0)) + 1
+    low = np.floor(px.min(axis=0)) - 1
+    high = np.ceil(px.max(axis=0)) + 1
     return Pinhole(
         int(high[0] - low[0]) + 1,
         int(high[1] - low[1]) + 1,
@@ -147,17 +148,16 @@ class Cube:
         wide = window[2] - window[0] == self.owner.shape[1]
         out: dict[int, Window] = {}
         for i, (patch, face) in enumerate(zip(self.patches, self.faces, strict=True)):
-            some, columns = (
-                _within(patch.rows, window[1], window[3]),
-                _within(patch.columns, window[0], window[2]),
-            )
+            some = _within(patch.rows, window[1], window[3])
+            columns = _within(patch.columns, window[0], window[2])
             low, high = (
                 (ends[some] for ends in patch.reach)
                 if wide
                 else _reach(patch.maps[0][some, columns])
             )
             if len(low) and high.max() >= 0:
-                (left, top), (right, bottom) = low.min(axis=0).tolist(), high.max(axis=0).tolist()
+                left, top = low.min(axis=0).tolist()
+                right, bottom = high.max(axis=0).tolist()
                 out[i] = left, top, min(right + 2, face.width), min(bottom + 2, face.height)
         return out
 
@@ -181,10 +181,8 @@ class Cube:
                     _within(patch.rows, window[1], window[3]),
                     _within(patch.columns, window[0], window[2]),
                 )
-                still, (coarse, rest) = (
-                    np.ascontiguousarray(drawn[i][top:bottom, left:right]),
-                    patch.maps,
-                )
+                still = np.ascontiguousarray(drawn[i][top:bottom, left:right])
+                coarse, rest = patch.maps
                 moved = coarse[part] - np.array([left, top], np.int16)
                 self._put(image[patch.rows, patch.columns][part], still, moved, rest[part])
         return image
@@ -250,7 +248,8 @@ def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
     face.
     """
     v, u = np.nonzero(mine)
-    rows, columns = slice(int(v.min()), int(v.max()) + 1), slice(int(u.min()), int(u.max()) + 1)
+    rows = slice(int(v.min()), int(v.max()) + 1)
+    columns = slice(int(u.min()), int(u.max()) + 1)
     at = np.full((*mine.shape, 2), NOWHERE, np.float32)
     at[mine] = px
     # Fixed-point maps, converted once: remapping with them is faster than with floats.

@@ -36,7 +36,8 @@ class PixelRows:
     """
 
     def __init__(self, camera: Camera, noisy: bool = False):
-        self._camera, self._noisy = camera, noisy
+        self._camera = camera
+        self._noisy = noisy
 
     @cached_property
     def _in_panels(self) -> tuple[NDArray[np.intp], ...] | None:
@@ -44,15 +45,11 @@ class PixelRows:
         is its own picture.
         """
         panels = self._camera.panels
-        return (
-            None if panels[0].lens is self._camera else tuple(self._rows(panel) for panel in panels)
-        )
+        return None if panels[0].lens is self._camera else tuple(map(self._rows, panels))
 
     def _rows(self, panel: Panel) -> NDArray[np.intp]:
         lens = panel.lens
-        uv = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(
-            float
-        )
+        uv = pixel_grid(lens.width, lens.height)
         v = self._camera.project(lens.ray(uv) @ panel.R_camera_panel.T)[..., 1]
         return np.clip(np.rint(np.nan_to_num(v)), 0, self._camera.height - 1).astype(np.intp)
 
@@ -123,11 +120,10 @@ class MotionBlur:
             if image is not None:
                 self._sums[i] = self._added(self._sums[i], image, weight)
         one = weights[0]
-        self._total = (
-            self._total + one
-            if not isinstance(one, np.ndarray) and self._total is not None
-            else None
-        )
+        if isinstance(one, np.ndarray):
+            self._total = None
+        elif self._total is not None:
+            self._total += one
         self.whole = self.whole and whole
 
     def _added(self, before: Sum | None, image: NDArray[np.uint8], weight: RowWeight) -> Sum:
@@ -156,14 +152,17 @@ class DepthCamera:
     """
 
     def __init__(self, camera: Perspective, sensor: DepthSensor, rng: np.random.Generator):
-        self._camera, self._sensor, self._rng = camera, sensor, rng
+        self._camera = camera
+        self._sensor = sensor
+        self._rng = rng
 
     @cached_property
     def _lens(self) -> tuple[Array, float]:
         """Normalised coordinates of the pixels (H, W, 2), and the focal length [px], of the lens
         that measures.
         """
-        grid, lens = pixel_grid(self._camera.width, self._camera.height), self._sensor.lens
+        grid = pixel_grid(self._camera.width, self._camera.height)
+        lens = self._sensor.lens
         if lens is not None:
             return (grid - lens.centre) / lens.f, lens.f
         return self._camera.normalise(grid.reshape(-1, 2)).reshape(grid.shape), self._camera.f
@@ -173,11 +172,9 @@ class DepthCamera:
         holes.
         """
         seed = int(self._rng.integers(2**63))
-        return (
-            None
-            if true is None
-            else self._sensor.measured(true, *self._lens, np.random.default_rng(seed))
-        )
+        if true is None:
+            return None
+        return self._sensor.measured(true, *self._lens, np.random.default_rng(seed))
 
     def clean(self, true: DepthImage | None) -> DepthImage | None:
         """The same without noise, as the mean of many pictures at rest would be; nothing is drawn
@@ -229,8 +226,12 @@ class ImageSensor:
         depth: DepthCamera | None = None,
         camera: Camera | None = None,
     ):
-        self._stage, self._model, self._data = stage, stage.model, stage.data
-        self._renderer, self._chain, self._depth = renderer, chain or Chain(), depth
+        self._stage = stage
+        self._model = stage.model
+        self._data = stage.data
+        self._renderer = renderer
+        self._chain = chain or Chain()
+        self._depth = depth
         self._reads_depth = depth is not None or self._chain.needs_depth
         self._always_whole = self._reads_depth or self._chain.whole
         self._true_depth: DepthImage | None = None
@@ -238,7 +239,8 @@ class ImageSensor:
         self._states: list[mujoco.MjData] = []
         self._rows = PixelRows(camera or stage.parts.camera, self._chain.noisy)
         self._exposed: list[Contribution] = []
-        self._blur, self._latest = MotionBlur(), list[Change]()
+        self._blur = MotionBlur()
+        self._latest = list[Change]()
         self._of_now = True  # whether the last picture is of the scene as it is
 
     @property
@@ -258,11 +260,10 @@ class ImageSensor:
         """A whole picture of the present scene without noise; a copy that the caller may keep. The
         noise of later pictures is the same.
         """
-        images, depth = self._renderer.images(with_depth=self._reads_depth), self._depth
+        images = self._renderer.images(with_depth=self._reads_depth)
         images = self._chain.clean(t, images, self._renderer.depth)
-        return Picture(
-            t, images, depth=None if depth is None else depth.clean(self._renderer.depth)
-        ).copy()
+        depth = None if self._depth is None else self._depth.clean(self._renderer.depth)
+        return Picture(t, images, depth=depth).copy()
 
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image beside the parts, or the panels, that
@@ -281,11 +282,11 @@ class ImageSensor:
         """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None
         where nothing changes its pictures.
         """
-        imaging, drawn = (
-            self._chain.imaging,
-            lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth),
+        if self._chain.imaging is None:
+            return None
+        return self._chain.imaging.exposure_s(
+            t, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth)
         )
-        return imaging.exposure_s(t, drawn) if imaging else None
 
     def expose(
         self, weight: float | Contribution, regions: Regions | None = None, middle: bool = False
@@ -307,7 +308,9 @@ class ImageSensor:
         """The picture of all images added since the last one, with time stamp t [s]; valid as
         `capture`'s.
         """
-        (blur, exposed), self._blur, self._exposed = (self._blur, self._exposed), MotionBlur(), []
+        blur, exposed = self._blur, self._exposed
+        self._blur = MotionBlur()
+        self._exposed = []
         self._of_now = False
         return self._picture(t, blur.mean(), blur.whole, exposed)
 
@@ -319,7 +322,8 @@ class ImageSensor:
         with_depth: bool,
     ) -> None:
         for i, (brightness, weight) in enumerate(contribution):
-            weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
+            weights = self._rows.weights(weight)
+            by_rows = isinstance(weight, np.ndarray)
             deep = with_depth and i == 0 and self._reads_depth
             with lamps_at(self._model, brightness):
                 images = self._render(*self._rows.needed(regions, weights), with_depth=deep)
@@ -357,12 +361,10 @@ class ImageSensor:
             self._imaged_s += time.perf_counter() - begun
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
-        return (
-            made
-            if whole
-            else Picture(
-                t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn)
-            )
+        if whole:
+            return made
+        return Picture(
+            t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn)
         )
 
     def _developed(self, t: float, images: Images, changes: Sequence[Change]) -> Picture:

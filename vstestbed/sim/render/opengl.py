@@ -41,8 +41,10 @@ OpenGL: .12 ms and 15 ns a pixel).
 
 
 FRUSTUM = "frustum_center", "frustum_width", "frustum_bottom", "frustum_top"
-PLANE, LABEL = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_LABEL)
-GEOM, SKYBOX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+SKYBOX = int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 
 
 class PartCamera(dm.Camera):
@@ -92,16 +94,12 @@ class PartCamera(dm.Camera):
         """Leave out geoms whose bounding sphere is outside of the frustum, and the sky where a
         plane fills the image.
         """
-        model, data, camera = (
-            self._physics.model.ptr,
-            self._physics.data.ptr,
-            self._render_camera.fixedcamid,
-        )
-        R, place, eyes = (
-            data.cam_xmat[camera].reshape(3, 3),
-            data.cam_xpos[camera],
-            self._scene.ptr.camera,
-        )
+        model = self._physics.model.ptr
+        data = self._physics.data.ptr
+        camera = self._render_camera.fixedcamid
+        R = data.cam_xmat[camera].reshape(3, 3)
+        place = data.cam_xpos[camera]
+        eyes = self._scene.ptr.camera
         left, right, bottom, top = (
             sum(ends) / 2
             for ends in zip(
@@ -150,7 +148,8 @@ class PartCamera(dm.Camera):
 
     def _draw_part(self, window: Window, context: Any) -> tuple[slice, slice]:
         """Draw one window; where it is in the buffer. The scene is left as it was."""
-        (left, top, right, bottom), scene = window, self._scene.ptr
+        left, top, right, bottom = window
+        scene = self._scene.ptr
         frustums = [[getattr(camera, name) for name in FRUSTUM] for camera in scene.camera]
         kinds = [geom.type for geom in self._geoms]
         self._look_at(window)
@@ -186,7 +185,8 @@ def _fills(plane: Any, place: Array, corners: Array, far: float) -> bool:
     `far` [m], along all corners.
     """
     R = plane.mat.reshape(3, 3)
-    p, d = (place - plane.pos) @ R, corners @ R
+    p = (place - plane.pos) @ R
+    d = corners @ R
     if plane.rgba[3] < 1 or p[2] <= 0 or (d[:, 2] >= 0).any():
         return False
     t = -p[2] / d[:, 2]
@@ -216,10 +216,8 @@ def _narrow(
     first = camera.frustum_center - half
     camera.frustum_center = first + half * (left + right) / width
     camera.frustum_width = half * (right - left) / width
-    camera.frustum_bottom, camera.frustum_top = (
-        camera.frustum_top - high * bottom / height,
-        camera.frustum_top - high * top / height,
-    )
+    camera.frustum_bottom = camera.frustum_top - high * bottom / height
+    camera.frustum_top = camera.frustum_top - high * top / height
 
 
 def merged(
@@ -234,10 +232,8 @@ def merged(
         (max(left, 0), max(top, 0), min(right, width), min(bottom, height))
         for left, top, right, bottom in windows
     ]
-    rest, done = (
-        [window for window in within if window[0] < window[2] and window[1] < window[3]],
-        list[Window](),
-    )
+    rest = [window for window in within if window[0] < window[2] and window[1] < window[3]]
+    done = list[Window]()
     while rest:
         one = rest.pop()
         for other in rest:
@@ -306,7 +302,8 @@ With 28 a disc of 8 px radius lacks 2 of its 224 pixels, and its centroid is off
 by .01 px.
 """
 
-MOST_MATERIALS, MOST_TEXTURES = 997, 1000
+MOST_MATERIALS = 997
+MOST_TEXTURES = 1000
 """Most materials and textures of a scene that MuJoCo draws by OpenGL, measured: with a sky it
 refuses 998 materials (and says 999), and 1001 textures.
 """
@@ -321,10 +318,10 @@ class SceneCamera:
     stage: the scene. camera: name in the scene (`eye`, `overview`, ...). width, height: size of the
     image [px]. shadows: draw shadows.
     style: `own` is what the servo camera sees (the geoms that enclose the lens are left out),
-    `room` what a camera sees that stands in the room; `outside` shows everything, for films.
-    culls: OpenGL gets only what may be in the picture; MuJoCo itself gives it all geoms. Raises
-    EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more
-    materials or textures than it draws.
+    `room` what a camera sees that stands in the room; `outside` shows everything, for films;
+    `bare` is `own` as MuJoCo itself draws it: OpenGL gets all geoms, and not only what may be in
+    the picture. Raises EnvironmentLackError: OpenGL does not work on this machine. ParameterError:
+    the scene has more materials or textures than it draws.
     """
 
     def __init__(
@@ -334,15 +331,15 @@ class SceneCamera:
         width: int,
         height: int,
         shadows: bool,
-        style: Literal["own", "room", "outside"],
-        culls: bool = True,
+        style: Literal["own", "room", "outside", "bare"],
     ):
         gl.require()
         _must_be_drawable(stage)
         # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it
         # must hold the largest camera.
         vis = stage.model.vis.global_
-        vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
+        vis.offwidth = max(vis.offwidth, width)
+        vis.offheight = max(vis.offheight, height)
         if style != "outside" and not ROUNDED & set(stage.model.geom_type.tolist()):
             stage.model.vis.quality.numslices, stage.model.vis.quality.numstacks = DISC_FACETS
         if not shadows:
@@ -350,18 +347,17 @@ class SceneCamera:
         try:
             self._option = wrapper.MjvOption()
             self._option.geomgroup[:] = 1
-            self._option.geomgroup[LENS_GROUP] = style != "own"
+            self._option.geomgroup[LENS_GROUP] = style in ("room", "outside")
             self._option.geomgroup[RANGE_GROUP] = 0
             self._option.sitegroup[:] = 0
             self._flags = {"shadow": shadows, "reflection": stage.parts.world.floor.mirror > 0}
-            made = stage.physics.with_context(
+            self._camera, self.renderer = stage.physics.with_context(
                 lambda: (
                     PartCamera(stage.physics, height, width, camera_id=camera),
                     gl.renderer_string(),
                 )
             )
-            self._camera, self.renderer = made
-            self._camera.local = culls and not (shadows or self._flags["reflection"])
+            self._camera.local = style != "bare" and not any(self._flags.values())
         except Exception as error:
             # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
             raise (
@@ -395,7 +391,8 @@ class SceneCamera:
         windows: the parts to be drawn; the rest is black. None draws the whole image.
         with_depth: of a whole image, read its depth as well (`depth`).
         """
-        self._camera.windows, self._camera.reads_depth = windows, with_depth
+        self._camera.windows = windows
+        self._camera.reads_depth = with_depth
         return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
 
     def depth(self) -> DepthImage:
@@ -406,10 +403,8 @@ class SceneCamera:
         """Depth (H, W) [m] through another lens at the same place, its pixels from the upper left
         corner on; own: the camera's.
         """
-        low, high = (np.array(end, dtype=float) - 0.5 - lens.centre for end in ((0, 0), self.size))
-        (left, top), (right, bottom) = (
-            (end / lens.f * own.f + own.centre + 0.5).tolist() for end in (low, high)
-        )
+        ends = np.array([(0, 0), self.size], dtype=float) - 0.5 - lens.centre
+        (left, top), (right, bottom) = (ends / lens.f * own.f + own.centre + 0.5).tolist()
         self._camera.beyond = left, top, right, bottom
         try:
             self.raw(None, with_depth=True)
@@ -464,7 +459,8 @@ class OpenGLRenderer:
         drawn = drawn_for(camera, eye)
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
-        self._model, self._pinhole_lens = stage.model, drawn[0]
+        self._model = stage.model
+        self._pinhole_lens = drawn[0]
         self._depth_lens = camera.depth_sensor.lens if camera.depth_sensor else None
         self._panels = len(camera.panels)
         self._size = camera.width, camera.height
@@ -484,7 +480,8 @@ class OpenGLRenderer:
         """Depth of the sky (H, W) [m], which MuJoCo draws as a solid;
         beyond it nothing is drawn.
         """
-        model, lens = self._model, self._depth_lens or self._pinhole_lens
+        model = self._model
+        lens = self._depth_lens or self._pinhole_lens
         xy = (pixel_grid(*self._views[0].size) - lens.centre) / lens.f
         reach = SKY * float(model.vis.map.zfar * model.stat.extent)
         return reach / np.sqrt(1 + (xy**2).sum(axis=-1))
@@ -524,20 +521,20 @@ class OpenGLRenderer:
         """The images of all panels, or of those with a window,
         of which only the windows are drawn.
         """
-        if regions is None or not (self._parts and self._views[0].local):
-            self.whole = regions is None or all(regions)
-            return tuple(
-                view.raw() if regions is None or regions[i] else None
-                for i, view in enumerate(self._views)
-            )
-        self.whole = False
-        parts = [
-            merged(windows, *view.size) for windows, view in zip(regions, self._views, strict=True)
-        ]
-        return tuple(
-            view.raw(windows) if windows else None
-            for windows, view in zip(parts, self._views, strict=True)
-        )
+        if regions is None:
+            self.whole = True
+            return tuple(view.raw() for view in self._views)
+        in_parts = self._parts and self._views[0].local
+        self.whole = all(regions) and not in_parts
+        images: list[Image | None] = []
+        for windows, view in zip(regions, self._views, strict=True):
+            if in_parts:
+                windows = merged(windows, *view.size)
+            if not windows:
+                images.append(None)
+            else:
+                images.append(view.raw(windows if in_parts else None))
+        return tuple(images)
 
     def _band(self, regions: Regions | None, rows: Rows) -> tuple[Image]:
         """Rows of the image of a perspective lens, drawn at least in the rectangle around the
@@ -548,23 +545,18 @@ class OpenGLRenderer:
         if self._maps is None:
             return (self._views[0].raw((window,)),)
         part = slice(window[1], window[3]), slice(window[0], window[2])
-        at = [axis[part] for axis in self._maps]
-        low = [
-            min(max(math.floor(axis.min()), 0), n - 1)
-            for axis, n in zip(at, self._views[0].size, strict=True)
-        ]
-        high = [
-            max(min(math.floor(axis.max()) + 2, n), begin + 1)
-            for axis, n, begin in zip(at, self._views[0].size, low, strict=True)
-        ]
-        drawn = low[0], low[1], high[0], high[1]  # what the interpolation reads
+        u, v = (axis[part] for axis in self._maps)
+        width, height = self._views[0].size
+        left, right = _read_of(u, width)
+        top, bottom = _read_of(v, height)
+        drawn = self._views[0].raw(((left, top, right, bottom),))
         image = np.zeros((self._size[1], self._size[0], 3), np.uint8)
-        source = np.ascontiguousarray(
-            self._views[0].raw((drawn,))[drawn[1] : drawn[3], drawn[0] : drawn[2]]
-        )
-        moved = [axis - np.float32(begin) for axis, begin in zip(at, drawn[:2], strict=True)]
         image[part] = cv2.remap(
-            source, moved[0], moved[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            np.ascontiguousarray(drawn[top:bottom, left:right]),
+            u - np.float32(left),
+            v - np.float32(top),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
         )
         return (image,)
 
@@ -573,34 +565,29 @@ class OpenGLRenderer:
         if regions is not None and self._parts:
             # Shadows and mirrors are drawn anew with each part. Without a window there is nothing
             # to be seen in parts.
-            windows = (
-                merged(regions[0], *self._size, DRAW_PX if self._views[0].local else math.inf)
-                or None
-            )
+            draw_px = DRAW_PX if self._views[0].local else math.inf
+            windows = merged(regions[0], *self._size, draw_px) or None
         self.whole = windows is None
         image = self._views[0].raw(windows, with_depth)
         if with_depth:
-            lens = self._depth_lens
-            # the same buffer is drawn into again
-            image = image if lens is None else np.ascontiguousarray(image)
-            depth = (
-                self._views[0].depth()
-                if lens is None
-                else self._views[0].depth_through(lens, self._pinhole_lens)
-            )
-            seen = np.where(depth < self._sky_m, depth, np.float32(np.inf))
-            self.depth = (
-                seen if self._maps is None or lens is not None else _resampled(seen, self._maps)
-            )
+            if self._depth_lens is not None:  # the same buffer is drawn into again
+                image = np.ascontiguousarray(image)
+            self.depth = self._depth_now()
         if self._maps is None:
             return (image,)
         still = np.ascontiguousarray(image)
-        return (
-            np.asarray(
-                cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-                np.uint8,
-            ),
-        )
+        resampled = cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return (np.asarray(resampled, np.uint8),)
+
+    def _depth_now(self) -> DepthImage:
+        """The depth of the image just drawn, through the depth sensor's own lens where it has
+        one.
+        """
+        view = self._views[0]
+        lens = self._depth_lens
+        depth = view.depth() if lens is None else view.depth_through(lens, self._pinhole_lens)
+        seen = np.where(depth < self._sky_m, depth, np.float32(np.inf))
+        return seen if self._maps is None or lens is not None else _resampled(seen, self._maps)
 
     def _composed(self, regions: Regions | None, rows: Rows | None) -> tuple[Image]:
         """The image of a wide lens, composed of the cube's faces, or of their parts, that the
@@ -609,13 +596,10 @@ class OpenGLRenderer:
         assert self._cube is not None
         if rows is not None:
             return self._composed_of([part_of_rows(regions, rows, *self._size)])
-        if (
-            regions is not None
-            and self._parts
-            and self._views[0].local
-            and (windows := merged(regions[0], *self._size, 0))
-        ):
-            return self._composed_of(windows)
+        if regions is not None and self._parts and self._views[0].local:
+            windows = merged(regions[0], *self._size, 0)
+            if windows:
+                return self._composed_of(windows)
         faces = range(len(self._views)) if regions is None else self._cube.needed(regions[0])
         self.whole = len(faces) == len(self._views)
         return (self._cube.compose({i: self._views[i].raw() for i in faces}),)
@@ -623,7 +607,8 @@ class OpenGLRenderer:
     def _composed_of(self, windows: Sequence[Window]) -> tuple[Image]:
         """Windows of the image of a wide lens, of whose faces only what is in them is drawn."""
         assert self._cube is not None
-        self.whole, of = False, dict[int, list[Window]]()
+        self.whole = False
+        of = dict[int, list[Window]]()
         for window in windows:
             for i, part in self._cube.parts(window).items():
                 of.setdefault(i, []).append(part)
@@ -631,6 +616,14 @@ class OpenGLRenderer:
             i: self._views[i].raw(merged(parts, *self._views[i].size)) for i, parts in of.items()
         }
         return (self._cube.compose(drawn, windows),)
+
+
+def _read_of(at: NDArray[np.float32], size: int) -> tuple[int, int]:
+    """The first pixel of an axis, of so many, that an interpolation at these places reads, and the
+    first that it does not.
+    """
+    first = min(max(math.floor(at.min()), 0), size - 1)
+    return first, max(min(math.floor(at.max()) + 2, size), first + 1)
 
 
 def _resampled(
@@ -641,11 +634,11 @@ def _resampled(
 
     Within a surface 1/Z is interpolated, which is linear in a plane's picture.
     """
-    w, square = 1 / depth, np.ones((3, 3), np.uint8)
+    w = 1 / depth
+    square = np.ones((3, 3), np.uint8)
     smooth = (cv2.dilate(w, square) <= (1 + EDGE) * cv2.erode(w, square)).astype(np.uint8)
-    nearest, linear, within = (
-        cv2.remap(a, *maps, way, borderMode=cv2.BORDER_REPLICATE)
-        for a, way in ((w, cv2.INTER_NEAREST), (w, cv2.INTER_LINEAR), (smooth, cv2.INTER_NEAREST))
-    )
+    nearest = cv2.remap(w, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    linear = cv2.remap(w, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    within = cv2.remap(smooth, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     with np.errstate(divide="ignore"):
         return np.asarray(1 / np.where(within > 0, linear, nearest), np.float32)

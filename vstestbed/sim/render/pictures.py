@@ -31,8 +31,8 @@ class DrawsTogether(Protocol):
 
     name: str
 
-    def draw(self, request: PictureRequest) -> Sequence[Image]:
-        """The tiles of a picture."""
+    def draw(self, request: PictureRequest, /) -> Sequence[Image]:
+        """The tiles of a picture, among those of other runs."""
         ...
 
 
@@ -57,7 +57,7 @@ def servo_renderer(
     if together := drawn_together.get():
         from vstestbed.sim.render.warp import WarpRenderer
 
-        return WarpRenderer(stage, camera, together.draw, together.name, noisy, share, eye)
+        return WarpRenderer(stage, camera, together, noisy, share, eye)
     return _chosen(
         camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given)
     )
@@ -92,15 +92,13 @@ def bare_renderer(stage: Scene, camera: Camera) -> Callable[[Array], object]:
     def by_gl() -> Callable[[Array], object]:
         drawn = drawn_for(camera)
         views = [
-            _opengl().SceneCamera(
-                stage, face.name, face.width, face.height, camera.shadows, "own", culls=False
-            )
+            _opengl().SceneCamera(stage, face.name, face.width, face.height, camera.shadows, "bare")
             for face in drawn
         ]
+        if len(views) == 1:
+            return lambda p: views[0].raw()
         return lambda p: [
-            v.raw()
-            for v, face in zip(views, drawn, strict=True)
-            if len(drawn) == 1 or face.holds(p)
+            view.raw() for view, face in zip(views, drawn, strict=True) if face.holds(p)
         ]
 
     def by_rays() -> Callable[[Array], object]:
@@ -145,7 +143,8 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
         told = gl.explain(error) if isinstance(error, ImportError) else error
         if camera.renderer == "gl" or told is None:
             raise
-        lack, remedy = told.lack, told.remedy
+        lack = told.lack
+        remedy = told.remedy
         del told  # its traceback has this frame, and with it the scene: a cycle
     try:
         made = by_rays()

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import mujoco
@@ -70,20 +71,18 @@ def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> D
 
     hits: `Caster.hits`.
     """
-    turn, origin = (
-        np.ascontiguousarray(T_world_camera[:3, :3].T),
-        np.ascontiguousarray(T_world_camera[:3, 3]),
-    )
+    turn = np.ascontiguousarray(T_world_camera[:3, :3].T)
+    origin = np.ascontiguousarray(T_world_camera[:3, 3])
     found = []
     for part in (rays[top : top + ROWS] for top in range(0, len(rays), ROWS)):
-        along, n = part[..., 2], part[..., 2].size
-        geoms, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+        along = part[..., 2]
+        n = part[..., 2].size
+        geoms = np.empty(n, np.int32)
+        distance = np.empty(n)
+        normal = np.empty((n, 3))
         hits(origin, part.reshape(-1, 3) @ turn, geoms, distance, normal)
-        found.append(
-            np.where(
-                geoms.reshape(along.shape) >= 0, distance.reshape(along.shape) * along, np.inf
-            ).astype(np.float32)
-        )
+        depth = np.where(geoms >= 0, distance * along.ravel(), np.inf)
+        found.append(depth.reshape(along.shape).astype(np.float32))
     return np.concatenate(found)
 
 
@@ -135,9 +134,12 @@ class Caster:
         # One product for all bundles would be handed to BLAS threads: 30 times slower.
         rays = np.concatenate([bundle @ turn for bundle in bundles])
         n = len(rays)
-        geoms, distance, normal = np.full(n, NO_RAY, np.int32), np.zeros(n), np.zeros((n, 3))
+        geoms = np.full(n, NO_RAY, np.int32)
+        distance = np.zeros(n)
+        normal = np.zeros((n, 3))
         origin = np.ascontiguousarray(T_world_camera[:3, 3])
-        seen, start = np.isfinite(rays[:, 0]), 0
+        seen = np.isfinite(rays[:, 0])
+        start = 0
         for bundle in bundles:
             part = slice(start, start + len(bundle))
             start = part.stop
@@ -157,13 +159,15 @@ class Caster:
         self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array
     ) -> None:
         """Fill in the geoms, distances and normals that one bundle of rays (n, 3) hits."""
-        model, n = self._model, len(rays)
+        model = self._model
+        n = len(rays)
         # A plane has no bounding sphere, and always counts.
         near = self._endless | meets(
             self._data.geom_xpos - origin, model.geom_rbound, *cone_of(rays)
         )
         model.geom_group[:] = np.where(self._shown & near, 0, 1)
-        flat, normals = rays.reshape(-1), normal.reshape(-1)
+        flat = rays.reshape(-1)
+        normals = normal.reshape(-1)
         mujoco.mj_multiRay(
             model,
             self._data,
@@ -192,8 +196,10 @@ class Raster:
     """
 
     def __init__(self, lens: Camera, R_camera_lens: Array, samples: int, share: float = 1.0):
-        self.width, self.height = round(share * lens.width), round(share * lens.height)
-        self._lens, self._R = lens, R_camera_lens
+        self.width = round(share * lens.width)
+        self.height = round(share * lens.height)
+        self._lens = lens
+        self._R = R_camera_lens
         n = math.ceil(math.sqrt(samples))
         steps = (np.arange(n) + 0.5) / n - 0.5 if n > 1 else np.zeros(0)
         self.within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -225,31 +231,38 @@ class Raster:
         left, top, right, bottom = window
         return self._rays[top:bottom, left:right]
 
+    def grown(self, tile: Window) -> Window:
+        """A tile with the pixels around it by which the edges in it are found; itself without
+        antialiasing.
+        """
+        if not len(self.within):
+            return tile
+        left, top, right, bottom = tile
+        return (
+            max(0, left - 1),
+            max(0, top - 1),
+            min(self.width, right + 1),
+            min(self.height, bottom + 1),
+        )
+
     def draw(
         self, image: Image, windows: tuple[Window, ...], caster: Caster, T_world_camera: Array
     ) -> None:
         """Render windows of an image (H, W, 3) in place."""
-        waiting, rays = [], 0
-        for tile in (tile for window in windows for tile in tiles_of(window)):
+        waiting = []
+        rays = 0
+        for tile in chain.from_iterable(map(tiles_of, windows)):
             waiting.append(tile)
             rays += (tile[2] - tile[0]) * (tile[3] - tile[1])
             if rays > MOST_RAYS:
                 self._draw(image, waiting, caster, T_world_camera)
-                waiting, rays = [], 0
+                waiting = []
+                rays = 0
         if waiting:
             self._draw(image, waiting, caster, T_world_camera)
 
     def _draw(self, image: Image, tiles: list[Window], caster: Caster, T: Array) -> None:
-        grow = 1 if len(self.within) else 0  # an edge is found by a pixel's neighbours
-        cut = [
-            (
-                max(0, a - grow),
-                max(0, b - grow),
-                min(self.width, c + grow),
-                min(self.height, d + grow),
-            )
-            for a, b, c, d in tiles
-        ]
+        cut = [self.grown(tile) for tile in tiles]
         parts = [self.rays(window) for window in cut]
         apart = np.concatenate(
             [self.apart[top:bottom, left:right].ravel() for left, top, right, bottom in cut]
@@ -259,10 +272,9 @@ class Raster:
         for (a, b, c, d), (left, top, _, _), part in zip(tiles, cut, parts, strict=True):
             end = start + part.shape[0] * part.shape[1]
             drawn = colours[start:end].reshape(part.shape)
-            if grow:
-                self._refine(
-                    drawn, geoms[start:end].reshape(part.shape[:2]), (left, top), caster, T
-                )
+            if len(self.within):
+                shown = geoms[start:end].reshape(part.shape[:2])
+                self._refine(drawn, shown, (left, top), caster, T)
             image[b:d, a:c] = drawn[b - top : d - top, a - left : c - left]
             start = end
 
@@ -275,17 +287,18 @@ class Raster:
         T: Array,
     ) -> None:
         # pixels with a neighbour, of eight, that shows another geom
-        (height, width), wide = geoms.shape, np.pad(geoms, 1, mode="edge")
-        near = [wide[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+        height, width = geoms.shape
+        wide = np.pad(geoms, 1, mode="edge")
+        near = [wide[i : i + height, j : j + width] for i, j in np.ndindex(3, 3)]
         row, column = np.nonzero(np.logical_or.reduce([other != geoms for other in near]))
         if len(row):
             at = np.stack([column + corner[0], row + corner[1]], axis=-1)
-            uv, n = at[:, None] + self.within, len(self.within)
+            uv = at[:, None] + self.within
+            n = len(self.within)
             apart = np.repeat(self.apart[at[:, 1], at[:, 0]] / math.sqrt(n), n)
             colours, _ = caster.cast(T, [self._of(uv).reshape(-1, 3)], apart)
-            drawn[row, column] = (colours.reshape(len(row), -1, 3).mean(axis=1) + 0.5).astype(
-                np.uint8
-            )
+            mean = colours.reshape(len(row), -1, 3).mean(axis=1)
+            drawn[row, column] = (mean + 0.5).astype(np.uint8)
 
 
 def tiles_of(window: Window) -> Iterator[Window]:
@@ -320,23 +333,25 @@ class RayRenderer:
         share: float = 1.0,
         eye: str = "eye",
     ):
-        self._stage, self._camera, self._eye, self._share = stage, camera, eye, share
+        self._stage = stage
+        self._camera = camera
+        self._eye = eye
+        self._share = share
         self._caster = Caster(stage, outside=stage.parts.stands(eye))
         refuse(camera, stage.parts.world.floor.mirror)
         self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
-        self.name, self.spent_s, self.whole = RENDERER, 0.0, True
+        self.name = RENDERER
+        self.spent_s = 0.0
+        self.whole = True
         self.depth: DepthImage | None = None
 
     def full_image(self) -> Image:
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy."""
         # A lens with panels is cast through its own projection here; number -1 keeps that raster
         # beside those of the panels.
-        return self._draw(
-            Panel(self._camera, np.eye(3)),
-            -1 if self._camera.panels[0].lens is not self._camera else 0,
-            None,
-        )
+        number = 0 if self._camera.panels[0].lens is self._camera else -1
+        return self._draw(Panel(self._camera, np.eye(3)), number, None)
 
     def images(
         self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None
@@ -344,18 +359,15 @@ class RayRenderer:
         """See `Renderer.images`; copies. A panel without a window is None, others are blank outside
         of theirs.
         """
-        start, images, (regions, rows) = (
-            time.perf_counter(),
-            [],
-            (None, None) if with_depth else (regions, rows),
-        )
+        start = time.perf_counter()
+        images = []
+        regions, rows = (None, None) if with_depth else (regions, rows)
         for i, panel in enumerate(self._camera.panels):
             windows = None if regions is None else regions[i]
             images.append(None if windows == () else self._draw(panel, i, windows, rows))
         if with_depth:
-            self.depth = ray_depth(
-                self._depth_rays, self._stage.camera_pose(self._eye), self._caster.hits
-            )
+            T = self._stage.camera_pose(self._eye)
+            self.depth = ray_depth(self._depth_rays, T, self._caster.hits)
         self.whole = regions is None and rows is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
@@ -365,7 +377,8 @@ class RayRenderer:
         """Unit rays (H, W, 3) of the depth picture: those of the colour picture, or of as many
         pixels of the depth camera's own lens.
         """
-        width, height = self._camera.width, self._camera.height
+        width = self._camera.width
+        height = self._camera.height
         lens = self._camera.depth_sensor.lens if self._camera.depth_sensor else None
         if lens is None:
             return self._rasters[0].rays((0, 0, width, height))
@@ -407,17 +420,15 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
     Raises ParameterError: rays were asked for. EnvironmentLackError: they are what is left without
     OpenGL.
     """
-    what = (
-        "shadows need OpenGL"
-        if camera.shadows
-        else "a floor that mirrors needs OpenGL"
-        if mirror
-        else ""
-    )
-    if what and camera.renderer == "rays":
+    if camera.shadows:
+        what = "shadows need OpenGL"
+    elif mirror:
+        what = "a floor that mirrors needs OpenGL"
+    else:
+        return
+    if camera.renderer == "rays":
         raise ParameterError.fixed("camera.renderer", "gl or auto", camera.renderer, why=what)
-    if what:
-        raise EnvironmentLackError(what, gl.remedy())
+    raise EnvironmentLackError(what, gl.remedy())
 
 
 class RaySceneCamera:
@@ -429,10 +440,11 @@ class RaySceneCamera:
     """
 
     def __init__(self, stage: Scene, camera: str, width: int, height: int, samples: int = 0):
-        self._stage, self._camera, self._caster = stage, camera, Caster(stage, outside=True)
-        lens = Perspective(
-            width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0])
-        )
+        self._stage = stage
+        self._camera = camera
+        self._caster = Caster(stage, outside=True)
+        fovy_deg = float(stage.model.camera(camera).fovy[0])
+        lens = Perspective(width=width, height=height, fovy_deg=fovy_deg)
         self._raster = Raster(lens, np.eye(3), samples)
         self._tiles = [
             (tile, cone_of(self._raster.rays(tile).reshape(-1, 3)))
@@ -442,14 +454,17 @@ class RaySceneCamera:
         self._pixel = 2 / lens.f if samples else 0.0
         self._image = np.empty((height, width, 3), np.uint8)
         self._before: tuple[Array, Array, Array] | None = None
-        self._lamp, self._lit = lamp_of(stage.model, stage.data), b""
+        self._lamp = lamp_of(stage.model, stage.data)
+        self._lit = b""
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy."""
         data = self._stage.data
-        T, lit = self._stage.pose_of(self._camera), self._lamp()
+        T = self._stage.pose_of(self._camera)
+        lit = self._lamp()
         if lit != self._lit:
-            self._before, self._lit = None, lit
+            self._before = None
+            self._lit = lit
         stale = tuple(tile for tile, cone in self._tiles if self._changed(T, cone))
         self._raster.draw(self._image, stale, self._caster, T)
         self._before = T, data.geom_xpos.copy(), data.geom_xmat.copy()
@@ -465,7 +480,8 @@ class RaySceneCamera:
         """
         if self._before is None or not np.array_equal(self._before[0], T):
             return True
-        data, bound = self._stage.data, self._stage.model.geom_rbound
+        data = self._stage.data
+        bound = self._stage.model.geom_rbound
         _, position, attitude = self._before
         moved = (data.geom_xpos != position).any(axis=1) | (data.geom_xmat != attitude).any(axis=1)
         # Where it was and where it is now: both tiles change.

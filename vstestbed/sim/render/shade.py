@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +25,7 @@ class Mipmap:
         while max(levels[-1].shape[:2]) > 1:
             levels.append(_halved(levels[-1]))
         self.table = np.concatenate([level.reshape(-1, 3) for level in levels])
-        self._height, self._width = (
-            np.array([level.shape[axis] for level in levels]) for axis in (0, 1)
-        )
+        self._height, self._width = np.array([level.shape[:2] for level in levels]).T
         self._start = np.concatenate([[0], np.cumsum(self._height * self._width)[:-1]])
 
     @property
@@ -36,9 +36,7 @@ class Mipmap:
     @property
     def levels(self) -> list[tuple[int, int, int]]:
         """Of each level its first texel in the table, width and height."""
-        return list(
-            zip(self._start.tolist(), self._width.tolist(), self._height.tolist(), strict=True)
-        )
+        return np.stack([self._start, self._width, self._height], axis=1).tolist()
 
     def at(self, place: Array, texels: Array) -> NDArray[np.float32]:
         """Colours (N, 3), 1 for full brightness, at places (N, 2), as shares of the width from the
@@ -57,12 +55,11 @@ class Mipmap:
         mixed = np.flatnonzero(part)
         if len(mixed):
             share = part[mixed, None]
-            colours[mixed] = (1 - share) * colours[mixed] + share * self._between(
-                place[mixed], fine[mixed] + 1
-            )
+            coarse = self._between(place[mixed], fine[mixed] + 1)
+            colours[mixed] = (1 - share) * colours[mixed] + share * coarse
         return colours
 
-    def aslant(self, place: Array, steps: tuple[Array, Array], most: int) -> NDArray[np.float32]:
+    def aslant(self, place: Array, steps: Sequence[Array], most: int) -> NDArray[np.float32]:
         """Colours (N, 3) of pixels that cover a long strip of the texture: means of up to `most`
         samples along it, each by `at`.
 
@@ -75,29 +72,32 @@ class Mipmap:
         lengths = [np.hypot(step[:, 0] * self.size[0], step[:, 1] * self.size[1]) for step in steps]
         first = (lengths[0] >= lengths[1])[:, None]
         along = np.where(first, *steps)
-        longer, shorter = np.maximum(*lengths), np.minimum(*lengths)
+        longer = np.maximum(*lengths)
+        shorter = np.minimum(*lengths)
         samples = np.clip(np.ceil(longer / np.maximum(shorter, 1e-9) - 0.01), 1, most).astype(int)
-        texels, colours = (
-            np.maximum(longer / samples, shorter),
-            np.zeros((len(place), 3), np.float32),
-        )
+        texels = np.maximum(longer / samples, shorter)
+        colours = np.zeros((len(place), 3), np.float32)
         for k in range(int(samples.max(initial=0))):
             on = np.flatnonzero(samples > k)
             n = samples[on]
             there = place[on] + along[on] * ((k + 0.5) / n - 0.5)[:, None]
-            colours[on] += self.at(there - np.floor(there), texels[on]) / n[:, None].astype(
-                np.float32
-            )
+            sample = self.at(there - np.floor(there), texels[on])
+            colours[on] += sample / n[:, None].astype(np.float32)
         return colours
 
     def _between(self, place: Array, level: NDArray[np.int_]) -> NDArray[np.float32]:
         """Linear interpolation between the four texels round places (N, 2),
         each at its level (N,).
         """
-        width, height, start = self._width[level], self._height[level], self._start[level]
-        u, v = place[:, 0] * width - 0.5, place[:, 1] * height - 0.5
-        left, top = np.floor(u).astype(int), np.floor(v).astype(int)
-        across, down = (u - left).astype(np.float32)[:, None], (v - top).astype(np.float32)[:, None]
+        width = self._width[level]
+        height = self._height[level]
+        start = self._start[level]
+        u = place[:, 0] * width - 0.5
+        v = place[:, 1] * height - 0.5
+        left = np.floor(u).astype(int)
+        top = np.floor(v).astype(int)
+        across = (u - left).astype(np.float32)[:, None]
+        down = (v - top).astype(np.float32)[:, None]
         columns = left % width, (left + 1) % width
         rows = start + top % height * width, start + (top + 1) % height * width
         table = self.table
@@ -126,10 +126,8 @@ def _halved(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
-DIRECTIONAL, SPOT = (
-    int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL),
-    int(mujoco.mjtLightType.mjLIGHT_SPOT),
-)
+DIRECTIONAL = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+SPOT = int(mujoco.mjtLightType.mjLIGHT_SPOT)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX  # shapes on whose faces a texture lies flat
 
@@ -154,24 +152,25 @@ class Paint:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, anisotropy: int = 1):
-        self._model, self._data, self.anisotropy = model, data, anisotropy
+        self._model = model
+        self._data = data
+        self.anisotropy = anisotropy
         material = model.geom_matid
         painted = material >= 0
         rgb = own_colours(model)[:, :3]
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        flat = (
-            (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE)
-            if model.ntex
-            else texture >= 0
-        )
+        flat = texture >= 0
+        if model.ntex:
+            flat &= model.tex_type[texture] == FLAT_TEXTURE
         printed = flat & np.isin(model.geom_type, FLAT)
         self.printed: list[int] = np.flatnonzero(printed).tolist()
         self.averaged: list[int] = np.flatnonzero((texture >= 0) & ~printed).tolist()
         self.mipmaps = {
             i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self.printed})
         }
-        self.texture, self.repeated = texture, repeated(model)
+        self.texture = texture
+        self.repeated = repeated(model)
         floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
         shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == floor)
         self.glossy = {g for g in self.printed if shows[g] and model.mat_specular[material[g]] > 0}
@@ -198,14 +197,13 @@ class Paint:
         """
         light = self._light(normal)
         if self._local:
-            model, points = self._model, origin + rays * distance[:, None]
+            model = self._model
+            points = origin + rays * distance[:, None]
             for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
                 to, share = self._towards(int(i), points)
                 facing = np.maximum((to * normal).sum(axis=1), 0.0)
-                light += (
-                    share
-                    * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)
-                ).astype(np.float32)
+                lit = model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing
+                light += (share * lit).astype(np.float32)
         light += self.glow[geom]
         light *= self.rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
@@ -213,13 +211,10 @@ class Paint:
             at = np.flatnonzero(geom == printed)
             if len(at):
                 points = origin + rays[at] * distance[at, None]
-                colour[:, at] *= self._print(
-                    printed, points, rays[at], normal[at], apart[at] * distance[at]
-                ).T
+                seen = printed, points, rays[at], normal[at]
+                colour[:, at] *= self._print(*seen, apart[at] * distance[at]).T
                 if printed in self.glossy:
-                    colour[:, at] = np.minimum(
-                        1, colour[:, at] + self._highlight(printed, points, rays[at], normal[at])
-                    )
+                    colour[:, at] = np.minimum(1, colour[:, at] + self._highlight(*seen))
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self.sky
@@ -260,19 +255,22 @@ class Paint:
 
         across: size of a pixel there, across the ray (N,) [m].
         """
-        model, data = self._model, self._data
-        R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
-        local, k = (points - data.geom_xpos[geom]) @ R, np.arange(len(points))
-        faces = (
-            np.abs(normal @ R).argmax(axis=1)
-            if model.geom_type[geom] == BOX
-            else np.full(len(points), 2)
-        )
-        i, j = np.array([1, 0, 0])[faces], np.array([2, 2, 1])[faces]
+        model = self._model
+        data = self._data
+        R = data.geom_xmat[geom].reshape(3, 3)
+        half = model.geom_size[geom]
+        local = (points - data.geom_xpos[geom]) @ R
+        k = np.arange(len(points))
+        faces = np.full(len(points), 2)
+        if model.geom_type[geom] == BOX:
+            faces = np.abs(normal @ R).argmax(axis=1)
+        i = np.array([1, 0, 0])[faces]
+        j = np.array([2, 2, 1])[faces]
         size = np.where(half > 0, half, 1.0)
-        times = model.mat_texrepeat[(m := model.geom_matid[geom])] * (
-            size[:2] if model.mat_texuniform[m] else 1.0
-        )
+        material = model.geom_matid[geom]
+        times = model.mat_texrepeat[material]
+        if model.mat_texuniform[material]:
+            times = times * size[:2]
         begins = np.where(half[:2] > 0, 0.5 * times, 0.5)
         edges = 2 * np.column_stack([size[i], size[j]])
         place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
@@ -288,18 +286,21 @@ class Paint:
         steep = np.linalg.norm(shadow, axis=1) < 1e-9
         shadow[steep] = R.T[i[steep]]
         shadow /= np.linalg.norm(shadow, axis=1)[:, None]
-        two = (
-            (shadow * (across / cosine)[:, None]) @ R,
-            (np.cross(normal, shadow) * across[:, None]) @ R,
-        )
-        first, second = (np.column_stack([step[k, i], -step[k, j]]) / edges * times for step in two)
-        return mipmap.aslant(place, (first, second), self.anisotropy)
+        first = (shadow * (across / cosine)[:, None]) @ R
+        second = (np.cross(normal, shadow) * across[:, None]) @ R
+        steps = [
+            np.column_stack([step[k, i], -step[k, j]]) / edges * times for step in (first, second)
+        ]
+        return mipmap.aslant(place, steps, self.anisotropy)
 
     def _towards(self, i: int, points: Array) -> tuple[Array, Array]:
-        """Unit vectors (N, 3) from points (N, 3) to light i, which has a place, and what share of
-        its light gets there (N,).
+        """Unit vectors (N, 3), or (3,), from points (N, 3) to light i, and what share of its light
+        gets there (N,).
         """
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
+        if model.light_type[i] == DIRECTIONAL:
+            return -data.light_xdir[i], np.ones(len(points))
         to = data.light_xpos[i] - points
         far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
         to /= far[:, None]
@@ -307,11 +308,8 @@ class Paint:
         share = 1.0 / np.maximum(a + b * far + c * far * far, 1e-9)
         if model.light_type[i] == SPOT:
             along = np.clip(-(to @ data.light_xdir[i]), 0.0, 1.0)
-            share *= np.where(
-                along >= np.cos(np.radians(model.light_cutoff[i])),
-                along ** model.light_exponent[i],
-                0.0,
-            )
+            within = along >= np.cos(np.radians(model.light_cutoff[i]))
+            share *= np.where(within, along ** model.light_exponent[i], 0.0)
         return to, share
 
     def _highlight(
@@ -326,23 +324,16 @@ class Paint:
         Reference: Blinn 1977, Models of light reflection for computer synthesized pictures,
             doi:10.1145/563858.563893.
         """
-        model, total = self._model, np.zeros((3, len(points)))
+        model = self._model
+        total = np.zeros((3, len(points)))
         material = model.geom_matid[geom]
         for i in np.flatnonzero(model.light_active & (model.light_specular > 0).any(axis=1)):
-            sun = model.light_type[i] == DIRECTIONAL
-            to, share = (
-                (-self._data.light_xdir[i], np.ones(len(points)))
-                if sun
-                else self._towards(int(i), points)
-            )
+            to, share = self._towards(int(i), points)
             half = to - rays
             half /= np.maximum(np.linalg.norm(half, axis=1), 1e-9)[:, None]
-            lit = (
-                share
-                * ((to * normal).sum(axis=-1) > 0)
-                * np.clip((half * normal).sum(axis=1), 0, 1)
-                ** (128 * model.mat_shininess[material])
-            )
+            cosine = np.clip((half * normal).sum(axis=1), 0, 1)
+            lit = share * ((to * normal).sum(axis=-1) > 0)
+            lit *= cosine ** (128 * model.mat_shininess[material])
             total += model.mat_specular[material] * model.light_specular[i][:, None] * lit
         return total.astype(np.float32)
 
@@ -357,7 +348,8 @@ def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
         if len(faces) != 6 * side:  # right, left, up, down, front, back
             continue
         # the middle column, from 1 (top) to -1
-        middle, along = side // 2, 1 - (2 * np.arange(side) + 1) / side
+        middle = side // 2
+        along = 1 - (2 * np.arange(side) + 1) / side
         sine = along / np.sqrt(1 + along * along)  # of rows of a wall
         slope = 1 / np.sqrt(1 + along * along)  # and of the ceiling's, which rise to its middle
         right, _, up, down, _, _ = np.split(faces, 6)

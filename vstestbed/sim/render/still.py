@@ -46,8 +46,8 @@ class StillView:
     r.
 
     Args:
-        view: draws the whole image. model, data: the scene. camera: the view's camera by its name
-            in the scene. f: pixels per radian.
+        view: draws the whole image. data: of the scene. camera: the view's camera by its name in
+            the scene. f: pixels per radian.
         part: draws a perspective image within a window alone, or returns None where it cannot.
         sides: tangents of half the angles of view (see `half_tangents`). What is beyond them,
             before and now, may move unseen: most of an arm that carries the camera. None where
@@ -57,25 +57,34 @@ class StillView:
     def __init__(
         self,
         view: Callable[[], Image],
-        model: mujoco.MjModel,
         data: mujoco.MjData,
         camera: str,
         f: float,
         part: Callable[[Window], Image | None] = lambda window: None,
         sides: tuple[float, float] | None = None,
     ):
-        self._view, self._model, self._data, self._f, self._part = view, model, data, f, part
-        self._camera, self._sides = model.camera(camera).id, sides
+        model = data.model
+        self._view = view
+        self._model = model
+        self._data = data
+        self._f = f
+        self._part = part
+        self._camera = model.camera(camera).id
+        self._sides = sides
         self._corners = model.geom_aabb[:, None, :3] + model.geom_aabb[:, None, 3:] * CORNERS
-        self._lamp, self._lit = lamp_of(model, data), b""
+        self._lamp = lamp_of(model, data)
+        self._lit = b""
         self._drawn: tuple[NDArray[Any], ...] = ()
         self._image: Image | None = None
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
-        state, lit = self._state(), self._lamp()
+        state = self._state()
+        lit = self._lamp()
         if lit != self._lit or self._image is None:
-            self._image, self._drawn, self._lit = self._view(), state, lit
+            self._image = self._view()
+            self._drawn = state
+            self._lit = lit
             return self._image.copy()
         of_geoms, of_camera = self._motion(state)
         seen = max(of_geoms.max(), of_camera) > UNSEEN_PX
@@ -83,7 +92,8 @@ class StillView:
             of_camera > SLIGHT_PX
             or not self._renewed(self._image, state, np.flatnonzero(of_geoms > SLIGHT_PX))
         ):
-            self._image, self._drawn = self._view(), state
+            self._image = self._view()
+            self._drawn = state
         return self._image.copy()
 
     def _renewed(
@@ -110,12 +120,14 @@ class StillView:
         up, z backwards).
         """
         assert self._image is not None
-        near, far = -p[:, 2] - radius, radius - p[:, 2]
+        near = -p[:, 2] - radius
+        far = radius - p[:, 2]
         if near.min() < NEAR_M:
             return None
         size = np.array(self._image.shape[1::-1])
         across = p[:, :2] * [1, -1]
-        low, high = (across - radius[:, None]).T, (across + radius[:, None]).T
+        low = (across - radius[:, None]).T
+        high = (across + radius[:, None]).T
         first = size / 2 + self._f * np.minimum(low / near, low / far).min(axis=1) - 1
         last = size / 2 + self._f * np.maximum(high / near, high / far).max(axis=1) + 2
         left, top, right, bottom = np.clip([first, last], 0, size).astype(int).ravel().tolist()
@@ -125,9 +137,12 @@ class StillView:
         """Places (G, 3), axes (G, 3, 3) and sight (G,) of the geoms in the camera's frame; the
         camera's place (3,) and axes (3, 3).
         """
-        data, i = self._data, self._camera
-        place, axes = data.cam_xpos[i].copy(), data.cam_xmat[i].reshape(3, 3).copy()
-        p, Q = (data.geom_xpos - place) @ axes, axes.T @ data.geom_xmat.reshape(-1, 3, 3)
+        data = self._data
+        i = self._camera
+        place = data.cam_xpos[i].copy()
+        axes = data.cam_xmat[i].reshape(3, 3).copy()
+        p = (data.geom_xpos - place) @ axes
+        Q = axes.T @ data.geom_xmat.reshape(-1, 3, 3)
         return p, Q, self._in_sight(p, Q), place, axes
 
     def _in_sight(self, p: Array, Q: Array) -> NDArray[np.bool_]:
@@ -146,7 +161,8 @@ class StillView:
         """Bounds of the motion in the image since it was drawn: of each geom (G,), and of planes as
         the camera moves [px].
         """
-        (p, Q, seen, c, R), (p_drawn, Q_drawn, seen_drawn, c_drawn, R_drawn) = state, self._drawn
+        p, Q, seen, c, R = state
+        p_drawn, Q_drawn, seen_drawn, c_drawn, R_drawn = self._drawn
         radius = self._model.geom_rbound
         moved = lengths(p - p_drawn)[:, 0] + radius * _turn(Q - Q_drawn)
         distance = lengths(p)[:, 0] - radius

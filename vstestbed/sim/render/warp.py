@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Window
 from vstestbed.core.geometry import Array
+from vstestbed.sim.render.pictures import DrawsTogether
 from vstestbed.sim.render.rays import Raster, RayRenderer
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
@@ -40,7 +41,8 @@ LIGHTS = "place", "along", "ambient", "diffuse", "specular"  # of `warp_kernels.
 SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together, at most
 # looks and lenses that are kept on the device: a look with its buffers is 150 MB of a card, a lens
 # up to 20
-MOST_LOOKS, MOST_LENSES = 4, 16
+MOST_LOOKS = 4
+MOST_LENSES = 16
 # prefixes of the arrays of a model that say what its pictures show
 LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")
 MOVED = (
@@ -76,10 +78,6 @@ class PictureRequest:
     outside: bool
 
 
-# draws the tiles of a picture, among those of other runs
-Draw = Callable[[PictureRequest], Sequence[Image]]
-
-
 def cut(window: Window) -> Iterator[Window]:
     """Tiles of a window, each of PLACES pixels at most with a rim of one pixel: wide ones of few
     rows, else squares.
@@ -96,37 +94,32 @@ class WarpRenderer(RayRenderer):
     """The servo camera's images through any lens, of the same rays as `RayRenderer`, drawn together
     with those of other runs.
 
-    draw: draws them; other arguments as of `RayRenderer`. The depth of a depth camera is cast by
-    MuJoCo. Raises as `RayRenderer`.
+    together: draws them; other arguments as of `RayRenderer`. The depth of a depth camera is cast
+    by MuJoCo. Raises as `RayRenderer`.
     """
 
     def __init__(
         self,
         stage: Scene,
         camera: Camera,
-        draw: Draw,
-        name: str,
+        together: DrawsTogether,
         noisy: bool = False,
         share: float = 1.0,
         eye: str = "eye",
     ):
         super().__init__(stage, camera, noisy, share, eye)
-        self.name, self._ask, self._outside, self._look = (
-            name,
-            draw,
-            stage.parts.stands(eye),
-            look_of(stage),
-        )
+        self.name = together.name
+        self._ask = together.draw
+        self._outside = stage.parts.stands(eye)
+        self._look = look_of(stage)
 
     def _fill(
         self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]
     ) -> None:
-        tiles = tuple(
-            tile
-            for window in windows
-            for tile in cut(window)
-            if window[0] < window[2] and window[1] < window[3]
-        )
+        tiles: list[Window] = []
+        for window in windows:
+            if window[0] < window[2] and window[1] < window[3]:
+                tiles.extend(cut(window))
         if not tiles:
             return
         lens = repr(panel.lens), panel.R_camera_panel.tobytes(), raster.width, raster.height
@@ -137,7 +130,7 @@ class WarpRenderer(RayRenderer):
             self._stage.camera_pose(self._eye),
             raster,
             lens,
-            tiles,
+            tuple(tiles),
             self._outside,
         )
         for (left, top, right, bottom), drawn in zip(tiles, self._ask(shot), strict=True):
@@ -150,11 +143,12 @@ class _Table:
     """
 
     def __init__(self, raster: Raster):
-        self.width = raster.width
         self.n = len(raster.within)
+        self.lens = kernels.Lens()
+        self.lens.width = raster.width
         rays = raster.rays((0, 0, raster.width, raster.height))
-        self.rays = wp.array(rays.reshape(-1, 3).astype(np.float32), dtype=wp.vec3)
-        self.apart = wp.array(raster.apart.ravel().astype(np.float32), dtype=float)
+        self.lens.rays = wp.array(rays.reshape(-1, 3).astype(np.float32), dtype=wp.vec3)
+        self.lens.angles = wp.array(raster.apart.ravel().astype(np.float32), dtype=float)
         self._raster = raster
 
     @cached_property
@@ -171,7 +165,9 @@ class _Filling:
     """
 
     def __init__(self, number: int, shot: PictureRequest):
-        self.number, self.shot, self.places = number, shot, 0
+        self.number = number
+        self.shot = shot
+        self.places = 0
         # first place, pixels with the rim, pixels
         self.tiles: list[tuple[int, Window, Window]] = []
 
@@ -196,15 +192,9 @@ class _Filling:
 
 def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
     """The slots of a picture, by its number."""
-    rim, slot = int(len(shot.raster.within) > 0), _Filling(number, shot)
+    slot = _Filling(number, shot)
     for tile in shot.tiles:
-        left, top, right, bottom = tile
-        grown = (
-            max(left - rim, 0),
-            max(top - rim, 0),
-            min(right + rim, shot.raster.width),
-            min(bottom + rim, shot.raster.height),
-        )
+        grown = shot.raster.grown(tile)
         if not slot.takes(tile, grown):
             yield slot
             slot = _Filling(number, shot)
@@ -227,24 +217,28 @@ class _World:
             model, nworld=slots, cam_active=[], enabled_geom_groups=[0, 1, 2, 3, 4, 5]
         )
         self._on = np.flatnonzero(model.light_active)
-        self._look = _look(model, paint, self._on)
-        shape, n = (slots, PLACES), len(self._on)
+        shape = slots, PLACES
+        n = len(self._on)
         self._everything = wp.full(PLACES, -1, dtype=int)  # bodies that rays pass through: none
-        self._rays, self._drawn = kernels.Rays(), wp.zeros(shape, dtype=wp.vec3ub)
+        self._rays = kernels.Rays()
+        self._drawn = wp.zeros(shape, dtype=wp.vec3ub)
         kinds = {wp.vec3: ("origin", "ray", "normal"), float: ("apart", "distance"), int: ("geom",)}
         for dtype, names in kinds.items():
             for name in names:
                 setattr(self._rays, name, wp.zeros(shape, dtype=dtype))
-        self._views, self._tiles = (
-            wp.zeros(slots, dtype=kernels.SlotView),
-            wp.zeros((slots, MOST_TILES), dtype=kernels.Tile),
-        )
-        self._lamps, self._lights = (
-            kernels.Lamps(),
-            [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS],
-        )
+        self._slots = kernels.Slots()
+        self._slots.views = wp.zeros(slots, dtype=kernels.SlotView)
+        self._slots.tiles = wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
+        lamps = kernels.Lamps()
+        self._lights = [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
         for name, lights in zip(LIGHTS, self._lights, strict=True):
-            setattr(self._lamps, name, lights)
+            setattr(lamps, name, lights)
+        self._world = kernels.World()
+        self._world.look = _look(model, paint, self._on)
+        self._world.lamps = lamps
+        self._world.xpos = self._data.geom_xpos
+        self._world.xmat = self._data.geom_xmat
+        self._world.rays = self._rays
 
     def draw(self, table: _Table, outside: bool, work: Sequence[_Filling]) -> NDArray[np.uint8]:
         """The colours (n, places) of what is in n slots, as many as there are at most, all of
@@ -253,87 +247,59 @@ class _World:
         self._put(work)
         hidden = (RANGE_GROUP,) if outside else (RANGE_GROUP, LENS_GROUP)
         seen = wp.types.vector(6, float)(*(0.0 if group in hidden else 1.0 for group in range(6)))
-        shape, where = (len(work), max(slot.places for slot in work)), (self._views, self._tiles)
-        lit = self._look, self._lamps, self._data.geom_xpos, self._data.geom_xmat, self._rays
-        wp.launch(kernels.aim, shape, [*where, table.width, table.rays, table.apart, self._rays])
+        shape = len(work), max(slot.places for slot in work)
+        wp.launch(kernels.aim, shape, [self._slots, table.lens, self._rays])
         self._cast(shape, seen)
-        wp.launch(kernels.blind, shape, [*where, table.width, table.rays, self._rays])
-        wp.launch(kernels.shade, shape, [*lit, self._drawn])
+        wp.launch(kernels.blind, shape, [self._slots, table.lens, self._rays])
+        wp.launch(kernels.shade, shape, [self._world, self._drawn])
         if table.n:
-            self._smooth(table, shape, lit, seen)
+            self._smooth(table, shape, seen)
         return self._drawn[: shape[0], : shape[1]].numpy()
 
-    def _smooth(
-        self, table: _Table, shape: tuple[int, int], lit: tuple[Any, ...], seen: Any
-    ) -> None:
+    def _smooth(self, table: _Table, shape: tuple[int, int], seen: Any) -> None:
         """Draw the pixels at edges again, by the means of the rays through their parts."""
-        (slots, places), where = shape, (self._views, self._tiles)
-        count, found = wp.zeros(slots, dtype=int), wp.empty(shape, dtype=int)
-        wp.launch(kernels.edges, shape, [*where, self._rays, count, found])
-        most = int(count.numpy().max())
+        slots, places = shape
+        found = kernels.Edges()
+        found.count = wp.zeros(slots, dtype=int)
+        found.place = wp.empty(shape, dtype=int)
+        wp.launch(kernels.edges, shape, [self._slots, self._rays, found])
+        most = int(found.count.numpy().max())
         if not most:
             return
         total = wp.zeros((slots, most, 3), dtype=int)
         for first in range(0, most * table.n, places):
-            wp.launch(
-                kernels.aim_within,
-                shape,
-                [*where, table.width, table.within, table.apart, count, found, first, self._rays],
-            )
+            aimed = [self._slots, table.lens, table.within, found, first, self._rays]
+            wp.launch(kernels.aim_within, shape, aimed)
             self._cast(shape, seen)
-            wp.launch(kernels.add_up, shape, [*lit, count, first, table.n, total])
-        wp.launch(kernels.smooth, (slots, most), [count, found, table.n, total, self._drawn])
+            wp.launch(kernels.add_up, shape, [self._world, found, first, table.n, total])
+        wp.launch(kernels.smooth, (slots, most), [found, table.n, total, self._drawn])
 
     def _put(self, work: Sequence[_Filling]) -> None:
         """Take the states, views and tiles to the device, in slots from the first on."""
-        n, shots = len(work), list({id(slot.shot): slot.shot for slot in work}.values())
-        of = {id(shot): i for i, shot in enumerate(shots)}
-        at = [of[id(slot.shot)] for slot in work]
+        n = len(work)
+        shots, at = _shots_of(work)
         poses = np.array([shot.T_world_camera for shot in shots], np.float32)[at]
         views = np.empty((n, 13), np.int32)
         views[:, :12] = np.concatenate(
             [poses[:, :3, 3], poses[:, :3, :3].reshape(n, 9)], axis=1
         ).view(np.int32)
         views[:, 12] = [len(slot.tiles) for slot in work]
-        tiles = np.zeros((n, MOST_TILES, 9), np.int32)
-        rows = [
-            (i, k, start, *grown, *tile)
-            for i, slot in enumerate(work)
-            for k, (start, grown, tile) in enumerate(slot.tiles)
-        ]
-        filled = np.array(rows, np.int32)
-        tiles[filled[:, 0], filled[:, 1]] = filled[:, 2:]
+        _copy(self._slots.views, views)
+        _copy(self._slots.tiles, _rows_of_tiles(work))
         datas = [shot.stage.data for shot in shots]
-        put = [
-            (self._views, views),
-            (self._tiles, tiles),
-            (self._data.geom_xpos, np.array([data.geom_xpos for data in datas], np.float32)[at]),
-            (self._data.geom_xmat, np.array([data.geom_xmat for data in datas], np.float32)[at]),
-        ]
+        _copy(self._data.geom_xpos, np.array([d.geom_xpos for d in datas], np.float32)[at])
+        _copy(self._data.geom_xmat, np.array([d.geom_xmat for d in datas], np.float32)[at])
         if len(self._on):
-            put += [
-                (lights, values[at])
-                for lights, values in zip(self._lights, self._lit(shots), strict=True)
-            ]
-        # bytes for bytes; CUDA returns when it has read memory that is not pinned
-        for there, values in put:
-            held = np.ascontiguousarray(values)
-            wp.copy(
-                there,
-                wp.array(
-                    ptr=held.ctypes.data,
-                    shape=(held.nbytes // there.strides[-1],),
-                    dtype=there.dtype,
-                    device="cpu",
-                ),
-            )
+            for lights, values in zip(self._lights, self._lit(shots), strict=True):
+                _copy(lights, values[at])
         mjw.refit_bvh(self._model, replace(self._data, nworld=n), self._context)
 
     def _lit(self, shots: Sequence[PictureRequest]) -> NDArray[np.float32]:
         """The lights of each scene now, in the order of LIGHTS, (5, shots, lights, 3)."""
         found = []
         for shot in shots:
-            data, model = shot.stage.data, shot.stage.model
+            data = shot.stage.data
+            model = shot.stage.model
             own = (
                 data.light_xpos,
                 data.light_xdir,
@@ -346,7 +312,8 @@ class _World:
 
     def _cast(self, shape: tuple[int, int], seen: Any) -> None:
         n, m = shape
-        rays, data = self._rays, replace(self._data, nworld=n)
+        rays = self._rays
+        data = replace(self._data, nworld=n)
         origin, ray, distance, geom, normal = (
             a[:n, :m] for a in (rays.origin, rays.ray, rays.distance, rays.geom, rays.normal)
         )
@@ -365,31 +332,59 @@ class _World:
         )
 
 
+def _shots_of(work: Sequence[_Filling]) -> tuple[list[PictureRequest], list[int]]:
+    """The pictures of slots, each once, and the number of each slot's among them."""
+    shots = {id(slot.shot): slot.shot for slot in work}
+    numbers = {key: i for i, key in enumerate(shots)}
+    return list(shots.values()), [numbers[id(slot.shot)] for slot in work]
+
+
+def _rows_of_tiles(work: Sequence[_Filling]) -> NDArray[np.int32]:
+    """The numbers (n, MOST_TILES, 9) of `warp_kernels.Tile` of what is in n slots."""
+    rows = np.zeros((len(work), MOST_TILES, 9), np.int32)
+    for i, slot in enumerate(work):
+        tiles = [(start, *grown, *tile) for start, grown, tile in slot.tiles]
+        rows[i, : len(tiles)] = tiles
+    return rows
+
+
+def _copy(there: Any, values: NDArray[Any]) -> None:
+    """Copy numbers, bytes for bytes, into an array on the device; CUDA returns when it has read
+    memory that is not pinned.
+    """
+    held = np.ascontiguousarray(values)
+    shape = (held.nbytes // there.strides[-1],)
+    source = wp.array(ptr=held.ctypes.data, shape=shape, dtype=there.dtype, device="cpu")
+    wp.copy(there, source)
+
+
 def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
     """What all worlds of a scene share, as the shading kernel reads it. on: the lights that are
     lit.
     """
-    look, n = kernels.Look(), model.ngeom
-    material, printed = model.geom_matid, paint.printed
+    look = kernels.Look()
+    n = model.ngeom
+    material = model.geom_matid
+    printed = paint.printed
     textures = {texture: i for i, texture in enumerate(paint.mipmaps)}
-    texture, times, uniform, gloss, samples = (
-        np.full(n, -1),
-        np.ones((n, 2)),
-        np.zeros(n),
-        np.zeros((n, 2)),
-        np.ones(n),
-    )
+    texture = np.full(n, -1)
+    times = np.ones((n, 2))
+    uniform = np.zeros(n)
+    gloss = np.zeros((n, 2))
+    samples = np.ones(n)
     for g in printed:
-        m, number = material[g], int(paint.texture[g])
-        texture[g], times[g], uniform[g] = (
-            textures[number],
-            model.mat_texrepeat[m],
-            model.mat_texuniform[m],
-        )
+        m = material[g]
+        number = int(paint.texture[g])
+        texture[g] = textures[number]
+        times[g] = model.mat_texrepeat[m]
+        uniform[g] = model.mat_texuniform[m]
         samples[g] = 1 if paint.repeated[number] else paint.anisotropy
         if g in paint.glossy:
             gloss[g] = model.mat_specular[m], 128 * model.mat_shininess[m]
-    levels, sizes, tables, start = [], [], [], 0
+    levels = []
+    sizes = []
+    tables = []
+    start = 0
     for mipmap in paint.mipmaps.values():
         levels.append((len(sizes), len(mipmap.levels)))
         sizes += [(start + first, width, height) for first, width, height in mipmap.levels]
@@ -402,31 +397,22 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
         array = np.asarray(values)
         return wp.array(array if array.size else np.zeros(least, array.dtype), dtype=dtype)
 
-    look.rgb, look.glow = put(paint.rgb[:n], wp.vec3, (1, 3)), put(paint.glow[:n], float, (1,))
+    look.rgb = put(paint.rgb[:n], wp.vec3, (1, 3))
+    look.glow = put(paint.glow[:n], float, (1,))
     look.box = put((model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).astype(np.int32), int, (1,))
-    look.half, look.texture = (
-        put(model.geom_size.astype(np.float32), wp.vec3, (1, 3)),
-        put(texture.astype(np.int32), int, (1,)),
-    )
-    look.times, look.uniform = (
-        put(times.astype(np.float32), wp.vec2, (1, 2)),
-        put(uniform.astype(np.int32), int, (1,)),
-    )
-    look.gloss, look.samples = (
-        put(gloss.astype(np.float32), wp.vec2, (1, 2)),
-        put(samples.astype(np.int32), int, (1,)),
-    )
-    look.level, look.size = (
-        put(np.array(levels, np.int32), wp.vec2i, (1, 2)),
-        put(np.array(sizes, np.int32), wp.vec3i, (1, 3)),
-    )
+    look.half = put(model.geom_size.astype(np.float32), wp.vec3, (1, 3))
+    look.texture = put(texture.astype(np.int32), int, (1,))
+    look.times = put(times.astype(np.float32), wp.vec2, (1, 2))
+    look.uniform = put(uniform.astype(np.int32), int, (1,))
+    look.gloss = put(gloss.astype(np.float32), wp.vec2, (1, 2))
+    look.samples = put(samples.astype(np.int32), int, (1,))
+    look.level = put(np.array(levels, np.int32), wp.vec2i, (1, 2))
+    look.size = put(np.array(sizes, np.int32), wp.vec3i, (1, 3))
     look.texels = put(
         np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8), wp.vec3ub, (1, 3)
     )
-    look.elevation, look.tint = (
-        put(elevation.astype(np.float32), float, (1,)),
-        put(tint.astype(np.float32), wp.vec3, (1, 3)),
-    )
+    look.elevation = put(elevation.astype(np.float32), float, (1,))
+    look.tint = put(tint.astype(np.float32), wp.vec3, (1, 3))
     look.light_type = put(model.light_type[on].astype(np.int32), int, (0,))
     look.attenuation = put(model.light_attenuation[on].astype(np.float32), wp.vec3, (0, 3))
     look.cone = put(cone.astype(np.float32), wp.vec2, (0, 2))
@@ -444,7 +430,8 @@ class Device:
         device = wp.get_preferred_device()
         self.name = f"rays (mujoco_warp {mjw.__version__}, {device.name})"
         self.slots = SLOTS["cuda" if device.is_cuda else "cpu"]
-        self._worlds, self._tables = dict[bytes, _World](), dict[tuple[object, ...], _Table]()
+        self._worlds = dict[bytes, _World]()
+        self._tables = dict[tuple[object, ...], _Table]()
 
     def draw(self, shots: Sequence[PictureRequest]) -> list[list[Image]]:
         """The tiles of each picture, those of equal scenes and lenses together."""

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import warp as wp
 
-NO_RAY, SKY = -2, -1
+NO_RAY = -2
+SKY = -1
 AWAY = 1e9  # where rays of places without a pixel begin [m]: they meet no box of a scene
-DIRECTIONAL, SPOT = 1, 0  # as `mjtLightType` has them
+# as `mjtLightType` has them
+DIRECTIONAL = 1
+SPOT = 0
 
 
 @wp.struct
@@ -82,25 +85,76 @@ class Rays:
     normal: wp.array2d(dtype=wp.vec3)
 
 
+@wp.struct
+class Slots:
+    """What is in each slot, shapes (W,) and (W, tiles)."""
+
+    views: wp.array(dtype=SlotView)
+    tiles: wp.array2d(dtype=Tile)
+
+
+@wp.struct
+class Lens:
+    """The pixels of a picture: how many are in a row, the ray through the centre of each, and the
+    angle to the next.
+    """
+
+    width: int
+    rays: wp.array(dtype=wp.vec3)
+    angles: wp.array(dtype=float)
+
+
+@wp.struct
+class Edges:
+    """The pixels at edges: how many in each slot (W,), and their places (W, C)."""
+
+    count: wp.array(dtype=int)
+    place: wp.array2d(dtype=int)
+
+
+@wp.struct
+class World:
+    """All that is shaded: what the worlds share, their lights, the poses of their geoms (W, geoms),
+    and the rays.
+    """
+
+    look: Look
+    lamps: Lamps
+    xpos: wp.array2d(dtype=wp.vec3)
+    xmat: wp.array2d(dtype=wp.mat33)
+    rays: Rays
+
+
+@wp.struct
+class Hit:
+    """A point on a geom, the ray there and the normal, and how wide a pixel is there."""
+
+    geom: int
+    point: wp.vec3
+    ray: wp.vec3
+    normal: wp.vec3
+    across: float
+
+
 @wp.func
-def _tile(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: int, j: int) -> int:
+def _tile(slots: Slots, w: int, j: int) -> int:
     """Number of the tile of place j; -1 for a place beyond all tiles."""
-    for k in range(views[w].tiles):
-        grown = tiles[w, k].grown
-        if j < tiles[w, k].start + (grown[2] - grown[0]) * (grown[3] - grown[1]):
+    for k in range(slots.views[w].tiles):
+        tile = slots.tiles[w, k]
+        grown = tile.grown
+        if j < tile.start + (grown[2] - grown[0]) * (grown[3] - grown[1]):
             return k
     return -1
 
 
 @wp.func
-def _pixel(
-    views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: int, j: int, width: int
-) -> int:
+def _pixel(slots: Slots, w: int, j: int, width: int) -> int:
     """Number of the pixel of place j in the picture; -1 for a place beyond all tiles."""
-    k = _tile(views, tiles, w, j)
+    k = _tile(slots, w, j)
     if k < 0:
         return -1
-    grown, within = tiles[w, k].grown, j - tiles[w, k].start
+    grown = slots.tiles[w, k].grown
+    within = j - slots.tiles[w, k].start
     columns = grown[2] - grown[0]
     return (grown[1] + within // columns) * width + grown[0] + within % columns
 
@@ -120,65 +174,49 @@ def _aim(rays: Rays, w: int, j: int, view: SlotView, ray: wp.vec3, apart: float)
 
 
 @wp.kernel
-def aim(
-    views: wp.array(dtype=SlotView),
-    tiles: wp.array2d(dtype=Tile),
-    width: int,
-    table: wp.array(dtype=wp.vec3),
-    angles: wp.array(dtype=float),
-    rays: Rays,
-):
-    """The ray through the centre of each pixel. table, angles: of all pixels of the picture."""
+def aim(slots: Slots, lens: Lens, rays: Rays):
+    """The ray through the centre of each pixel."""
     w, j = wp.tid()
-    pixel = _pixel(views, tiles, w, j, width)
+    pixel = _pixel(slots, w, j, lens.width)
     if pixel < 0:
-        _aim(rays, w, j, views[w], wp.vec3(wp.nan, wp.nan, wp.nan), 0.0)
+        _aim(rays, w, j, slots.views[w], wp.vec3(wp.nan, wp.nan, wp.nan), 0.0)
     else:
-        _aim(rays, w, j, views[w], table[pixel], angles[pixel])
+        _aim(rays, w, j, slots.views[w], lens.rays[pixel], lens.angles[pixel])
 
 
 @wp.kernel
-def blind(
-    views: wp.array(dtype=SlotView),
-    tiles: wp.array2d(dtype=Tile),
-    width: int,
-    table: wp.array(dtype=wp.vec3),
-    rays: Rays,
-):
+def blind(slots: Slots, lens: Lens, rays: Rays):
     """Mark the pixels that have no ray, which are not the sky."""
     w, j = wp.tid()
-    pixel = _pixel(views, tiles, w, j, width)
+    pixel = _pixel(slots, w, j, lens.width)
     if pixel >= 0:
-        if wp.isnan(table[pixel][0]):
+        if wp.isnan(lens.rays[pixel][0]):
             rays.geom[w, j] = NO_RAY
 
 
 @wp.kernel
-def edges(
-    views: wp.array(dtype=SlotView),
-    tiles: wp.array2d(dtype=Tile),
-    rays: Rays,
-    count: wp.array(dtype=int),
-    found: wp.array2d(dtype=int),
-):
+def edges(slots: Slots, rays: Rays, found: Edges):
     """The wanted places of each tile with a neighbour, of eight, that shows another geom: how many,
     and which.
     """
     w, j = wp.tid()
-    k = _tile(views, tiles, w, j)
+    k = _tile(slots, w, j)
     if k >= 0:
-        tile = tiles[w, k]
+        tile = slots.tiles[w, k]
         columns = tile.grown[2] - tile.grown[0]
         rows = tile.grown[3] - tile.grown[1]
-        row, column = (j - tile.start) // columns, (j - tile.start) % columns
-        u, v = tile.grown[0] + column, tile.grown[1] + row
+        row = (j - tile.start) // columns
+        column = (j - tile.start) % columns
+        u = tile.grown[0] + column
+        v = tile.grown[1] + row
         if (
             u >= tile.wanted[0]
             and u < tile.wanted[2]
             and v >= tile.wanted[1]
             and v < tile.wanted[3]
         ):
-            own, other = rays.geom[w, j], int(0)
+            own = rays.geom[w, j]
+            other = int(0)
             for dv in range(-1, 2):
                 for du in range(-1, 2):
                     near = wp.clamp(row + dv, 0, rows - 1) * columns + wp.clamp(
@@ -187,7 +225,7 @@ def edges(
                     if rays.geom[w, tile.start + near] != own:
                         other = 1
             if other == 1:
-                found[w, wp.atomic_add(count, w, 1)] = j
+                found.place[w, wp.atomic_add(found.count, w, 1)] = j
 
 
 @wp.func
@@ -201,25 +239,23 @@ def _edge(count: int, first: int, j: int, n: int) -> int:
 
 @wp.kernel
 def aim_within(
-    views: wp.array(dtype=SlotView),
-    tiles: wp.array2d(dtype=Tile),
-    width: int,
-    table: wp.array2d(dtype=wp.vec3),
-    angles: wp.array(dtype=float),
-    count: wp.array(dtype=int),
-    found: wp.array2d(dtype=int),
+    slots: Slots,
+    lens: Lens,
+    within: wp.array2d(dtype=wp.vec3),
+    found: Edges,
     first: int,
     rays: Rays,
 ):
-    """The n rays within each pixel at an edge, from the ray `first` on. table: (pixels, n)."""
+    """The n rays within each pixel at an edge, from the ray `first` on. within: (pixels, n)."""
     w, j = wp.tid()
-    n = table.shape[1]
-    edge = _edge(count[w], first, j, n)
+    n = within.shape[1]
+    edge = _edge(found.count[w], first, j, n)
     if edge < 0:
-        _aim(rays, w, j, views[w], wp.vec3(wp.nan, wp.nan, wp.nan), 0.0)
+        _aim(rays, w, j, slots.views[w], wp.vec3(wp.nan, wp.nan, wp.nan), 0.0)
     else:
-        pixel = _pixel(views, tiles, w, found[w, edge], width)
-        _aim(rays, w, j, views[w], table[pixel, (first + j) % n], angles[pixel] / wp.sqrt(float(n)))
+        pixel = _pixel(slots, w, found.place[w, edge], lens.width)
+        apart = lens.angles[pixel] / wp.sqrt(float(n))
+        _aim(rays, w, j, slots.views[w], within[pixel, (first + j) % n], apart)
 
 
 @wp.func
@@ -228,13 +264,17 @@ def _between(look: Look, level: int, place: wp.vec2) -> wp.vec3:
     beyond its edges.
     """
     size = look.size[level]
-    u, v = place[0] * float(size[1]) - 0.5, place[1] * float(size[2]) - 0.5
-    left, top = wp.floor(u), wp.floor(v)
-    across, down = u - left, v - top
+    u = place[0] * float(size[1]) - 0.5
+    v = place[1] * float(size[2]) - 0.5
+    left = wp.floor(u)
+    top = wp.floor(v)
+    across = u - left
+    down = v - top
     total = wp.vec3(0.0, 0.0, 0.0)
     for i in range(2):
         for k in range(2):
-            column, row = (int(left) + k) % size[1], (int(top) + i) % size[2]
+            column = (int(left) + k) % size[1]
+            row = (int(top) + i) % size[2]
             if column < 0:
                 column += size[1]
             if row < 0:
@@ -270,20 +310,17 @@ def _on_face(v: wp.vec3, face: int, edges: wp.vec2, times: wp.vec2) -> wp.vec2:
 
 
 @wp.func
-def _print(
-    look: Look,
-    g: int,
-    x: wp.vec3,
-    R: wp.mat33,
-    point: wp.vec3,
-    ray: wp.vec3,
-    normal: wp.vec3,
-    across: float,
-) -> wp.vec3:
-    """The texture of a plane or a box; see `shade.Paint._print`."""
+def _print(look: Look, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
+    """The texture of a plane or a box with the pose x, R; see `shade.Paint._print`."""
+    g = hit.geom
+    ray = hit.ray
+    normal = hit.normal
+    across = hit.across
     turned = wp.transpose(R)
-    local, n = turned @ (point - x), turned @ normal
-    half, face = look.half[g], int(2)
+    local = turned @ (hit.point - x)
+    n = turned @ normal
+    half = look.half[g]
+    face = int(2)
     if look.box[g] == 1:
         face = int(0)
         if wp.abs(n[1]) > wp.abs(n[0]):
@@ -301,7 +338,8 @@ def _print(
     begins = wp.vec2(
         wp.where(half[0] > 0.0, 0.5 * times[0], 0.5), wp.where(half[1] > 0.0, 0.5 * times[1], 0.5)
     )
-    i, j = wp.where(face == 0, 1, 0), wp.where(face == 2, 1, 2)
+    i = wp.where(face == 0, 1, 0)
+    j = wp.where(face == 2, 1, 2)
     edges = wp.vec2(2.0 * size[i], 2.0 * size[j])
     place = _on_face(local, face, edges, times) + begins
     texture = look.texture[g]
@@ -323,7 +361,8 @@ def _print(
     shadow = wp.normalize(shadow)
     first = _on_face(turned @ (shadow * (across / cosine)), face, edges, times)
     second = _on_face(turned @ (wp.cross(normal, shadow) * across), face, edges, times)
-    long, short = wp.length(wp.cw_mul(first, pixels)), wp.length(wp.cw_mul(second, pixels))
+    long = wp.length(wp.cw_mul(first, pixels))
+    short = wp.length(wp.cw_mul(second, pixels))
     along = first
     if short > long:
         along, long, short = second, short, long
@@ -360,7 +399,8 @@ def _sky(look: Look, up: float) -> wp.vec3:
         return look.tint[0]
     if up >= look.elevation[last]:
         return look.tint[last]
-    low, high = int(0), int(last)
+    low = int(0)
+    high = int(last)
     while high - low > 1:
         middle = (low + high) // 2
         if look.elevation[middle] <= up:
@@ -372,29 +412,25 @@ def _sky(look: Look, up: float) -> wp.vec3:
 
 
 @wp.func
-def _colour(
-    look: Look,
-    lamps: Lamps,
-    xpos: wp.array2d(dtype=wp.vec3),
-    xmat: wp.array2d(dtype=wp.mat33),
-    rays: Rays,
-    w: int,
-    j: int,
-) -> wp.vec3:
+def _colour(world: World, w: int, j: int) -> wp.vec3:
     """The colour of what a ray hits, from 0 to 1; see `shade.Paint.colours`."""
-    g, ray, distance, normal = (
-        rays.geom[w, j],
-        rays.ray[w, j],
-        rays.distance[w, j],
-        rays.normal[w, j],
-    )
+    look = world.look
+    lamps = world.lamps
+    rays = world.rays
+    g = rays.geom[w, j]
+    ray = rays.ray[w, j]
+    distance = rays.distance[w, j]
+    normal = rays.normal[w, j]
     if g == SKY:
         return _sky(look, ray[2])
     point = rays.origin[w, j] + ray * distance
-    glow, gloss = look.glow[g], look.gloss[g]
-    light, mirrored = wp.vec3(glow, glow, glow), wp.vec3(0.0, 0.0, 0.0)
+    glow = look.glow[g]
+    gloss = look.gloss[g]
+    light = wp.vec3(glow, glow, glow)
+    mirrored = wp.vec3(0.0, 0.0, 0.0)
     for i in range(look.light_type.shape[0]):
-        to, share = -lamps.along[w, i], float(1.0)
+        to = -lamps.along[w, i]
+        share = float(1.0)
         if look.light_type[i] != DIRECTIONAL:
             way = lamps.place[w, i] - point
             far = wp.max(wp.length(way), 1.0e-9)
@@ -412,12 +448,13 @@ def _colour(
             )
     colour = wp.min(wp.cw_mul(light, look.rgb[g]), wp.vec3(1.0, 1.0, 1.0))
     if look.texture[g] >= 0:
-        colour = wp.cw_mul(
-            colour,
-            _print(
-                look, g, xpos[w, g], xmat[w, g], point, ray, normal, rays.apart[w, j] * distance
-            ),
-        )
+        hit = Hit()
+        hit.geom = g
+        hit.point = point
+        hit.ray = ray
+        hit.normal = normal
+        hit.across = rays.apart[w, j] * distance
+        colour = wp.cw_mul(colour, _print(look, hit, world.xpos[w, g], world.xmat[w, g]))
     return wp.min(colour + mirrored, wp.vec3(1.0, 1.0, 1.0))
 
 
@@ -427,61 +464,38 @@ def _grey(colour: float) -> int:
 
 
 @wp.kernel
-def shade(
-    look: Look,
-    lamps: Lamps,
-    xpos: wp.array2d(dtype=wp.vec3),
-    xmat: wp.array2d(dtype=wp.mat33),
-    rays: Rays,
-    out: wp.array2d(dtype=wp.vec3ub),
-):
+def shade(world: World, out: wp.array2d(dtype=wp.vec3ub)):
     """The grey levels of all places."""
     w, j = wp.tid()
     colour = wp.vec3(0.0, 0.0, 0.0)
-    if rays.geom[w, j] != NO_RAY and rays.origin[w, j][0] < 0.5 * AWAY:
-        colour = _colour(look, lamps, xpos, xmat, rays, w, j)
+    if world.rays.geom[w, j] != NO_RAY and world.rays.origin[w, j][0] < 0.5 * AWAY:
+        colour = _colour(world, w, j)
     out[w, j] = wp.vec3ub(
         wp.uint8(_grey(colour[0])), wp.uint8(_grey(colour[1])), wp.uint8(_grey(colour[2]))
     )
 
 
 @wp.kernel
-def add_up(
-    look: Look,
-    lamps: Lamps,
-    xpos: wp.array2d(dtype=wp.vec3),
-    xmat: wp.array2d(dtype=wp.mat33),
-    rays: Rays,
-    count: wp.array(dtype=int),
-    first: int,
-    n: int,
-    total: wp.array3d(dtype=int),
-):
+def add_up(world: World, found: Edges, first: int, n: int, total: wp.array3d(dtype=int)):
     """Add the grey levels of the rays within the pixels at edges to those of their pixel: whole
     numbers, whose order does not count.
     """
     w, j = wp.tid()
-    edge = _edge(count[w], first, j, n)
-    if edge >= 0 and rays.origin[w, j][0] < 0.5 * AWAY:
-        colour = _colour(look, lamps, xpos, xmat, rays, w, j)
+    edge = _edge(found.count[w], first, j, n)
+    if edge >= 0 and world.rays.origin[w, j][0] < 0.5 * AWAY:
+        colour = _colour(world, w, j)
         for channel in range(3):
             wp.atomic_add(total, w, edge, channel, _grey(colour[channel]))
 
 
 @wp.kernel
-def smooth(
-    count: wp.array(dtype=int),
-    found: wp.array2d(dtype=int),
-    n: int,
-    total: wp.array3d(dtype=int),
-    out: wp.array2d(dtype=wp.vec3ub),
-):
+def smooth(found: Edges, n: int, total: wp.array3d(dtype=int), out: wp.array2d(dtype=wp.vec3ub)):
     """The means of the rays within the pixels at edges, rounded, in place of the ray through their
     centre.
     """
     w, edge = wp.tid()
-    if edge < count[w]:
+    if edge < found.count[w]:
         mean = wp.vec3ub()
         for channel in range(3):
             mean[channel] = wp.uint8((2 * total[w, edge, channel] + n) // (2 * n))
-        out[w, found[w, edge]] = mean
+        out[w, found.place[w, edge]] = mean

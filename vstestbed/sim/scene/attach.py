@@ -39,7 +39,8 @@ def choose_servos(model: mujoco.MjSpec, chosen: Actuation | None) -> None:
             body.gravcomp = carried
     if not chosen.friction:
         for joint in model.joints:
-            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+            joint.frictionloss = 0.0
+            joint.damping = np.zeros(3)
 
 
 def _keep(model: mujoco.MjSpec, prefix: str) -> None:
@@ -51,12 +52,13 @@ def _keep(model: mujoco.MjSpec, prefix: str) -> None:
             model.delete(actuator)
 
 
+def _drivers(model: mujoco.MjSpec, joint: str) -> list[mujoco.MjsActuator]:
+    on_joint = mujoco.mjtTrn.mjTRN_JOINT
+    return [a for a in model.actuators if a.target == joint and a.trntype == on_joint]
+
+
 def _add(model: mujoco.MjSpec, servo: Servo) -> None:
-    there = [
-        a
-        for a in model.actuators
-        if a.target == servo.joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT
-    ]
+    there = _drivers(model, servo.joint)
     if servo.torque is None:
         _feed(there[0], servo)
         return
@@ -65,31 +67,34 @@ def _add(model: mujoco.MjSpec, servo: Servo) -> None:
     made = model.add_actuator(
         name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
     )
-    if not (servo.kp or servo.kv):
-        made.set_to_motor()
-        made.ctrllimited = made.forcelimited = (
-            False  # whatever the file's defaults for actuators are
-        )
-    elif servo.kp:
+    if servo.kp:
         made.set_to_intvelocity(kp=servo.kp, kv=servo.kv)
-        made.actlimited, made.actrange = True, [-UNBOUNDED, UNBOUNDED]
-    else:
+        made.actlimited = True
+        made.actrange = [-UNBOUNDED, UNBOUNDED]
+    elif servo.kv:
         made.set_to_velocity(kv=servo.kv)
+    else:
+        made.set_to_motor()
+        # whatever the file's defaults for actuators are
+        made.ctrllimited = made.forcelimited = False
     if servo.kp or servo.kv:
-        made.ctrllimited, made.ctrlrange = True, [-servo.speed, servo.speed]
+        made.ctrllimited = True
+        made.ctrlrange = [-servo.speed, servo.speed]
     if np.isfinite(servo.torque):
-        made.forcelimited, made.forcerange = True, [-servo.torque, servo.torque]
+        made.forcelimited = True
+        made.forcerange = [-servo.torque, servo.torque]
 
 
 def _feed(own: mujoco.MjsActuator, servo: Servo) -> None:
     """The file's own servo, told speeds: one of position is fed with the integrated speed."""
     own.name = servo.joint
     if own.biasprm[1] != 0 and own.dyntype == mujoco.mjtDyn.mjDYN_NONE:
-        own.dyntype, own.actlimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True
-        own.actrange = (
-            own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
-        )
-    own.ctrllimited, own.ctrlrange = True, [-servo.speed, servo.speed]
+        own.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        own.actlimited = True
+        limited = own.ctrlrange[0] < own.ctrlrange[1]
+        own.actrange = own.ctrlrange if limited else [-UNBOUNDED, UNBOUNDED]
+    own.ctrllimited = True
+    own.ctrlrange = [-servo.speed, servo.speed]
 
 
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO

@@ -75,7 +75,8 @@ def add_stripe(
     kept = np.unique(np.append(np.arange(0, len(left), SEGMENT), len(left) - 1))
     n = len(kept)
     vertices = np.full((2 * n, 3), LIFT_M)
-    vertices[0::2, :2], vertices[1::2, :2] = left[kept], right[kept]
+    vertices[0::2, :2] = left[kept]
+    vertices[1::2, :2] = right[kept]
     at = 2 * np.arange(n - 1)[:, None]
     faces = np.concatenate([at + [0, 1, 2], at + [1, 3, 2]])  # counter-clockwise from above
     mesh = scene.add_mesh(
@@ -83,7 +84,8 @@ def add_stripe(
     )
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a sheet has no volume
     geom = _visual(body, mesh.name, mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], rgba, TARGET_GROUP)
-    geom.meshname, geom.material = mesh.name, paint.name
+    geom.meshname = mesh.name
+    geom.material = paint.name
 
 
 def add_sheet(
@@ -91,20 +93,15 @@ def add_sheet(
 ) -> float:
     """A picture with its face at z = front in the target's frame; where its back is [m]."""
     rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
-    paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, (SHARE, SHARE)
+    paint.specular = sheet.gloss
+    paint.shininess = SHININESS
+    paint.texrepeat = SHARE, SHARE
     lay_picture(scene, paint, "target/picture", "target_picture.png", sheet.png)
     half = thin(sheet.width)
-    size, pos = [sheet.width / 2, sheet.height / 2, half], [0, 0, front + half]
-    geom = _visual(
-        body,
-        "target/picture",
-        mujoco.mjtGeom.mjGEOM_BOX,
-        size,
-        rgba,
-        TARGET_GROUP,
-        pos,
-        FACE_VIEWER,
-    )
+    size = [sheet.width / 2, sheet.height / 2, half]
+    geom = _visual(body, "target/picture", GEOMS["box"], size, rgba, TARGET_GROUP)
+    geom.pos = [0, 0, front + half]
+    geom.quat = FACE_VIEWER
     geom.material = paint.name
     return front + 2 * half
 
@@ -125,26 +122,33 @@ def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
     if not isinstance(shape, np.ndarray):
         # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a
         # polygon .6 % of the radius too small.
-        scene.visual.quality.numslices, scene.visual.quality.numstacks = 2 * FACETS, FACETS
-        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape, 0, 0]
+        scene.visual.quality.numslices = 2 * FACETS
+        scene.visual.quality.numstacks = FACETS
+        geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
+        geom.size = [shape, 0, 0]
         return
     scene.meshdir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/target_solid.stl": as_stl(shape)}
     mesh = scene.add_mesh(name="target/solid", file="target_solid.stl")
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
-    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, "target/solid"
+    geom.type = mujoco.mjtGeom.mjGEOM_MESH
+    geom.meshname = "target/solid"
 
 
 HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
 # how far the housing of a camera in the room is moved back, so that the lens's picture does not
 # show it [m]
 BEHIND_LENS_M = 0.03
-POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, anodised
+POST_RADIUS_M = 0.012  # a tube of 24 mm, anodised
+POST_GREY = [0.5, 0.51, 0.53, 1.0]
+PLATE_HALF_M = 0.002  # half of a plate's thickness [m]
+PLATE_GREY = [0.45, 0.45, 0.47, 1]
 # The free camera's housing is drawn this many times as large as the arm's: it is seen from farther
 # away
 FREE_HOUSING = 6.0
 # a start farther than this and nearer than that leaves the planes as they are [m]
-NEAR_START_M, FAR_START_M = 0.5, 25.0
+NEAR_START_M = 0.5
+FAR_START_M = 25.0
 GEOMS = {
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -157,7 +161,8 @@ PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a h
 # two far away
 BEHIND_SHEET_M = 1e-3
 # flat insides of a socket's hole, and half the thickness of its bottom [m]
-SOCKET_SIDES, SOCKET_BOTTOM_M = 32, 0.002
+SOCKET_SIDES = 32
+SOCKET_BOTTOM_M = 0.002
 # Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal
 # point are in pixels
 PITCH_M = 1e-5
@@ -172,12 +177,11 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
     for plane in ("floor", "ground"):
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
     scenery = parts.world.scenery
-    carried = (
-        add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
-    )
-    body, T_body_flange = add_robot(
-        scene, parts.robot, "robot/", parts.world.floor_friction, carried
-    )
+    carried: dict[str, bytes] = {}
+    if scenery:
+        carried = add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z)
+    friction = parts.world.floor_friction
+    body, T_body_flange = add_robot(scene, parts.robot, "robot/", friction, carried)
     housing = 1.0
     if parts.robot.body is None:
         # A target round the camera, which begins within it, is one of a metre.
@@ -192,26 +196,17 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
         _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
         if parts.robot.base == "planar":
             _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
-        carrier = (
-            add_robot(scene, parts.leader, "leader/", parts.world.floor_friction, carried)[0]
-            if parts.leader
-            else None
-        )
+        carrier = None
+        if parts.leader:
+            carrier, _ = add_robot(scene, parts.leader, "leader/", friction, carried)
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     for other in parts.others:
+        lens = other.camera
         if other.stands:
-            _add_camera(
-                scene.worldbody,
-                other.camera.mount.T,
-                other.camera,
-                housing,
-                other.name,
-                ROBOT_GROUP,
-            )
+            place = lens.mount.T
+            _add_camera(scene.worldbody, place, lens, housing, other.name, ROBOT_GROUP)
         else:
-            _add_camera(
-                body, T_body_flange @ other.camera.mount.T, other.camera, housing, other.name
-            )
+            _add_camera(body, T_body_flange @ lens.mount.T, lens, housing, other.name)
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world, parts.glossy)
@@ -227,7 +222,8 @@ def _fit_planes(scene: mujoco.MjSpec, away: float) -> None:
     which move no point of an image. (The lens of an arm's camera lies within the wrist, which would
     be seen.)
     """
-    planes, ratio = scene.visual.map, away / np.array([NEAR_START_M, FAR_START_M])
+    planes = scene.visual.map
+    ratio = away / np.array([NEAR_START_M, FAR_START_M])
     factor = 2.0 ** (min(0.0, np.floor(np.log2(ratio[0]))) + max(0.0, np.ceil(np.log2(ratio[1]))))
     planes.znear *= factor  # both: of a near plane alone the sky would be black
     planes.zfar *= factor
@@ -240,29 +236,16 @@ def _add_plates(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
         holder = scene.worldbody.add_body(
             name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3])
         )
-        _visual(
-            holder,
-            f"plate_{i}",
-            GEOMS["box"],
-            [plate.width / 2, plate.height / 2, 0.002],
-            [0.45, 0.45, 0.47, 1],
-            0,
-        )
+        size = [plate.width / 2, plate.height / 2, PLATE_HALF_M]
+        _visual(holder, f"plate_{i}", GEOMS["box"], size, PLATE_GREY, 0)
     if half := parts.plate_m / 2:
         holder = scene.worldbody.add_body(name=HAND_PLATE, mocap=True, pos=AWAY)
-        _visual(
-            holder,
-            HAND_PLATE,
-            mujoco.mjtGeom.mjGEOM_BOX,
-            [half, half, 0.002],
-            [0.45, 0.45, 0.47, 1],
-            0,
-        )
+        _visual(holder, HAND_PLATE, GEOMS["box"], [half, half, PLATE_HALF_M], PLATE_GREY, 0)
     for i, decoy in enumerate(parts.world.distractors):
-        holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
-        _visual(
-            holder, f"decoy_{i}", GEOMS[DECOYS[decoy.shape]], decoy.half_sizes, [*decoy.color, 1], 0
-        )
+        name = f"decoy_{i}"
+        kind = GEOMS[DECOYS[decoy.shape]]
+        holder = scene.worldbody.add_body(name=name, mocap=True, pos=decoy.xyz)
+        _visual(holder, name, kind, decoy.half_sizes, [*decoy.color, 1], 0)
 
 
 def _show_hand(scene: mujoco.MjSpec) -> None:
@@ -282,7 +265,8 @@ def _frame_overview(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
     """Fit the outside view to the path of a moving base; world.xml's own view shows an arm at the
     origin.
     """
-    robot, target = parts.robot, parts.target
+    robot = parts.robot
+    target = parts.target
     if robot.body is None:
         frame_flight(scene, robot, target)
     elif robot.base != "fixed":
@@ -326,26 +310,17 @@ def _add_camera(
             ],
         )
     body.add_site(name=eye, pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
-    box, glass, back = (
-        [0.025, 0.02, 0.03],
-        [0.013, 0.012, 0],
-        0.0 if group == LENS_GROUP else BEHIND_LENS_M,
-    )
+    box = [0.025, 0.02, 0.03]
+    glass = [0.013, 0.012, 0]
+    back = 0.0 if group == LENS_GROUP else BEHIND_LENS_M
     for name, kind, size, grey, along in (
         (f"{eye}_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
         (f"{eye}_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
     ):
-        centre = pos + T_body_camera[:3, 2] * ((along - back) * housing)
-        _visual(
-            body,
-            name,
-            kind,
-            [x * housing for x in size],
-            [grey, grey, grey, 1],
-            group,
-            centre,
-            quat_cv,
-        )
+        sides = [x * housing for x in size]
+        geom = _visual(body, name, kind, sides, [grey, grey, grey, 1], group)
+        geom.pos = pos + T_body_camera[:3, 2] * ((along - back) * housing)
+        geom.quat = quat_cv
 
 
 def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: Array) -> None:
@@ -354,18 +329,14 @@ def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: 
     """
     if deck is None:  # a vehicle of one's own need not have one
         return
-    middle, half = np.asarray(deck.pos, dtype=float), np.asarray(deck.size, dtype=float)
+    middle = np.asarray(deck.pos, dtype=float)
+    half = np.asarray(deck.size, dtype=float)
     head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
     foot = np.clip(head, middle - half, middle + half)
     if np.linalg.norm(head - foot) > POST_RADIUS_M:
-        post = _visual(
-            body,
-            "eye_post",
-            mujoco.mjtGeom.mjGEOM_CAPSULE,
-            [POST_RADIUS_M, 0, 0],
-            POST_GREY,
-            LENS_GROUP,
-        )
+        size = [POST_RADIUS_M, 0, 0]
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        post = _visual(body, "eye_post", capsule, size, POST_GREY, LENS_GROUP)
         post.fromto = [*foot, *head]
 
 
@@ -402,11 +373,10 @@ def _add_socket(body: mujoco.MjsBody, socket: Socket) -> None:
     """A tube of boxes, whose flat insides touch a circle of the hole's radius, and its bottom; the
     front of a target collides nowhere else.
     """
-    middle, half = (
-        socket.radius + socket.wall / 2,
-        (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES),
-    )
-    grey, friction = [0.45, 0.47, 0.5, 1.0], [socket.friction, 0.005, 0.0001]
+    middle = socket.radius + socket.wall / 2
+    half = (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES)
+    grey = [0.45, 0.47, 0.5, 1.0]
+    friction = [socket.friction, 0.005, 0.0001]
     parts: list[tuple[list[float], list[float], float]] = [
         ([*socket.xy, SOCKET_BOTTOM_M], [middle, middle, SOCKET_BOTTOM_M], 0.0)
     ]
@@ -429,12 +399,15 @@ def _add_socket(body: mujoco.MjsBody, socket: Socket) -> None:
             rgba=grey,
             group=TARGET_GROUP,
         )
-        geom.mass, geom.friction, geom.solref = 0.0, friction, [SOFT_S, 1.0]
+        geom.mass = 0.0
+        geom.friction = friction
+        geom.solref = [SOFT_S, 1.0]
 
 
 def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
     if pad := target.pad:  # the only part of a target that collides
-        size, grey = [pad.side / 2, pad.side / 2, PAD_HALF_M], [0.62, 0.63, 0.62, 1]
+        size = [pad.side / 2, pad.side / 2, PAD_HALF_M]
+        grey = [0.62, 0.63, 0.62, 1]
         geom = body.add_geom(
             name="target/pad",
             type=GEOMS["box"],
@@ -443,52 +416,40 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
             rgba=grey,
             group=TARGET_GROUP,
         )
-        geom.mass, geom.friction = pad.weight, PAD_FRICTION
+        geom.mass = pad.weight
+        geom.friction = PAD_FRICTION
     elif target.board_half_m is not None:
-        half, marker = target.board_half_m, target.marker
+        half = target.board_half_m
+        marker = target.marker
         front = (marker.height_m or 1.5 * thin(marker.radius)) if target.draw_markers else 0.0
         front = thin(max(half), BEHIND_SHEET_M) if target.body is not None else front
         if target.sheet is not None:
             front = add_sheet(scene, body, target.sheet, front)
-        board = [0, 0, front + 0.01]
-        _visual(
-            body,
-            "target/board",
-            mujoco.mjtGeom.mjGEOM_BOX,
-            [*half, 0.01],
-            [0.86, 0.86, 0.85, 1],
-            TARGET_GROUP,
-            board,
-        )
+        grey = [0.86, 0.86, 0.85, 1]
+        board = _visual(body, "target/board", GEOMS["box"], [*half, 0.01], grey, TARGET_GROUP)
+        board.pos = [0, 0, front + 0.01]
 
 
 def _add_marker(
     scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid
 ) -> None:
-    marker, normal = target.marker, target.normals[i]
-    rgba, paint = _paint(
-        scene,
-        f"color_{i}",
-        np.full(3, marker.albedo) if marker.textured else target.colors[i],
-        marker.lit,
-    )
+    marker = target.marker
+    normal = target.normals[i]
+    colour = np.full(3, marker.albedo) if marker.textured else target.colors[i]
+    rgba, paint = _paint(scene, f"color_{i}", colour, marker.lit)
     if marker.textured:
         name, png = printed(marker, i)  # in memory; `scene_files` writes it beside model.xml
         lay_picture(scene, paint, f"target/{name}", f"{name}.png", png)
     shape, half_sizes = solid
     # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
-    thickness = half_sizes[2] or half_sizes[1]
-    inwards = 0.0 if marker.height_m else thickness if target.body is None else -thickness
-    geom = _visual(
-        body,
-        f"target/marker_{i}",
-        GEOMS[shape],
-        list(half_sizes),
-        rgba,
-        TARGET_GROUP,
-        p - inwards * normal,
-        _facing(normal),
-    )
+    inwards = 0.0
+    if not marker.height_m:
+        thickness = half_sizes[2] or half_sizes[1]
+        inwards = thickness if target.body is None else -thickness
+    name = f"target/marker_{i}"
+    geom = _visual(body, name, GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP)
+    geom.pos = p - inwards * normal
+    geom.quat = _facing(normal)
     geom.material = paint.name
 
 
@@ -523,8 +484,6 @@ def _visual(
     size: object,
     rgba: list[float],
     group: int,
-    pos: object = (0, 0, 0),
-    quat: object = (1, 0, 0, 0),
 ) -> mujoco.MjsGeom:
     """A geom without mass and collisions, and without the material of its body's class, which has
     another name here.
@@ -533,8 +492,6 @@ def _visual(
         name=name,
         type=kind,
         size=size,
-        pos=pos,
-        quat=quat,
         rgba=rgba,
         group=group,
         contype=0,
@@ -555,7 +512,8 @@ FINE_QUADS = 48
 """Parts of a box's face along each edge where light differs within it, which OpenGL computes at
 their corners alone; else MuJoCo's 4.
 """
-FINE_FLOOR_M, FINE_GRID_M = 10.0, 0.05
+FINE_FLOOR_M = 10.0
+FINE_GRID_M = 0.05
 """Half the floor's edge, and the distance of its corners, where light differs within it [m]: in
 OpenGL the peak of a highlight of exponent 100 is up to 4 % too low, and found within 0.07 m of its
 place.
@@ -589,27 +547,29 @@ def _replace_lights(scene: mujoco.MjSpec, light: Light) -> None:
     """
     for other in scene.lights:
         other.active = other.name in ("key", "fill")
-    key, fill = scene.light("key"), scene.light("fill")
-    along, colour = (
-        np.array(light.direction) / np.linalg.norm(light.direction),
-        np.array(light.color),
-    )
-    fill.ambient, fill.diffuse = light.ambient * colour, [0, 0, 0]
+    key = scene.light("key")
+    fill = scene.light("fill")
+    along = np.array(light.direction) / np.linalg.norm(light.direction)
+    colour = np.array(light.color)
+    fill.ambient = light.ambient * colour
+    fill.diffuse = [0, 0, 0]
     place = np.zeros(3) if light.xyz is None else np.array(light.xyz)
     if light.motion.moves:
         scene.delete(key)
         holder = scene.worldbody.add_body(name=LAMP, mocap=True, pos=place)
-        key, place = holder.add_light(name="key", castshadow=True), np.zeros(3)
-    key.type, key.dir, key.pos, key.ambient = (
-        mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        along,
-        -SUN_M * along,
-        [0, 0, 0],
-    )
+        key = holder.add_light(name="key", castshadow=True)
+        place = np.zeros(3)
+    key.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    key.dir = along
+    key.pos = -SUN_M * along
+    key.ambient = [0, 0, 0]
     # a spot light of half a space: MuJoCo's OpenGL draws its point lights as spots of 45 degrees
     if light.xyz is not None:
-        key.type, key.pos, key.attenuation = mujoco.mjtLightType.mjLIGHT_SPOT, place, [1, 0, 0]
-        key.exponent, key.cutoff = 0, 90
+        key.type = mujoco.mjtLightType.mjLIGHT_SPOT
+        key.pos = place
+        key.attenuation = [1, 0, 0]
+        key.exponent = 0
+        key.cutoff = 90
     key.diffuse = key.specular = light.brightness * colour
 
 
@@ -617,7 +577,8 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
     """A pane of constant brightness, and its light, as `WindowPane` has it, for highlights of an
     exponent.
     """
-    T, grey = pane.pose.T, min(pane.brightness, 1.0) / GLOW
+    T = pane.pose.T
+    grey = min(pane.brightness, 1.0) / GLOW
     name = f"window_{i}"
     paint = scene.add_material(
         name=name, rgba=[grey, grey, grey, 1], specular=0, shininess=0, emission=GLOW
@@ -653,11 +614,9 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
 
 def _paint_floor(scene: mujoco.MjSpec, floor: Floor) -> None:
     paint = scene.material("floor")
-    paint.specular, paint.shininess, paint.reflectance = (
-        floor.gloss,
-        floor.sharpness / 128,
-        floor.mirror,
-    )
+    paint.specular = floor.gloss
+    paint.shininess = floor.sharpness / 128
+    paint.reflectance = floor.mirror
     if floor.texture is None:
         return
     png, (width, height) = read_tile(place_of_picture(floor.texture), floor.albedo)

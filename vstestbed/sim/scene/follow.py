@@ -42,7 +42,8 @@ apart for it, the others may be cut off.
 # Natural frequency of the filter that smooths the following [rad/s]: the camera starts and stops
 # within about a second
 RATE = 2.5
-ROOM_TO_MOVE, SLACK = 1.2, 1.02
+ROOM_TO_MOVE = 1.2
+SLACK = 1.02
 """Margin of the view of a robot that stays, and what is left of it when the view is taken anew:
 until then it rests, and of the picture only what has moved must be drawn again.
 """
@@ -56,7 +57,8 @@ HIDDEN_M = 0.12
 CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 RING = np.array([[math.cos(a), math.sin(a), 0.0] for a in np.arange(8) * math.pi / 4])
 UP = np.array([0.0, 0.0, 1.0])
-BOXES, CYLINDERS = np.vstack([CORNERS, CORNERS]), np.vstack([RING - UP, RING + UP])
+BOXES = np.vstack([CORNERS, CORNERS])
+CYLINDERS = np.vstack([RING - UP, RING + UP])
 BALLS = np.vstack([RING, *(math.sqrt(0.5) * (RING[::2] + side * UP) for side in (-1, 1))])
 """Points (16, 3) on shapes of half sizes 1, of which they are the corners or come near to it."""
 ROUND: dict[int, Array] = {
@@ -86,9 +88,8 @@ class Things:
             for i, root in enumerate(roots)
         ]
         named = np.array([name.startswith(SHOWN) and STRIPE not in name for name in names])
-        shown = np.flatnonzero(
-            named & (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0)
-        )
+        drawn = (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0)
+        shown = np.flatnonzero(named & drawn)
         self.geoms = shown
         self.own = np.array([names[i].startswith("robot/") for i in shown])
         shape = np.array([ROUND.get(kind, BOXES) for kind in model.geom_type[shown].tolist()])
@@ -98,21 +99,20 @@ class Things:
         """Points (G, 16, 3) in the world whose convex hulls are nearly the geoms (of a mesh, the
         box round it).
         """
-        return data.geom_xpos[self.geoms, None] + self._local @ data.geom_xmat[self.geoms].reshape(
-            -1, 3, 3
-        ).transpose(0, 2, 1)
+        R = data.geom_xmat[self.geoms].reshape(-1, 3, 3)
+        return data.geom_xpos[self.geoms, None] + self._local @ R.transpose(0, 2, 1)
 
 
 def put_overview(stage: Scene, eye: Array, view: Axes, middle: Array) -> None:
     """Set the camera `overview` of a placed stage, and the light that casts shadows over the middle
     (3,) of what is shown.
     """
-    model, data = stage.model, stage.data
-    camera, light = model.camera("overview").id, model.light("key").id
-    data.cam_xpos[camera], data.cam_xmat[camera] = (
-        eye,
-        np.column_stack([view.right, view.up, -view.ahead]).ravel(),
-    )
+    model = stage.model
+    data = stage.data
+    camera = model.camera("overview").id
+    light = model.light("key").id
+    data.cam_xpos[camera] = eye
+    data.cam_xmat[camera] = np.column_stack([view.right, view.up, -view.ahead]).ravel()
     data.light_xpos[light] = middle - LEAST_REACH * data.light_xdir[light]
 
 
@@ -131,13 +131,13 @@ class FixedView:
     ):
         (sa, se), (ca, ce) = (f(np.radians([azimuth_deg, elevation_deg])) for f in (np.sin, np.cos))
         self._view = Axes.of(np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]))
-        self._distance, self._at = distance_m, at
+        self._distance = distance_m
+        self._at = at
 
     def place(self, stage: Scene, things: Things) -> None:
         """Set the camera of a placed stage."""
-        self._at = (
-            things.points(stage.data).reshape(-1, 3).mean(axis=0) if self._at is None else self._at
-        )
+        if self._at is None:
+            self._at = things.points(stage.data).reshape(-1, 3).mean(axis=0)
         put_overview(stage, self._at - self._distance * self._view.ahead, self._view, self._at)
 
 
@@ -155,20 +155,22 @@ class FollowCamera:
     """
 
     def __init__(self, stage: Scene, things: Things, aspect: float, free: float):
-        self._stage, model = stage, stage.model
+        self._stage = stage
+        model = stage.model
         self._camera = model.camera("overview").id
         half = math.tan(math.radians(model.cam_fovy[self._camera]) / 2)
         self._width = 2 * half * aspect
         tangents = np.array([half * aspect, half * aspect * (2 * free - 1), half, half])
         self._moving = stage.parts.robot.base != "fixed"
-        self._tangents, self._edges = (
-            tangents / (ROOM if self._moving else ROOM_TO_MOVE),
-            tangents / SLACK,
-        )
+        self._tangents = tangents / (ROOM if self._moving else ROOM_TO_MOVE)
+        self._edges = tangents / SLACK
         self._things = things
         self._view: Axes | None = None
-        self._extremes, self._framed = np.full((2, 4), -np.inf), np.zeros(3)
-        self._t, self._eye, self._velocity = 0.0, np.zeros(3), np.zeros(3)
+        self._extremes = np.full((2, 4), -np.inf)
+        self._framed = np.zeros(3)
+        self._t = 0.0
+        self._eye = np.zeros(3)
+        self._velocity = np.zeros(3)
 
     def place(self, t: float, T_world_goal: Array | None) -> None:
         """Set the camera for a placed stage at a time [s]; T_world_goal: pose (4, 4) of the servo
@@ -182,7 +184,8 @@ class FollowCamera:
         if first:
             self._eye = eye
         elif t > self._t:
-            still, dt = math.exp(-RATE * (t - self._t)), t - self._t
+            still = math.exp(-RATE * (t - self._t))
+            dt = t - self._t
             ahead = self._eye + self._velocity * dt
             self._eye = ahead + (1 - still**2) * (eye - ahead)
             self._velocity = self._velocity + (1 - still) ** 2 / dt * (eye - ahead)
@@ -191,19 +194,16 @@ class FollowCamera:
 
     def _contents(self, T_world_goal: Array | None) -> tuple[Array, Array]:
         """Points (N, 3) round the robot, and (M, 3) round what else must be in the picture."""
-        points, camera = self._things.points(self._stage.data), self._stage.camera_pose()
-        robot, beside = (
-            points[self._things.own].reshape(-1, 3),
-            points[~self._things.own].reshape(-1, 3),
-        )
+        points = self._things.points(self._stage.data)
+        camera = self._stage.camera_pose()
+        robot = points[self._things.own].reshape(-1, 3)
+        beside = points[~self._things.own].reshape(-1, 3)
         if not self._moving:
             robot = np.vstack([robot, camera[None, :3, 3]])
         if T_world_goal is not None:
-            at_goal = (
-                transform(T_world_goal @ inverse(camera), robot)
-                if self._moving
-                else T_world_goal[None, :3, 3]
-            )
+            at_goal = T_world_goal[None, :3, 3]
+            if self._moving:
+                at_goal = transform(T_world_goal @ inverse(camera), robot)
             beside = np.vstack([beside, at_goal])
         return robot, beside
 
@@ -213,37 +213,32 @@ class FollowCamera:
         """
         if not self._moving:
             points = np.vstack([around, beside])
-            now = np.array(
-                [extremes(points, view, tangents) for tangents in (self._tangents, self._edges)]
-            )
-            first, self._extremes = (
-                not np.isfinite(self._extremes).all(),
-                np.maximum(self._extremes, now),
-            )
+            now = np.array([extremes(points, view, t) for t in (self._tangents, self._edges)])
+            first = not np.isfinite(self._extremes).all()
+            self._extremes = np.maximum(self._extremes, now)
             if first or not holds(self._framed, self._extremes[1], view, self._edges):
                 self._framed = eye_of(self._extremes[0], view, self._tangents)
             return self._framed
-        middle, near, far = around.mean(axis=0), 0.0, 1.0
+        middle = around.mean(axis=0)
+        near = 0.0
+        far = 1.0
         eye = self._showing(view, around, beside)
         for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):
             share = (near + far) / 2
             eye = self._showing(view, around, middle + share * (beside - middle))
-            near, far = (
-                (share, far) if self._share(eye, view, around) >= LEAST_SHARE else (near, share)
-            )
+            if self._share(eye, view, around) >= LEAST_SHARE:
+                near = share
+            else:
+                far = share
         return eye
 
     def _showing(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, with room beside a robot that moves."""
-        across = np.array(view[:2])
-        room = (
-            (AROUND - 1) * (around - around.mean(axis=0)) @ across.T @ across
-            if self._moving
-            else 0.0
-        )
-        return eye_of(
-            extremes(np.vstack([around + room, beside]), view, self._tangents), view, self._tangents
-        )
+        if self._moving:
+            across = np.array(view[:2])
+            around = around + (AROUND - 1) * (around - around.mean(axis=0)) @ across.T @ across
+        ends = extremes(np.vstack([around, beside]), view, self._tangents)
+        return eye_of(ends, view, self._tangents)
 
     def _share(self, eye: Array, view: Axes, around: Array) -> float:
         extent = max(float(np.ptp(around @ axis)) for axis in view[:2])
@@ -273,30 +268,26 @@ class FollowCamera:
         that stays, how much one sees the way from camera to target from the side, for one that
         moves, of the floor.
         """
-        eye, target, T_target = (
-            self._showing(view, around, beside),
-            self._stage.parts.target,
-            self._stage.target_pose(),
-        )
-        size, at = self._share(eye, view, around), self._stage.camera_pose()[:3, 3]
-        seen = [
-            self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places)
-        ]
-        away = -T_target[:3, :3] @ target.normals.mean(axis=0)
-        faces = (
-            float((away if len(target.places) else -UP) @ view.ahead)
-            if not target.marker.height_m
-            else 1.0
-        )
+        eye = self._showing(view, around, beside)
+        target = self._stage.parts.target
+        T_target = self._stage.target_pose()
+        size = self._share(eye, view, around)
+        at = self._stage.camera_pose()[:3, 3]
+        slack = 2 * target.marker.radius
+        seen = [self._sees(eye, p, slack) for p in transform(T_target, target.places)]
+        faces = 1.0
+        if not target.marker.height_m:
+            away = -T_target[:3, :3] @ target.normals.mean(axis=0)
+            faces = float((away if len(target.places) else -UP) @ view.ahead)
         if self._moving:
-            size, aside = min(size, ENOUGH) + 0.05 * size, 1.0
+            size = min(size, ENOUGH) + 0.05 * size
+            aside = 1.0
             size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)
         else:
             way = T_target[:3, 3] - at
-            seen = [*seen, self._sees(eye, at, HIDDEN_M)]
-            aside = float(
-                np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9)
-            )
+            seen.append(self._sees(eye, at, HIDDEN_M))
+            across = np.linalg.norm(np.cross(way, view.ahead))
+            aside = float(across / max(np.linalg.norm(way), 1e-9))
         merit = (
             size
             * (0.1 + sum(seen) / max(len(seen), 1)) ** 2

@@ -80,18 +80,9 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     """
     model = compiled(file)
     if (at := flange_in(model, flange)) is None:
-        there = [model.site(i).name for i in range(model.nsite)] or [
-            model.body(i).name for i in range(1, model.nbody)
-        ]
-        kind, known = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
-        known = (
-            f"its {kind}: {known}"
-            if known
-            else f"its {kind} have no names"
-            if there
-            else "it has none"
+        raise ParameterError.unknown(
+            "flange", "site and no body of the file", _ends_of(model), flange
         )
-        raise ParameterError.unknown("flange", "site and no body of the file", known, flange)
     body, T_body_flange = at
     joints = _joints_to(model, body)
     found = tuple(model.joint(i).name for i in joints)
@@ -115,6 +106,19 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     )
 
 
+def _ends_of(model: mujoco.MjModel) -> str:
+    """What could be a flange, in words: the sites, or the bodies of a file without sites."""
+    kind = "bodies"
+    there = [model.body(i).name for i in range(1, model.nbody)]
+    if model.nsite:
+        kind = "sites"
+        there = [model.site(i).name for i in range(model.nsite)]
+    if not there:
+        return "it has none"
+    known = ", ".join(filter(None, there))
+    return f"its {kind}: {known}" if known else f"its {kind} have no names"
+
+
 @functools.lru_cache(maxsize=64)
 def inertia_at(
     file: str, joints: tuple[str, ...], q: tuple[float, ...]
@@ -123,7 +127,8 @@ def inertia_at(
     rotors, the armature (n,) [kg m^2, kg].
     """
     model = compiled(str(model_path(file)))
-    data, (places, dofs) = mujoco.MjData(model), places_of(model, joints)
+    data = mujoco.MjData(model)
+    places, dofs = places_of(model, joints)
     data.qpos[places] = q
     mujoco.mj_forward(model, data)
     M = np.zeros((model.nv, model.nv))
@@ -142,20 +147,20 @@ class Masses:
         spec = read_model(place_of_file(file))
         if load is not None:
             mass, *com, edge = load
-            at, (_, T_body_flange) = spec.site(flange), self._flange(file, flange)
+            at = spec.site(flange)
+            _, T_body_flange = self._flange(file, flange)
             body = (at.parent if at else spec.body(flange)).add_body(
                 name="load", pos=T_body_flange[:3, :3] @ com + T_body_flange[:3, 3]
             )
-            body.mass, body.inertia, body.explicitinertial, body.ipos = (
-                mass,
-                [mass * edge**2 / 6] * 3,
-                True,
-                np.zeros(3),
-            )
+            body.mass = mass
+            body.inertia = [mass * edge**2 / 6] * 3
+            body.explicitinertial = True
+            body.ipos = np.zeros(3)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._places, self._dofs = places_of(self._model, joints)
-        self._full, self._tau = np.zeros((self._model.nv, self._model.nv)), np.zeros(self._model.nv)
+        self._full = np.zeros((self._model.nv, self._model.nv))
+        self._tau = np.zeros(self._model.nv)
 
     def _flange(self, file: str, flange: str) -> tuple[int, np.ndarray]:
         found = flange_in(compiled(file), flange)
@@ -164,9 +169,11 @@ class Masses:
 
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """See `robots.chain.ArmDynamics`."""
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         self._place(q)
-        data.qvel[self._dofs], data.qacc[self._dofs] = qd, qdd
+        data.qvel[self._dofs] = qd
+        data.qacc[self._dofs] = qdd
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 1, self._tau)
         return self._tau[self._dofs] + model.dof_armature[self._dofs] * qdd
@@ -192,7 +199,8 @@ def dynamics(file: str, flange: str, joints: tuple[str, ...], load: Load | None)
 def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
     """A pose (4, 4) of a place (3,) and a rotation (9,) or (3, 3)."""
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), xyz
+    T[:3, :3] = R.reshape(3, 3)
+    T[:3, 3] = xyz
     return T
 
 
@@ -217,19 +225,15 @@ def before(
     slack: a geom that the ray hits less than this before the point does not hide it [m]. left_out:
     groups of geoms that hide nothing.
     """
-    groups, geom, found = (
-        np.ones(6, dtype=np.uint8),
-        np.zeros(1, dtype=np.int32),
-        np.full(len(ways), -1),
-    )
+    groups = np.ones(6, dtype=np.uint8)
+    geom = np.zeros(1, dtype=np.int32)
+    found = np.full(len(ways), -1)
     groups[list(left_out)] = 0
     reach = np.linalg.norm(ways, axis=1)
     for i in np.flatnonzero(np.isfinite(reach)):
-        if (
-            0
-            <= mujoco.mj_ray(model, data, eye, ways[i] / max(reach[i], 1e-9), groups, 1, -1, geom)
-            < reach[i] - slack
-        ):
+        way = ways[i] / max(reach[i], 1e-9)
+        distance = mujoco.mj_ray(model, data, eye, way, groups, 1, -1, geom)
+        if 0 <= distance < reach[i] - slack:
             found[i] = geom[0]
     return found
 
@@ -244,9 +248,8 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
     """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, flange)
     if site >= 0:
-        return int(model.site_bodyid[site]), placed(
-            model.site_pos[site], turned(model.site_quat[site])
-        )
+        T_body_flange = placed(model.site_pos[site], turned(model.site_quat[site]))
+        return int(model.site_bodyid[site]), T_body_flange
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, flange)
     return (body, np.eye(4)) if body > 0 else None
 
@@ -254,7 +257,8 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
 def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
     joints: list[int] = []
     while body > 0:
-        first, n = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        first = int(model.body_jntadr[body])
+        n = int(model.body_jntnum[body])
         joints = [*range(first, first + n), *joints]
         body = int(model.body_parentid[body])
     return joints
@@ -282,13 +286,8 @@ def _check(
             "flange", f"after 2 to {MOST_JOINTS}", f"joints, and {flange} is after {len(found)}"
         )
     if not all(found):
-        raise ParameterError(
-            "file",
-            (
-                f"must name each joint before {flange};"
-                f" joint {found.index('') + 1} of them has no name"
-            ),
-        )
+        words = f"joint {found.index('') + 1} of them has no name"
+        raise ParameterError("file", f"must name each joint before {flange}; {words}")
     for i, name in zip(joints, found, strict=True):
         _check_numbers(model, i, name)
     _check_free(model, joints)
@@ -352,7 +351,8 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     a closed loop.
     """
     kind = mujoco.mjtEq(model.eq_type[equality])
-    one, other = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+    one = int(model.eq_obj1id[equality])
+    other = int(model.eq_obj2id[equality])
     if kind == mujoco.mjtEq.mjEQ_JOINT:
         return {one}  # the other one moves it
     if kind == mujoco.mjtEq.mjEQ_TENDON:
@@ -360,7 +360,8 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
     if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
         return set()
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
-        one, other = int(model.site_bodyid[one]), int(model.site_bodyid[other])
+        one = int(model.site_bodyid[one])
+        other = int(model.site_bodyid[other])
     # what moves both changes nothing between them
     return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
 
@@ -371,7 +372,8 @@ def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
     """
     first = model.tendon_adr[tendon]
     of = slice(first, first + model.tendon_num[tendon])
-    found, before = set[int](), list[set[int]]()
+    found = set[int]()
+    before = list[set[int]]()
     for kind, thing in zip(
         model.wrap_type[of].tolist(), model.wrap_objid[of].tolist(), strict=True
     ):
@@ -389,24 +391,16 @@ def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
     """Refuse what MuJoCo passes over: a range with its ends exchanged, which is none to it, and
     friction or inertia under zero.
     """
-    dof, (low, high) = model.jnt_dofadr[joint], model.jnt_range[joint].tolist()
+    dof = model.jnt_dofadr[joint]
+    low, high = model.jnt_range[joint].tolist()
     if low > high:
-        raise ParameterError(
-            "file",
-            (
-                f"must give {name} a range from its lower to its upper end,"
-                f" got {low:.4g} to {high:.4g}"
-            ),
-        )
+        words = f"a range from its lower to its upper end, got {low:.4g} to {high:.4g}"
+        raise ParameterError("file", f"must give {name} {words}")
     # Damping may be: of the Panda's joint 6 it was identified as -0.013 Nm s/rad.
-    for word, values in {
-        "armature": model.dof_armature,
-        "frictionloss": model.dof_frictionloss,
-    }.items():
-        if values[dof] < 0:
-            raise ParameterError(
-                "file", f"must give {name} {word} of 0 or more, got {values[dof]:g}"
-            )
+    for word in ("armature", "frictionloss"):
+        value = getattr(model, f"dof_{word}")[dof]
+        if value < 0:
+            raise ParameterError("file", f"must give {name} {word} of 0 or more, got {value:g}")
 
 
 def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -424,10 +418,8 @@ def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
         for a in drivers(model, i):
-            gear, motor = (
-                abs(model.actuator_gear[a, 0]),
-                model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE,
-            )
+            gear = abs(model.actuator_gear[a, 0])
+            motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if model.actuator_forcelimited[a]:
                 torque[k] = min(torque[k], gear * model.actuator_forcerange[a, 1])
             if motor and model.actuator_ctrllimited[a]:
@@ -453,6 +445,15 @@ def _drive(model: mujoco.MjModel, joint: int) -> str:
     return "velocity" if integrates else "position"
 
 
+def _make_absolute(spec: mujoco.MjSpec, parent: Path) -> None:
+    """The paths of a model's files, of one in a folder, for a file elsewhere."""
+    for things, folder in files_in(spec):
+        for thing in things:
+            if thing.file:
+                thing.file = str((parent / folder / thing.file).resolve())
+    spec.meshdir = spec.texturedir = ""
+
+
 # An arm on a platform as one model: the file that both become together.
 ON_DECK = "battery", "scanner", "scanner_cap"  # what stands on the platform where the arm will
 PREFIX = "arm_"  # of all names of the arm in the model of both
@@ -470,24 +471,19 @@ def mounted(
     names by which profiles of servos are chosen.
     """
     file = place_of_file(str(model_path(arm)))
-    base, upper = read_model(model_path(platform)), read_model(file)
+    base = read_model(model_path(platform))
     reshape(base, changes)
     for thing in [*base.actuators, *(geom for geom in base.geoms if geom.name in ON_DECK)]:
         base.delete(thing)
-    for things, folder in files_in(upper):
-        for thing in things:
-            if thing.file:  # absolute: the new file is elsewhere
-                thing.file = str((file.parent / folder / thing.file).resolve())
-    upper.meshdir = upper.texturedir = ""
+    upper = read_model(file)
+    _make_absolute(upper, file.parent)
     for key in list(upper.keys):
         upper.delete(key)
-    for actuator in upper.actuators:
-        profile, _, name = actuator.name.partition("_")
-        actuator.name = f"{profile}_{PREFIX}{name}" if name else actuator.name
-    names = [(actuator, actuator.name) for actuator in upper.actuators]
+    actuators = [(actuator, actuator.name) for actuator in upper.actuators]
     base.attach(upper, prefix=PREFIX, frame=base.body("base").add_frame(pos=place))
-    for actuator, name in names:
-        actuator.name = name
+    for actuator, whole in actuators:
+        profile, _, name = whole.partition("_")
+        actuator.name = f"{profile}_{PREFIX}{name}" if name else whole
     base.modelname = "mounted"
     base.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     base.compile()

@@ -20,7 +20,9 @@ PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 PAPER_RGB = (0.96, 0.96, 0.96)
 PRINT_M = 2e-4  # distance of a print before its box [m]
 ENDLESS_M = 20.0
-AROUND, ALONG = 24, 8  # facets of round geoms round the axis, and from the equator to a pole
+# facets of round geoms round the axis, and from the equator to a pole
+AROUND = 24
+ALONG = 8
 
 
 @dataclass(frozen=True)
@@ -60,45 +62,34 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
         texture = texture_of(model, int(i))
         if texture < 0 or not _shows_print(model, int(i)):
             continue
-        R, half = turned(model.geom_quat[i]), model.geom_size[i].astype(float)
+        R = turned(model.geom_quat[i])
+        half = model.geom_size[i].astype(float)
         # of a geom's texture y is up
         T = placed(model.geom_pos[i] + (half[2] + PRINT_M) * R[:, 2], R) @ FLIP
         share = np.minimum(model.mat_texrepeat[model.geom_matid[i]], 1.0)
         image = texels_of(model, texture)
-        columns, rows = (
-            max(1, round(n * part))
-            for n, part in zip(image.shape[1::-1], share.tolist(), strict=True)
-        )
-        found.append(
-            Pane(
-                int(model.geom_bodyid[i]),
-                T,
-                2 * float(half[0]),
-                2 * float(half[1]),
-                image[:rows, :columns].copy(),
-            )
-        )
+        columns = max(1, round(image.shape[1] * share[0].item()))
+        rows = max(1, round(image.shape[0] * share[1].item()))
+        width, height = (2 * half[:2]).tolist()
+        shown = image[:rows, :columns].copy()
+        found.append(Pane(int(model.geom_bodyid[i]), T, width, height, shown))
     return found
 
 
 def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     """A texture's pixels (H, W, 3), which may be written to where it has colours."""
-    height, width, channels = (
-        model.tex_height[texture],
-        model.tex_width[texture],
-        model.tex_nchannel[texture],
-    )
+    height = model.tex_height[texture]
+    width = model.tex_width[texture]
+    channels = model.tex_nchannel[texture]
     start = model.tex_adr[texture]
-    pixels = model.tex_data[start : start + height * width * channels].reshape(
-        height, width, channels
-    )
+    pixels = model.tex_data[start : start + height * width * channels]
+    pixels = pixels.reshape(height, width, channels)
     return pixels[..., :3] if channels >= 3 else np.broadcast_to(pixels, (height, width, 3))
 
 
 def _shows_print(model: mujoco.MjModel, i: int) -> bool:
-    return bool(
-        model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP
-    )
+    box = model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX
+    return bool(box and model.geom_group[i] == TARGET_GROUP)
 
 
 def texture_of(model: mujoco.MjModel, i: int) -> int:
@@ -141,14 +132,16 @@ def own_colours(model: mujoco.MjModel) -> Array:
     """The colours (G, 4) of the geoms, without light and textures: their own, or where that is the
     default their material's.
     """
-    rgba, painted = model.geom_rgba.astype(float), model.geom_matid >= 0
+    rgba = model.geom_rgba.astype(float)
+    painted = model.geom_matid >= 0
     plain = painted & np.isclose(rgba, PLAIN_RGBA).all(axis=1)
     rgba[plain] = model.mat_rgba[model.geom_matid[plain]]
     return rgba
 
 
 def _colour(model: mujoco.MjModel, i: int) -> tuple[float, float, float]:
-    colour, material = own_colours(model)[i], int(model.geom_matid[i])
+    colour = own_colours(model)[i]
+    material = int(model.geom_matid[i])
     if material < 0:
         return _rgb(colour)
     texture = texture_of(model, i)
@@ -165,10 +158,12 @@ def _rgb(rgba: Array) -> tuple[float, float, float]:
 
 
 def _triangles(model: mujoco.MjModel, i: int) -> Array:
-    kind, size = int(model.geom_type[i]), model.geom_size[i].astype(float)
+    kind = int(model.geom_type[i])
+    size = model.geom_size[i].astype(float)
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[i])
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        first = int(model.mesh_vertadr[mesh])
+        count = int(model.mesh_vertnum[mesh])
         faces = model.mesh_face[int(model.mesh_faceadr[mesh]) :][: int(model.mesh_facenum[mesh])]
         return model.mesh_vert[first : first + count].astype(float)[faces]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
@@ -194,10 +189,8 @@ def _box() -> Array:
         for side in (-1.0, 1.0):
             corners = np.full((4, 3), side)
             # counter-clockwise seen from +axis
-            corners[:, (axis + 1) % 3], corners[:, (axis + 2) % 3] = (
-                (-1, 1, 1, -1),
-                (-1, -1, 1, 1),
-            )
+            corners[:, (axis + 1) % 3] = -1, 1, 1, -1
+            corners[:, (axis + 2) % 3] = -1, -1, 1, 1
             turned = corners[:: int(side)]
             faces += [turned[[0, 1, 2]], turned[[0, 2, 3]]]
     return np.array(faces)
@@ -208,7 +201,8 @@ def _arc(half: float) -> tuple[Array, Array]:
     radii and heights.
     """
     angle = np.linspace(0, math.pi / 2, ALONG + 1)
-    radius, z = np.sin(angle), half + np.cos(angle)
+    radius = np.sin(angle)
+    z = half + np.cos(angle)
     return np.concatenate([radius, radius[::-1]])[::-1], np.concatenate([z, -z[::-1]])[::-1]
 
 
@@ -223,7 +217,10 @@ def _turned(radius: Array, z: Array) -> Array:
         ],
         axis=-1,
     )
-    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]
+    a = points[:-1, :-1]
+    b = points[:-1, 1:]
+    c = points[1:, 1:]
+    d = points[1:, :-1]
     faces = np.concatenate(
         [
             np.stack([a, b, c], axis=-2).reshape(-1, 3, 3),
@@ -236,7 +233,10 @@ def _turned(radius: Array, z: Array) -> Array:
 
 # Groups of the scene's geoms, by which renderers and rays choose (0 the room, and these), a name,
 # and how flat things face and glow.
-LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
+LENS_GROUP = 1
+ROBOT_GROUP = 2
+TARGET_GROUP = 3
+SITE_GROUP = 4
 """What encloses the lens, the robot, the target, sites; besides them RANGE_GROUP, which no picture
 shows.
 """

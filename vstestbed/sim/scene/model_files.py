@@ -146,11 +146,9 @@ def _is_of_a_size(path: Path) -> None:
         if element is None:
             nested = nested[:-1] or [1.0]
             continue
-        total = nested[-1] if element == "replicate" else 1.0
-        for name, value in ATTRIBUTE.findall(attributes):
-            with foreign(path, "numbers that say how much there is", of_field("file")):
-                for number in value.split() if name in COUNTS else ():
-                    total *= max(float(number.rstrip("KMGTPE")), 1.0) * UNITS.get(number[-1], 1)
+        total = _asked_by(attributes, path)
+        if element == "replicate":
+            total *= nested[-1]
         if not total <= MOST[element]:
             words = (
                 f"asks for {total:.3g} by <{element}{short(attributes)[1:-1]}>,"
@@ -159,6 +157,18 @@ def _is_of_a_size(path: Path) -> None:
             raise ParameterError("file", words, str(path))
         if element == "replicate" and not empty:
             nested.append(total)
+
+
+def _asked_by(attributes: str, path: Path) -> float:
+    """How much the attributes of an element ask for: the product of their counts."""
+    total = 1.0
+    for name, value in ATTRIBUTE.findall(attributes):
+        if name not in COUNTS:
+            continue
+        with foreign(path, "numbers that say how much there is", of_field("file")):
+            for number in value.split():
+                total *= max(float(number.rstrip("KMGTPE")), 1.0) * UNITS.get(number[-1], 1)
+    return total
 
 
 ELEMENT_WITH = re.compile(r"""<([\w:.-]+)((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))+)""")
@@ -209,7 +219,8 @@ def _has_real_numbers(path: Path) -> None:
         given = dict(ATTRIBUTE.findall(attributes))
         where = f"<{element}>{after}"
         if "name" in given:
-            where, after = f"<{element}> {given['name']}", f" after {element} {given['name']}"
+            where = f"<{element}> {given['name']}"
+            after = f" after {element} {given['name']}"
         for attribute, value in given.items():
             if value not in names and (wrong := _wrong_number(element, attribute, value)):
                 line = text.count("\n", 0, found.start()) + 1
@@ -261,7 +272,8 @@ def check_options(spec: mujoco.MjSpec, path: Path) -> None:
     Others are taken over (`attach.py`), or are of the solver, which is the scene's. Raises
     ParameterError: `file`.
     """
-    option, plain = spec.option, mujoco.MjSpec().option
+    option = spec.option
+    plain = mujoco.MjSpec().option
     lost = [
         name
         for name in ("gravity", "wind")
@@ -287,7 +299,8 @@ def _included(path: Path) -> list[Path]:
     """The files that a model includes, and those that these include, all from the model's folder;
     comments include none.
     """
-    names, waiting = list[Path](), [path]
+    names = list[Path]()
+    waiting = [path]
     while waiting:
         for name in INCLUDE.findall(_uncommented(waiting.pop())):
             if path.parent / name not in names:
@@ -354,7 +367,7 @@ PARSING = re.compile(
     re.DOTALL,
 )
 LINE = re.compile(r",?\s*line (\d+)\s*$")
-ELEMENT = re.compile(r"\s*Element '(\w*)'(?:, id \d+)?\s*$|\s*Element name '([^']*)', id \d+\s*$")
+ELEMENT = re.compile(r"\s*Element (?:name )?'([^']*)'(?:, id \d+)?\s*$")
 BEGINS = re.compile(r"^(?:XML )?Error:\s*(?:Schema violation:\s*)?")
 # How MuJoCo says that a file is of another format, such as SDF
 FOREIGN = "could not find decoder", "Unrecognized XML model type"
@@ -374,31 +387,26 @@ def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
         what, line, element = parsed.groups()
         near = f", near the element {element}" if element else ""
         words = f"it is not well-formed XML ({what.replace('_', ' ').lower()}{near})"
-        return _told(
-            _place(path, _ends_at(path) if what == "PARSING" else int(line)),
-            words,
-            f"works: {works}",
-        )
+        line = _ends_at(path) if what == "PARSING" else int(line)
+        return _told(_place(path, line), words, f"works: {works}")
     text = BEGINS.sub("", text)
     line = int(found[1]) if (found := LINE.search(text)) else 0
     text = LINE.sub("", text)
-    element = next(filter(None, found.groups()), "") if (found := ELEMENT.search(text)) else ""
-    words = (f"{element}: " if element else "") + ELEMENT.sub("", text).replace(
-        "attribute: '", "attribute '"
-    )
     if named := MISSING.search(text):
-        lines = enumerate(path.read_text(errors="replace").splitlines(), start=1)
-        line = line or next((number for number, text in lines if named[1] in text), 0)
-        return _told(
-            _place(path, line),
-            f"it names the file {named[1]}, which is not there",
-            "correct its name, or the folder it is in",
-        )
-    return _told(
-        _place(path, line),
-        words,
-        f"works: {works}" if words.startswith(FOREIGN) else "correct it there",
-    )
+        place = _place(path, line or line_with(named[1], path))
+        words = f"it names the file {named[1]}, which is not there"
+        return _told(place, words, "correct its name, or the folder it is in")
+    words = ELEMENT.sub("", text).replace("attribute: '", "attribute '")
+    if (found := ELEMENT.search(text)) and found[1]:
+        words = f"{found[1]}: {words}"
+    remedy = f"works: {works}" if words.startswith(FOREIGN) else "correct it there"
+    return _told(_place(path, line), words, remedy)
+
+
+def line_with(words: str, path: Path) -> int:
+    """The first line of a file that has these words; 0 for none."""
+    lines = enumerate(path.read_text(errors="replace").splitlines(), start=1)
+    return next((number for number, text in lines if words in text), 0)
 
 
 def _ends_at(path: Path) -> int:
@@ -551,7 +559,8 @@ def _narrowed(joint: mujoco.MjsJoint, ends: list[float], path: Path) -> list[flo
     """The range of a joint within the ends of another one [rad, m]."""
     low, high = joint.range.tolist()
     if low >= high:  # it turns without end
-        low, high = -math.inf, math.inf
+        low = -math.inf
+        high = math.inf
     wanted = [max(low, ends[0]), min(high, ends[-1])]
     if len(ends) < len(SOFT) or not wanted[0] < wanted[1]:
         words = (

@@ -30,19 +30,21 @@ from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
 # Postures that are drawn, and how many of them, the best first, are looked at more closely
-DRAWS, TRIED = 400, 100
-DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)
+DRAWS = 400
+TRIED = 100
+DISTANCES_M = 0.6, 0.45, 0.3
+MOUNTS_M = 0.05, 0.1, 0.2
 """Distances of the target from the camera at the goal, and of the camera from the flange; the first
 with a good posture are taken [m].
 """
 # How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that
 # slides [m]
-APART_DEG, APART_M = (
-    4.0,
-    0.02,
-)
+APART_DEG = 4.0
+APART_M = 0.02
 CLEAR_M = 0.1  # height over the floor under which no joint, camera or marker shall be [m]
-SPEED, SLIDE_SPEED, SPEED_UP_S = 1.0, 0.25, 0.25
+SPEED = 1.0
+SLIDE_SPEED = 0.25
+SPEED_UP_S = 0.25
 """Speed limits of such a scenario [rad/s], [m/s], and the time in which its servos must be able to
 reach them [s].
 """
@@ -79,7 +81,8 @@ def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
     ]
     random = "{q_deg: 5, slide_m: 0.02}" if chain.slides.any() else "{q_deg: 5}"
     q = np.where(chain.slides, start.q, np.degrees(start.q))
-    side, radius = start.distance / 3, start.distance / 50
+    side = start.distance / 3
+    radius = start.distance / 50
     pose = f"{{xyz: {_listed(target.xyz, 4)}, rpy_deg: {_listed(target.rpy_deg, 3)}}}"
     lines = [
         (
@@ -131,7 +134,8 @@ def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
 
     Reference: Klein & Blaho 1987, doi:10.1177/027836498700600206.
     """
-    drawn, scale = _drawn(chain), unit_scale(chain.unit_m)[:, None]
+    drawn = _drawn(chain)
+    scale = unit_scale(chain.unit_m)[:, None]
     least = [np.linalg.svd(scale * chain.kinematics(q)[1], compute_uv=False)[-1] for q in drawn]
     best = drawn[np.argsort(least)[::-1][:TRIED]]
     # as the scenario will have them
@@ -163,7 +167,8 @@ def torques(file: str, chain: JointChain) -> list[float]:
     model = compiled(file)
     data, places, dofs = mujoco.MjData(model), *places_of(model, chain.names)
     M = np.zeros((model.nv, model.nv))
-    weight, inertia = np.zeros(len(dofs)), np.zeros(len(dofs))
+    weight = np.zeros(len(dofs))
+    inertia = np.zeros(len(dofs))
     for q in _drawn(chain)[:TRIED]:
         data.qpos[places] = q
         mujoco.mj_forward(model, data)
@@ -185,7 +190,8 @@ def _drawn(chain: JointChain) -> Array:
     """
     endless = np.radians([-150.0, 150.0])
     limits = np.where(np.isfinite(chain.limits), chain.limits, endless)
-    middle, half = limits.mean(axis=1), INNER / 2 * np.ptp(limits, axis=1)
+    middle = limits.mean(axis=1)
+    half = INNER / 2 * np.ptp(limits, axis=1)
     return middle + half * np.random.default_rng(0).uniform(-1, 1, (DRAWS, len(middle))) * (
         np.arange(len(middle)) > 0
     )
@@ -197,9 +203,8 @@ def _placed(
     """A target before the camera at a neighbouring posture, the goal's, which the arm so reaches
     also with few joints.
     """
-    apart = np.where(chain.slides, APART_M, np.radians(APART_DEG)) * np.where(
-        np.arange(len(q)) % 2, -1, 1
-    )
+    apart = np.where(chain.slides, APART_M, np.radians(APART_DEG))
+    apart[1::2] *= -1
     goal = np.clip(q + apart, *chain.limits.T)
     T_world_target = chain.kinematics(goal)[0] @ Pose(xyz=(0, 0, mount + distance)).T
     model, data = _at(file, chain, q)
@@ -211,14 +216,8 @@ def _placed(
         T_world_target[2, 3] - distance / 4,
     ]
     lowest = float(min(heights))
-    return Posture(
-        flange,
-        q,
-        mount,
-        distance,
-        T_world_target,
-        0.0 if lowest > CLEAR_M else float(np.floor(lowest * 10) / 10 - 0.5),
-    )
+    floor_z = 0.0 if lowest > CLEAR_M else float(np.floor(lowest * 10) / 10 - 0.5)
+    return Posture(flange, q, mount, distance, T_world_target, floor_z)
 
 
 def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -233,14 +232,10 @@ def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.
 def touching(file: str, chain: JointChain, q: Array) -> str:
     """The bodies that touch at a posture (n,): `base and link`; "" for none."""
     model, data = _at(file, chain, q)
-    return (
-        " and ".join(
-            model.body(model.geom_bodyid[g]).name or "a body without a name"
-            for g in data.contact.geom[0]
-        )
-        if data.ncon
-        else ""
-    )
+    if not data.ncon:
+        return ""
+    bodies = [model.body(model.geom_bodyid[g]).name for g in data.contact.geom[0]]
+    return " and ".join(body or "a body without a name" for body in bodies)
 
 
 def _sees(file: str, chain: JointChain, posture: Posture) -> bool:
@@ -262,10 +257,8 @@ FLANGE_NAME = re.compile(
 
 EXCLUDE = 'leave the pair out by <contact><exclude body1="..." body2="..."/></contact> in the file'
 
-ARM, MEND = (
-    "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange",
-    "correct it in the file",
-)
+ARM = "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange"
+MEND = "correct it in the file"
 
 # what was examined, whether it can be used, what was found, a remedy
 Line = tuple[str, bool, str, str]
@@ -286,20 +279,14 @@ def examine_model(file: str) -> Iterator[Line]:
         yield "model", False, found, remedy
         return
     parts = (
-        (model.njnt, "joint"),
-        (model.nu, "actuator"),
-        (model.nsite, "site"),
-        (model.ngeom, "geom"),
-        (model.nmesh, "mesh"),
+        (model.njnt, "joint", "joints"),
+        (model.nu, "actuator", "actuators"),
+        (model.nsite, "site", "sites"),
+        (model.ngeom, "geom", "geoms"),
+        (model.nmesh, "mesh", "meshes"),
     )
-    yield (
-        "model",
-        True,
-        ", ".join(
-            f"{n} {word}{'' if n == 1 else 'es' if word == 'mesh' else 's'}" for n, word in parts
-        ),
-        "",
-    )
+    counts = [f"{n} {one if n == 1 else several}" for n, one, several in parts]
+    yield "model", True, ", ".join(counts), ""
     usable, refused = _flanges(file, model)
     against = _against_scenery(file)
     if against and not usable:
@@ -331,12 +318,8 @@ def _as_arm(
         found = f"{name}: pulls at {', '.join(joints)}, as its file has it; laws do not know of it"
         yield "tendon", True, found, ""
     if found := touching(file, chain, start.q):
-        yield (
-            "contact",
-            False,
-            f"{found} touch, in the best of {TRIED} postures, too",
-            f"{EXCLUDE}; a run with a contact ends as collided",
-        )
+        words = f"{found} touch, in the best of {TRIED} postures, too"
+        yield "contact", False, words, f"{EXCLUDE}; a run with a contact ends as collided"
     words = "one to begin with; as a file my_arm.yaml it is run by `vstestbed run my_arm.yaml`"
     yield "scenario", True, f"{words}:\n{first_scenario(file, chain, start)}", ""
 
@@ -390,19 +373,13 @@ def _trunk_end(model: mujoco.MjModel) -> int:
     for body in range(model.nbody - 1, 0, -1):  # children come after their parents
         moves[model.body_parentid[body]] |= moves[body]
     here = last = 0
-    while (
-        len(
-            further := [
-                b
-                for b in range(here + 1, model.nbody)
-                if model.body_parentid[b] == here and moves[b]
-            ]
-        )
-        == 1
-    ):
-        (here,) = further
+    while True:
+        further = np.flatnonzero((model.body_parentid == here) & moves)
+        further = further[further > here]  # the world is its own parent
+        if len(further) != 1:
+            return last
+        here = int(further[0])
         last = here if model.body_jntnum[here] else last
-    return last
 
 
 def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
@@ -420,7 +397,8 @@ def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
     sites = {model.site(i).name: int(model.site_bodyid[i]) for i in range(model.nsite)}
 
     def rank(name: str) -> tuple[bool, int, bool, bool, int]:
-        joints, named = usable[name].names, FLANGE_NAME.search(name) is not None
+        joints = usable[name].names
+        named = FLANGE_NAME.search(name) is not None
         return (
             set(joints) == trunk,
             len(joints),
@@ -437,10 +415,8 @@ def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
     something is missing.
     """
     for i, name in enumerate(chain.names):
-        missing, drive = (
-            [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"],
-            chain.drives[i],
-        )
+        missing = [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"]
+        drive = chain.drives[i]
         if drive not in ("velocity", "position"):
             missing.append(f"a {drive} actuator" if drive else "no actuator")
         wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(name)}"')
@@ -459,7 +435,8 @@ def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) ->
     """
     M, _ = inertia_at(file, chain.names, tuple(q.tolist()))
     for i, (name, m) in enumerate(zip(chain.names, M.diagonal().tolist(), strict=True)):
-        friction, slides = float(chain.friction[i]), bool(chain.slides[i])
+        friction = float(chain.friction[i])
+        slides = bool(chain.slides[i])
         yield (
             "servo",
             True,
@@ -507,7 +484,8 @@ def _gains(kp: float, kv: float, friction: float, slides: bool) -> str:
 
 
 def _span(chain: JointChain, i: int) -> str:
-    slides, torque = bool(chain.slides[i]), float(chain.torque[i])
+    slides = bool(chain.slides[i])
+    torque = float(chain.torque[i])
     low, high = (chain.limits[i] * (1.0 if slides else np.degrees(1.0))).tolist()
     spans = (
         f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}"

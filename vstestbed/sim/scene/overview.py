@@ -22,17 +22,13 @@ ROOM = 1.12  # margin in width: the picture is this much wider than its contents
 HEADROOM = 1.25  # margin in height, larger, since a film has a strip of plots along its lower edge
 # Margin for a vehicle that leaves the hull of the given places: a share of their extent, up to a
 # limit [m]
-ROAM, ROAM_M = (
-    0.12,
-    0.8,
-)
+ROAM = 0.12
+ROAM_M = 0.8
 AZIMUTHS = np.radians(np.arange(0, 360, 10))
-LIGHT_HEIGHT = (
-    6.0  # height of the light that casts shadows over the middle of the view [m], above all objects
-)
-LEAST_REACH = (
-    7.0  # least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces
-)
+# height of the light that casts shadows over the middle of the view [m], above all objects
+LIGHT_HEIGHT = 6.0
+# least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces
+LEAST_REACH = 7.0
 
 
 def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
@@ -41,7 +37,8 @@ def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
 
     The path runs across the picture whatever its direction: a free camera has no upright.
     """
-    start, goal = robot.flange_pose(robot.configuration())[:3, 3], target.T_world_start[:3, 3]
+    start = robot.flange_pose(robot.configuration())[:3, 3]
+    goal = target.T_world_start[:3, 3]
     length = max(float(np.linalg.norm(goal - start)), 1e-9)
     way = (goal - start) / length if length > 1e-6 else target.T_world_start[:3, 2]
     up = np.array([0, 0, 1.0]) if abs(way[2]) < 0.9 else np.array([0, 1.0, 0])
@@ -51,9 +48,8 @@ def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
     right = way - (way @ out) * out
     right /= np.linalg.norm(right)
     camera = scene.camera("overview")
-    half_width = (
-        0.75 * length + float(np.linalg.norm(target.points, axis=1).max()) + min(0.5, length)
-    )
+    size = float(np.linalg.norm(target.points, axis=1).max())
+    half_width = 0.75 * length + size + min(0.5, length)
     middle = goal - 0.75 * length * way
     camera.pos = middle + out * half_width / (np.tan(np.radians(camera.fovy / 2)) * WIDE_PICTURE)
     camera.alt.xyaxes = [*right, *np.cross(out, right)]
@@ -93,7 +89,8 @@ def _drawback(eye: Array, forward: Array, places: Array, sights: Array) -> float
     """
     # Sights before the vehicle would fill the picture. Rounded, so that equal views compare equal
     # and the first azimuth wins.
-    depths, before = (places - eye) @ forward, (sights - eye) @ forward
+    depths = (places - eye) @ forward
+    before = (sights - eye) @ forward
     return round(float(depths.max() + 2 * max(depths.min() - before.min(initial=np.inf), 0.0)), 6)
 
 
@@ -122,7 +119,8 @@ def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array
     """The nearest place (3,) from which a picture of tangent `half_height`, WIDE_PICTURE wide,
     holds all points (N, 3).
     """
-    wide, high = half_height * WIDE_PICTURE / ROOM, half_height / HEADROOM
+    wide = half_height * WIDE_PICTURE / ROOM
+    high = half_height / HEADROOM
     tangents = np.array([wide, wide, high, high])
     axes = Axes.of(right, up)
     return eye_of(extremes(points, axes, tangents), axes, tangents)
@@ -178,7 +176,9 @@ def eye_of(most: Array, axes: Axes, tangents: Array) -> Array:
 
 def holds(eye: Array, most: Array, axes: Axes, tangents: Array) -> bool:
     """Whether a place (3,) satisfies extremes (4,)."""
-    across, upwards, distance = axes.right @ eye, axes.up @ eye, -(axes.ahead @ eye)
+    across = axes.right @ eye
+    upwards = axes.up @ eye
+    distance = -(axes.ahead @ eye)
     left, to_right, down, to_up = tangents * distance
     room = np.array([left - across, across + to_right, down - upwards, upwards + to_up])
     return bool((room >= most).all())

@@ -35,17 +35,19 @@ class Root:
         self.body = model.body(f"{prefix}base").id
         names = [model.joint(i).name for i in range(model.njnt)]
         self.free = f"{prefix}root" in names
-        joints = [model.joint(prefix + name) for name in (("root",) if self.free else PLANAR)]
-        self._qpos = np.concatenate(
-            [np.arange(j.qposadr[0], j.qposadr[0] + (7 if self.free else 1)) for j in joints]
-        )
+        if self.free:
+            begin = model.joint(f"{prefix}root").qposadr[0]
+            self._qpos = np.arange(begin, begin + 7)
+        else:
+            self._qpos = np.array([model.joint(prefix + name).qposadr[0] for name in PLANAR])
 
     def put(self, qpos: NDArray[np.float64], T_world_base: Array) -> None:
         """Write a pose (4, 4) into the state `qpos`; of a planar base x, y and yaw alone."""
         T = T_world_base
-        qpos[self._qpos] = (
-            np.concatenate([T[:3, 3], quaternion_wxyz(T[:3, :3])]) if self.free else place_of(T)
-        )
+        if self.free:
+            qpos[self._qpos] = np.concatenate([T[:3, 3], quaternion_wxyz(T[:3, :3])])
+        else:
+            qpos[self._qpos] = place_of(T)
 
     def pose(self, data: mujoco.MjData) -> Array:
         """T_world_base (4, 4) now."""
@@ -86,7 +88,8 @@ class Scene:
         self.physics = Physics.from_model(wrapper.MjModel(model))
         self.physics.anisotropy = parts.camera.anisotropy
         self.physics.glossy = parts.glossy
-        self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
+        self.model = self.physics.model.ptr
+        self.data = self.physics.data.ptr
         self._target = self.model.body("target/frame")
         self._turned = np.zeros((4, 4)), np.zeros(4)
         self.root = Root(self.model, "robot/") if parts.robot.base != "fixed" else None
@@ -94,27 +97,28 @@ class Scene:
         self.target_inverse = inverse(parts.target.pose.T)
         movers = parts.world.movers
         self._plate_paths = list(movers.values())
-        self._plates = [self.model.body(name).mocapid[0] for name in movers]
-        self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
-        self._free = (
-            self.model.body("robot/camera").mocapid[0] if parts.robot.body is None else None
-        )
+        self._plates = [self._mocap(name) for name in movers]
+        self.hand_plate = self._mocap(HAND_PLATE) if parts.plate_m else None
         self.eye = self.model.site("eye").id
-        self._eyes = {
-            name: self.model.site(name).id
-            for name in ("eye", *(other.name for other in parts.others))
-        }
-        self.flange_body = (
-            self.model.body_parentid[self._target.id]
-            if parts.target.on_gripper
-            else self.model.site_bodyid[self.eye]
-        )
-        self._rest = parts.robot.body and parts.robot.body.rest_ctrl
-        self._actuators = parts.robot.body.actuators if parts.robot.body else ()
+        self._eyes = {"eye": self.eye}
+        for other in parts.others:
+            self._eyes[other.name] = self.model.site(other.name).id
+        if parts.target.on_gripper:
+            self.flange_body = self.model.body_parentid[self._target.id]
+            self.held_site = self.model.site("target/frame").id
+        else:
+            self.flange_body = self.model.site_bodyid[self.eye]
+            self.held_site = -1
+        body = parts.robot.body
+        self._free = self._mocap("robot/camera") if body is None else None
+        self._rest = body and body.rest_ctrl
+        self._actuators = body.actuators if body else ()
         self.at = StateIndices.of(self.model, parts.robot.joints, self._actuators, "robot/")
-        self.held_site = self.model.site("target/frame").id if parts.target.on_gripper else -1
         self._warnings = self.physics.data.warning.number
         self._warned = self._warnings.tobytes()
+
+    def _mocap(self, body: str) -> int:
+        return self.model.body(body).mocapid[0]
 
     @property
     def body(self) -> RobotBody:
@@ -134,7 +138,8 @@ class Scene:
         if steps > 1:
             mujoco.mj_step(self.model, self.data, steps - 1)
         mujoco.mj_step1(self.model, self.data)
-        before, self._warned = self._warned, self._warnings.tobytes()
+        before = self._warned
+        self._warned = self._warnings.tobytes()
         return self._warned == before
 
     def place(
@@ -148,10 +153,11 @@ class Scene:
         self.place_plates(t)
         self.data.qpos[self.at.qpos] = q
         self.data.qpos[self.at.motor_qpos] = q  # gears unwound; `sim.plant.settle` winds them up
-        if self._free is not None and T_world_camera is not None:
-            self.put(self._free, T_world_camera @ self.mount_inverse)
-        elif self.root is not None and T_world_camera is not None:
-            self.root.put(self.data.qpos, T_world_camera @ self.mount_inverse)
+        if T_world_camera is not None:
+            if self._free is not None:
+                self.put(self._free, T_world_camera @ self.mount_inverse)
+            elif self.root is not None:
+                self.root.put(self.data.qpos, T_world_camera @ self.mount_inverse)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
@@ -200,10 +206,8 @@ class Scene:
 
     def put(self, mocap: int, T_world_body: Array) -> None:
         """Put a mocap body, by its number among them, at a pose (4, 4)."""
-        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = (
-            T_world_body[:3, 3],
-            quaternion_wxyz(T_world_body[:3, :3]),
-        )
+        self.data.mocap_pos[mocap] = T_world_body[:3, 3]
+        self.data.mocap_quat[mocap] = quaternion_wxyz(T_world_body[:3, :3])
 
     def target_pose(self) -> Array:
         """Pose (4, 4) of the target in the world."""

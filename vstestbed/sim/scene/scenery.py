@@ -27,7 +27,13 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.joint_chain import before
 from vstestbed.sim.scene.meshes import RANGE_GROUP, own_colours, texels_of, texture_of
-from vstestbed.sim.scene.model_files import cannot_compile, carry_files, read_model, take_jpeg
+from vstestbed.sim.scene.model_files import (
+    cannot_compile,
+    carry_files,
+    line_with,
+    read_model,
+    take_jpeg,
+)
 
 PREFIX = "scenery/"
 SAME_HEIGHT_M = 1e-3  # faces nearer to one another than this flicker in pictures [m]
@@ -68,17 +74,16 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
         raise
     except (ValueError, mujoco.FatalError) as error:
         raise cannot_compile(error, Path(path), "an MJCF file") from None
-    for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
+    still = "scenery stands still, as a run's log has no place for its motion"
+    for what, moving, why in (
+        ("actuator", spec.actuators, "nothing would drive it"),
+        ("joint", spec.joints, still),
+    ):
         if moving:
-            name, line = moving[0].name or "without a name", _line(moving[0], path)
-            why = (
-                "nothing would drive it"
-                if what == "actuator"
-                else "scenery stands still, as a run's log has no place for its motion"
-            )
-            raise ParameterError(
-                "file", f"has the {what} {name}{line}, and {why}; remove it from the file", path
-            )
+            name = moving[0].name or "without a name"
+            line = _line(moving[0], path)
+            words = f"has the {what} {name}{line}, and {why}; remove it from the file"
+            raise ParameterError("file", words, path)
     if not model.ngeom:
         raise ParameterError.unreadable(
             "file", "it has no geoms", "an MJCF file with geoms in its worldbody", path
@@ -92,13 +97,8 @@ def _line(element: Any, path: str) -> str:
     """
     if element.info:
         return f" ({element.info})"
-    lines = Path(path).read_text(errors="replace").splitlines()
-    numbers = [
-        number
-        for number, text in enumerate(lines, start=1)
-        if element.name and f'name="{element.name}"' in text
-    ]
-    return f" (line {numbers[0]})" if numbers else ""
+    number = line_with(f'name="{element.name}"', Path(path)) if element.name else 0
+    return f" (line {number})" if number else ""
 
 
 def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
@@ -107,16 +107,23 @@ def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
     Raises ParameterError: a horizontal plane at another height; or a face of a box that would
     flicker in the floor.
     """
-    tops = {g: z for g in range(model.ngeom) if (z := _top(model, g, T)) is not None}
-    for g, z in tops.items():
-        if model.geom_type[g] == PLANE and abs(z - floor_z) > SAME_HEIGHT_M:
+    level: list[int] = []
+    floors: list[int] = []
+    for g in range(model.ngeom):
+        z = _top(model, g, T)
+        if z is None:
+            continue
+        plane = model.geom_type[g] == PLANE
+        if abs(z - floor_z) <= SAME_HEIGHT_M:
+            level.append(g)
+            if plane or model.geom(g).name == "floor":
+                floors.append(g)
+        elif plane:
             words = (
                 f"has the horizontal plane {_name(model, g)} at z = {z:g} m,"
                 f" and the floor is at world.floor_z = {floor_z:g} m"
             )
             raise ParameterError("file", f"{words}; set world.floor_z: {z:g}, or make a box of it")
-    level = [g for g, z in tops.items() if abs(z - floor_z) <= SAME_HEIGHT_M]
-    floors = [g for g in level if model.geom_type[g] == PLANE or model.geom(g).name == "floor"]
     if level and not floors:
         words = (
             f"has the geom {_name(model, level[0])},"
@@ -136,10 +143,8 @@ def _top(model: mujoco.MjModel, g: int, T: Array) -> float | None:
     if int(model.geom_type[g]) not in FLAT or model.geom_group[g] > 2:
         return None
     data = _placed(model)
-    normal, at = (
-        T[:3, :3] @ data.geom_xmat[g].reshape(3, 3),
-        T[:3, :3] @ data.geom_xpos[g] + T[:3, 3],
-    )
+    normal = T[:3, :3] @ data.geom_xmat[g].reshape(3, 3)
+    at = T[:3, :3] @ data.geom_xpos[g] + T[:3, 3]
     axis = int(np.abs(normal[2]).argmax())
     if abs(normal[2, axis]) < 1 - 1e-6:
         return None
@@ -171,7 +176,8 @@ def parts_before(
     drawn, and hide nothing.
     """
     model = _model(place_of_file(file))
-    eye, ways = np.ascontiguousarray(T_scenery_camera[:3, 3]), p_camera @ T_scenery_camera[:3, :3].T
+    eye = np.ascontiguousarray(T_scenery_camera[:3, 3])
+    ways = p_camera @ T_scenery_camera[:3, :3].T
     hides = before(model, _placed(model), eye, ways, slack, (3, 4, 5)).tolist()
     return tuple(f"geom {_name(model, g)}" if g >= 0 else "" for g in hides)
 
@@ -192,9 +198,8 @@ def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> di
         scene.light("key").active = False
     if any(texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
         scene.delete(scene.texture("sky"))
-    for name in dir(spec.option):  # of options of the file's own MuJoCo would warn
-        if not name.startswith("_"):
-            setattr(spec.option, name, getattr(scene.option, name))
+    for name in _changed_options(spec, scene):  # of options of the file's own MuJoCo would warn
+        setattr(spec.option, name, getattr(scene.option, name))
     files = carry_files(spec, path, scene, PREFIX)
     scene.attach(
         spec,
@@ -202,6 +207,16 @@ def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> di
         frame=scene.worldbody.add_frame(pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])),
     )
     return files
+
+
+def _changed_options(spec: mujoco.MjSpec, other: mujoco.MjSpec) -> list[str]:
+    """Names of the options in which two models differ."""
+    return [
+        name
+        for name in dir(spec.option)
+        if not name.startswith("_")
+        and not np.array_equal(getattr(spec.option, name), getattr(other.option, name))
+    ]
 
 
 def _take_parts(spec: mujoco.MjSpec, floors: list[int]) -> None:
@@ -232,13 +247,14 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
     """What of a file is of a colour above a chroma in pictures, which `who` takes for a marker, and
     what would not be; "" for nothing.
     """
-    model, limit = _model(path), chroma / 255 / BRIGHTEST
+    model = _model(path)
+    limit = chroma / 255 / BRIGHTEST
     found = {name: value for name, value in _saturations(model) if value > limit}
     if not found:
         return ""
-    names = ", ".join(list(found)[:MOST_TOLD]) + (
-        f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
-    )
+    names = ", ".join(list(found)[:MOST_TOLD])
+    if len(found) > MOST_TOLD:
+        names += f" and {len(found) - MOST_TOLD} more"
     one = "has a saturated colour" if len(found) == 1 else "have saturated colours"
     words = f"{names} in {path.name} {one} (max - min of r, g, b up to {max(found.values()):.2g})"
     return (
@@ -249,12 +265,11 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
 
 def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
     colours = own_colours(model)
-    for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)):
-        texture, rgb = texture_of(model, int(g)), colours[g, :3]
-        yield (
-            f"geom {_name(model, int(g))}",
-            float(np.ptp(rgb)) if texture < 0 else _spread(texels_of(model, texture), rgb),
-        )
+    for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)).tolist():
+        texture = texture_of(model, g)
+        rgb = colours[g, :3]
+        spread = float(np.ptp(rgb)) if texture < 0 else _spread(texels_of(model, texture), rgb)
+        yield f"geom {_name(model, g)}", spread
     for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
         yield "the skybox", _spread(texels_of(model, int(texture)), np.ones(3))
 
@@ -275,29 +290,14 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     model = _model(path)
     spec = read_model(path)
     solid = int(np.count_nonzero((model.geom_contype | model.geom_conaffinity) != 0))
-    yield (
-        "scenery",
-        (
-            f"{model.ngeom} geoms, {solid} of which can be touched; {model.nmesh} meshes,"
-            f" {model.ntex} textures"
-        ),
-    )
+    words = f"{model.ngeom} geoms, {solid} of which can be touched"
+    yield "scenery", f"{words}; {model.nmesh} meshes, {model.ntex} textures"
     if spec.lights:
-        yield (
-            "lights",
-            f"{len(spec.lights)}, in place of the scene's key light; the fill light stays",
-        )
-    found, plain = (
-        [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))],
-        mujoco.MjSpec(),
-    )
-    options = [name for name in dir(plain.option) if not name.startswith("_")]
-    changed = [
-        name
-        for name in options
-        if not np.array_equal(getattr(spec.option, name), getattr(plain.option, name))
-    ]
-    if changed:
+        words = f"{len(spec.lights)}, in place of the scene's key light; the fill light stays"
+        yield "lights", words
+    counts = {kind: len(list(getattr(spec, kind))) for kind in LEFT_OUT}
+    found = [f"{n} {kind}" for kind, n in counts.items() if n]
+    if changed := _changed_options(spec, mujoco.MjSpec()):
         found.append(f"<option> ({', '.join(changed)}), where the scene's own count")
     if found:
         yield "left out", "; ".join(found)
@@ -306,7 +306,5 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     from vstestbed.sim.render.shade import Paint
 
     if rays := [_name(model, g) for g in Paint(model, _placed(model)).averaged]:
-        yield (
-            "rays",
-            f"draw {', '.join(rays)} in the mean colour of the texture; OpenGL draws it whole",
-        )
+        words = f"draw {', '.join(rays)} in the mean colour of the texture"
+        yield "rays", f"{words}; OpenGL draws it whole"

@@ -157,7 +157,8 @@ class Clutter:
         """The objects of a run. rng: of the run. hues_deg: of the markers [deg]."""
         decoys = []
         for own in rng.spawn(self.count):
-            place, shape, size, hue, turn = own.uniform(-0.5, 0.5, 3), *own.random(4).tolist()
+            place = own.uniform(-0.5, 0.5, 3)
+            shape, size, hue, turn = own.random(4).tolist()
             z = math.tau * turn
             T = np.eye(4)
             T[:3, :3] = [[math.cos(z), -math.sin(z), 0], [math.sin(z), math.cos(z), 0], [0, 0, 1]]
@@ -165,11 +166,9 @@ class Clutter:
             pose = Pose.of(self.pose.T @ T)
             kind = self.shapes[int(shape * len(self.shapes))]
             radius = self.radius_m[0] + size * (self.radius_m[1] - self.radius_m[0])
-            hue_deg = (
-                hues_deg[int(hue * len(hues_deg))]
-                if self.hues == "markers" and hues_deg
-                else 360 * hue
-            )
+            hue_deg = 360 * hue
+            if self.hues == "markers" and hues_deg:
+                hue_deg = hues_deg[int(hue * len(hues_deg))]
             decoy = Decoy(
                 xyz=pose.xyz, rpy_deg=pose.rpy_deg, shape=kind, radius=radius, hue_deg=hue_deg
             )
@@ -434,7 +433,8 @@ compiled model.
 
 def plate_path(plate: Plate) -> Path:
     """Pose (4, 4) of a plate as a function of time [s]."""
-    there, away = path_from(plate.pose.T, plate.motion), plate.pose.T.copy()
+    there = path_from(plate.pose.T, plate.motion)
+    away = plate.pose.T.copy()
     away[:3, 3] = AWAY
     # 1e-9: times are sums of steps, and a plate must come in the very frame of from_s.
     return lambda t: there(t) if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else away
