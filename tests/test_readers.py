@@ -13,14 +13,14 @@ import yaml
 
 import vstestbed as vs
 from tests.camera.calibration_files import CAMERA_INFO, EASY, ECHO, POSE, STAMPED
+from vstestbed.apps.bench.bench import read_saved
+from vstestbed.apps.calibrate.calibration import shots_of_folder
+from vstestbed.apps.course.grading import read_lab
+from vstestbed.apps.suite.suite import law_of_file, read_suite
 from vstestbed.camera.intrinsics import ABOUT, READ, read_calibration, read_intrinsics, read_mount
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.named_files import bundled_comparisons, bundled_labs, folder
-from vstestbed.studies.bench import read_saved
-from vstestbed.studies.calibration import shots_of_folder
 from vstestbed.studies.comparison.plan import read_comparison
-from vstestbed.studies.suite import law_of_file, read_suite
-from vstestbed.testing.grading import read_lab
 
 R, T = np.eye(3).tolist(), np.eye(4).tolist()
 MATRIX = {"K": [500, 0, 320, 0, 510, 240, 0, 0, 1]}

@@ -25,6 +25,7 @@ from docs.build.suite_tuning import (
     with_gains,
     written,
 )
+from vstestbed.apps.suite.suite import opened
 from vstestbed.core.geometry import Pose
 from vstestbed.laws.base import ConstantGain
 from vstestbed.scenario.scenario import Scenario
@@ -36,7 +37,6 @@ from vstestbed.studies.comparison.plan import (
     controllers,
     read_comparison,
 )
-from vstestbed.studies.suite import opened
 
 BLOCK = {
     "kind": "switched",

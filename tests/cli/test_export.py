@@ -164,7 +164,7 @@ def test_bad_input_is_refused_in_a_sentence(command, place):
 
 def test_without_the_extra_the_command_that_installs_it_is_named(command, place, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap_protobuf.writer", None)
-    monkeypatch.delitem(sys.modules, "vstestbed.report.export.mcap_file", raising=False)
+    monkeypatch.delitem(sys.modules, "vstestbed.apps.export.mcap_file", raising=False)
     ended = command("export", place / "run", "--to", "mcap")
     assert (
         ended.code == 4

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.apps.course.grading import read_lab
+from vstestbed.apps.tune.search_space import RECORD, read_record
 from vstestbed.camera.intrinsics import read_calibration, read_intrinsics, read_mount
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.lazy import cv2
@@ -33,10 +35,8 @@ from vstestbed.sim.scene.joint_chain import compiled
 from vstestbed.sim.scene.scenery import _checked
 from vstestbed.studies.comparison.folder import Baseline
 from vstestbed.studies.comparison.plan import _read_lists, read_comparison
-from vstestbed.studies.search_space import RECORD, read_record
 from vstestbed.targets.mesh import read_triangles
 from vstestbed.targets.picture import decoded
-from vstestbed.testing.grading import read_lab
 
 LONGEST_S = 60.0
 """No answer within this is a hang: the slowest takes 1 s, on a machine with other work 20 s."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import vstestbed as vs
-from vstestbed.studies.basin import ON_AXIS_DEG
+from vstestbed.apps.maps.basin import ON_AXIS_DEG
 
 HERE = Path(__file__).parent
 BROYDEN = ("--plugin", "broyden", "--set", "law=broyden")

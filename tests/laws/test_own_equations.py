@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.apps.maps.delay import displaced, growth, prepared
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.laws.base import has_batch
 from vstestbed.studies.batch import ideal, simulate_batch, started_at
-from vstestbed.studies.delay import displaced, growth, prepared
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guides" / "first_law.md"
 LINES = 16

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vstestbed.env
 
 import vstestbed as vs
-import vstestbed.env
 from tests.examples import policy as example
 from tests.laws.onnx_file import DOUBLE, linear
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 import vstestbed.env
+
 from vstestbed.sim import gl_context
 
 pytestmark = pytest.mark.study
@@ -81,7 +81,7 @@ def test_a_thousand_resets_leave_nothing_behind(name: str) -> None:
 MEASURED = """
 import json, sys, time
 began = time.process_time()
-import gymnasium, numpy, vstestbed.env
+import gymnasium, numpy, vstestbed.apps.learn
 name, mode, steps = sys.argv[1], sys.argv[2], int(sys.argv[3])
 env = gymnasium.make(f"vstestbed/{name}-v0", observation=mode, disable_env_checker=True)
 made = time.process_time()

@@ -13,8 +13,8 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from vstestbed.ros import messages as m
-from vstestbed.ros.link import connected
+from vstestbed.apps.ros import messages as m
+from vstestbed.apps.ros.link import connected
 from vstestbed.studies import identification as idn
 
 pytestmark = pytest.mark.study

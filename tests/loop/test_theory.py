@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from vstestbed.apps.maps.delay import locus
 from vstestbed.core.errors import ParameterError
 from vstestbed.loop.stability import (
     closed_form,
@@ -14,7 +15,6 @@ from vstestbed.loop.stability import (
     roots,
     swing_frames,
 )
-from vstestbed.studies.delay import locus
 
 
 def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:

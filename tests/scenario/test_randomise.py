@@ -14,8 +14,8 @@ from ruamel.yaml import YAML
 from scipy import stats
 
 import vstestbed as vs
+from vstestbed.apps.learn.rollout import Rollout
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.env.rollout import Rollout
 from vstestbed.scenario.distributions import (
     IMAGE_STREAM,
     START_STREAM,

@@ -153,14 +153,14 @@ FILES: dict[str, Callable[[Files], Files]] = {
 CODE: dict[str, Callable[[Files], Files]] = {
     "what compares is replaced": with_code(
         PATCH.format(
-            module="vstestbed.studies.submission", name="_agrees", value="lambda *words: True"
+            module="vstestbed.apps.suite.submission", name="_agrees", value="lambda *words: True"
         )
     ),
     "what draws is replaced": with_code(
-        PATCH.format(module="vstestbed.studies.submission", name="draws", value="lambda n: 0")
+        PATCH.format(module="vstestbed.apps.suite.submission", name="draws", value="lambda n: 0")
     ),
     "what flies is replaced": with_code(
-        PATCH.format(module="vstestbed.studies.submission", name="LEAST", value="1e9")
+        PATCH.format(module="vstestbed.apps.suite.submission", name="LEAST", value="1e9")
     ),
     "summaries are replaced": with_code(
         "from vstestbed.loop.recording import Recording\n"
@@ -185,8 +185,8 @@ def zipped(files: Files, path: Path) -> Path:
 @pytest.fixture(scope="module")
 def handed_in(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     """An honest submission, flown once."""
-    from vstestbed.studies.submission import contents, pack
-    from vstestbed.studies.suite import opened
+    from vstestbed.apps.suite.submission import contents, pack
+    from vstestbed.apps.suite.suite import opened
 
     folder = tmp_path_factory.mktemp("honest")
     for name, text in (("plan.yaml", PLAN), ("own.yaml", SUITE), ("mine.yaml", LAW)):
@@ -220,7 +220,7 @@ def started(handed_in: SimpleNamespace, files: Files, folder: Path) -> list[str]
 @pytest.fixture
 def flown_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs are flown in this process: no worker has to start."""
-    monkeypatch.setattr("vstestbed.studies.submission.pool_of", lambda *_: Here())
+    monkeypatch.setattr("vstestbed.apps.suite.submission.pool_of", lambda *_: Here())
 
 
 @pytest.mark.process

@@ -12,18 +12,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
+import typer.core
 
 from vstestbed.cli import complete, tools
-from vstestbed.cli.compare import compare, submit, suite
+from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
-from vstestbed.cli.export import export
-from vstestbed.cli.robots import calibrate, excite, identify
-from vstestbed.cli.ros import replay, ros
-from vstestbed.cli.studies import basin, bench, gain_limit, grade, sweep, tune
-from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario
+from vstestbed.cli.options import Json, Plugins, ScenarioName, Settings, load_scenario
+from vstestbed.core import apps
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS
 
@@ -272,17 +270,17 @@ def report(
     """Write report.html again."""
     from vstestbed.core.files import only_writer
 
-    _must_hold(folder, "comparison.yaml", "tuning.yaml", "scenario.yaml")
+    of_apps = [name for name in apps.offered("reports") if (folder / name).is_file()]
+    if not of_apps:
+        _must_hold(folder, "comparison.yaml", "scenario.yaml")
     with only_writer(folder):
         # each with its own imports: those of a comparison take as long as the report of a run
         if (folder / "comparison.yaml").is_file():
             from vstestbed.studies.comparison import report_again
 
             page = report_again(folder, plugin or [], figures)
-        elif (folder / "tuning.yaml").is_file():
-            from vstestbed.studies.tuning import report_again
-
-            page = report_again(folder, plugin or [])
+        elif of_apps:
+            page = apps.loaded("reports", of_apps[0])(folder, plugin or [])
         else:
             from vstestbed.report import write_report
 
@@ -294,37 +292,34 @@ def report(
 COMMANDS: dict[str, Callable[..., None]] = {
     command.__name__.rstrip("_").replace("_", "-"): command
     for command in (
-        *(
-            run,
-            render,
-            report,
-            export,
-            compare,
-            suite,
-            submit,
-            tune,
-            basin,
-            gain_limit,
-            sweep,
-            ros,
-            replay,
-            calibrate,
-            excite,
-            identify,
-        ),
-        *(
-            tools.live,
-            tools.new,
-            tools.list_,
-            tools.schema,
-            tools.describe,
-            tools.doctor,
-            tools.optical_flow,
-            bench,
-            grade,
-        ),
+        run,
+        render,
+        report,
+        compare,
+        tools.new,
+        tools.list_,
+        tools.schema,
+        tools.describe,
+        tools.doctor,
+        tools.optical_flow,
     )
 }
+"""The kernel's commands; all others are of apps."""
+
+
+class Groups(typer.core.TyperGroup):
+    """Shows the kernel's commands and those of apps one after the other."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write both lists, each command with the beginning of its help."""
+        of_kernel = {name: one for name, one in self.commands.items() if name in COMMANDS}
+        of_apps = {name: one for name, one in self.commands.items() if name not in COMMANDS}
+        width = formatter.width - 6 - max(map(len, self.commands))
+        for title, commands in (("Experiments", of_kernel), ("Apps", of_apps)):
+            rows = [(name, one.get_short_help_str(width)) for name, one in commands.items()]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
 
 def program(*names: str) -> typer.Typer:
@@ -332,6 +327,7 @@ def program(*names: str) -> typer.Typer:
     signatures of all.
     """
     app = typer.Typer(
+        cls=Groups,
         help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
         no_args_is_help=True,
         add_completion=True,
@@ -339,9 +335,13 @@ def program(*names: str) -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_options)
-    for name in names or COMMANDS:
-        app.command(name)(COMMANDS[name])
+    for name in names or (*COMMANDS, *apps.offered("commands")):
+        app.command(name)(COMMANDS.get(name) or apps.loaded("commands", name))
     return app
+
+
+def _is_command(name: str) -> bool:
+    return name in COMMANDS or apps.loaded("commands", name) is not None
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
@@ -357,7 +357,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
         program()(arguments, prog_name="vstestbed")
     # --debug may stand anywhere
     given = [argument for argument in arguments if argument != "--debug"]
-    app = program(*(name for name in given[:1] if name in COMMANDS))
+    app = program(*filter(_is_command, given[:1]))
     sys.exit(
         exit_code(
             lambda: app(given, prog_name="vstestbed", standalone_mode=False),

@@ -10,19 +10,17 @@ import importlib.util
 import json
 import keyword
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
 from vstestbed.cli import complete
+from vstestbed.cli.options import Plugins
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
 
 if TYPE_CHECKING:
-    from vstestbed.live.app import LiveApp
-    from vstestbed.live.playback import PlaybackApp
-    from vstestbed.scenario.scenario import Scenario
+    pass
 
 Listed = Literal[
     "scenarios",
@@ -42,63 +40,6 @@ Listed = Literal[
     "perturbations",
     "comparisons",
 ]
-Plugins = Annotated[
-    list[str] | None,
-    typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds."),
-]
-_SET = {"metavar": "a.b=value", "autocompletion": complete.paths}
-Settings = Annotated[
-    list[str] | None, typer.Option("--set", help="Change a field before it is checked.", **_SET)
-]
-SettingsOfAll = Annotated[
-    list[str] | None, typer.Option("--set", help="Change a field of all scenarios.", **_SET)
-]
-ScenarioName = Annotated[
-    str,
-    typer.Argument(
-        help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios
-    ),
-]
-Experiments = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="SCENARIO...",
-        help="Scenarios, or one comparison: names or files.",
-        autocompletion=complete.experiments,
-    ),
-]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")
-]
-
-Force = Annotated[
-    bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")
-]
-
-
-def load_scenario(
-    name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None
-) -> Scenario:
-    """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""
-    from vstestbed.scenario.load import load
-    from vstestbed.scenario.yaml_marks import from_option
-
-    overrides = settings_of(settings)
-    return load(name, overrides, seed, from_option(overrides), plugins or [])
-
-
-def settings_of(settings: list[str] | None) -> dict[str, object]:
-    """The values of `--set` by dotted path, each read as YAML."""
-    from vstestbed.scenario.yaml_marks import read_value
-
-    overrides: dict[str, object] = {}
-    for setting in settings or []:
-        key, equals, value = setting.partition("=")
-        # an empty value is allowed: YAML reads it as null
-        if not equals or not all(part.strip() for part in key.split(".")):
-            raise ParameterError.form("--set", "a.b=value", setting)
-        overrides[key.strip()] = read_value(value)
-    return overrides
 
 
 def list_(
@@ -349,55 +290,3 @@ def text_of(kind: str, name: str, path: str) -> str:
 def commands_of(text: str) -> list[str]:
     """The commands in the docstring of a template: its lines that are indented."""
     return [line.strip() for line in text.split('"""')[1].splitlines() if line.startswith("    ")]
-
-
-def live(
-    what: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENARIO|RUN_DIR",
-            help="A bundled scenario's name, a YAML file, or a run's folder.",
-            autocompletion=complete.scenarios,
-        ),
-    ],
-    set_: Settings = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")
-    ] = None,
-    port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port on 127.0.0.1. [default: a free one]")
-    ] = None,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Do not open a browser.")] = False,
-    plugin: Plugins = None,
-) -> None:
-    """The run in a browser, with its gains under your fingers; a run's folder is played back.
-    Ctrl-C ends it.
-    """
-    if importlib.util.find_spec("viser") is None:
-        raise EnvironmentLackError(
-            "the live view needs viser, which is not installed", "pip install 'vstestbed[live]'"
-        )
-    from vstestbed.cli.progress import show_notes
-
-    show_notes(True)
-    folder = Path(what)
-    app: PlaybackApp | LiveApp
-    if (folder / "scenario.yaml").is_file():
-        if set_ or seed is not None:
-            raise ParameterError.only_for(
-                "--set" if set_ else "--seed", "a scenario; what a folder holds has run already"
-            )
-        from vstestbed.live import playback
-
-        app = playback.PlaybackApp(folder, port, plugin or [])
-    else:
-        from vstestbed.live import app as running
-        from vstestbed.live.run import Settings as LiveSettings
-
-        app = running.LiveApp(LiveSettings(what, settings_of(set_), seed, plugin or []), port)
-    typer.echo(f"{app.address}   (Ctrl-C ends it)", err=True)
-    if not no_open and sys.stderr.isatty():
-        import webbrowser
-
-        webbrowser.open(app.address)
-    app.serve()
