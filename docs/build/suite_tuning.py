@@ -33,6 +33,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: one process compu
 import polars as pl
 
 import vstestbed as vs
+from vstestbed.apps.suite.suite import LAW, TO_GOAL, SuiteEntry, opened
+from vstestbed.apps.tune.search_space import Range, SearchSpace, Trial, next_settings
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Pose
 from vstestbed.scenario.scenario import Scenario
@@ -46,8 +48,6 @@ from vstestbed.studies.comparison.plan import (
     controllers,
     read_comparison,
 )
-from vstestbed.studies.search_space import Range, SearchSpace, Trial, next_settings
-from vstestbed.studies.suite import LAW, TO_GOAL, SuiteEntry, opened
 from vstestbed.tasks.metrics import Metric
 
 TRIALS = 24

@@ -33,12 +33,15 @@ class App:
         exports: of `export --to`: functions that write recorded runs, as `apps.export` calls them.
         reports: functions (folder, plugins) -> page that write the page of a folder again, by the
             file that tells whose folder it is.
+        records: functions (path, scenario, words of `--remap`) -> table that read what a robot did
+            and told, for `identify`, by the ending of a file, or the file that a folder holds.
     """
 
     commands: Places = field(default_factory=dict[str, str])
     executors: Places = field(default_factory=dict[str, str])
     exports: Places = field(default_factory=dict[str, str])
     reports: Places = field(default_factory=dict[str, str])
+    records: Places = field(default_factory=dict[str, str])
 
 
 @cache

@@ -30,7 +30,7 @@ wp: Any = warp  # whose types are made as it runs
 wp.config.log_level = wp.LOG_ERROR
 import mujoco_warp as mjw  # noqa: E402 - it begins Warp, which would introduce itself on standard output
 
-from vstestbed.sim.render import warp_kernels as kernels  # noqa: E402 - as it
+from vstestbed.apps.gpu import warp_kernels as kernels  # noqa: E402 - as it
 
 T = TypeVar("T")
 PLACES = 8192  # rays of a slot: pixels of the tiles in it, with their rims

@@ -14,12 +14,15 @@ from vstestbed.cli.options import (
     Settings,
     load_scenario,
 )
+from vstestbed.core import apps
 
 if TYPE_CHECKING:
     pass
 
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
+
+METADATA = "metadata.yaml"  # what a bag's folder holds
 
 
 def excite(
@@ -100,18 +103,14 @@ def identify(
     from vstestbed.apps.identify import identification as room
     from vstestbed.cli.progress import show_notes
     from vstestbed.cli.results import command_line
-    from vstestbed.cli.ros import remapped
     from vstestbed.core.errors import ParameterError
     from vstestbed.studies.folder import study_folder
 
     given = load_scenario(scenario, set_, plugin, None)
     show_notes(not quiet)
-    if (record / "metadata.yaml").is_file() or record.suffix in (".mcap", ".db3"):
-        from vstestbed.apps.ros.bag import record_of
-
-        table = record_of(record, given, remapped(remap))
-    else:
-        table = room.read_record(record)
+    ending = METADATA if (record / METADATA).is_file() else record.suffix
+    of_app = apps.loaded("records", ending)
+    table = of_app(record, given, remap or []) if of_app else room.read_record(record)
     say = (
         (lambda words: None) if quiet else (lambda words: typer.echo(f"  tries {words}", err=True))
     )

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from vstestbed.apps.learn.gym_env import SpecWithLength
 from vstestbed.apps.learn.rollout import MOST_SEED, Rollout, marker_bounds
-from vstestbed.apps.maps.basin import left_out
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array, exp
 from vstestbed.core.outcome import Outcome
@@ -25,7 +24,15 @@ from vstestbed.features.depth import PnP
 from vstestbed.laws.policy import MOST_PX
 from vstestbed.loop.termination import FAR_M
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.batch import FIRST_POSE, BatchSetup, behind, ideal, seen_by, start_of
+from vstestbed.studies.batch import (
+    FIRST_POSE,
+    BatchSetup,
+    behind,
+    ideal,
+    left_out,
+    seen_by,
+    start_of,
+)
 from vstestbed.tasks.judged import in_a_frame, nearness
 from vstestbed.tasks.monitor import REST
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import math
 import os
@@ -19,12 +18,12 @@ from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, tra
 from vstestbed.core.outcome import Outcome
 from vstestbed.laws.base import has_batch
 from vstestbed.loop.session import run, uninterrupted
-from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.batch import (
     Batch,
     BatchSetup,
     ideal,
+    left_out,
     simulate_batch,
     simulate_in_parts,
     start_of,
@@ -35,50 +34,6 @@ from vstestbed.vision import Oracle
 
 if TYPE_CHECKING:
     import polars
-
-
-def left_out(scenario: Scenario) -> list[str]:
-    """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on
-    pictures and timing by their paths.
-    """
-    found = [] if scenario.robot.body is None else [*_of_robot(scenario.robot)]
-    if scenario.detector.rows is not None:
-        found.append(
-            f"the points that detector {scenario.detector.kind} finds"
-            " (the law has the target's corners in their place)"
-        )
-    of_cameras = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
-    found += [
-        f"camera.{name}" for name in of_cameras if getattr(scenario.camera, name) not in (0.0, None)
-    ]
-    for name in ("noise", "timing"):
-        block = getattr(scenario, name)
-        plain = type(block)()
-        found += [
-            f"{name}.{f.name}"
-            for f in dataclasses.fields(block)
-            if getattr(block, f.name) != getattr(plain, f.name)
-        ]
-    # what may stand before a target; the rest of the world changes how pictures look
-    return found + [
-        f"world.{name}" for name in ("plates", "scenery") if getattr(scenario.world, name)
-    ]
-
-
-def _of_robot(robot: Robot) -> Iterator[str]:
-    """Its dynamics and limits, its preset, and the effects that it has: the blocks that are none by
-    default.
-    """
-    yield f"the dynamics and limits of robot {robot.kind}"
-    if getattr(robot, "realism", "none") != "none":
-        yield "robot.realism"  # which fills the others
-        return
-    names = {field.name: field.default for field in dataclasses.fields(robot) if field.init}  # pyright: ignore[reportArgumentType] - a spec
-    yield from (
-        f"robot.{name}"
-        for name, default in names.items()
-        if default is None and getattr(robot, name) is not None
-    )
 
 
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")

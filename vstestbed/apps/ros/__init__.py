@@ -8,4 +8,5 @@ APP = App(
         "replay": "vstestbed.apps.ros.commands:replay",
     },
     exports={"rosbag2": "vstestbed.apps.ros.bag:ROSBAG2"},
+    records=dict.fromkeys((".mcap", ".db3", "metadata.yaml"), "vstestbed.apps.ros.bag:read_record"),
 )

@@ -9,7 +9,7 @@ import io
 import itertools
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ from vstestbed.apps.ros.bag_file import (
     refusal,
 )
 from vstestbed.apps.ros.law import RESTART_S, Feed, command_frame, command_topic, sent
-from vstestbed.apps.ros.link import Answer, Heard, Link
+from vstestbed.apps.ros.link import Answer, Heard, Link, remapped
 from vstestbed.apps.ros.messages import (
     COMPRESSED,
     IMAGE,
@@ -532,6 +532,11 @@ def replay(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = Non
         np.array([one.computed for one in steps]),
         passed,
     )
+
+
+def read_record(path: Path, scenario: Scenario, remap: Sequence[str]) -> pl.DataFrame:
+    """`record_of` with the words of `--remap`."""
+    return record_of(path, scenario, remapped(remap))
 
 
 def record_of(

@@ -5,7 +5,6 @@ functions.
 from __future__ import annotations
 
 import logging
-import re
 import signal
 import threading
 from contextlib import nullcontext
@@ -253,19 +252,6 @@ def _fly(
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
 
 
-def remapped(words: list[str] | None) -> dict[str, str]:
-    """Topics of a bag by the names that they have here, the first one of each; errors: as of
-    `rules_of`.
-    """
-    from vstestbed.apps.ros.link import NODES, expanded, rules_of
-
-    found: dict[str, str] = {}
-    for rule in rules_of(words or []):
-        name = re.sub(r"^~?/(vstestbed_robot/)?", "", rule.name)
-        found.setdefault(name, expanded(rule.other, NODES[1]))
-    return found
-
-
 def replay(
     bag: Annotated[
         Path,
@@ -289,6 +275,7 @@ def replay(
     """
     from vstestbed.apps.ros.bag import replay as replayed
     from vstestbed.apps.ros.bag import write_replay
+    from vstestbed.apps.ros.link import remapped
     from vstestbed.cli.progress import show_notes
     from vstestbed.cli.results import command_line
     from vstestbed.core.files import must_be_new, whole_folder
@@ -297,7 +284,7 @@ def replay(
     path = out or beside.with_name(f"{beside.stem}_replay")
     must_be_new(path, "give a new folder with --out")
     show_notes(not quiet)
-    found = replayed(bag, given, remapped(remap))
+    found = replayed(bag, given, remapped(remap or []))
     with whole_folder(path) as folder:
         write_replay(folder, found, bag.name, command_line())
     if not quiet:

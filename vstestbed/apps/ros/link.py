@@ -421,3 +421,14 @@ def connected(
     if backend == "rclpy":
         return Rclpy(node, domain_of(), rules)
     return Zenoh(node, domain_of(), rules, connect, listen)
+
+
+def remapped(words: Sequence[str]) -> dict[str, str]:
+    """Topics of a bag by the names that they have here, the first one of each; errors: as of
+    `rules_of`.
+    """
+    found: dict[str, str] = {}
+    for rule in rules_of(words):
+        name = re.sub(r"^~?/(vstestbed_robot/)?", "", rule.name)
+        found.setdefault(name, expanded(rule.other, NODES[1]))
+    return found
