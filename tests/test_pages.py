@@ -23,7 +23,7 @@ from docs.build.render import REPOSITORY, SOURCES, pages, rendered
 from docs.build.suite import PLACE, Suite
 from tests.scenario.schemas import whole_schema
 from vstestbed.cli.app import program
-from vstestbed.cli.tools import settings_of
+from vstestbed.cli.options import settings_of
 
 PAGES = sorted(
     page.relative_to(REPOSITORY)

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from docs.build.kept import FOLDER, Row, _columns, _rows, _text, place_of, steady
-from vstestbed.cli.compare import vary_of
 from vstestbed.cli.ending import exit_code
+from vstestbed.cli.options import vary_of
 from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.files import write_whole
 from vstestbed.studies.comparison import Job, Runner, prepared

@@ -26,7 +26,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import exp, inverse, rigid_error, transform
 
-GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "hand_eye.json").read_text())
+GOLDEN = json.loads((Path(__file__).parents[2] / "golden" / "hand_eye.json").read_text())
 CAMERA = Perspective(width=640, height=480, fovy_deg=50)
 CORNERS = np.array([[x, y, 0] for x in range(1, 7) for y in range(1, 5)]) * 0.04
 X = np.eye(4)

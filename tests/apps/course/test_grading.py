@@ -20,7 +20,7 @@ from vstestbed.cli.tools import text_of
 from vstestbed.core.errors import ScenarioError
 from vstestbed.testing.likeness import Likeness
 
-LABS = Path(__file__).parents[2] / "docs" / "course"
+LABS = Path(__file__).parents[3] / "docs" / "course"
 LAW = '''\
 from typing import Literal
 

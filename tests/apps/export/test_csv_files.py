@@ -10,9 +10,10 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
+from vstestbed.apps.export.csv_files import write_csv
 from vstestbed.core.errors import OutputError
 from vstestbed.loop.log_file import open_log
-from vstestbed.report.recorded_run import opened, write_csv
+from vstestbed.report.recorded_run import opened
 
 
 def test_a_log_comes_back_as_it_was(folders: list[Path], home: Path, tmp_path: Path) -> None:

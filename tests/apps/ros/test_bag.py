@@ -11,11 +11,11 @@ from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from vstestbed.cli.ros import remapped
 
 import vstestbed as vs
 from vstestbed.apps.export.mcap_file import write_mcap
 from vstestbed.apps.ros.bag import record_of, replay, write_replay, write_rosbag2
+from vstestbed.apps.ros.link import remapped
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.report.recorded_run import RecordedRun
 from vstestbed.studies.run_folder import run_into

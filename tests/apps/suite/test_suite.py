@@ -444,7 +444,7 @@ def test_the_kept_runs_of_vs_1_are_of_its_tasks_and_laws_or_the_page_says_that_t
     # not flown again since the tasks have changed: vstestbed suite --out flown; python -m
     # docs.build.suite flown/runs.csv
     if kept is None:
-        page = (Path(__file__).parents[2] / "docs" / "research" / "suite.md").read_text(
+        page = (Path(__file__).parents[3] / "docs" / "research" / "suite.md").read_text(
             encoding="utf-8"
         )
         first = path.with_suffix(".csv").read_text(encoding="utf-8")[2:14]

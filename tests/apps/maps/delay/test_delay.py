@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 import polars as pl
 import pytest
-from vstestbed.cli.studies import _summary_line
 
 import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed import Timing
+from vstestbed.apps.maps.commands import _summary_line
 from vstestbed.apps.maps.delay import (
     OFF,
     OFF_WITH_FRICTION,
