@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 import vstestbed.sim  # noqa: F401 - chooses MUJOCO_GL before any test imports mujoco
+from vstestbed.core.apps import bundled
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.sim.gl_probe import require
 
@@ -87,11 +88,16 @@ def _no_opengl() -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip tests marked `opengl` where there is none."""
+    """Skip tests marked `opengl` where there is none, and those of apps that are not there."""
     if lack := _no_opengl():
         for item in items:
             if item.get_closest_marker("opengl"):
                 item.add_marker(pytest.mark.skip(reason=lack))
+    for item in items:
+        for marker in item.iter_markers("app"):
+            if not set(marker.args) <= set(bundled()):
+                reason = f"needs the apps {', '.join(marker.args)}"
+                item.add_marker(pytest.mark.skip(reason=reason))
 
 
 @dataclass(frozen=True)

@@ -209,12 +209,12 @@ def __getattr__(name: str) -> object:
         return import_module(_MODULES[name])
     if name in _HOME_OF:
         try:
-            home = imported(_HOME_OF[name])
-        except ImportError as error:
+            home = imported(_HOME_OF[name], f"vstestbed.{name}")
+        except ModuleNotFoundError as error:
             if error.name != _HOME_OF[name]:
                 raise
             # of an app that is not there, which its sentence names
-            raise AttributeError(f"vstestbed.{name}: {error}") from None
+            raise AttributeError(str(error)) from None
         if _HOME_OF[name].startswith("vstestbed.loop"):
             _show_in_notebooks()
         return getattr(home, name)

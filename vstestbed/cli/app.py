@@ -22,7 +22,7 @@ from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.options import Json, Plugins, ScenarioName, Settings, load_scenario
 from vstestbed.core import apps
-from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
+from vstestbed.core.errors import NOTHING_RAN, ParameterError, PluginError, RunFolderError
 from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
@@ -270,7 +270,8 @@ def report(
     """Write report.html again."""
     from vstestbed.core.files import only_writer
 
-    of_apps = [name for name in apps.offered("reports") if (folder / name).is_file()]
+    known = (*apps.offered("reports"), *apps.WORDS["reports"])
+    of_apps = [name for name in known if (folder / name).is_file()]
     if not of_apps:
         _must_hold(folder, "comparison.yaml", "scenario.yaml")
     with only_writer(folder):
@@ -280,7 +281,8 @@ def report(
 
             page = report_again(folder, plugin or [], figures)
         elif of_apps:
-            page = apps.loaded("reports", of_apps[0])(folder, plugin or [])
+            write = apps.loaded("reports", of_apps[0])
+            page = write(folder, plugin or [])
         else:
             from vstestbed.report import write_report
 
@@ -308,15 +310,18 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 class Groups(typer.core.TyperGroup):
-    """Shows the kernel's commands and those of apps one after the other."""
+    """Shows the kernel's commands, those of apps, and apps that cannot be imported."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write both lists, each command with the beginning of its help."""
-        of_kernel = {name: one for name, one in self.commands.items() if name in COMMANDS}
-        of_apps = {name: one for name, one in self.commands.items() if name not in COMMANDS}
+        """Write the lists, each command with the beginning of its help."""
         width = formatter.width - 6 - max(map(len, self.commands))
-        for title, commands in (("Experiments", of_kernel), ("Apps", of_apps)):
-            rows = [(name, one.get_short_help_str(width)) for name, one in commands.items()]
+        of_kernel: list[tuple[str, str]] = []
+        of_apps: list[tuple[str, str]] = []
+        for name, one in self.commands.items():
+            rows = of_kernel if name in COMMANDS else of_apps
+            rows.append((name, one.get_short_help_str(width)))
+        broken = [(name, str(error)) for name, error in apps.left_out().items()]
+        for title, rows in (("Experiments", of_kernel), ("Apps", of_apps), ("Left out", broken)):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
@@ -326,7 +331,18 @@ def program(*names: str) -> typer.Typer:
     """The command line with these commands, by default all: typer takes 0.1 s to read the
     signatures of all.
     """
-    app = typer.Typer(
+    app = _without_commands()
+    app.callback()(_options)
+    for name in names:
+        app.command(name)(_command(name))
+    if not names:
+        for name in (*COMMANDS, *apps.offered("commands")):
+            app.command(name)(_command_or_refusal(name))
+    return app
+
+
+def _without_commands() -> typer.Typer:
+    return typer.Typer(
         cls=Groups,
         help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
         no_args_is_help=True,
@@ -334,14 +350,54 @@ def program(*names: str) -> typer.Typer:
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
-    app.callback()(_options)
-    for name in names or (*COMMANDS, *apps.offered("commands")):
-        app.command(name)(COMMANDS.get(name) or apps.loaded("commands", name))
-    return app
 
 
-def _is_command(name: str) -> bool:
-    return name in COMMANDS or apps.loaded("commands", name) is not None
+def _command(name: str) -> Callable[..., None]:
+    """A command by its word. Raises PluginError: it is of another package, and broken."""
+    if name in COMMANDS:
+        return COMMANDS[name]
+    command = apps.loaded("commands", name)
+    if not any(name in app.commands for app in apps.bundled().values()):
+        _must_be_readable(name, command)
+    return command
+
+
+def _must_be_readable(name: str, command: Callable[..., None]) -> None:
+    """Refuse a command of another package that typer cannot read: it would stop the list of all."""
+    alone = _without_commands()
+    alone.command(name)(command)
+    try:
+        typer.main.get_command(alone)
+    except Exception as error:  # of any kind: it is the code of others
+        place = apps.offered("commands")[name]
+        raise PluginError(place, f"cannot be a command: {error}", apps.REMEDY) from error
+
+
+def _command_or_refusal(name: str) -> Callable[..., None]:
+    """A command for the list of all; a broken one of another package only says what is wrong."""
+    try:
+        return _command(name)
+    except PluginError as error:
+        refused = error
+
+    def refusal() -> NoReturn:
+        raise refused
+
+    refusal.__doc__ = f"Cannot be used: {refused}"
+    return refusal
+
+
+def _commands_of(words: list[str]) -> list[str]:
+    """The command that a command line begins with; none where it begins with an option, or no app
+    has the command.
+    """
+    name = words[0] if words else "-"
+    if name.startswith("-"):
+        return []
+    if name in COMMANDS or apps.loaded("commands", name) is not None:
+        return [name]
+    apps.must_be_complete()
+    return []
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
@@ -357,10 +413,9 @@ def main(argv: list[str] | None = None) -> NoReturn:
         program()(arguments, prog_name="vstestbed")
     # --debug may stand anywhere
     given = [argument for argument in arguments if argument != "--debug"]
-    app = program(*filter(_is_command, given[:1]))
-    sys.exit(
-        exit_code(
-            lambda: app(given, prog_name="vstestbed", standalone_mode=False),
-            debug=len(given) < len(arguments),
-        )
-    )
+
+    def command() -> object:
+        app = program(*_commands_of(given))
+        return app(given, prog_name="vstestbed", standalone_mode=False)
+
+    sys.exit(exit_code(command, debug=len(given) < len(arguments)))

@@ -1,5 +1,4 @@
-"""The commands `list`, `schema`, `doctor`, `optical-flow`, `new` and `live`, and the options that
-several commands share.
+"""The commands `list`, `schema`, `describe`, `doctor`, `optical-flow` and `new`.
 
 Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 """
@@ -11,16 +10,13 @@ import json
 import keyword
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import typer
 
 from vstestbed.cli import complete
 from vstestbed.cli.options import Plugins
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
-
-if TYPE_CHECKING:
-    pass
 
 Listed = Literal[
     "scenarios",

@@ -34,8 +34,7 @@ FORMER = {
     "vstestbed.studies.tuning": "vstestbed.apps.tune.tuning",
     "vstestbed.testing.grading": "vstestbed.apps.course.grading",
 }
-"""Modules that stood elsewhere once, under which scripts import them, and where they are now."""
-
+"""Names of modules once, under which scripts import them, and where they are now."""
 
 FORMER_PACKAGES = {
     "vstestbed.env": "vstestbed.apps.learn",
@@ -58,16 +57,26 @@ def now_at(name: str) -> str | None:
     return None
 
 
-def imported(module: str) -> ModuleType:
-    """A module, maybe of an app. Raises ImportError: its app is not there, in a sentence."""
+def imported(module: str, asked: str) -> ModuleType:
+    """A module, maybe of an app. asked: what is asked for, in the user's words.
+
+    Raises:
+        ModuleNotFoundError: there is no such module, or its app is missing, in a sentence.
+    """
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
-        if not module.startswith(APPS) or not f"{module}.".startswith(f"{error.name}."):
+        if not module.startswith(f"{APPS}.") or not f"{module}.".startswith(f"{error.name}."):
             raise
         app = module.removeprefix(f"{APPS}.").partition(".")[0]
-        sentence = f"{module} is of the app {app}, which is not in this installation of vstestbed"
-        raise ImportError(sentence, name=module) from None
+        if error.name not in (APPS, f"{APPS}.{app}"):
+            raise
+        raise ModuleNotFoundError(app_is_missing(asked, app), name=module) from None
+
+
+def app_is_missing(what: str, app: str) -> str:
+    """The sentence for what belongs to an app that is not there."""
+    return f"{what} is of the app {app}, which is not in this installation of vstestbed"
 
 
 class FormerModules:
@@ -87,8 +96,8 @@ class FormerModules:
         return ModuleSpec(fullname, self)  # pyright: ignore[reportArgumentType] - a loader all the same
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        """The module as it is today. Raises ImportError: its app is not there."""
-        module = imported(now_at(spec.name) or spec.name)
+        """The module as it is today. Raises ModuleNotFoundError: its app is missing."""
+        module = imported(now_at(spec.name) or spec.name, spec.name)
         self._specs[spec.name] = module.__spec__
         return module
 

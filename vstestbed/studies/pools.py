@@ -533,7 +533,7 @@ def must_be_known(executor: str) -> None:
     """Refuse any other value of `--executor`."""
     if executor == "local" or re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
         return
-    known = apps.offered("executors")
-    if executor not in known:
-        words = f"{', '.join(['local', *known])} or dask://HOST:PORT"
+    if apps.loaded("executors", executor) is None:
+        apps.must_be_complete()
+        words = f"{', '.join(['local', *apps.offered('executors')])} or dask://HOST:PORT"
         raise ParameterError.fixed("--executor", words, executor)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -15,10 +15,6 @@ from vstestbed.cli.options import (
     load_scenario,
 )
 from vstestbed.core import apps
-
-if TYPE_CHECKING:
-    pass
-
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 

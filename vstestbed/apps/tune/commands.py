@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -19,10 +19,6 @@ from vstestbed.cli.options import (
 )
 from vstestbed.cli.results import RESULTS, tell
 from vstestbed.core.errors import ParameterError
-
-if TYPE_CHECKING:
-    pass
-
 
 RANGES = (
     "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated."
