@@ -75,6 +75,7 @@ def test_a_batch_has_a_code_for_each_outcome() -> None:
     assert batch.CODES[batch.GOING] is None
 
 
+@pytest.mark.app("learn")
 def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
     pytest.importorskip("gymnasium")
     from vstestbed.apps.learn.environments import vector_env

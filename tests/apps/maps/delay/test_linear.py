@@ -17,11 +17,12 @@ from vstestbed.apps.maps.delay import (
     find_limits,
     growth,
     linear_gain_limit,
+    locus,
     prepared,
     sampled,
 )
 from vstestbed.effects.joints import Gears
-from vstestbed.loop.stability import closed_form, gain_limit
+from vstestbed.loop.stability import closed_form, gain_limit, polynomial
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.plant import LinearArm, linear_arm
 
@@ -120,3 +121,14 @@ def test_the_search_lands_near_the_linear_model(actuation: str) -> None:
     assert limit.g_linear is not None and limit.lags == () and limit.g_lag is None
     assert limit.g == pytest.approx(limit.g_linear, rel=0.05)
     assert limit.row()["measured_to_linear"] == pytest.approx(limit.g / limit.g_linear)
+
+
+def test_branches_are_followed():
+    gains = np.linspace(1e-3, 1.5, 3000)
+    ways = locus(2, gains)
+    assert ways.shape == (3000, 3)
+    for i in (0, 1500, 2999):
+        np.testing.assert_allclose(np.poly(ways[i]), polynomial(gains[i], 2), atol=1e-9)
+    # From one gain to the next .0005 apart a pole moves little, but where two meet (square root of
+    # the step).
+    assert np.abs(np.diff(ways, axis=0)).max() < 0.05

@@ -1,5 +1,5 @@
 """What environments cost, and what a thousand resets leave behind:
-`pytest -s -m study tests/long/test_environments.py`.
+`pytest -s -m study tests/apps/learn/test_environments.py`.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ Commands, their arguments and options are those of the command line itself, and 
 be is what a shell would offer for it: a new command, scenario or kind is covered without a word
 here. Folders that commands leave are given to those that take one.
 
-    python -m pytest -s -m study tests/long/test_every_command.py
+    python -m pytest -s -m study tests/apps/test_every_command.py
         # VSTESTBED_CODES=FILE keeps the codes, one a line
 """
 
