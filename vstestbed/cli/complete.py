@@ -14,6 +14,8 @@ from typing import Any
 
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 
+__all__ = ["asked", "experiments", "figures", "kinds", "paths", "scenarios"]
+
 VARIABLE = "_VSTESTBED_COMPLETE"  # environment variable by which a shell's completion asks
 
 

@@ -15,6 +15,19 @@ from vstestbed.core.errors import ParameterError
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
 
+__all__ = [
+    "Experiments",
+    "Force",
+    "Json",
+    "Plugins",
+    "ScenarioName",
+    "Settings",
+    "SettingsOfAll",
+    "load_scenario",
+    "settings_of",
+    "vary_of",
+]
+
 
 Plugins = Annotated[
     list[str] | None,

@@ -17,6 +17,8 @@ import typer
 
 from vstestbed.cli.ending import INTERRUPTED
 
+__all__ = ["RESULTS", "command_line", "results_in", "tell"]
+
 RESULTS = "  results   {} (open report.html)"
 
 

@@ -27,6 +27,19 @@ from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Rerendering
 
+__all__ = [
+    "Bodies",
+    "ExportFormat",
+    "ExportRequest",
+    "Meaning",
+    "RecordedRun",
+    "Taken",
+    "meaning",
+    "name_with_unit",
+    "opened",
+    "unit_of_joint",
+]
+
 # The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world
 Bodies = tuple[list[str], Array, Array]
 

@@ -47,6 +47,21 @@ from vstestbed.vision.homography import left_open, relative_view
 if TYPE_CHECKING:
     from vstestbed.studies.comparison.plan import Comparison
 
+__all__ = [
+    "FIRST_POSE",
+    "Batch",
+    "BatchSetup",
+    "behind",
+    "ideal",
+    "left_out",
+    "must_be_few_starts",
+    "seen_by",
+    "simulate_batch",
+    "simulate_in_parts",
+    "start_of",
+    "started_at",
+]
+
 
 # A law without equations for many runs in a batch: its `step` is asked run by run.
 SIX = np.eye(6)

@@ -31,6 +31,21 @@ from vstestbed.core.shares import STOPS, at_once, some_done
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
 
+__all__ = [
+    "MOST_TRIES",
+    "Done",
+    "LocalPool",
+    "Pool",
+    "Request",
+    "WorkerLostError",
+    "clear",
+    "completed",
+    "must_be_known",
+    "must_not_be_worker",
+    "pool_of",
+    "workers",
+]
+
 Done_co = TypeVar("Done_co", covariant=True)
 
 

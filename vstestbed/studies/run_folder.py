@@ -31,6 +31,8 @@ from vstestbed.sim.build import scene_files
 if TYPE_CHECKING:
     from vstestbed.report.video.film import FilmThread
 
+__all__ = ["ASSETS", "Files", "files_in", "files_of_failure", "new_folder", "run_into", "store"]
+
 Films = Literal["camera", "overview", "both", "none"]
 FILM_CAMERAS: dict[str, dict[str, str]] = {
     "both": {"camera": "eye", "overview": "overview"},

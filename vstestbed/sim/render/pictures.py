@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from vstestbed.sim.render.rays import RaySceneCamera
     from vstestbed.sim.scene.scene import Scene
 
+__all__ = ["bare_renderer", "drawn_together", "draws_rays", "outside_view", "servo_renderer"]
+
 T = TypeVar("T")
 
 

@@ -31,6 +31,18 @@ from vstestbed.studies.comparison.plan import AMOUNT, TASK, Comparison, Job, Var
 from vstestbed.studies.comparison.record import moved_plugins
 from vstestbed.studies.comparison.tuning_record import settings_of
 
+__all__ = [
+    "GROUP",
+    "Baseline",
+    "ComparisonTable",
+    "finish",
+    "finished",
+    "must_have_reference",
+    "stored_runs",
+    "summary_of",
+    "table_of",
+]
+
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
 # folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where
 # there are more (`among`)

@@ -38,6 +38,24 @@ from vstestbed.scenario.yaml_marks import (
 )
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Metric, comparable, own_metrics
 
+__all__ = [
+    "AMOUNT",
+    "CHECKED",
+    "TASK",
+    "TUNED",
+    "Comparison",
+    "Job",
+    "Jobs",
+    "Tuned",
+    "Variant",
+    "Variants",
+    "changed",
+    "chosen",
+    "controllers",
+    "must_be_few",
+    "read_comparison",
+]
+
 
 class StartLists(NamedTuple):
     """The lists of a start table, one entry a run: values by dotted path, and displacements of the

@@ -27,6 +27,26 @@ from vstestbed.scenario.plugins import is_file_name
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 from vstestbed.tasks.metrics import EVERY_RUN
 
+__all__ = [
+    "FILES",
+    "LEAST",
+    "PLAN",
+    "RECORD",
+    "SCENARIOS",
+    "TOLERANCE",
+    "Agreement",
+    "agreement",
+    "copied_plan",
+    "environment",
+    "files_in",
+    "is_bundled",
+    "keep",
+    "moved_plugins",
+    "must_be_comparison",
+    "must_be_unchanged",
+    "needed_files",
+]
+
 PLAN, RECORD, FILES, SCENARIOS = "comparison.yaml", "record.json", "files", "scenarios"
 TOLERANCE, LEAST = 0.02, 0.05
 """Two numbers of a run agree within this share of the larger one and this much in their display
