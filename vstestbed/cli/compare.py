@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from polars import DataFrame
 
     from vstestbed.report.comparison.baseline import BaselineChanges
-    from vstestbed.studies.comparison import Comparison
+    from vstestbed.studies.comparison import Campaign, Comparison
     from vstestbed.studies.comparison.folder import ComparisonTable
 
 
@@ -125,34 +125,31 @@ def compare(
     """Every scenario, with every value that is varied, from every seed: one table, one report, one
     film.
     """
-    from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.report.comparison.baseline import TOLERANCE
     from vstestbed.studies.comparison import (
         Baseline,
         Shard,
-        carry_out,
-        chosen,
+        asked_for,
+        begun,
         must_be_known,
-        prepared,
+        resumed,
     )
 
     must_be_known(executor)
     places = [Path(name) for name in scenarios or []]
-    if again or merge:
-        _again(places, out, jobs, executor, not quiet) if again else _merge(
-            places, out, figures, as_json, quiet
-        )
+    shown = not quiet and not as_json
+    if again:
+        _again(places, out, jobs, executor, not quiet)
+        return
+    if merge:
+        _merge(places, out, figures, as_json, quiet)
         return
     if baseline is None and (fail or tolerance is not None):
         option = "--fail-on-regression" if fail else "--tolerance"
         raise ParameterError.needs(
             option, "the earlier results", why="--baseline OLD, a comparison's folder"
         )
-    before, settings, shown = (
-        None if baseline is None else Baseline.read(baseline),
-        settings_of(set_),
-        not quiet and not as_json,
-    )
+    before = None if baseline is None else Baseline.read(baseline)
     fields = {
         "seeds": seeds,
         "limit": limit,
@@ -160,50 +157,50 @@ def compare(
         "reference": reference,
         "first_seed": first_seed,
     }
-    if plan and scenarios:
-        asked = chosen(scenarios, settings, vary_of(vary), plugin or [], **fields)
+    asked = asked_for(scenarios or [], vary_of(vary), settings_of(set_), plugin or [], fields)
+    if plan and asked is not None:
         typer.echo("\n".join(_plan_lines(asked, force)))
         return
     share = None if shard is None else Shard.read(shard)
-    ready = prepared(
-        scenarios or [],
-        vary_of(vary),
-        out,
-        resume,
-        settings,
-        plugin or [],
-        film,
-        force,
-        before,
-        fields,
-        shard=share,
-    )
-    with ready as (runner, comparison):
-        show_notes(not quiet)
-        total = len(runner.jobs)
-        try:
-            with Counter(total, runner.done, shown) as counter:
-                table = carry_out(
-                    runner,
-                    comparison,
-                    jobs,
-                    executor,
-                    counter.run_done,
-                    counter.say,
-                    baseline=before,
-                    figures=figures,
-                )
-        except KeyboardInterrupt:
-            # counted in the folder: finished runs are there in full, others not at all
-            words = (
-                f"interrupted: {runner.done} of {total} runs are done;"
-                f" go on with: vstestbed compare --resume --out {runner.folder}"
-            )
-            typer.echo(words, err=True)
-            raise typer.Exit(INTERRUPTED) from None
+    if resume:
+        ready = resumed(out, asked, plugin or [], film=film, force=force, shard=share)
+    else:
+        ready = begun(asked, out, film=film, force=force, baseline=before, shard=share)
+    with ready as campaign:
+        campaign.baseline = before
+        table = _flown(campaign, jobs, executor, figures, quiet, shown)
     _tell(table, as_json, quiet)
     if table.baseline is not None:
         _tell_changes(table.baseline, TOLERANCE if tolerance is None else tolerance, fail, shown)
+
+
+def _flown(
+    campaign: Campaign,
+    jobs: int | None,
+    executor: str,
+    figures: bool,
+    quiet: bool,
+    shown: bool,
+) -> ComparisonTable:
+    """Fly what is missing; Ctrl-C ends it with a word on how to go on."""
+    from vstestbed.cli.progress import Counter, show_notes
+
+    show_notes(not quiet)
+    runner = campaign.runner
+    total = len(runner.jobs)
+    try:
+        with Counter(total, runner.done, shown) as counter:
+            return campaign.carry_out(
+                jobs, executor, counter.run_done, counter.say, figures=figures
+            )
+    except KeyboardInterrupt:
+        # counted in the folder: finished runs are there in full, others not at all
+        words = (
+            f"interrupted: {runner.done} of {total} runs are done;"
+            f" go on with: vstestbed compare --resume --out {runner.folder}"
+        )
+        typer.echo(words, err=True)
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _plan_lines(asked: Comparison, force: bool) -> Iterator[str]:

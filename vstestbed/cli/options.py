@@ -107,16 +107,16 @@ def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
     """
     from vstestbed.scenario.yaml_marks import read_value
 
-    pairs: list[tuple[str, str]] = []
+    texts: dict[str, str] = {}
     for option in options or []:
         path, equals, text = option.partition("=")
-        if not equals or not text.strip() or not all(part.strip() for part in path.split(".")):
+        if not (equals and text.strip() and all(part.strip() for part in path.split("."))):
             raise ParameterError.form("--vary", "a.b=v1,v2", option)
-        pairs.append((path.strip(), text))
-    if len({path for path, _ in pairs}) < len(pairs):
-        raise ParameterError.twice("--vary", "a field", options)
+        if path.strip() in texts:
+            raise ParameterError.twice("--vary", "a field", options)
+        texts[path.strip()] = text
     # in brackets it is a YAML list, whose reader knows which commas are inside nested brackets
-    values = {path: read_value(f"[{text}]") for path, text in pairs}
+    values = {path: read_value(f"[{text}]") for path, text in texts.items()}
     return {
         path: tuple(found) if isinstance(found, list) else (found,)
         for path, found in values.items()

@@ -45,34 +45,41 @@ def list_(
     plugin: Plugins = None,
 ) -> None:
     """What there is, one line each."""
+    from vstestbed.scenario.plugins import load_plugins
+
+    load_plugins(plugin or [])
+    if registry is not None:
+        _list_one(registry, "")
+        return
+    for name in get_args(Listed):
+        typer.echo(f"{name}:")
+        _list_one(name, "  ")
+
+
+def _list_one(name: str, indent: str) -> None:
+    """The words of a registry, or of bundled files, a line each."""
+    entries = _entries(name)
+    if not entries:
+        words = "none; those of the package are blocks of robots (vstestbed describe puma560)"
+        typer.echo(f"{indent}{words}")
+        return
+    width = max(map(len, entries))
+    for word, text in entries.items():
+        typer.echo(f"{indent}{word:{width}}  {text}")
+
+
+def _entries(name: str) -> dict[str, str]:
+    """The words of a registry, or of bundled files, and what they are."""
     from vstestbed.core.fields import class_text
     from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-    from vstestbed.scenario import plugins
+    from vstestbed.scenario.plugins import registry
     from vstestbed.scenario.yaml_marks import bundled_mapping
 
-    plugins.load_plugins(plugin or [])
-    for name in [registry] if registry else get_args(Listed):
-        if registry is None:
-            typer.echo(f"{name}:")
-        if name in ("scenarios", "comparisons"):
-            files = bundled_scenarios() if name == "scenarios" else bundled_comparisons()
-            # as they are written: an arm's file may be in a package that is not installed
-            entries = [
-                (word, str(bundled_mapping(path)["description"])) for word, path in files.items()
-            ]
-        else:
-            entries = [
-                (word, class_text(cls).summary)
-                for word, cls in plugins.registry(name).members.items()
-            ]
-        width = max((len(entry) for entry, _ in entries), default=0)
-        if not entries:
-            typer.echo(
-                f"{'' if registry else '  '}none;"
-                " those of the package are blocks of robots (vstestbed describe puma560)"
-            )
-        for entry, text in entries:
-            typer.echo(f"{'' if registry else '  '}{entry:{width}}  {text}")
+    bundled = {"scenarios": bundled_scenarios, "comparisons": bundled_comparisons}.get(name)
+    if bundled is None:
+        return {word: class_text(cls).summary for word, cls in registry(name).members.items()}
+    # as they are written: an arm's file may be in a package that is not installed
+    return {word: str(bundled_mapping(path)["description"]) for word, path in bundled().items()}
 
 
 def schema(
@@ -234,28 +241,7 @@ def new(
         raise ParameterError(
             "NAME", f"is bundled already ({kind}); take another, such as my_{name}", name
         )
-    if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
-        raise ParameterError(
-            "--out",
-            (
-                "must be a Python file,"
-                f" such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py"
-            ),
-            str(path),
-        )
-    if path.exists() or path.is_symlink():
-        raise OutputError(
-            path, "is there already, and is not written over", "give another name, or --out FILE.py"
-        )
-    if (taken := importlib.util.find_spec(path.stem)) is not None:
-        other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
-        words = (
-            f"is the name of a module that Python finds already ({taken.origin}),"
-            " and pytest would import that in its place"
-        )
-        raise ParameterError(
-            "NAME" if out is None else "--out", f"{words}; take another, such as {other}", path.stem
-        )
+    _must_be_free(path, "NAME" if out is None else "--out")
     text = text_of(kind, name, str(path))
     from vstestbed.core.files import make_parents, write_whole
 
@@ -265,6 +251,27 @@ def new(
         typer.echo(f"  {command}")
     if importlib.util.find_spec("pytest") is None:
         typer.echo("pytest is not installed here; pip install pytest", err=True)
+
+
+def _must_be_free(path: Path, said: str) -> None:
+    """Refuse a file that is no module, is there already, or has the name of another module. said:
+    where the name was given.
+    """
+    stem = path.stem
+    if path.suffix != ".py" or not stem.isidentifier() or keyword.iskeyword(stem):
+        works = f"{re.sub(r'[^0-9A-Za-z_]', '_', stem) or 'my'}_.py"
+        raise ParameterError("--out", f"must be a Python file, such as {works}", str(path))
+    if path.exists() or path.is_symlink():
+        raise OutputError(
+            path, "is there already, and is not written over", "give another name, or --out FILE.py"
+        )
+    if (taken := importlib.util.find_spec(stem)) is not None:
+        other = f"{stem}_2" if stem.startswith("my_") else f"my_{stem}"
+        words = (
+            f"is the name of a module that Python finds already ({taken.origin}),"
+            f" and pytest would import that in its place; take another, such as {other}"
+        )
+        raise ParameterError(said, words, stem)
 
 
 def text_of(kind: str, name: str, path: str) -> str:

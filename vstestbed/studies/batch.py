@@ -210,33 +210,32 @@ class BatchSetup:
 
     def _conditions(self) -> Iterator[tuple[str, bool, str]]:
         """Field, whether it fits, and what else the message says."""
-        s, law = self.scenario, self.scenario.law
+        yield from self._of_law()
+        yield from self._of_task()
+        yield from self._of_plant()
+
+    def _of_law(self) -> Iterator[tuple[str, bool, str]]:
+        law = self.scenario.law
         foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(law.inputs))
-        yield (
-            "law.kind",
-            not foreign,
-            (
-                f"{law.kind} reads {''.join(foreign[:1])},"
-                " which the ideal cameras of a batch do not measure"
-            ),
-        )
+        first = "".join(foreign[:1])
+        words = f"{law.kind} reads {first}, which the ideal cameras of a batch do not measure"
+        yield "law.kind", not foreign, words
         margin_px = law.visibility.margin_px
         yield "law.visibility.margin_px", margin_px == 0, f"must be 0 in a batch, got {margin_px}"
         yield "law.feedforward", law.feedforward.kind == "none", "must be none in a batch"
         known = not (isinstance(law.depth, Estimate) or law.depth.measured)
-        yield (
-            "law.depth",
-            known,
-            f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle",
-        )
+        words = f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle"
+        yield "law.depth", known, words
+
+    def _of_task(self) -> Iterator[tuple[str, bool, str]]:
+        s = self.scenario
         words = (
             "must be [] in a batch, whose runs share one scenario;"
             " compare --seeds draws it for each run"
         )
         yield "randomise", not s.randomise, words
-        one_view = not (
-            len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands
-        )
+        still = not (s.target.moves or s.goal.continuing or s.goal.lands)
+        one_view = still and len(s.goal_views) <= 1
         yield "goal", one_view, "must be one view of a target that stands still, in a batch"
         in_pixels = s.stop.converged.error_px is not None and not s.stop.converged.by_estimate
         yield "stop.converged", in_pixels, "must be judged by error_px alone in a batch"
@@ -247,36 +246,36 @@ class BatchSetup:
             " give an unlimited field of view, or a target without one"
         )
         yield "target", not (solid and bordered), words
+        words = "must be none in a batch, which ends runs by the loop's own alone"
+        yield "monitors", not s.monitors, words
+
+    def _of_plant(self) -> Iterator[tuple[str, bool, str]]:
+        s = self.scenario
         exact = s.calibration.camera_exact and s.calibration.depth_exact
         yield "calibration", exact, "must be exact in a batch, whose poses and depths are true"
         yield "cameras", not s.cameras, "must be none in a batch, whose runs have one camera each"
-        yield (
-            "monitors",
-            not s.monitors,
-            "must be none in a batch, which ends runs by the loop's own alone",
-        )
-        disturbed = (
-            s.noise != Noise()
-            or s.timing != Timing()
-            or any((s.camera.latency_s, s.camera.readout_s))
-        )
+        on_time = s.timing == Timing() and not (s.camera.latency_s or s.camera.readout_s)
+        seen_exactly = isinstance(s.detector, Oracle) and s.noise == Noise()
+        open_view = s.robot.body is None and not s.world.hides
         words = (
             "must have a free camera, detector oracle, no latency, no noise, no rolling shutter,"
-            " and no plates or scenery for a batch"
+            " and no plates or scenery for a batch; `basin.setup.ideal` makes it so"
         )
-        ideal = (
-            s.robot.body is None
-            and isinstance(s.detector, Oracle)
-            and not disturbed
-            and not s.world.hides
-        )
-        yield "scenario", ideal, f"{words}; `basin.setup.ideal` makes it so"
+        yield "scenario", on_time and seen_exactly and open_view, words
 
     @cached_property
     def law(self) -> Any:
         """The law, where it takes many runs at once; else `OneByOne`."""
         law = self.scenario.law
         return law if has_batch(law) else OneByOne(law, self.scenario.camera)
+
+    def needed_at(self, t: float) -> int:
+        """How many markers a run must see at a time [s] for a command: more for the first pose that
+        is solved from pixels, or depths from it.
+        """
+        law = self.scenario.law
+        posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
+        return max(self.needed, FIRST_POSE) if posed and t == 0 else self.needed
 
     @cached_property
     def error_px(self) -> float:
@@ -664,42 +663,33 @@ def _commands(
 
     The law is evaluated once for each group of runs that see the same markers.
     """
-    law, plane = setup.scenario.law, bool(PLANE_INPUTS & set(setup.scenario.law.inputs))
+    scenario, law = setup.scenario, setup.scenario.law
+    goal = scenario.goal_view
     # a wide camera sees points behind its image plane, which have no normalised coordinates
-    usable = seen & (p[..., 2] > 0) if plane else seen
-    state, twist = runs.state.copy(), np.full((len(p), 6), np.nan)
-    # by a pose solved from the pixels, or depths from it
-    posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
-    needed = max(setup.needed, FIRST_POSE) if posed and t == 0 else setup.needed
+    in_plane = bool(PLANE_INPUTS & set(law.inputs))
+    usable = seen & (p[..., 2] > 0) if in_plane else seen
+    state = runs.state.copy()
+    twist = np.full((len(p), 6), np.nan)
+    needed = setup.needed_at(t)
+    radius = scenario.target.marker.radius
     if isinstance(setup.law, OneByOne):
         enough = np.count_nonzero(usable, axis=1) >= needed
-        views = Views(
-            t,
-            p[enough],
-            runs.T[enough],
-            setup.scenario.goal_view,
-            law.depth,
-            setup.scenario.target.marker.radius,
-        )
-        state[enough], twist[enough] = setup.law.step(
-            state[enough], views, usable[enough], setup.scenario.goal_view
-        )
+        views = Views(t, p[enough], runs.T[enough], goal, law.depth, radius)
+        stepped = setup.law.step(state[enough], views, usable[enough], goal)
+        state[enough], twist[enough] = stepped
         return state, twist, np.isfinite(twist[:, 0])
     for which, rows in _groups(usable):
         if np.count_nonzero(rows) < needed:
             continue
-        goal = setup.scenario.goal_view if rows.all() else setup.scenario.goal_view.of_rows(rows)
-        views = Views(
-            t,
-            p[which] if rows.all() else p[which][:, rows],
-            runs.T[which],
-            goal,
-            law.depth,
-            setup.scenario.target.marker.radius,
-        )
-        state[which], twist[which] = setup.law.step_batch(runs.state[which], views, goal)
+        whole = rows.all()
+        of_rows = goal if whole else goal.of_rows(rows)
+        points = p[which] if whole else p[which][:, rows]
+        views = Views(t, points, runs.T[which], of_rows, law.depth, radius)
+        stepped = setup.law.step_batch(runs.state[which], views, of_rows)
+        state[which], twist[which] = stepped
         if law.inputs == ("relative",):
-            twist[which] = np.where(_undetermined(views, goal)[:, None], np.nan, twist[which])
+            undetermined = _undetermined(views, of_rows)[:, None]
+            twist[which] = np.where(undetermined, np.nan, twist[which])
     return state, twist, np.isfinite(twist[:, 0])
 
 

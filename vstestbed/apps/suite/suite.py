@@ -33,7 +33,7 @@ from vstestbed.loop.isolated import MODULE, Isolated, honest
 from vstestbed.scenario.load import find
 from vstestbed.scenario.plugins import absolute_files, load_plugins
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
-from vstestbed.studies.comparison import carry_out, merge, prepared
+from vstestbed.studies.comparison import PLAN, begun, merge, resumed
 from vstestbed.studies.comparison.folder import ComparisonTable
 from vstestbed.studies.comparison.plan import (
     TASK,
@@ -436,13 +436,14 @@ class SuiteEntry:
         tables = []
         for task, plan in self.plans.items():
             say(task)
-            there = (out / task / "comparison.yaml").is_file()
-            again = self.plugins if there else ()
-            with prepared(
-                [], {}, out / task, there, {}, again, False, requested=plan, shard=shard
-            ) as (runner, comparison):
-                table = carry_out(runner, comparison, jobs, executor, on_done, figures=False)
-            tables.append(self.rows_of(table, comparison, task))
+            folder = out / task
+            if (folder / PLAN).is_file():
+                ready = resumed(folder, plan, self.plugins, film=False, shard=shard)
+            else:
+                ready = begun(plan, folder, film=False, shard=shard)
+            with ready as campaign:
+                table = campaign.carry_out(jobs, executor, on_done, figures=False)
+            tables.append(self.rows_of(table, campaign.comparison, task))
         return self._joined(tables)
 
     def merged(

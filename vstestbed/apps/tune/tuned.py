@@ -17,7 +17,8 @@ from vstestbed.core.named_files import bundled_comparisons, is_there
 from vstestbed.core.registry import to_mapping
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
-from vstestbed.studies.comparison import ComparisonTable, carry_out, prepared
+from vstestbed.studies.comparison import ComparisonTable
+from vstestbed.studies.comparison import begun as compared
 from vstestbed.studies.comparison.plan import Comparison, Tuned, Variant, changed, chosen
 from vstestbed.studies.comparison.runs import OnDone
 from vstestbed.studies.comparison.tuning_record import (
@@ -131,11 +132,8 @@ def tune_comparison(
     }
     tuned = changed(_with_gains(comparison, laws, make_folder(out / "scenarios")), tuned=records)
     say("comparing")
-    with prepared([], {}, out / "comparison", False, {}, (), False, requested=tuned) as (
-        runner,
-        plan,
-    ):
-        return carry_out(runner, plan, jobs, executor, on_done, say), laws
+    with compared(tuned, out / "comparison", film=False) as campaign:
+        return campaign.carry_out(jobs, executor, on_done, say), laws
 
 
 def _own(

@@ -196,24 +196,23 @@ def agreement(before: pl.DataFrame, now: pl.DataFrame) -> Agreement:
     has.
     """
     metrics = [m for m in EVERY_RUN if m.name in before.columns and m.name in now.columns]
-    rows, same, near, differ = (
-        {row["folder"]: row for row in now.rows(named=True)},
-        0,
-        0,
-        list[str](),
-    )
+    by_folder = {row["folder"]: row for row in now.rows(named=True)}
+    same = near = 0
+    differ = list[str]()
     for row in before.rows(named=True):
-        other = rows.get(row["folder"])
+        other = by_folder.get(row["folder"])
         if other is None or other["outcome"] != row["outcome"]:
-            differ.append(
-                f"{row['folder']}: {row['outcome']},"
-                f" now {'not there' if other is None else other['outcome']}"
-            )
+            ended = "not there" if other is None else other["outcome"]
+            differ.append(f"{row['folder']}: {row['outcome']}, now {ended}")
             continue
         pairs = [(m, row[m.name], other[m.name]) for m in metrics if row[m.name] != other[m.name]]
         far = [f"{m.name} {a}, now {b}" for m, a, b in pairs if not _agree(a, b, m.scale)]
-        same, near = same + (not pairs), near + (bool(pairs) and not far)
-        differ += [f"{row['folder']}: {far[0]}"] if far else []
+        if far:
+            differ.append(f"{row['folder']}: {far[0]}")
+        elif pairs:
+            near += 1
+        else:
+            same += 1
     return Agreement(same, near, tuple(differ))
 
 
@@ -267,15 +266,17 @@ def files_in(value: Any, key: str = "") -> Iterator[Path]:
     elif isinstance(value, list):
         for inner in value:
             yield from files_in(inner, key)
-    elif isinstance(value, str):
-        plugin = key == "plugins" and is_file_name(value)
+    elif isinstance(value, str) and _names_file(value, key):
         path = Path(re.sub(r"(\.py):\w+$", r"\1", value))
-        if (
-            (plugin or (key in FILE_FIELDS and ENDINGS.search(value)))
-            and path.is_absolute()
-            and is_there(path)
-        ):
+        if path.is_absolute() and is_there(path):
             yield path
+
+
+def _names_file(text: str, key: str) -> bool:
+    """Whether a text under a field's name is that of a file."""
+    if key == "plugins":
+        return is_file_name(text)
+    return key in FILE_FIELDS and ENDINGS.search(text) is not None
 
 
 def is_bundled(path: Path) -> bool:
@@ -333,17 +334,22 @@ def _needed(path: Path) -> Iterator[Path]:
         yield from (Path(os.path.normpath(name)) for name in files_read(path))
     elif path.suffix == ".py":
         for node in ast.walk(_parsed(path)):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-            for name in names:
-                beside = path.parent.joinpath(*name.split("."))
-                yield from (beside.with_suffix(".py"), beside / "__init__.py")
-            if (
-                isinstance(node, ast.Constant)
-                and isinstance(node.value, str)
-                and re.fullmatch(r"[\w./-]{1,100}\.\w{1,8}", node.value)
-            ):
-                yield path.parent / node.value
+            yield from _named_by(node, path.parent)
+
+
+def _named_by(node: ast.AST, folder: Path) -> Iterator[Path]:
+    """The files beside a Python file that a node of it imports, or names in a text."""
+    modules: list[str] = []
+    if isinstance(node, ast.Import):
+        modules = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom) and node.module:
+        modules = [node.module]
+    for name in modules:
+        beside = folder.joinpath(*name.split("."))
+        yield from (beside.with_suffix(".py"), beside / "__init__.py")
+    text = node.value if isinstance(node, ast.Constant) else None
+    if isinstance(text, str) and re.fullmatch(r"[\w./-]{1,100}\.\w{1,8}", text):
+        yield folder / text
 
 
 def _parsed(path: Path) -> ast.AST:
