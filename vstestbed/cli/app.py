@@ -164,25 +164,20 @@ def render(
     from vstestbed.report.video.gif import gif_of
     from vstestbed.scenario.dump import load_run
 
-    size_px, ending = _size_of(size), ".gif" if gif else ".mp4"
-    if out is not None and out.suffix.lower() != ending:
-        raise ParameterError(
-            "--out",
-            f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif",
-            str(out),
-        )
+    ending = ".gif" if gif else ".mp4"
+    _must_end_in(ending, out)
+    size_px = _size_of(size)
     if view is not None and camera != "overview":
         raise ParameterError.fixed("--camera", "overview", camera, where="with --view")
-    seen_from, path = (
-        view_of(view),
-        out or run_dir / f"{camera if view is None else 'view'}{ending}",
-    )
+    seen_from = view_of(view)
+    path = out or run_dir / f"{camera if view is None else 'view'}{ending}"
     _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
     scenario = load_run(run_dir, plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
     make_parents(path)
-    quality, verdict = quality_of(scenario, fine), ending_of(run_dir)
+    quality = quality_of(scenario, fine)
+    verdict = ending_of(run_dir)
 
     def make(path: Path) -> Path | None:
         return film_log(scenario, log, camera, path, quality, size_px, verdict, seen_from)
@@ -196,6 +191,14 @@ def render(
         )
     if not quiet:
         typer.echo(str(film), err=True)
+
+
+def _must_end_in(ending: str, out: Path | None) -> None:
+    """Refuse the file of `--out` where it is not of the kind that `--gif` says."""
+    if out is None or out.suffix.lower() == ending:
+        return
+    other = ".mp4 without" if ending == ".gif" else ".gif with"
+    raise ParameterError("--out", f"must end in {ending}, or in {other} --gif", str(out))
 
 
 def _size_of(words: str | None) -> tuple[int, int] | None:

@@ -87,6 +87,11 @@ def load_scenario(
     return load(name, overrides, seed, from_option(overrides), plugins or [])
 
 
+def _is_path(dotted: str) -> bool:
+    """Whether no part of a dotted path is empty."""
+    return all(part.strip() for part in dotted.split("."))
+
+
 def settings_of(settings: list[str] | None) -> dict[str, object]:
     """The values of `--set` by dotted path, each read as YAML."""
     from vstestbed.scenario.yaml_marks import read_value
@@ -95,7 +100,7 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
     for setting in settings or []:
         key, equals, value = setting.partition("=")
         # an empty value is allowed: YAML reads it as null
-        if not equals or not all(part.strip() for part in key.split(".")):
+        if not (equals and _is_path(key)):
             raise ParameterError.form("--set", "a.b=value", setting)
         overrides[key.strip()] = read_value(value)
     return overrides
@@ -110,7 +115,7 @@ def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
     texts: dict[str, str] = {}
     for option in options or []:
         path, equals, text = option.partition("=")
-        if not (equals and text.strip() and all(part.strip() for part in path.split("."))):
+        if not (equals and text.strip() and _is_path(path)):
             raise ParameterError.form("--vary", "a.b=v1,v2", option)
         if path.strip() in texts:
             raise ParameterError.twice("--vary", "a field", options)

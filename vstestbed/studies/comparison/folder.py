@@ -406,8 +406,8 @@ class Baseline:
             then = self.table[[before[keys[i]] for i in here]]
             settings = self._settings(then, folder, now)
             found.append(change_of(controller.label, then, now, metrics, settings))
-        total = sum(each.runs for each in found)
         gone = self._named(left.values())
+        total = sum(each.runs for each in found)
         return BaselineChanges(str(self.place), total, tuple(only_now), gone, tuple(found))
 
     def _named(self, rows: Iterable[int]) -> tuple[str, ...]:

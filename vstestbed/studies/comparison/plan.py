@@ -9,7 +9,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -462,14 +462,10 @@ def chosen(
         options[("base",)] = "SCENARIO"
     path = _comparison_file(names)
     if path is None:
-        plugins = load_plugins(plugins)
-        own = Comparison(
-            base=tuple(names), set=dict(settings), axes=dict(axes), plugins=tuple(plugins), **given
-        )
-        return changed(own, options)
+        given |= {"set": dict(settings), "axes": dict(axes), "plugins": load_plugins(plugins)}
+        return changed(Comparison(base=tuple(names), **given), options)
     read = read_comparison(path, plugins)
-    for dotted in settings:
-        _must_have_effect(read, dotted)
+    _must_have_effect(read, settings)
     places = {key: where for key, where in read.places.items() if key[:2] not in options}
     return changed(
         read,
@@ -491,9 +487,9 @@ def _comparison_file(names: Sequence[str]) -> Path | None:
     return path if "base" in plain else None
 
 
-def _must_have_effect(read: Comparison, path: str) -> None:
+def _must_have_effect(read: Comparison, paths: Iterable[str]) -> None:
     """Refuse a setting that whatever is applied after it writes over, in every run."""
-    for blocks in _after_set(read):
+    for path, blocks in itertools.product(paths, _after_set(read)):
         over = [
             (key, own)
             for key, block in blocks

@@ -25,7 +25,7 @@ from vstestbed.core.provenance import versions
 from vstestbed.scenario.dump import as_yaml
 from vstestbed.scenario.plugins import is_file_name
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
-from vstestbed.tasks.metrics import EVERY_RUN
+from vstestbed.tasks.metrics import EVERY_RUN, Metric
 
 __all__ = [
     "FILES",
@@ -201,19 +201,27 @@ def agreement(before: pl.DataFrame, now: pl.DataFrame) -> Agreement:
     differ = list[str]()
     for row in before.rows(named=True):
         other = by_folder.get(row["folder"])
-        if other is None or other["outcome"] != row["outcome"]:
-            ended = "not there" if other is None else other["outcome"]
-            differ.append(f"{row['folder']}: {row['outcome']}, now {ended}")
-            continue
-        pairs = [(m, row[m.name], other[m.name]) for m in metrics if row[m.name] != other[m.name]]
-        far = [f"{m.name} {a}, now {b}" for m, a, b in pairs if not _agree(a, b, m.scale)]
-        if far:
-            differ.append(f"{row['folder']}: {far[0]}")
-        elif pairs:
+        far = _difference(row, other, metrics)
+        if other is None or far:
+            differ.append(f"{row['folder']}: {far}")
+        elif any(row[m.name] != other[m.name] for m in metrics):
             near += 1
         else:
             same += 1
     return Agreement(same, near, tuple(differ))
+
+
+def _difference(
+    row: Mapping[str, Any], other: Mapping[str, Any] | None, metrics: Sequence[Metric]
+) -> str:
+    """The first thing in which two runs differ beyond the tolerance, in words; "" where none is."""
+    if other is None or other["outcome"] != row["outcome"]:
+        return f"{row['outcome']}, now {'not there' if other is None else other['outcome']}"
+    for m in metrics:
+        a, b = row[m.name], other[m.name]
+        if a != b and not _agree(a, b, m.scale):
+            return f"{m.name} {a}, now {b}"
+    return ""
 
 
 def _agree(a: Any, b: Any, scale: float) -> bool:
