@@ -5,6 +5,7 @@ real robot.
 from __future__ import annotations
 
 import csv
+import itertools
 import logging
 import math
 import statistics
@@ -152,29 +153,39 @@ def shots_of_run(folder: Path) -> tuple[Scenario, list[Shot]]:
     """
     run = RecordedRun.of(folder)
     s = run.scenario
-    if BY_HAND in s.given.description:
+    _must_be_flown_by_arm(folder, s)
+    rows = run.log.frame()
+    views = rows["view"].to_numpy() if "view" in rows.columns else np.zeros(len(rows))
+    q = rows.select([f"q_{name}" for name in s.robot.joints]).to_numpy()
+    wanted = _chosen(views, np.array([s.robot.flange_pose(one) for one in q]))
+    return s, list(_shots_again(s, wanted))
+
+
+def _must_be_flown_by_arm(folder: Path, scenario: Scenario) -> None:
+    if BY_HAND in scenario.given.description:
         raise RunFolderError(
             folder,
             "was commanded from outside, which cannot be flown again",
             "calibrate from its bag",
         )
-    if s.robot.base != "fixed" or not s.robot.joints:
+    robot = scenario.robot
+    if robot.base != "fixed" or not robot.joints:
         raise RunFolderError(
-            folder, f"is of robot {s.robot.kind}", "an arm: hand-eye calibration needs its joints"
+            folder, f"is of robot {robot.kind}", "an arm: hand-eye calibration needs its joints"
         )
-    rows = run.log.frame()
-    views = rows["view"].to_numpy() if "view" in rows.columns else np.zeros(len(rows))
-    q = rows.select([f"q_{name}" for name in s.robot.joints]).to_numpy()
-    wanted = _chosen(views, np.array([s.robot.flange_pose(one) for one in q]))
-    shots: list[Shot] = []
-    with closing(Episode(s, True, (), None)) as episode:
-        while (frame := episode.advance()) is not None and frame.timing.number <= max(wanted):
+
+
+def _shots_again(scenario: Scenario, wanted: set[int]) -> Iterator[Shot]:
+    """Fly a run again up to the last of the wanted frames, by their numbers."""
+    last = max(wanted)
+    with closing(Episode(scenario, True, (), None)) as episode:
+        while (frame := episode.advance()) is not None and frame.timing.number <= last:
             shot = episode.controller.before
             if frame.timing.number in wanted and frame.image is not None and shot is not None:
-                shots.append(_shot(s.robot, f"{frame.t:.2f} s", frame.image.copy(), shot.reading.q))
+                name = f"{frame.t:.2f} s"
+                yield _shot(scenario.robot, name, frame.image.copy(), shot.reading.q)
             if frame.outcome is not None:
-                break
-    return s, shots
+                return
 
 
 def _shot(robot: Robot, name: str, picture: Image, q: Array) -> Shot:
@@ -228,22 +239,22 @@ def shots_of_folder(folder: Path, robot: Robot | None) -> list[Shot]:
                 shots.append(_shot_of_line(folder, line, robot))
         except (ParameterError, RunFolderError) as error:
             bad.append(error)
-    size = statistics.mode(shot.picture.shape for shot in shots) if shots else None
-    other = [shot for shot in shots if shot.picture.shape != size]
-    bad += [
-        RunFolderError(
-            folder / shot.name, "is not of the size of most pictures", "take all with one camera"
-        )
-        for shot in other
-    ]
     if not shots:
         why = f": {bad[0]}" if bad else ""
         raise RunFolderError(path, f"has no line that can be used{why}", works)
+    size = statistics.mode(shot.picture.shape for shot in shots)
+    alike: list[Shot] = []
+    for shot in shots:
+        if shot.picture.shape == size:
+            alike.append(shot)
+        else:
+            words = "is not of the size of most pictures"
+            bad.append(RunFolderError(folder / shot.name, words, "take all with one camera"))
     if bad:
         logging.getLogger("vstestbed").warning(
             "%d of %d pictures are passed over, the first: %s", len(bad), len(lines), bad[0]
         )
-    return [shot for shot in shots if shot.picture.shape == size]
+    return alike
 
 
 def _lines_of(path: Path, works: str) -> list[dict[str, Any]]:
@@ -305,43 +316,39 @@ def calibrated(
     Raises ParameterError: the board is in too few pictures, or they turn about one axis alone.
     """
     find = board.finder()
-    seen = [(shot, corners) for shot in shots if (corners := find(shot.picture)) is not None]
-    unseen = [shot.name for shot in shots if not any(shot is one for one, _ in seen)]
+    seen: list[Shot] = []
+    corners: list[tuple[Array, Array]] = []
+    unseen: list[str] = []
+    for shot in shots:
+        found = find(shot.picture)
+        if found is None:
+            unseen.append(shot.name)
+        else:
+            seen.append(shot)
+            corners.append(found)
     if len(seen) < 3:
         words = (
             f"show the board {board.columns}x{board.rows} in {len(seen)} of {len(shots)},"
             " and 3 are needed; is --board right?"
         )
         raise ParameterError("pictures", words)
-    camera, rms = (
-        (known, math.nan)
-        if known is not None
-        else intrinsics_of([c for _, c in seen], seen[0][0].picture.shape[:2], model)
-    )
-    if known is not None and seen[0][0].picture.shape[:2] != (known.height, known.width):
-        raise ParameterError(
-            "pictures",
-            f"must have the camera's {known.width} x {known.height} px",
-            seen[0][0].picture.shape[1::-1],
-        )
+    size = seen[0].picture.shape[:2]
+    if known is None:
+        camera, rms = intrinsics_of(corners, size, model)
+    else:
+        camera, rms = known, math.nan
+        if size != (known.height, known.width):
+            words = f"must have the camera's {known.width} x {known.height} px"
+            raise ParameterError("pictures", words, size[::-1])
     views = [
-        View(s.name, s.T_base_flange, p, uv, seen_from(p, uv, camera), s.J) for s, (p, uv) in seen
+        View(s.name, s.T_base_flange, p, uv, seen_from(p, uv, camera), s.J)
+        for s, (p, uv) in zip(seen, corners, strict=True)
     ]
-    sigma = (
-        POSE_SIGMA
-        if views[0].J.shape == (6, 6) and np.array_equal(views[0].J, np.eye(6))
-        else joint_sigma
-    )
-    found = calibrate(views, camera, in_hand, pixel_sigma, sigma)
-    return Calibrated(
-        camera,
-        rms,
-        views,
-        found,
-        held_out(views, camera, in_hand, pixel_sigma, sigma),
-        unseen,
-        in_hand,
-    )
+    of_poses = np.array_equal(views[0].J, np.eye(6))
+    sigma = POSE_SIGMA if of_poses else joint_sigma
+    pose = calibrate(views, camera, in_hand, pixel_sigma, sigma)
+    held = held_out(views, camera, in_hand, pixel_sigma, sigma)
+    return Calibrated(camera, rms, views, pose, held, unseen, in_hand)
 
 
 def intrinsics_of(
@@ -351,51 +358,42 @@ def intrinsics_of(
     `fisheye.calibrate`; and its RMS error [px].
     """
     height, width = size
-    points, uv = (
-        [np.ascontiguousarray(part[i], np.float32).reshape(1, -1, n) for part in corners]
-        for i, n in ((0, 3), (1, 2))
-    )
+    points = [np.ascontiguousarray(p, np.float32).reshape(1, -1, 3) for p, _ in corners]
+    uv = [np.ascontiguousarray(pixels, np.float32).reshape(1, -1, 2) for _, pixels in corners]
     model = model or "plumb_bob"
     try:
-        if model == "equidistant":
-            flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
-            no: Any = None
-            rms, K, k, _, _ = cv2.fisheye.calibrate(
-                [p.astype(float) for p in points],
-                [p.astype(float) for p in uv],
-                (width, height),
-                no,
-                no,
-                flags=flags,
-            )
-        else:
-            flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
-            rms, K, k, _, _ = cv2.calibrateCamera(
-                points, uv, (width, height), None, None, flags=flags
-            )
+        rms, K, k = _opencv_calibrates(points, uv, (width, height), model)
     except cv2.error as error:
-        raise ParameterError(
-            "pictures",
-            (
-                f"do not determine the lens ({' '.join(str(error.err).split())});"
-                " take more, from aslant"
-            ),
-        ) from None
+        said = " ".join(str(error.err).split())
+        words = f"do not determine the lens ({said}); take more, from aslant"
+        raise ParameterError("pictures", words) from None
     try:
         found = Intrinsics.of(K, np.ravel(k), (width, height), model)
     except ParameterError as error:
         # OpenCV returns zeros, NaN or anything where nothing fixes the numbers
         words = (
             f"do not determine the focal length ({error}):"
-            " views in which all boards are seen from the front leave it open"
+            " views in which all boards are seen from the front leave it open;"
+            " tilt the board by 20 to 40 degrees, about both of its axes"
         )
-        raise ParameterError(
-            "pictures", f"{words}; tilt the board by 20 to 40 degrees, about both of its axes"
-        ) from None
-    camera: Camera = (
-        Fisheye(intrinsics=found) if model == "equidistant" else Perspective(intrinsics=found)
-    )
-    return camera, float(rms) / math.sqrt(2)  # OpenCV's is of points, and here of coordinates
+        raise ParameterError("pictures", words) from None
+    lens = Fisheye if model == "equidistant" else Perspective
+    return lens(intrinsics=found), rms / math.sqrt(2)  # OpenCV's is of points, here of coordinates
+
+
+def _opencv_calibrates(
+    points: list[Array], uv: list[Array], size: tuple[int, int], model: Model
+) -> tuple[float, Array, Array]:
+    """RMS error of points [px], camera matrix and distortion."""
+    if model == "equidistant":
+        flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
+        exact = [p.astype(float) for p in points], [p.astype(float) for p in uv]
+        no: Any = None
+        rms, K, k, _, _ = cv2.fisheye.calibrate(*exact, size, no, no, flags=flags)
+    else:
+        flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
+        rms, K, k, _, _ = cv2.calibrateCamera(points, uv, size, None, None, flags=flags)
+    return float(rms), K, k
 
 
 # What a calibration says of itself.
@@ -414,20 +412,23 @@ def advice(made: Calibrated) -> list[str]:
                 f"The flange turns by {angle:.0f} degrees (RMS) about its axis ({words}):"
                 " add views turned by 30 degrees about it."
             )
-    uv = np.concatenate([v.uv for v in made.views])
-    cells = np.floor(uv / (np.array([made.camera.width, made.camera.height]) / 3)).astype(int)
-    names = [
-        f"{row} {column}"
-        for row in ("upper", "middle", "lower")
-        for column in ("left", "middle", "right")
-    ]
-    filled = {int(v) * 3 + int(u) for u, v in np.clip(cells, 0, 2)}
-    if empty := [name for i, name in enumerate(names) if i not in filled]:
+    if empty := _empty_ninths(made):
         found.append(
             f"No corner was in these ninths of the picture: {', '.join(empty)};"
             " the lens is not known there."
         )
     return found
+
+
+def _empty_ninths(made: Calibrated) -> list[str]:
+    """The ninths of the picture without a corner, by their names."""
+    uv = np.concatenate([v.uv for v in made.views])
+    cells = np.floor(uv / (np.array([made.camera.width, made.camera.height]) / 3)).astype(int)
+    filled = set(map(tuple, np.clip(cells, 0, 2).tolist()))
+    places = itertools.product(
+        enumerate(("upper", "middle", "lower")), enumerate(("left", "middle", "right"))
+    )
+    return [f"{row} {column}" for (j, row), (i, column) in places if (i, j) not in filled]
 
 
 def errors_of(made: Calibrated, scenario: Scenario) -> dict[str, tuple[float, float]]:
@@ -764,34 +765,19 @@ def write_table(
     from vstestbed.report.pages import write_page
 
     write_whole(folder / "table.csv", pl.DataFrame(lines).write_csv())
-    tables = []
-    for name, (words, unit) in WORDS.items():
-        methods = list(dict.fromkeys(line["method"] for line in lines))
-        rows = []
-        for value in OVER[name]:
-            those = {
-                line["method"]: line
-                for line in lines
-                if line["over"] == name and line[name] == value
-            }
-            rows.append(
-                [
-                    f"{value:g}",
-                    *(
-                        f"{those[m]['mm']:.2f} ({those[m]['mm_95']:.2f}), {those[m]['deg']:.3f}"
-                        for m in methods
-                    ),
-                ]
-            )
-        tables.append((f"Over {words}", [f"{words} [{unit}]" if unit else words, *methods], rows))
+    tables = [
+        (
+            f"Over {words}",
+            [f"{words} [{unit}]" if unit else words, *_methods(lines)],
+            _rows_over(lines, name),
+        )
+        for name, (words, unit) in WORDS.items()
+    ]
     base = ", ".join(
         f"{words} {BASE[name]:g}{unit and ' ' + unit}" for name, (words, unit) in WORDS.items()
     )
-    best = next(
-        line
-        for line in lines
-        if line["method"] == "bundle adjustment" and all(line[n] == BASE[n] for n in BASE)
-    )
+    at_base = (line for line in lines if all(line[name] == value for name, value in BASE.items()))
+    best = next(line for line in at_base if line["method"] == "bundle adjustment")
     head = f"{best['mm']:.2f} mm and {best['deg']:.3f} degrees with {base}"
     about = (
         f"The camera of {scenario.name} on its arm, {best['trials']} simulated calibrations a line."
@@ -820,6 +806,25 @@ def write_table(
         tables=tables,
         command=command,
     )
+
+
+def _methods(lines: list[dict[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(line["method"] for line in lines))
+
+
+def _rows_over(lines: list[dict[str, Any]], name: str) -> list[list[str]]:
+    """The table over one quantity: each of its values with the errors of all methods."""
+    rows = []
+    for value in OVER[name]:
+        those = {
+            line["method"]: line for line in lines if line["over"] == name and line[name] == value
+        }
+        row = [f"{value:g}"]
+        for method in _methods(lines):
+            line = those[method]
+            row.append(f"{line['mm']:.2f} ({line['mm_95']:.2f}), {line['deg']:.3f}")
+        rows.append(row)
+    return rows
 
 
 def _curves(lines: list[dict[str, Any]]) -> Figure:

@@ -12,6 +12,7 @@ their weights and covariance).
 from __future__ import annotations
 
 import bisect
+import itertools
 import logging
 import math
 import re
@@ -514,39 +515,52 @@ def _summed_up(
     are left out.
     """
     names, measured, _ = _measured(record, scenario)
-    pixels, t = np.array(["_px_" in name for name in names]), record["t"].to_numpy()
     predicted = errors.model.predicted(x)
-    off, plain = errors.plain(x), _jacobian(errors.plain, x, fit)
+    off = errors.plain(x)
+    plain = _jacobian(errors.plain, x, fit)
     J = np.stack([errors.weighted(plain[:, :, i]) for i in range(len(fit))], axis=-1)
     half, without = _interval(J, errors.weighted(off))
     together = _together(fit, J)
-    for i, p in enumerate(fit):  # of what is not told apart, nothing is known of each alone
-        if any(p.field in pair[:2] for pair in together) or np.linalg.norm(J[:, :, i]) < 1e-9:
+    # of what is not told apart, nothing is known of each alone
+    vague = {field for *pair, _ in together for field in pair}
+    for i, p in enumerate(fit):
+        if p.field in vague or np.linalg.norm(J[:, :, i]) < 1e-9:
             half[i] = np.inf
-    arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
+        elif p.field == COMMAND_LATENCY:
+            # A command acts at the next step of the robot's clock, one of some phase to the
+            # camera's: within a step nothing tells when it came.
+            half[i] += errors.model.grid_s
     # of the errors, since the motion itself is not smooth from picture to picture
     own = _noise(measured - predicted, names)
-    noise = {
-        name: float(np.median(s))
-        for name, s in {"joints": own[~pixels], "markers": own[pixels]}.items()
-        if len(s)
-    }
     parts = np.array_split(np.arange(len(off)), PARTS)
-    left_out = (
-        np.concatenate(
-            [off[part] + plain[part] @ change for part, change in zip(parts, without, strict=True)]
-        )
-        * sigma
-        / own
-    )
-    # A command acts at the next step of the robot's clock, one of some phase to the camera's:
-    # within a step nothing tells when it came.
-    half += np.array([errors.model.grid_s if p.field == COMMAND_LATENCY else 0.0 for p in fit])
-    times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
-    rest = (record, predicted, measured, names)
+    of_parts = [
+        off[part] + plain[part] @ change for part, change in zip(parts, without, strict=True)
+    ]
+    left_out = np.concatenate(of_parts) * sigma / own
+    t = record["t"].to_numpy()
+    arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
     return Identified(
-        scenario, fit, x, half, together, noise, *times, float(np.sqrt((left_out**2).mean())), *rest
+        scenario,
+        fit,
+        x,
+        half,
+        together,
+        _noise_of_kinds(own, names),
+        float(np.median(arrived - t)),
+        float(np.std(np.diff(t))),
+        float(np.sqrt((left_out**2).mean())),
+        record,
+        predicted,
+        measured,
+        names,
     )
+
+
+def _noise_of_kinds(own: Array, names: list[str]) -> dict[str, float]:
+    """Medians of the noise of joints and of markers, of those that there are."""
+    pixels = np.array(["_px_" in name for name in names])
+    kinds = {"joints": own[~pixels], "markers": own[pixels]}
+    return {kind: float(np.median(values)) for kind, values in kinds.items() if len(values)}
 
 
 def _together(fit: Sequence[Parameter], J: Array) -> list[tuple[str, str, float]]:
@@ -626,21 +640,19 @@ def _start(p: Parameter, scenario: Scenario) -> float:
 def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Array, Array]:
     """Names and values (n, k) of what was read, and its times (n,), from 0 on."""
     joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in record.columns]
-    pixels = [
-        name
-        for i in range(len(scenario.target.points))
-        for name in (f"u_px_{i}", f"v_px_{i}")
-        if name in record.columns
-    ]
     moving = [name for name in joints if record[name].fill_nan(None).drop_nulls().n_unique() > 1]
+    points = range(len(scenario.target.points))
+    of_points = itertools.chain.from_iterable((f"u_px_{i}", f"v_px_{i}") for i in points)
+    pixels = [name for name in of_points if name in record.columns]
     if not moving and not pixels:
         words = (
             f"has none of q_{', q_'.join(scenario.robot.joints)} that changes, and no u_px_0, ...:"
             " is it of another robot?"
         )
         raise ParameterError("record", words, record.columns[:8])
-    t = record["t" if not joints or "t_q" not in record.columns else "t_q"].to_numpy()
-    return moving + pixels, record.select(moving + pixels).to_numpy(), t
+    clock = "t_q" if joints and "t_q" in record.columns else "t"
+    names = moving + pixels
+    return names, record.select(names).to_numpy(), record[clock].to_numpy()
 
 
 def _noise(a: Array, names: list[str]) -> Array:
@@ -698,31 +710,28 @@ class _Model:
     def predicted(self, x: Array) -> Array:
         """What is read at each picture (n, k)."""
         shift = {p.field: v for p, v in zip(self._fit, x.tolist(), strict=True) if p.shifts}
-        own = self._own(x)
-        steps, share = divmod(
-            shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s) / self.grid_s, 1.0
-        )
-        ends = [self._run(own, steps + k) if share > 1e-9 or k == 0 else None for k in (0, 1)]
-        whole = ends[0] if ends[1] is None else (1 - share) * ends[0] + share * ends[1]  # type: ignore[operator] - the first is a run
-        assert whole is not None
-        times, (values, speeds) = (
-            np.arange(len(whole)) * self._scenario.camera.period,
-            np.split(whole, 2, axis=1),
-        )
+        latency_s = shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s)
+        whole = self._between_steps(self._own(x), latency_s)
+        times = np.arange(len(whole)) * self._scenario.camera.period
+        values, speeds = np.split(whole, 2, axis=1)
         out = np.empty((len(self._t), values.shape[1]))
-        for joint in (True, False):
-            those = self._pixels != joint
-            if those.any():
-                at = np.clip(
-                    self._t if joint else self._stamps - shift.get(STAMPS, 0.0), 0, times[-1]
-                )
-                of = (
-                    CubicHermiteSpline(times, values[:, those], speeds[:, those])
-                    if joint
-                    else CubicSpline(times, values[:, those])
-                )
-                out[:, those] = of(at)
+        pixels, joints = self._pixels, ~self._pixels
+        if joints.any():
+            moved = CubicHermiteSpline(times, values[:, joints], speeds[:, joints])
+            out[:, joints] = moved(np.clip(self._t, 0, times[-1]))
+        if pixels.any():
+            taken = self._stamps - shift.get(STAMPS, 0.0)
+            seen = CubicSpline(times, values[:, pixels])
+            out[:, pixels] = seen(np.clip(taken, 0, times[-1]))
         return out
+
+    def _between_steps(self, own: tuple[float, ...], latency_s: float) -> Array:
+        """What is read at a latency between two steps of the grid: between what is read at both."""
+        steps, share = divmod(latency_s / self.grid_s, 1.0)
+        before = self._run(own, steps)
+        if share <= 1e-9:
+            return before
+        return (1 - share) * before + share * self._run(own, steps + 1)
 
     def _run(self, own: tuple[float, ...], steps: float) -> Array:
         """What is read without noise, and the joints' speeds (frames, 2 k), with these values and a
