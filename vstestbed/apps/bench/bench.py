@@ -232,17 +232,20 @@ class Bench:
 def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     """Measure a scenario and its floor in turn; the first pair warms up and is not counted."""
     pairs = [_pair(scenario) for _ in range(repeats + 1)][1:]  # the first pair warms up
-    recordings, floors = [r for r, _ in pairs], [f for _, f in pairs]
+    recordings = [recording for recording, _ in pairs]
     # the ratio of each pair, not of the medians: both share the load of the machine at that time
-    ratios, frames = [r.loop_s / sum(f) for r, f in pairs], len(recordings[0].table)
+    ratios = [recording.loop_s / sum(floor) for recording, floor in pairs]
+    first = recordings[0]
+    frames = len(first.table)
     # without films; `other` is what no part accounts for
     parts = {
-        k: statistics.median(r.time_ms[k] / frames for r in recordings)
-        for k in recordings[0].time_ms
-        if k != "video"
+        part: statistics.median(r.time_ms[part] / frames for r in recordings)
+        for part in first.time_ms
+        if part != "video"
     }
     whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
-    physics, render = (statistics.median(1e3 * f[part] / frames for f in floors) for part in (0, 1))
+    physics = statistics.median(1e3 * floor[0] / frames for _, floor in pairs)
+    render = statistics.median(1e3 * floor[1] / frames for _, floor in pairs)
     return Bench(
         scenario=scenario.name,
         frames=frames,
@@ -254,7 +257,7 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
         ms_per_frame=parts | {"other": whole - sum(parts.values()), "whole": whole},
         floor_ms={"physics": physics, "render": render, "whole": physics + render},
         setup_s=statistics.median(r.wall_time_s - r.loop_s for r in recordings),
-        renderer=recordings[0].versions["renderer"],
+        renderer=first.versions["renderer"],
     )
 
 

@@ -151,6 +151,10 @@ def _found(folder: Path, plugins: list[str], only: Only = "all") -> Exported:
     return Exported(folder, None, (folder,), frames, None, cut, tuple(plugins))
 
 
+def _has_log(run: Path) -> bool:
+    return (run / "log.parquet").is_file() or (run / "log.part").is_file()
+
+
 def _comparison(folder: Path, plugins: list[str], only: Only) -> Exported:
     from vstestbed.studies.comparison import stored
 
@@ -163,11 +167,7 @@ def _comparison(folder: Path, plugins: list[str], only: Only) -> Exported:
             "leave --only out",
         )
     places = [folder / name for name in table["folder"].to_list()]
-    runs = tuple(
-        place
-        for place in places
-        if (place / "log.parquet").is_file() or (place / "log.part").is_file()
-    )
+    runs = tuple(filter(_has_log, places))
     if not runs:
         raise RunFolderError(folder, "has no run with a log; there is nothing to export", WORKS)
     words = []

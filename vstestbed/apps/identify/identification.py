@@ -639,18 +639,19 @@ def _start(p: Parameter, scenario: Scenario) -> float:
 
 def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Array, Array]:
     """Names and values (n, k) of what was read, and its times (n,), from 0 on."""
-    joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in record.columns]
+    there = set(record.columns)
+    joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in there]
     moving = [name for name in joints if record[name].fill_nan(None).drop_nulls().n_unique() > 1]
     points = range(len(scenario.target.points))
     of_points = itertools.chain.from_iterable((f"u_px_{i}", f"v_px_{i}") for i in points)
-    pixels = [name for name in of_points if name in record.columns]
+    pixels = list(filter(there.__contains__, of_points))
     if not moving and not pixels:
         words = (
             f"has none of q_{', q_'.join(scenario.robot.joints)} that changes, and no u_px_0, ...:"
             " is it of another robot?"
         )
         raise ParameterError("record", words, record.columns[:8])
-    clock = "t_q" if joints and "t_q" in record.columns else "t"
+    clock = "t_q" if joints and "t_q" in there else "t"
     names = moving + pixels
     return names, record.select(names).to_numpy(), record[clock].to_numpy()
 

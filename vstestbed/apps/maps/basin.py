@@ -29,7 +29,7 @@ from vstestbed.studies.batch import (
     start_of,
     started_at,
 )
-from vstestbed.studies.comparison.plan import Comparison, changed, controllers
+from vstestbed.studies.comparison.plan import Comparison, Variant, changed, controllers
 from vstestbed.vision import Oracle
 
 if TYPE_CHECKING:
@@ -222,30 +222,36 @@ def laws(
     what an ideal camera does not have.
     """
     found: list[tuple[str, Scenario]] = []
-    for c in (chosen := controllers(changed(comparison, tasks={}, seeds=None), force)):
-        parts = [
-            str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}"
-            for name, v in c.values.items()
-        ]
-        label = ", ".join(
-            ([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts
-        )
-        scenario = ideal(c.scenario, field_of_view)
+    chosen = controllers(changed(comparison, tasks={}, seeds=None), force)
+    for variant in chosen:
+        label = _label(variant, comparison)
+        scenario = ideal(variant.scenario, field_of_view)
         BatchSetup(scenario)  # raises if the law cannot run in a batch
-        if same := [other for other, s in found if s == scenario]:
+        if same := [other for other, there in found if there == scenario]:
             problem = (
                 f"`{label}` would make the same map as `{same[0]}`:"
                 " its cameras are ideal, without the arm's dynamics, latency"
             )
             raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
         found.append((label, scenario))
-    if omitted := dict.fromkeys(name for c in chosen for name in left_out(c.scenario)):
+    omitted = dict.fromkeys(name for variant in chosen for name in left_out(variant.scenario))
+    if omitted:
         words = (
             "the maps are of the law behind an ideal camera, and leave out %s;"
             " vstestbed compare runs it all, start by start"
         )
         logging.getLogger("vstestbed").warning(words, ", ".join(omitted))
     return found
+
+
+def _label(variant: Variant, comparison: Comparison) -> str:
+    """The scenario's name where there are several, then the cases and varied values."""
+    parts: list[str] = []
+    if len(comparison.base) > 1 or not variant.values:
+        parts.append(variant.scenario.name)
+    for name, value in variant.values.items():
+        parts.append(str(value) if name in comparison.cases else f"{name.split('.')[-1]}={value}")
+    return ", ".join(parts)
 
 
 def basin(

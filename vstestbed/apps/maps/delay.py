@@ -492,57 +492,23 @@ def _must_take(law: Law[Any], gain: float) -> None:
 
 def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     """The gain limit at one delay, by bisection."""
-    period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
-    at_start = displaced(at_goal)
-    robot, g_linear = at_goal.robot, None
+    period = at_goal.camera.period
+    robot = at_goal.robot
+    g_linear = None
     # the linear arm has no commands that are led to
     if robot.joints and at_goal.timing.interpolation == "hold":
-        g_linear = linear_gain_limit(
-            linear_arm(robot), delay_frames + _late_frames(at_goal), period
-        )
+        late = delay_frames + _late_frames(at_goal)
+        g_linear = linear_gain_limit(linear_arm(robot), late, period)
     elastic = any(effect.springs(np.zeros(len(robot.joints))) for effect in robot.acting)
     # at a resonance two shares of a command do not describe a joint
     lags = () if elastic else _lags(at_goal, delay_frames)
+    theory = _theory(at_goal, delay_frames)
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
     # the bracket is centred on the better prediction
-    expected, count = (theory if g_lag is None else g_lag), 0
-    expected = min(expected, g_linear) if elastic and g_linear is not None else expected
-    low, high = 0.5 * expected, 1.5 * expected
-    # a bracket without the limit would make the bisection converge to one of its ends
-    count += 1
-    _must_take(at_start.law, low / period)
-    if growth(at_start, low / period, delay_frames) > 1:
-        words = (
-            f"is still unstable at {low / period:.3g} 1/s with {delay_frames} frames of delay,"
-            " half of what is expected"
-        )
-        raise ParameterError("law.gain", words)
-    count += 1
-    _must_take(at_start.law, high / period)
-    # a law that predicts is stable beyond the theory of one that does not
-    while growth(at_start, high / period, delay_frames) <= 1:
-        low, high, count = high, 2 * high, count + 1
-        _must_take(at_start.law, high / period)
-        if high > MOST_G:
-            return Limit(
-                delay_frames,
-                delay_frames * period,
-                low / period,
-                low,
-                theory,
-                g_lag,
-                lags,
-                count,
-                True,
-                g_linear,
-            )
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        count += 1
-        low, high = (
-            (low, middle) if growth(at_start, middle / period, delay_frames) > 1 else (middle, high)
-        )
-    g = (low + high) / 2
+    expected = theory if g_lag is None else g_lag
+    if elastic and g_linear is not None:
+        expected = min(expected, g_linear)
+    g, count, unlimited = _bisected(displaced(at_goal), delay_frames, expected)
     return Limit(
         delay_frames,
         delay_frames * period,
@@ -552,8 +518,46 @@ def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
         g_lag,
         lags,
         count,
-        g_linear=g_linear,
+        unlimited,
+        g_linear,
     )
+
+
+def _bisected(at_start: Scenario, delay_frames: float, expected: float) -> tuple[float, int, bool]:
+    """The gain a picture [1] from which a loop grows, how many gains were tried, and whether none
+    up to MOST_G makes it grow; then the gain is the largest that was tried. expected: by theory.
+    """
+    period = at_start.camera.period
+
+    def grows(g: float) -> bool:
+        return growth(at_start, g / period, delay_frames) > 1
+
+    low, high = 0.5 * expected, 1.5 * expected
+    # a bracket without the limit would make the bisection converge to one of its ends
+    _must_take(at_start.law, low / period)
+    if grows(low):
+        words = (
+            f"is still unstable at {low / period:.3g} 1/s with {delay_frames} frames of delay,"
+            " half of what is expected"
+        )
+        raise ParameterError("law.gain", words)
+    _must_take(at_start.law, high / period)
+    count = 2
+    # a law that predicts is stable beyond the theory of one that does not
+    while not grows(high):
+        low, high = high, 2 * high
+        count += 1
+        _must_take(at_start.law, high / period)
+        if high > MOST_G:
+            return low, count, True
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        count += 1
+        if grows(middle):
+            high = middle
+        else:
+            low = middle
+    return (low + high) / 2, count, False
 
 
 def _lags(at_goal: Scenario, delay_frames: float) -> tuple[Lag, ...]:

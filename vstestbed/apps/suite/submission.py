@@ -256,29 +256,18 @@ def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEn
     asked, or its runs are not the plan's.
     """
     found = contents(file)
-    with foreign(file, WORKS, _refused):
-        about = json.loads(found[ABOUT])
-    main = about.get("file") if isinstance(about, dict) else None
-    if (
-        not isinstance(main, str)
-        or f"{LAW_FOLDER}/{main}" not in found
-        or not main.endswith((".py", ".yaml", ".yml"))
-    ):
-        raise _refused(file, f"its {ABOUT} names no file of a law that it holds")
+    about, main = _about(file, found)
     flown, ours = about.get("sha256"), fingerprint(*read_suite(asked.suite))
     if flown != ours:
         why = (
             f"was flown on another {asked.suite},"
             f" of the files {str(flown)[:12]!r} and not {ours[:12]!r}"
         )
-        raise RunFolderError(
-            file,
-            why,
-            (
-                "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`,"
-                " then `vstestbed submit DIR`"
-            ),
+        again = (
+            "fly the law again: `vstestbed suite LAW_FILE --alone --out DIR`,"
+            " then `vstestbed submit DIR`"
         )
+        raise RunFolderError(file, why, again)
     for name in found:
         if name.startswith(f"{LAW_FOLDER}/"):
             place = into / PurePosixPath(name).relative_to(LAW_FOLDER)
@@ -289,15 +278,23 @@ def unpacked(file: Path, into: Path, asked: Asked = ALL_STARTS) -> tuple[SuiteEn
     except ParameterError as error:
         raise _refused(file, str(error)) from error
     here = entry.about | {"laws": about.get("laws")}  # what the law is, its files say
-    if other := [
-        name for name in (*here, *about) if name not in here or about.get(name) != here[name]
-    ]:
-        said = (
-            f"{short(other[0])} in its {ABOUT} is not what is asked for,"
-            f" {short(here.get(other[0]))}"
-        )
-        raise _refused(file, said, "say --suite, --quick and --word as it was to be flown")
+    for name in (*here, *about):
+        if name not in here or about.get(name) != here[name]:
+            asked_for = short(here.get(name))
+            said = f"{short(name)} in its {ABOUT} is not what is asked for, {asked_for}"
+            raise _refused(file, said, "say --suite, --quick and --word as it was to be flown")
     return entry, _handed_in(file, found[RUNS], entry)
+
+
+def _about(file: Path, found: Mapping[str, bytes]) -> tuple[dict[str, Any], str]:
+    """What a submission says of itself, and the name of its law's file, which it holds."""
+    with foreign(file, WORKS, _refused):
+        about = json.loads(found[ABOUT])
+    main = about.get("file") if isinstance(about, dict) else None
+    held = isinstance(main, str) and f"{LAW_FOLDER}/{main}" in found
+    if not held or not main.endswith((".py", ".yaml", ".yml")):
+        raise _refused(file, f"its {ABOUT} names no file of a law that it holds")
+    return about, main
 
 
 def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:

@@ -166,25 +166,15 @@ def law_of_file(file: str, apart: bool = False) -> tuple[str, SuiteLaw, tuple[st
     """
     path = Path(file)
     if path.suffix in (".yaml", ".yml"):
-        plain, marks = plain_mapping(text_of(path), file, "a law's file needs law")
-        plugins = plain.pop("plugins", None) or []
-        if not isinstance(plugins, list) or not all(isinstance(name, str) for name in plugins):
-            raise ParameterError(
-                "plugins", "must be a list of the law's files, such as [mine.py]", plugins
-            )
-        return (
-            path.stem,
-            build(SuiteLaw, plain, marks, file),
-            tuple(str(path.parent / name) for name in plugins),
-        )
+        return _law_of_yaml(path, file)
     if apart:
         return path.stem, SuiteLaw(law={}), (str(path.absolute()),)
     before = set(LAWS.members)
     (plugin,) = load_plugins([file])
     own = [
         kind
-        for kind in LAWS.members
-        if kind not in before or LAWS.members[kind].__module__ == path.stem
+        for kind, cls in LAWS.members.items()
+        if kind not in before or cls.__module__ == path.stem
     ]
     if len(own) != 1:
         raise ParameterError(
@@ -193,6 +183,17 @@ def law_of_file(file: str, apart: bool = False) -> tuple[str, SuiteLaw, tuple[st
             own or file,
         )
     return path.stem, SuiteLaw(law={"kind": own[0]}), (plugin,)
+
+
+def _law_of_yaml(path: Path, file: str) -> tuple[str, SuiteLaw, tuple[str, ...]]:
+    plain, marks = plain_mapping(text_of(path), file, "a law's file needs law")
+    plugins = plain.pop("plugins", None) or []
+    if not isinstance(plugins, list) or not all(isinstance(name, str) for name in plugins):
+        raise ParameterError(
+            "plugins", "must be a list of the law's files, such as [mine.py]", plugins
+        )
+    beside = tuple(str(path.parent / name) for name in plugins)
+    return path.stem, build(SuiteLaw, plain, marks, file), beside
 
 
 def _inside(path: Path, main: Path) -> Path:

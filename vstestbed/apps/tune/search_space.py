@@ -140,17 +140,21 @@ def parameter(path: str, given: object) -> Parameter:
     """The range `"0.2:2"` or `"10:80:log"` (also as the only item of a sequence) or the choice of
     several values, for a dotted path.
     """
-    if not isinstance(given, str):
-        values = tuple(given) if isinstance(given, Sequence) else (given,)
-        if len(values) > 1:
-            return Choice(path, values)
-        given = values[0] if values else ""
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        return _range(path, given)
+    if len(given) > 1:
+        return Choice(path, tuple(given))
+    return _range(path, given[0] if given else "")
+
+
+def _range(path: str, given: object) -> Range:
     if ":" not in str(given):
         raise ParameterError(
             OPTION, f"{path}: one value leaves nothing to choose; it {FORM}", given
         )
     low, high, scale = (*map(str.strip, str(given).split(":", 2)), "")[:3]
-    least, most = _number(low), _number(high)
+    least = _number(low)
+    most = _number(high)
     if least is None or most is None or scale not in ("", "log"):
         raise ParameterError(OPTION, f"{path}: is no range of numbers; it {FORM}", given)
     if least >= most:

@@ -102,34 +102,26 @@ def tune_comparison(
     axes vary the law.
     """
     comparison = chosen([name], settings or {}, {}, plugins)
-    laws, flown = list[TunedLaw](), laws_of(comparison)
+    flown = laws_of(comparison)
+    laws: list[TunedLaw] = []
     for law in _laws(comparison):
         say(f"tuning {law.name}")
         began = time.perf_counter()
+        own = _own(vary, flown, law.name)
+        given = comparison.set | dict(law.case or {})
         try:
-            plan = planned(
-                law.base,
-                _own(vary, flown, law.name),
-                comparison.set | dict(law.case or {}),
-                (*comparison.plugins, *plugins),
-                **numbers,
-            )
+            plan = planned(law.base, own, given, (*comparison.plugins, *plugins), **numbers)
             with begun(plan, out / "tune" / file_word(law.name)) as search:
-                search.jobs, search.executor, search.listener = (
-                    jobs,
-                    executor,
-                    listener or NoListener(),
-                )
-                laws.append(
-                    replace(law, result=finished(search), took_s=time.perf_counter() - began)
-                )
+                search.jobs, search.executor = jobs, executor
+                search.listener = listener or NoListener()
+                result = finished(search)
+            laws.append(replace(law, result=result, took_s=time.perf_counter() - began))
         except (ScenarioError, ParameterError) as error:
             laws.append(replace(law, left=str(error).splitlines()[0]))
-    if all(law.result is None for law in laws):
+    results = {law.name: law.result for law in laws if law.result is not None}
+    if not results:
         raise ParameterError("--vary", f"fits none of the laws: {laws[0].left}")
-    records = {
-        law.name: _record(comparison, law.result) for law in laws if law.result and law.result.best
-    }
+    records = {word: _record(comparison, result) for word, result in results.items() if result.best}
     tuned = changed(_with_gains(comparison, laws, make_folder(out / "scenarios")), tuned=records)
     say("comparing")
     with compared(tuned, out / "comparison", film=False) as campaign:
@@ -168,7 +160,8 @@ def _with_gains(comparison: Comparison, laws: Sequence[TunedLaw], folder: Path) 
     """The comparison with what the searches found: in its cases, or in scenarios of its own in a
     folder.
     """
-    plan = max((law.result.plan for law in laws if law.result), key=lambda plan: len(plan.vary))
+    plans = [law.result.plan for law in laws if law.result]
+    plan = max(plans, key=lambda plan: len(plan.vary))
     between = ", ".join(f"{p.path}={p}" for p in plan.parameters)
     budget = (
         f"Tuned before by {plan.shown.title.lower()},"
@@ -178,13 +171,17 @@ def _with_gains(comparison: Comparison, laws: Sequence[TunedLaw], folder: Path) 
         f"{comparison.description} {budget} that are not among these: {between}."
         f" Found: {'; '.join(law.words() for law in laws)}.".strip()
     )
-    if not (axes := law_axes(comparison)):
+    axes = law_axes(comparison)
+    if not axes:
         base = tuple(_written(law, folder) for law in laws)
         return changed(comparison, base=base, description=words)
-    cases = {
-        law.name: dict(law.case or {}) | (law.result.settings if law.result else {}) for law in laws
-    }
+    cases = {law.name: _case(law) for law in laws}
     return changed(comparison, cases=comparison.cases | {axes[0]: cases}, description=words)
+
+
+def _case(law: TunedLaw) -> dict[str, Any]:
+    """A law's case with what its search has found."""
+    return dict(law.case or {}) | (law.result.settings if law.result else {})
 
 
 def _record(comparison: Comparison, result: TuningResult) -> Tuned:

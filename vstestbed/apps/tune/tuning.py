@@ -283,23 +283,23 @@ class Search:
             if not batch:  # all there is has been tried
                 return
             best = self.best
-            found = (
-                "" if best is None else f", best {best.mean:.3g} {self.plan.shown.unit}".rstrip()
-            )
+            unit = self.plan.shown.unit
+            found = "" if best is None else f", best {best.mean:.3g} {unit}".rstrip()
             self.listener.say(f"trial {place + 1} of {self.plan.trials}{found}")
             self.trials += self._tried(dict(enumerate(batch, place)))
-            reached = [
-                x
-                for trial in self.trials
-                for x, good in zip(trial.found, trial.reached, strict=True)
-                if good
-            ]
-            if reached and all(map(math.isnan, reached)):  # no run that reached the goal has it
-                words = (
-                    "is no number of the runs that reached the goal;"
-                    " take another, such as final_error_px or path_length_m"
-                )
-                raise ParameterError("--metric", words, self.plan.metric)
+            self._must_have_metric()
+
+    def _must_have_metric(self) -> None:
+        """Refuse a metric that no run has which reached the goal."""
+        reached: list[float] = []
+        for trial in self.trials:
+            reached += [x for x, good in zip(trial.found, trial.reached, strict=True) if good]
+        if reached and all(map(math.isnan, reached)):
+            words = (
+                "is no number of the runs that reached the goal;"
+                " take another, such as final_error_px or path_length_m"
+            )
+            raise ParameterError("--metric", words, self.plan.metric)
 
     def _tried(self, settings: Mapping[int, dict[str, object]]) -> list[Trial]:
         refused = dict[int, str]()
