@@ -234,6 +234,8 @@ def test_a_module_has_one_object_by_both_names():
             continue
         if now.startswith("vstestbed.apps.gpu"):  # its extra need not be installed
             continue
+        if former.startswith("vstestbed.report.export") and "export" not in apps.bundled():
+            continue  # its package was one
         module = import_module(former)
         assert module is import_module(now)
         assert module.__name__ == now

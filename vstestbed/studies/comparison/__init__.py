@@ -62,8 +62,15 @@ __all__ = [
     "Runner",
     "Shard",
     "Variant",
+    "carry_out",
+    "chosen",
+    "compare",
+    "controllers",
+    "merge",
+    "must_be_known",
+    "prepared",
+    "stored",
 ]
-__all__ += ["chosen", "compare", "controllers", "merge", "must_be_known"]
 
 
 def compare(
