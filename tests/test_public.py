@@ -16,6 +16,7 @@ import vstestbed as vs
 from vstestbed.core.apps import bundled
 from vstestbed.core.errors import ParameterError
 
+pytestmark = pytest.mark.app()
 NAMES = {
     "Outcome",
     "Recording",

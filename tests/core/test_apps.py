@@ -18,6 +18,7 @@ from vstestbed.core.errors import ParameterError, PluginError
 from vstestbed.core.former_modules import FORMER
 from vstestbed.studies.pools import must_be_known
 
+pytestmark = pytest.mark.app()
 LAMP = """\
 from vstestbed.core.apps import App
 
@@ -215,6 +216,17 @@ def test_a_word_that_no_app_has(command: Callable[..., Ended]):
     assert "No such command 'rnu'. Did you mean 'run'?" in command("rnu").err
     with pytest.raises(ParameterError, match=r"--executor must be local.* or dask://HOST:PORT"):
         must_be_known("ray")
+
+
+@pytest.mark.app("ros")
+def test_a_command_that_needs_another_app_names_it(
+    command: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch
+):
+    here = {name: app for name, app in apps.bundled().items() if name != "identify"}
+    monkeypatch.setattr(apps, "bundled", lambda: here)
+    ended = command("ros", "arm_ibvs", "--role", "excite")
+    assert ended.code == 4
+    assert "--role excite is of the app identify, which is not in this" in ended.err
 
 
 def test_two_bundled_apps_have_no_word_in_common_and_each_stands_in_the_table_of_words():

@@ -7,6 +7,8 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+import pytest
+
 import vstestbed
 from tests.shortcuts import is_here
 
@@ -114,6 +116,7 @@ def unguarded(source: str) -> dict[str, set[str]]:
     return found
 
 
+@pytest.mark.app()
 def test_every_foreign_call_is_guarded():
     listed = {place for places in ELSEWHERE.values() for place in places if is_here(place[0])}
     used, new = set(), []

@@ -12,6 +12,8 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+
 import vstestbed
 from tests.shortcuts import is_here
 
@@ -200,6 +202,7 @@ def known() -> dict[str, set[str]]:
     return table
 
 
+@pytest.mark.app()
 def test_every_constant_length_has_its_reason():
     found = {
         p.relative_to(PACKAGE).as_posix(): lengths_in(p.read_text(encoding="utf-8"))
