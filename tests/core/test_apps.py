@@ -305,6 +305,33 @@ print(hasattr(vs, "compare"), hasattr(vs, "tune"))
 
 
 @pytest.mark.process
+def test_the_app_of_the_page_for_contributors_works_as_typed(tmp_path: Path):
+    """In the package by links, so that the folder is made elsewhere."""
+    page = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    block = page.partition("## To add an app\n")[2].partition("\n    ")[2].partition("\n\n")[0]
+    lines = [line.removeprefix("    ") for line in block.splitlines()]
+    assert len(lines) <= 15
+    for room in ("vstestbed", "vstestbed/apps"):
+        (tmp_path / room).mkdir()
+        for path in (REPOSITORY / room).iterdir():
+            if path.name not in ("apps", "__pycache__"):
+                (tmp_path / room / path.name).symlink_to(path)
+    for name in ("models", "scenarios", "docs"):
+        (tmp_path / name).symlink_to(REPOSITORY / name)
+    command = f"vstestbed() {{ '{sys.executable}' -m vstestbed \"$@\"; }}"
+    done = subprocess.run(
+        ["bash", "-euc", "\n".join([command, *lines, "vstestbed --help"])],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("GoalView(")
+    assert re.search("^  goal +The goal of a scenario", done.stdout, re.MULTILINE)
+
+
+@pytest.mark.process
 def test_without_the_folder_a_sentence_names_the_app(tmp_path: Path, quick: Path):
     """The package by links, but for its apps."""
     package = tmp_path / "vstestbed"
