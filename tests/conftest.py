@@ -33,6 +33,8 @@ if (
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+APPS = Path(__file__).parent / "apps"
+"""A folder of tests for each app, and files of tests that need them all."""
 
 
 @pytest.hookimpl(wrapper=True)
@@ -87,13 +89,19 @@ def _no_opengl() -> str:
     return ""
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip tests marked `opengl` where there is none, and those of apps that are not there."""
+    """Mark the tests of apps. Skip tests of apps that are not there, and of OpenGL where there is
+    none.
+    """
     if lack := _no_opengl():
         for item in items:
             if item.get_closest_marker("opengl"):
                 item.add_marker(pytest.mark.skip(reason=lack))
     for item in items:
+        if APPS in item.path.parents:
+            folder = item.path.relative_to(APPS).parts[0]
+            item.add_marker(pytest.mark.app(*([folder] if (APPS / folder).is_dir() else [])))
         for marker in item.iter_markers("app"):
             if not set(marker.args) <= set(bundled()):
                 reason = f"needs the apps {', '.join(marker.args)}"

@@ -46,6 +46,12 @@ def of_apps(cases: Iterable[str], apps: Mapping[str, str]) -> list[Any]:
     return found
 
 
+def is_here(file: str) -> bool:
+    """Whether a file of the package, `apps/ros/bag.py`, is none of an app that is not there."""
+    room, *inner = file.split("/")
+    return room != "apps" or inner[0] in bundled()
+
+
 def in_app(place: str) -> Callable[..., Any]:
     """A function of an app, `package.module:name`, imported when it is called: tables of tests can
     name it where the app is not there.

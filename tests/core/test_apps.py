@@ -18,6 +18,7 @@ from vstestbed.core.errors import ParameterError, PluginError
 from vstestbed.core.former_modules import FORMER
 from vstestbed.studies.pools import must_be_known
 
+pytestmark = pytest.mark.app()
 LAMP = """\
 from vstestbed.core.apps import App
 
@@ -217,6 +218,17 @@ def test_a_word_that_no_app_has(command: Callable[..., Ended]):
         must_be_known("ray")
 
 
+@pytest.mark.app("ros")
+def test_a_command_that_needs_another_app_names_it(
+    command: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch
+):
+    here = {name: app for name, app in apps.bundled().items() if name != "identify"}
+    monkeypatch.setattr(apps, "bundled", lambda: here)
+    ended = command("ros", "arm_ibvs", "--role", "excite")
+    assert ended.code == 4
+    assert "--role excite is of the app identify, which is not in this" in ended.err
+
+
 def test_two_bundled_apps_have_no_word_in_common_and_each_stands_in_the_table_of_words():
     found = {
         sort: [(word, name) for name, app in apps.bundled().items() for word in getattr(app, sort)]
@@ -234,6 +246,8 @@ def test_a_module_has_one_object_by_both_names():
             continue
         if now.startswith("vstestbed.apps.gpu"):  # its extra need not be installed
             continue
+        if former.startswith("vstestbed.report.export") and "export" not in apps.bundled():
+            continue  # its package was one
         module = import_module(former)
         assert module is import_module(now)
         assert module.__name__ == now
@@ -288,6 +302,33 @@ except AttributeError as error:
     print(error)
 print(hasattr(vs, "compare"), hasattr(vs, "tune"))
 """
+
+
+@pytest.mark.process
+def test_the_app_of_the_page_for_contributors_works_as_typed(tmp_path: Path):
+    """In the package by links, so that the folder is made elsewhere."""
+    page = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    block = page.partition("## To add an app\n")[2].partition("\n    ")[2].partition("\n\n")[0]
+    lines = [line.removeprefix("    ") for line in block.splitlines()]
+    assert len(lines) <= 15
+    for room in ("vstestbed", "vstestbed/apps"):
+        (tmp_path / room).mkdir()
+        for path in (REPOSITORY / room).iterdir():
+            if path.name not in ("apps", "__pycache__"):
+                (tmp_path / room / path.name).symlink_to(path)
+    for name in ("models", "scenarios", "docs"):
+        (tmp_path / name).symlink_to(REPOSITORY / name)
+    command = f"vstestbed() {{ '{sys.executable}' -m vstestbed \"$@\"; }}"
+    done = subprocess.run(
+        ["bash", "-euc", "\n".join([command, *lines, "vstestbed --help"])],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("GoalView(")
+    assert re.search("^  goal +The goal of a scenario", done.stdout, re.MULTILINE)
 
 
 @pytest.mark.process

@@ -84,6 +84,7 @@ def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
     assert vector_env.OUTCOMES[0] is vector_env.GOING
 
 
+@pytest.mark.app()
 def test_an_outcome_is_a_word_of_the_package_where_one_is_written_as_text() -> None:
     """Outcomes that are compared as texts, as those of a table are: a word that is none would never
     be equal.

@@ -274,9 +274,8 @@ def report(
     from vstestbed.core.files import only_writer
 
     known = (*apps.offered("reports"), *apps.WORDS["reports"])
+    _must_hold(folder, "comparison.yaml", "scenario.yaml", *known)
     of_apps = [name for name in known if (folder / name).is_file()]
-    if not of_apps:
-        _must_hold(folder, "comparison.yaml", "scenario.yaml")
     with only_writer(folder):
         # each with its own imports: those of a comparison take as long as the report of a run
         if (folder / "comparison.yaml").is_file():

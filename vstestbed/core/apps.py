@@ -22,9 +22,21 @@ from vstestbed.core.former_modules import app_is_missing
 if TYPE_CHECKING:
     from vstestbed.core.errors import PluginError
 
-__all__ = ["App", "bundled", "installed", "left_out", "loaded", "must_be_complete", "offered"]
+__all__ = [
+    "REMEDY",
+    "WORDS",
+    "App",
+    "bundled",
+    "installed",
+    "left_out",
+    "loaded",
+    "must_be_complete",
+    "must_be_here",
+    "offered",
+]
 
 GROUP = "vstestbed.apps"
+REMEDY = "mend the package that has it, or uninstall that"
 Places = Mapping[str, str]
 """By a word where what it stands for is: `package.module:name`, imported when it is asked for."""
 
@@ -110,9 +122,6 @@ def _found() -> tuple[dict[str, App], dict[str, PluginError]]:
     return sound, broken
 
 
-REMEDY = "mend the package that has it, or uninstall that"
-
-
 def _cannot_be_imported(place: str, error: BaseException) -> PluginError:
     from vstestbed.core.errors import PluginError
 
@@ -159,10 +168,16 @@ def loaded(what: str, word: str) -> Any:
             except (Exception, SystemExit) as error:  # as above
                 raise _cannot_be_imported(place, error) from error
     if name := WORDS.get(what, {}).get(word):
-        from vstestbed.core.errors import EnvironmentLackError
-
-        raise EnvironmentLackError(app_is_missing(word, name), "install the whole of vstestbed")
+        must_be_here(name, word)
     return None
+
+
+def must_be_here(name: str, word: str) -> None:
+    """Refuse a word of a bundled app whose folder is missing. Raises EnvironmentLackError."""
+    from vstestbed.core.errors import EnvironmentLackError
+
+    if name not in bundled():
+        raise EnvironmentLackError(app_is_missing(word, name), "install the whole of vstestbed")
 
 
 def _named(place: str) -> Any:

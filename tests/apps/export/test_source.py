@@ -10,7 +10,6 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.apps.export.lerobot import features_of, numbers_of
-from vstestbed.apps.learn.rollout import Rollout
 from vstestbed.core.errors import RunFolderError
 from vstestbed.loop.columns import Layout
 from vstestbed.report.recorded_run import RecordedRun, meaning, name_with_unit
@@ -38,8 +37,11 @@ VARIANTS = {
 SMALL = {"camera.width": 320, "camera.height": 240, "stop.duration_s": 0.28}
 
 
+@pytest.mark.app("learn")
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_pictures_and_numbers_are_those_of_the_environment(variant: str, tmp_path: Path) -> None:
+    from vstestbed.apps.learn.rollout import Rollout
+
     name, settings = VARIANTS[variant]
     scenario = vs.load(name, SMALL | settings, 0)
     rollout = Rollout(vs.load(name, SMALL | settings), "both")

@@ -13,12 +13,14 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import vstestbed as vs
-from vstestbed.apps.export.mcap_file import write_mcap
+from tests.shortcuts import in_app
 from vstestbed.apps.ros.bag import record_of, replay, write_replay, write_rosbag2
 from vstestbed.apps.ros.link import remapped
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.report.recorded_run import RecordedRun
 from vstestbed.studies.run_folder import run_into
+
+write_mcap = in_app("vstestbed.apps.export.mcap_file:write_mcap")
 
 GIVEN = {"stop.duration_s": 0.8, "camera.latency_s": 0.02, "timing.command_latency_s": 0.02}
 
@@ -81,6 +83,7 @@ def test_replayed_its_twists_are_the_recorded_ones(bag, run):
     ) == pytest.approx(2, rel=0.2)
 
 
+@pytest.mark.app("export")
 def test_a_file_for_foxglove_is_replayed(run):
     path = write_mcap(RecordedRun.of(run), run.with_name("run.mcap"))
     found = replay(
@@ -170,6 +173,7 @@ def test_a_bag_is_a_record_for_identification(bag):
     np.testing.assert_allclose((record["arrived"] - record["t"]).to_numpy(), 0.02, atol=1e-9)
 
 
+@pytest.mark.app("export")
 def test_a_topic_that_maps_nothing_is_refused(bag, run):
     scenario = vs.load("arm_ibvs", GIVEN)
     with pytest.raises(

@@ -29,7 +29,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 import vstestbed as vs
 from tests.apps.ros import bags
 from tests.apps.ros.bags import BEGAN
-from vstestbed.apps.export.mcap_file import write_mcap
+from tests.shortcuts import in_app
 from vstestbed.apps.ros import bag as vs_bag
 from vstestbed.apps.ros import bag_file
 from vstestbed.apps.ros import messages as ros
@@ -39,6 +39,7 @@ from vstestbed.core.errors import RunFolderError, VstestbedError
 from vstestbed.report.recorded_run import RecordedRun
 from vstestbed.studies.run_folder import run_into
 
+write_mcap = in_app("vstestbed.apps.export.mcap_file:write_mcap")
 GIB = 1 << 30
 
 
@@ -303,6 +304,7 @@ def test_twists_beyond_all_robots_are_not_drawn(taken, scenario, tmp_path):
     vs_bag._drawn(found).savefig(tmp_path / "drawn.png")
 
 
+@pytest.mark.app("export")
 def test_of_an_export_that_was_cut_off_what_came_before_is_used_and_told(scenario, tmp_path):
     run_into(tmp_path / "run", scenario)
     file = write_mcap(RecordedRun.of(tmp_path / "run"), tmp_path / "run.mcap")
@@ -614,6 +616,7 @@ def ended(bag, scenario):
     return "counted" if found.passed.rows() else "whole"
 
 
+@pytest.mark.app("export")
 def test_sixty_broken_bags_are_a_sentence_or_counted(taken, scenario, tmp_path):
     few = taken[:3]
     whole = sources(tmp_path, few)
@@ -654,6 +657,7 @@ def _work(seeds, folder, results):
 
 @pytest.mark.study
 @pytest.mark.process
+@pytest.mark.app("export")
 def test_two_thousand_broken_bags(tmp_path):
     count = int(os.environ.get("BAGS", "2000"))
     context = multiprocessing.get_context("spawn")

@@ -15,7 +15,6 @@ import pytest
 import vstestbed as vs
 from vstestbed.apps.ros import messages as m
 from vstestbed.apps.ros.link import connected
-from vstestbed.studies import identification as idn
 
 pytestmark = pytest.mark.study
 VSTESTBED = [sys.executable, "-m", "vstestbed", "ros", "arm_ibvs"]
@@ -233,11 +232,14 @@ TRUTHS = {
 }
 
 
+@pytest.mark.app("identify")
 @pytest.mark.parametrize("robot", TRUTHS)
 def test_known_parameters_are_found_within_their_intervals(robot):
     """Of 20 robots with drawn parameters, latencies and noise, each parameter is in its 95 %
     interval in 19 on the mean: in 18 at least.
     """
+    from vstestbed.apps.identify import identification as idn
+
     base, inside = vs.load(robot), []
     for seed in range(20):
         rng = np.random.default_rng([seed, len(robot)])

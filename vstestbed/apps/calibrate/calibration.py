@@ -768,7 +768,7 @@ def write_table(
     tables = [
         (
             f"Over {words}",
-            [f"{words} [{unit}]" if unit else words, *_methods(lines)],
+            [f"{words} [{unit}]" if unit else words, *_methods_in(lines)],
             _rows_over(lines, name),
         )
         for name, (words, unit) in WORDS.items()
@@ -808,7 +808,7 @@ def write_table(
     )
 
 
-def _methods(lines: list[dict[str, Any]]) -> list[str]:
+def _methods_in(lines: list[dict[str, Any]]) -> list[str]:
     return list(dict.fromkeys(line["method"] for line in lines))
 
 
@@ -820,7 +820,7 @@ def _rows_over(lines: list[dict[str, Any]], name: str) -> list[list[str]]:
             line["method"]: line for line in lines if line["over"] == name and line[name] == value
         }
         row = [f"{value:g}"]
-        for method in _methods(lines):
+        for method in _methods_in(lines):
             line = those[method]
             row.append(f"{line['mm']:.2f} ({line['mm_95']:.2f}), {line['deg']:.3f}")
         rows.append(row)

@@ -33,13 +33,13 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.provenance import vstestbed_version
 from vstestbed.laws.policy import MOST_PX, action_unit
-from vstestbed.loop.columns import TWIST
 from vstestbed.loop.ego_motion import mount_at
 from vstestbed.report.recorded_run import ExportFormat, ExportRequest, RecordedRun, unit_of_joint
 from vstestbed.report.video.writer import DATASET, VideoWriter
 from vstestbed.robots import Mount
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.judged import Reward, in_a_frame, potential
+from vstestbed.tasks.metrics import TWIST
 
 # What a LeRobot dataset holds of each frame: the observations, actions and ends of the scenario's
 # environment (`vstestbed.apps.learn`).

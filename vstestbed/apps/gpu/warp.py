@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Window
 from vstestbed.core.geometry import Array
+from vstestbed.effects.base import RANGE_GROUP
 from vstestbed.sim.render.rays import Raster, RayRenderer
 from vstestbed.sim.render.shade import Paint
-from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.meshes import LENS_GROUP
 from vstestbed.sim.scene.scene import Scene
 
 wp: Any = warp  # whose types are made as it runs

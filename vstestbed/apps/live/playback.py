@@ -16,11 +16,11 @@ from vstestbed.apps.live.panel import StatusLine, on_change, transport_panel
 from vstestbed.apps.live.run import Sample, Served, Transport, sample
 from vstestbed.apps.live.server import LocalServer
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
-from vstestbed.loop.columns import TWIST
 from vstestbed.loop.log_file import open_log
 from vstestbed.report.video.film import ending_of
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.scenario.dump import load_run
+from vstestbed.tasks.metrics import TWIST
 
 SLIDER = "slider"  # key of the orders of the time slider
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from vstestbed.cli.options import Plugins, ScenarioName, Settings, load_scenario
+from vstestbed.core.apps import must_be_here
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.shares import STOPS
 
@@ -143,6 +144,7 @@ def ros(
                     for line in servo.servo.senses.passed.lines():
                         typer.echo(line, err=True)
             elif role == "excite":
+                must_be_here("identify", "--role excite")
                 from vstestbed.apps.identify.identification import motion_of
                 from vstestbed.apps.ros.law import excite
 

@@ -56,6 +56,7 @@ from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, po
 __all__ = [
     "PLAN",
     "Baseline",
+    "Campaign",
     "Comparison",
     "ComparisonTable",
     "Job",
@@ -63,9 +64,17 @@ __all__ = [
     "Runner",
     "Shard",
     "Variant",
+    "again",
+    "asked_for",
+    "begun",
+    "chosen",
+    "compare",
+    "controllers",
+    "merge",
+    "must_be_known",
+    "resumed",
+    "stored",
 ]
-__all__ += ["Campaign", "again", "asked_for", "begun", "chosen", "compare", "controllers", "merge"]
-__all__ += ["must_be_known", "resumed"]
 
 
 def compare(
