@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 import vstestbed.sim  # noqa: F401 - chooses MUJOCO_GL before any test imports mujoco
+from vstestbed.core.apps import bundled
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.sim.gl_probe import require
 
@@ -32,6 +33,8 @@ if (
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+APPS = Path(__file__).parent / "apps"
+"""A folder of tests for each app, and files of tests that need them all."""
 
 
 @pytest.hookimpl(wrapper=True)
@@ -86,12 +89,23 @@ def _no_opengl() -> str:
     return ""
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip tests marked `opengl` where there is none."""
+    """Mark the tests of apps. Skip tests of apps that are not there, and of OpenGL where there is
+    none.
+    """
     if lack := _no_opengl():
         for item in items:
             if item.get_closest_marker("opengl"):
                 item.add_marker(pytest.mark.skip(reason=lack))
+    for item in items:
+        if APPS in item.path.parents:
+            folder = item.path.relative_to(APPS).parts[0]
+            item.add_marker(pytest.mark.app(*([folder] if (APPS / folder).is_dir() else [])))
+        for marker in item.iter_markers("app"):
+            if not set(marker.args) <= set(bundled()):
+                reason = f"needs the apps {', '.join(marker.args)}"
+                item.add_marker(pytest.mark.skip(reason=reason))
 
 
 @dataclass(frozen=True)

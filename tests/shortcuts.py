@@ -4,13 +4,15 @@ about; the kinematics of the Puma.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import pytest
 
+from vstestbed.core.apps import bundled
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison import page
 from vstestbed.robots.puma560 import CHAIN
@@ -33,6 +35,33 @@ def one_quick(*cases: Any, every: int = 0) -> list[Any]:
         pytest.param(*case.values, marks=[*case.marks, *more], id=case.id)
         for case, more in zip(made, study, strict=True)
     ]
+
+
+def of_apps(cases: Iterable[str], apps: Mapping[str, str]) -> list[Any]:
+    """Cases of `parametrize` by their names; one of an app is skipped where that is not there."""
+    found: list[Any] = []
+    for name in cases:
+        marks = [pytest.mark.app(apps[name])] if name in apps else []
+        found.append(pytest.param(name, marks=marks, id=name))
+    return found
+
+
+def is_here(file: str) -> bool:
+    """Whether a file of the package, `apps/ros/bag.py`, is none of an app that is not there."""
+    room, *inner = file.split("/")
+    return room != "apps" or inner[0] in bundled()
+
+
+def in_app(place: str) -> Callable[..., Any]:
+    """A function of an app, `package.module:name`, imported when it is called: tables of tests can
+    name it where the app is not there.
+    """
+    module, _, name = place.partition(":")
+
+    def call(*arguments: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments)
+
+    return call
 
 
 class Here:
@@ -61,8 +90,14 @@ class Here:
 
 def run_here(patch: pytest.MonkeyPatch) -> None:
     """Runs of comparisons and searches are done in this process."""
-    for user in ("comparison", "tuning", "convergence"):
-        patch.setattr(f"vstestbed.studies.{user}.pool_of", lambda *_: Here())
+    users = {
+        "vstestbed.studies.comparison": "",
+        "vstestbed.apps.tune.tuning": "tune",
+        "vstestbed.apps.maps.convergence": "maps",
+    }
+    for user, app in users.items():
+        if not app or app in bundled():
+            patch.setattr(f"{user}.pool_of", lambda *_: Here())
 
 
 def draw_one_figure(patch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from vstestbed.targets.markers import MARKERS, Stripe
 from vstestbed.targets.motion import MOTIONS
 from vstestbed.tasks import GOALS
 
+pytestmark = pytest.mark.app()
 PACKAGE = Path(vstestbed.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 ROOMS = {

@@ -13,14 +13,11 @@ import yaml
 
 import vstestbed as vs
 from tests.camera.calibration_files import CAMERA_INFO, EASY, ECHO, POSE, STAMPED
+from tests.shortcuts import in_app, of_apps
 from vstestbed.camera.intrinsics import ABOUT, READ, read_calibration, read_intrinsics, read_mount
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.named_files import bundled_comparisons, bundled_labs, folder
-from vstestbed.studies.bench import read_saved
-from vstestbed.studies.calibration import shots_of_folder
 from vstestbed.studies.comparison.plan import read_comparison
-from vstestbed.studies.suite import law_of_file, read_suite
-from vstestbed.testing.grading import read_lab
 
 R, T = np.eye(3).tolist(), np.eye(4).tolist()
 MATRIX = {"K": [500, 0, 320, 0, 510, 240, 0, 0, 1]}
@@ -59,7 +56,7 @@ READERS = {
     "preset": (omni, IMPERFECT, ()),
     "starts": (starts, STARTS, ()),
     "lab": (
-        lambda file: read_lab(Path(file)),
+        lambda file: in_app("vstestbed.apps.course.grading:read_lab")(Path(file)),
         yaml_of(bundled_labs()["lab_1"]),
         ("tasks.*.set", "tasks.*.median"),
     ),
@@ -69,12 +66,12 @@ READERS = {
         ("set", "cases.**", "axes"),
     ),
     "suite": (
-        read_suite,
+        in_app("vstestbed.apps.suite.suite:read_suite"),
         yaml_of(folder("scenarios") / "suite" / "VS-1.yaml"),
         ("laws", "tasks", "laws.*.tasks.**", "laws.*.law.**"),
     ),
     # blocks of a law's kind, checked when they are flown
-    "law": (law_of_file, LAW, ("law", "tasks.**")),
+    "law": (in_app("vstestbed.apps.suite.suite:law_of_file"), LAW, ("law", "tasks.**")),
     "scenario": (vs.load, yaml_of(folder("scenarios") / "arm_ibvs.yaml"), ()),
 }
 
@@ -115,7 +112,10 @@ def put(plain, path, name, value):
     return plain
 
 
-@pytest.mark.parametrize("reader", READERS)
+APPS = {"lab": "course", "suite": "suite", "law": "suite"}
+
+
+@pytest.mark.parametrize("reader", of_apps(READERS, APPS))
 def test_a_field_that_is_not_known_is_refused_by_its_name_at_every_level(reader, tmp_path):
     read, valid, free = READERS[reader]
     file = tmp_path / ("given.json" if reader == "starts" else "given.yaml")
@@ -142,8 +142,11 @@ def test_a_field_that_is_not_known_is_refused_by_its_name_at_every_level(reader,
     assert checked
 
 
+@pytest.mark.app("calibrate")
 def test_a_column_that_is_not_known_is_refused_by_its_name(tmp_path):
     import cv2
+
+    from vstestbed.apps.calibrate.calibration import shots_of_folder
 
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((8, 8, 3), np.uint8))
     line = {"picture": "a.png", **POSE, "time": 0.1}
@@ -255,7 +258,10 @@ def test_a_preset_is_one_plain_block(tmp_path):
     assert omni(str(tmp_path / "worn.yaml")).drive_lag_s == 0.05
 
 
+@pytest.mark.app("bench")
 def test_a_saved_benchmark_is_read_whole(tmp_path):
+    from vstestbed.apps.bench.bench import read_saved
+
     (tmp_path / "saved.yaml").write_text("not_a_field: 1")
     with pytest.raises(VstestbedError, match="not_a_field"):
         read_saved(tmp_path / "saved.yaml")

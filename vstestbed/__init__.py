@@ -36,10 +36,13 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from vstestbed.core.former_modules import imported, know_former_modules
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from vstestbed import camera, effects, features, laws, robots, targets, tasks, testing, vision
+    from vstestbed.apps.tune.tuning import tune
     from vstestbed.camera import CAMERAS, Calibration, Camera
     from vstestbed.core import errors
     from vstestbed.core.geometry import Array, Pose
@@ -62,7 +65,6 @@ if TYPE_CHECKING:
     from vstestbed.sim.scene.world import World
     from vstestbed.studies.comparison import compare
     from vstestbed.studies.run_folder import run_into
-    from vstestbed.studies.tuning import tune
     from vstestbed.targets import TARGETS, Target
     from vstestbed.targets.motion import MOTIONS, MotionBase
     from vstestbed.tasks import GOALS, Task, TaskBase
@@ -84,7 +86,7 @@ _HOMES = {
     "vstestbed.report.comparison.planning": ("starts_needed",),
     "vstestbed.studies.comparison": ("compare",),
     "vstestbed.studies.run_folder": ("run_into",),
-    "vstestbed.studies.tuning": ("tune",),
+    "vstestbed.apps.tune.tuning": ("tune",),
     "vstestbed.effects": ("EFFECTS", "EffectBase"),
     "vstestbed.features": ("FEATURES", "Feature"),
     "vstestbed.features.observation": ("Goal", "Observation", "Sight"),
@@ -199,11 +201,20 @@ __all__ = [
 ]
 
 
+know_former_modules()
+
+
 def __getattr__(name: str) -> object:
     if name in _MODULES:
         return import_module(_MODULES[name])
     if name in _HOME_OF:
-        home = import_module(_HOME_OF[name])
+        try:
+            home = imported(_HOME_OF[name], f"vstestbed.{name}")
+        except ModuleNotFoundError as error:
+            if error.name != _HOME_OF[name]:
+                raise
+            # of an app that is not there, which its sentence names
+            raise AttributeError(str(error)) from None
         if _HOME_OF[name].startswith("vstestbed.loop"):
             _show_in_notebooks()
         return getattr(home, name)

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 from docs.build.kept import FOLDER, Row, _columns, _rows, _text, place_of, steady
-from vstestbed.cli.compare import vary_of
 from vstestbed.cli.ending import exit_code
+from vstestbed.cli.options import vary_of
 from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.files import write_whole
-from vstestbed.studies.comparison import Job, Runner, prepared
+from vstestbed.studies.comparison import Job, Runner, begun, chosen, resumed
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import AMOUNT
 from vstestbed.studies.comparison.record import PLAN
@@ -80,11 +80,12 @@ def _go_on(asked: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as empty:
         out = asked.out or Path(empty) / "runs"
         resume = (out / PLAN).is_file()
-        vary = {} if resume else vary_of(asked.vary)
-        with prepared([] if resume else [asked.name], vary, out, resume, {}, (), False) as (
-            whole,
-            _,
-        ):
+        if resume:
+            ready = resumed(out, film=False)
+        else:
+            ready = begun(chosen([asked.name], {}, vary_of(asked.vary)), out, film=False)
+        with ready as campaign:
+            whole = campaign.runner
             kept = {
                 _key(row): row
                 for row in _kept(command)

@@ -19,13 +19,12 @@ from typing import Any
 import typer.main
 
 import vstestbed as vs
+from vstestbed.apps.maps.basin import laws
+from vstestbed.apps.maps.delay import by_the_oracle
 from vstestbed.cli.app import program
-from vstestbed.cli.compare import vary_of
-from vstestbed.cli.tools import settings_of
-from vstestbed.studies.basin import laws
+from vstestbed.cli.options import settings_of, vary_of
 from vstestbed.studies.comparison import chosen
 from vstestbed.studies.comparison.plan import Comparison, changed, merged
-from vstestbed.studies.delay import by_the_oracle
 from vstestbed.vision.oracle import Oracle
 
 LINE = "*Conditions: "

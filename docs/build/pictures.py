@@ -330,8 +330,9 @@ def live_page() -> Image:
     """The page of a live run whose gain was made too large for its delay."""
     sys.path.insert(0, str(REPOSITORY))
     from tests.live.browser import Browser
-    from vstestbed.live.app import LiveApp
-    from vstestbed.live.run import Settings
+
+    from vstestbed.apps.live.app import LiveApp
+    from vstestbed.apps.live.run import Settings
 
     app = LiveApp(Settings("arm_ibvs", {"camera.latency_s": LATE_S, "law.gain": QUIET}))
     app.run.transport.play(False)

@@ -27,6 +27,7 @@ from docs.build.conditions import comparison_of, conditions, conditions_line
 from docs.build.kept import Kept, Row
 from docs.build.suite import Suite
 from docs.build.verdicts import Verdicts
+from vstestbed.apps.bench.bench import BesideFloor
 from vstestbed.cli.app import program
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.loop.columns import column_texts
@@ -41,7 +42,6 @@ from vstestbed.report.comparison.statistics import (
     success_rate,
 )
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown, over_all_tasks
-from vstestbed.studies.bench import BesideFloor
 from vstestbed.studies.comparison.folder import results_of
 from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 

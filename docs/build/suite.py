@@ -24,10 +24,7 @@ import polars as pl
 
 import vstestbed as vs
 from docs.build.suite_tuning import GROUPS, TRIALS, gains, record
-from vstestbed.core.files import make_folder, write_whole
-from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, paired_difference
-from vstestbed.report.scores import (
+from vstestbed.apps.suite.scores import (
     RESAMPLES,
     Score,
     TaskOfSuite,
@@ -36,9 +33,12 @@ from vstestbed.report.scores import (
     scores,
     write_scores,
 )
+from vstestbed.apps.suite.suite import HOW, LAW, fingerprint, opened, read_suite
+from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.geometry import Array
+from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, paired_difference
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Jobs, controllers, read_comparison
-from vstestbed.studies.suite import HOW, LAW, fingerprint, opened, read_suite
 from vstestbed.tasks.metrics import Metric
 
 PLACE = Path(__file__).resolve().parents[1] / "research" / "VS-1"

@@ -10,7 +10,7 @@ none of the suite's, in each of the task's cases: random ones, and of lists of m
 between two neighbours (from random starts alone the search finds gains that lose large motions).
 Its number is the suite's own: the mean of the task's metric, a failure at the task's limit. A law
 with three gains has as many trials as one with one. Settings are chosen as `vstestbed tune` does
-(`studies/search_space.py`). Trials see the oracle, which is some ten times quicker than pictures;
+(`apps/tune/search_space.py`). Trials see the oracle, which is some ten times quicker than pictures;
 the best one then flies the same starts with pictures, and both means are in the record. For natural
 features there is no oracle: their trials see pictures; and `ideal` has the oracle itself.
 """
@@ -33,6 +33,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: one process compu
 import polars as pl
 
 import vstestbed as vs
+from vstestbed.apps.suite.suite import LAW, TO_GOAL, SuiteEntry, opened
+from vstestbed.apps.tune.search_space import Range, SearchSpace, Trial, next_settings
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Pose
 from vstestbed.scenario.scenario import Scenario
@@ -46,8 +48,6 @@ from vstestbed.studies.comparison.plan import (
     controllers,
     read_comparison,
 )
-from vstestbed.studies.search_space import Range, SearchSpace, Trial, next_settings
-from vstestbed.studies.suite import LAW, TO_GOAL, SuiteEntry, opened
 from vstestbed.tasks.metrics import Metric
 
 TRIALS = 24

@@ -141,7 +141,6 @@ class TestBadInput:
                     " 'laws', 'detectors'"
                 ),
             ),
-            (["bench", "quick.yaml", "--repeats", "0"], "Invalid value for '--repeats'"),
             (["arm_ibvs"], "No such command 'arm_ibvs'"),
         ):
             ended = command(*words)
@@ -176,7 +175,6 @@ class TestBadInput:
                 ["render", ".", "--gif", "--out", "a.mp4"],
                 "--out must end in .gif, or in .mp4 without --gif, got 'a.mp4'",
             ),
-            (["bench", "nowhere"], "nowhere: no such file"),
         ):
             ended = command(*words)
             assert (ended.code, ended.out) == (2, "")
@@ -515,7 +513,7 @@ class TestListAndSchema:
         assert "  arm_ibvs  " in out
 
     def test_help_and_version(self, command) -> None:
-        assert "Commands:" in command("--help").out
+        assert "Experiments:" in command("--help").out
         for name in (
             "run",
             "list",
@@ -523,7 +521,6 @@ class TestListAndSchema:
             "render",
             "report",
             "doctor",
-            "bench",
             "optical-flow",
         ):
             ended = command(name, "--help")
@@ -606,17 +603,6 @@ class Timid(IBVS):
     assert "Timid" in json.loads(command("schema", *with_plugin).out)["$defs"]
     assert command("report", "runs/quick/002", *with_plugin).code == 0
     assert "share: 0.5" in Path("runs/quick/002/scenario.yaml").read_text(encoding="utf-8")
-
-
-def test_bench_tells_of_the_loop_and_its_floor(command, quick: Path) -> None:
-    ended = command("bench", "quick.yaml", "--repeats", 1, "--json")
-    result = json.loads(ended.out)
-    assert ended.code == 0
-    assert result["scenario"] == "quick"
-    assert result["frames"] == 30
-    assert {"physics", "render", "detect", "law", "record", "other", "whole"} <= set(
-        result["ms_per_frame"]
-    )
 
 
 def test_flow_makes_the_folder_of_its_figure(

@@ -136,7 +136,7 @@ def test_bad_input(command, quick: Path):
         ),
         (
             ["quick.yaml", "--executor", "ray"],
-            "--executor must be local, warp or dask://HOST:PORT, got 'ray'",
+            " or dask://HOST:PORT, got 'ray'",
         ),
         (["--resume"], "--resume needs the folder that `vstestbed compare` has made: --out DIR"),
         (["--resume", "--out", "nowhere"], "nowhere: no such folder"),

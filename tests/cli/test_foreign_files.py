@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import in_app, of_apps
 from vstestbed.camera.intrinsics import read_calibration, read_intrinsics, read_mount
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.lazy import cv2
@@ -33,10 +34,8 @@ from vstestbed.sim.scene.joint_chain import compiled
 from vstestbed.sim.scene.scenery import _checked
 from vstestbed.studies.comparison.folder import Baseline
 from vstestbed.studies.comparison.plan import _read_lists, read_comparison
-from vstestbed.studies.search_space import RECORD, read_record
 from vstestbed.targets.mesh import read_triangles
 from vstestbed.targets.picture import decoded
-from vstestbed.testing.grading import read_lab
 
 LONGEST_S = 60.0
 """No answer within this is a hang: the slowest takes 1 s, on a machine with other work 20 s."""
@@ -87,6 +86,7 @@ def parquet() -> bytes:
     return content.getvalue()
 
 
+read_trials = in_app("vstestbed.apps.tune.search_space:read_record")
 READERS: dict[str, tuple[str, Callable[[Path], object], Callable[[], bytes]]] = {
     "scenario": (".yaml", vs.load, lambda: bundled_scenarios()["ibvs_book"].read_bytes()),
     "comparison": (
@@ -94,7 +94,11 @@ READERS: dict[str, tuple[str, Callable[[Path], object], Callable[[], bytes]]] = 
         read_comparison,
         lambda: bundled_comparisons()["canonical"].read_bytes(),
     ),
-    "lab": (".yaml", read_lab, lambda: next(iter(bundled_labs().values())).read_bytes()),
+    "lab": (
+        ".yaml",
+        in_app("vstestbed.apps.course.grading:read_lab"),
+        lambda: next(iter(bundled_labs().values())).read_bytes(),
+    ),
     "intrinsics": (".yaml", lambda path: read_intrinsics(str(path)), CALIBRATION.encode),
     "intrinsics in XML": (
         ".xml",
@@ -152,7 +156,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object], Callable[[], bytes]]] = 
     "changes": (".json", in_folder(FILE, read_changes), lambda: b"{}"),
     "trials": (
         ".json",
-        in_folder(RECORD, lambda folder: read_record(folder, ("law.gain",))),
+        in_folder("trials.json", lambda folder: read_trials(folder, ("law.gain",))),
         lambda: b"[]",
     ),
 }
@@ -215,7 +219,7 @@ def no_hang() -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("name", of_apps(READERS, {"lab": "course", "trials": "tune"}))
 def test_a_reader_answers_with_a_sentence(name: str, tmp_path: Path):
     ending, read, content = READERS[name]
     faults = []

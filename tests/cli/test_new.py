@@ -16,7 +16,8 @@ import pytest
 
 import vstestbed as vs
 from tests.shortcuts import one_quick
-from vstestbed.cli.tools import REGISTRY_OF, NewKind, commands_of, settings_of, text_of
+from vstestbed.cli.options import settings_of
+from vstestbed.cli.tools import REGISTRY_OF, NewKind, commands_of, text_of
 from vstestbed.core.fields import class_text
 from vstestbed.scenario.plugins import registries
 

@@ -12,7 +12,10 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+
 import vstestbed
+from tests.shortcuts import is_here
 
 PACKAGE = Path(vstestbed.__file__).parent
 METRES = re.compile(r"\[(?:[^\]]*[ ,;])?m(?:[ ,;][^\]]*)?\]")
@@ -31,11 +34,11 @@ REASONS = {
         loop/inputs.py OUTSIDE
         loop/termination.py FAR_M
         report/run/page.py FARTHEST_M
-        ros/messages.py DEPTHS
+        apps/ros/messages.py DEPTHS
         scenario/checks.py MOST_MOUNT_M MOST_PLACE_M MOST_VIEW_M
         sim/render/rays.py FAR
         scenario/cameras.py LEAST_BASELINE_M
-        studies/calibration.py LEAST_M MOST_M
+        apps/calibrate/calibration.py LEAST_M MOST_M
         tasks/metrics.py LEAST
         sim/scene/joint_chain.py MOST_ARM_M
         sim/scene/model_files.py MOST_M"""
@@ -66,8 +69,8 @@ REASONS = {
         sim/scene/compose.py BEHIND_LENS_M HOUSING_M PAD_HALF_M POST_RADIUS_M SOCKET_BOTTOM_M
         sim/scene/compose.py SOCKET_SIDES
         sim/scene/model_report.py APART_DEG APART_M CLEAR_M DISTANCES_M MOUNTS_M
-        studies/calibration.py POSE_SIGMA
-        studies/delay.py OFF OFF_WITH_FRICTION"""
+        apps/calibrate/calibration.py POSE_SIGMA
+        apps/maps/delay.py OFF OFF_WITH_FRICTION"""
     ),
     "a task of such a robot: lines and places on the floor, insertion, landing": (
         """
@@ -84,10 +87,10 @@ REASONS = {
     ): (
         """
         effects/floor.py HALF_M
-        live/page.py FLOOR_M GRID_M LAYER_M LONGEST_M SHORTEST_M
+        apps/live/page.py FLOOR_M GRID_M LAYER_M LONGEST_M SHORTEST_M
         sim/plant.py AWAY
         sim/render/still.py FLOOR_M NEAR_M
-        sim/render/warp_kernels.py AWAY
+        apps/gpu/warp_kernels.py AWAY
         sim/replay.py FLOOR_M
         sim/scene/compose.py FINE_FLOOR_M FINE_GRID_M LIFT_M PANE_HALF_M SUN_M
         sim/scene/follow.py HIDDEN_M
@@ -116,7 +119,7 @@ REASONS = {
         laws/pose_controller.py PoseController.average_m PoseController.pass_m PoseController.rest_m
         sim/scene/world.py Clutter.radius_m Clutter.size_m Decoy.radius Floor.tile_m
         sim/scene/world.py Plate.height Plate.width WindowPane.height WindowPane.width
-        studies/calibration.py Board.marker_m Board.square_m
+        apps/calibrate/calibration.py Board.marker_m Board.square_m
         targets/base.py Pad.side Socket.depth Socket.radius Socket.wall
         targets/ground_lines.py GroundLines.look_m
         targets/markers.py RoundMarker.radius Stripe.width_m Tag.size
@@ -190,14 +193,16 @@ def lengths_in(source: str) -> set[str]:
 
 
 def known() -> dict[str, set[str]]:
-    """The table by file."""
+    """The table by file, without those of apps that are not there."""
     table: dict[str, set[str]] = {}
     for lines in REASONS.values():
         for file, *names in (line.split() for line in lines.strip().splitlines()):
-            table.setdefault(file, set()).update(names)
+            if is_here(file):
+                table.setdefault(file, set()).update(names)
     return table
 
 
+@pytest.mark.app()
 def test_every_constant_length_has_its_reason():
     found = {
         p.relative_to(PACKAGE).as_posix(): lengths_in(p.read_text(encoding="utf-8"))

@@ -75,14 +75,16 @@ def test_a_batch_has_a_code_for_each_outcome() -> None:
     assert batch.CODES[batch.GOING] is None
 
 
+@pytest.mark.app("learn")
 def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
     pytest.importorskip("gymnasium")
-    from vstestbed.env import vector_env
+    from vstestbed.apps.learn.environments import vector_env
 
     assert {outcome.name for outcome in vector_env.CODES} <= NAMES
     assert vector_env.OUTCOMES[0] is vector_env.GOING
 
 
+@pytest.mark.app()
 def test_an_outcome_is_a_word_of_the_package_where_one_is_written_as_text() -> None:
     """Outcomes that are compared as texts, as those of a table are: a word that is none would never
     be equal.

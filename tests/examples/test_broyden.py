@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import vstestbed as vs
-from vstestbed.studies.basin import ON_AXIS_DEG
 
 HERE = Path(__file__).parent
 BROYDEN = ("--plugin", "broyden", "--set", "law=broyden")
@@ -69,7 +68,10 @@ def test_it_is_compared_with_the_classic(command, quick: Path, here: None, one_f
     assert Path("runs/compare/001/comparison.mp4").stat().st_size > 1000
 
 
+@pytest.mark.app("maps")
 def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):
+    from vstestbed.apps.maps.basin import ON_AXIS_DEG
+
     grid = ("--x", "x=-.15:.15", "--y", "yaw=-40:40", "--n", 3, "--check", 3)
     ended = command(
         "basin", "quick.yaml", "--plugin", "broyden", "--set", "law=broyden", *grid, *QUIET
@@ -80,6 +82,7 @@ def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):
     assert basin["shares"]["converged"] > 0.4
 
 
+@pytest.mark.app("maps")
 @pytest.mark.study
 def test_it_has_a_gain_limit(command, quick: Path):
     ended = command(

@@ -15,7 +15,6 @@ import vstestbed as vs
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.laws.base import has_batch
 from vstestbed.studies.batch import ideal, simulate_batch, started_at
-from vstestbed.studies.delay import displaced, growth, prepared
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guides" / "first_law.md"
 LINES = 16
@@ -61,10 +60,13 @@ def test_a_batch_of_it_ends_as_its_runs_do(plugin: str):
     assert found.outcome[0] is vs.Outcome.converged
 
 
+@pytest.mark.app("maps")
 def test_its_gain_limit_is_that_of_theory(plugin: str):
     """One frame of delay: the loop z^2 - z + g = 0 is unstable from g = 1 a frame on, 10 1/s at 10
     Hz.
     """
+    from vstestbed.apps.maps.delay import displaced, growth, prepared
+
     at_goal = prepared(loaded(plugin, "ibvs_book"))
     at_start, limit = displaced(at_goal), at_goal.camera.rate_hz
     assert growth(at_start, 0.97 * limit, 1) < 1 < growth(at_start, 1.03 * limit, 1)

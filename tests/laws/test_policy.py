@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-import vstestbed.env
 from tests.examples import policy as example
 from tests.laws.onnx_file import DOUBLE, linear
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError
@@ -297,9 +296,12 @@ class TestPictures:
             SMALL | {"law": {"kind": "policy", "file": file, "picture_px": [40, 30]} | law},
         )
 
+    @pytest.mark.app("learn")
     def test_it_sees_this_picture_and_the_goal_s_as_an_environment_scales_them(
         self, tmp_path: Path
     ):
+        from vstestbed.env import make
+
         s = self.made(tmp_path)
         with vs.Session(s, pictures=True) as session:
             frames = [session.reset(3), session.step()]
@@ -315,9 +317,7 @@ class TestPictures:
         # 4 x 4 pixels each
         mean = frames[1].observation.image.image.reshape(30, 4, 40, 4, 3).mean(axis=(1, 3))
         assert np.abs(seen["pixels"] - mean).max() <= 0.5 + 1e-9
-        env = vs.env.make(
-            "camera_photometric", overrides=SMALL, observation="pixels", picture_px=(40, 30)
-        )
+        env = make("camera_photometric", overrides=SMALL, observation="pixels", picture_px=(40, 30))
         assert np.array_equal(
             env.reset(seed=3)[0]["pixels"], scaled(frames[0].observation.image.image, (40, 30))
         )

@@ -30,9 +30,9 @@ def scenario(renderer: str = "auto") -> Scenario:
 def pictures(worlds: int, size: tuple[int, int]) -> float:
     """Whole pictures a second of so many arms, with packing and copying."""
 
-    from vstestbed.sim.render.warp import PictureRequest, WarpRenderer
+    from vstestbed.apps.gpu.together import device
+    from vstestbed.apps.gpu.warp import PictureRequest, WarpRenderer
     from vstestbed.sim.scene.scene import Scene
-    from vstestbed.studies.together import device
 
     width, height = size
     s = load("arm_ibvs", {"camera.width": width, "camera.height": height})
@@ -65,8 +65,8 @@ def fly(given: tuple[str, list[int]]) -> dict[str, Any]:
 
     runs = [seeded(scenario("auto" if kind == "warp" else "rays"), seed) for seed in seeds]
     if kind == "warp":
-        from vstestbed.sim.render.warp import Device, PictureRequest
-        from vstestbed.studies.together import TOGETHER, Together
+        from vstestbed.apps.gpu.together import TOGETHER, Together
+        from vstestbed.apps.gpu.warp import Device, PictureRequest
 
         class Timed(Device):
             spent_s = 0.0

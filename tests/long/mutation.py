@@ -38,7 +38,7 @@ TESTS = (
     "catalogue",
     "loop",
     "robots/test_failsafe.py",
-    "studies/basin",
+    "apps/maps/basin",
 )
 """Tests that may notice; the longest runs and the studies are left out."""
 LONGEST_S = 6.0

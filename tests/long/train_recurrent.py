@@ -32,10 +32,9 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import torch
+import vstestbed.env  # noqa: F401 - registers the environments
 from scipy.spatial.transform import Rotation
 from torch import nn
-
-import vstestbed.env  # noqa: F401 - registers the environments
 
 POLICY = Path(__file__).parents[2] / "scenarios" / "policies" / "recurrent.py"
 RATE_HZ, FRAMES, PAST, MOST = 25.0, 150, 6, 10.0

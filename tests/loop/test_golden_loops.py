@@ -120,7 +120,7 @@ def name(row: dict[str, str]) -> str:
 
 
 TOLD = [row for row in ROWS if not decided_by_rounding(row)]
-"""The batched loop holds all of them (tests/studies/basin); of the time loop every eighth is run
+"""The batched loop holds all of them (tests/apps/maps/basin); of the time loop every eighth is run
 each time, the others as studies.
 """
 

@@ -384,6 +384,7 @@ class TestTruthFence:
     def test_of_a_robot_only_its_log_is_given_the_truth(self):
         assert self.readers("robots", "T_world_base") == {"VehicleLog"}
 
+    @pytest.mark.app()
     def test_only_the_loop_opens_the_fence_and_only_for_the_oracle(self):
         named = [(f, text) for f in PACKAGE.rglob("*.py") if "TruthView" in (text := f.read_text())]
         opened = {f.name for f, text in named if "TruthView" in self.spoken(ast.parse(text))}

@@ -10,11 +10,9 @@ from vstestbed.loop.stability import (
     closed_form,
     gain_limit,
     loop_shares,
-    polynomial,
     roots,
     swing_frames,
 )
-from vstestbed.studies.delay import locus
 
 
 def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:
@@ -78,17 +76,6 @@ def test_a_servos_lag_without_delay(tau_ms, higher):
         == pytest.approx(2 / (1 - 2 * a), rel=1e-8)
         == pytest.approx(2 * (1 + higher), rel=0.01)
     )
-
-
-def test_branches_are_followed():
-    gains = np.linspace(1e-3, 1.5, 3000)
-    ways = locus(2, gains)
-    assert ways.shape == (3000, 3)
-    for i in (0, 1500, 2999):
-        np.testing.assert_allclose(np.poly(ways[i]), polynomial(gains[i], 2), atol=1e-9)
-    # From one gain to the next .0005 apart a pole moves little, but where two meet (square root of
-    # the step).
-    assert np.abs(np.diff(ways, axis=0)).max() < 0.05
 
 
 def test_a_servo_that_goes_backwards_is_refused():

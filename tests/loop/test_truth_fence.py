@@ -393,6 +393,7 @@ class TestCorruptedTruth:
         assert not np.array_equal(self.commands(scenario), honest)
 
 
+@pytest.mark.app()
 def test_a_picture_alone_draws_itself_whole():
     package = Path(vs.__file__).parent
     read = {

@@ -15,7 +15,6 @@ from scipy import stats
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.env.rollout import Rollout
 from vstestbed.scenario.distributions import (
     IMAGE_STREAM,
     START_STREAM,
@@ -142,7 +141,10 @@ class TestAScenario:
             arm(BLOCK[1:2], seed=5).camera.latency_s
         )
 
+    @pytest.mark.app("learn")
     def test_an_environment_draws_the_same_as_a_run(self):
+        from vstestbed.apps.learn.rollout import Rollout
+
         rollout = Rollout(arm(BLOCK[1:2]).given)
         rollout.reset(7)
         assert rollout._session is not None and rollout._session.episode is not None

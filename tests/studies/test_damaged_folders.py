@@ -91,7 +91,15 @@ def parquet(table: pl.DataFrame) -> bytes:
     return sink.getvalue()
 
 
-@pytest.mark.parametrize("words", [("report",), ("render",), ("export", "--to", "csv")], ids=str)
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("report",),
+        ("render",),
+        pytest.param(("export", "--to", "csv"), marks=pytest.mark.app("export")),
+    ],
+    ids=str,
+)
 def test_a_log_without_frames(command, run: Path, words: tuple[str, ...]) -> None:
     (run / "log.parquet").write_bytes(parquet(pl.read_parquet(run / "log.parquet").clear()))
     (run / "summary.json").unlink()

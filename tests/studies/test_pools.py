@@ -106,9 +106,9 @@ def interrupted(process: subprocess.Popen[str]) -> tuple[float, str]:
 @pytest.mark.parametrize(
     "study",
     [
-        "sweep",
+        pytest.param("sweep", marks=pytest.mark.app("maps")),
         pytest.param("compare", marks=pytest.mark.study),
-        pytest.param("tune", marks=pytest.mark.study),
+        pytest.param("tune", marks=[pytest.mark.app("tune"), pytest.mark.study]),
     ],
 )
 @pytest.mark.parametrize(
@@ -129,6 +129,7 @@ def test_ctrl_c_ends_a_study_at_once(start: Start, tmp_path: Path, study: str, l
     assert not (tmp_path / "out" / ".running").exists()
 
 
+@pytest.mark.app("maps", "bench")
 @pytest.mark.parametrize(
     ("words", "said", "kept"),
     [
@@ -166,6 +167,7 @@ def test_ctrl_c_in_a_run_ends_the_study_around_it(
         assert (tmp_path / "out/report.html").exists()
 
 
+@pytest.mark.app("maps")
 def test_an_interrupted_sweep_keeps_what_is_done(start: Start, tmp_path: Path):
     process = start(
         "sweep",
@@ -196,6 +198,7 @@ def test_an_interrupted_sweep_keeps_what_is_done(start: Start, tmp_path: Path):
     assert f"Interrupted: {400 - len(table)} of 400 runs are missing" in page
 
 
+@pytest.mark.app("maps")
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="workers are found in /proc")
 @pytest.mark.parametrize("later_s", [0.0, pytest.param(5.0, marks=pytest.mark.study)])
 def test_workers_end_with_a_killed_study(start: Start, later_s: float):

@@ -31,6 +31,15 @@ from vstestbed.core.spec import spec
 if TYPE_CHECKING:
     from vstestbed.camera.base import Camera
 
+__all__ = [
+    "Intrinsics",
+    "as_ros",
+    "read_calibration",
+    "read_intrinsics",
+    "read_mount",
+    "write_calibration",
+]
+
 Model = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 COEFFICIENTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (8,), "equidistant": (0, 4)}
 """How many numbers each of ROS's distortion models has."""

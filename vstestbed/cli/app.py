@@ -12,19 +12,17 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
+import typer.core
 
 from vstestbed.cli import complete, tools
-from vstestbed.cli.compare import compare, submit, suite
+from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
-from vstestbed.cli.export import export
-from vstestbed.cli.robots import calibrate, excite, identify
-from vstestbed.cli.ros import replay, ros
-from vstestbed.cli.studies import basin, bench, gain_limit, grade, sweep, tune
-from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario
-from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
+from vstestbed.cli.options import Json, Plugins, ScenarioName, Settings, load_scenario
+from vstestbed.core import apps
+from vstestbed.core.errors import NOTHING_RAN, ParameterError, PluginError, RunFolderError
 from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
@@ -166,25 +164,20 @@ def render(
     from vstestbed.report.video.gif import gif_of
     from vstestbed.scenario.dump import load_run
 
-    size_px, ending = _size_of(size), ".gif" if gif else ".mp4"
-    if out is not None and out.suffix.lower() != ending:
-        raise ParameterError(
-            "--out",
-            f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif",
-            str(out),
-        )
+    ending = ".gif" if gif else ".mp4"
+    _must_end_in(ending, out)
+    size_px = _size_of(size)
     if view is not None and camera != "overview":
         raise ParameterError.fixed("--camera", "overview", camera, where="with --view")
-    seen_from, path = (
-        view_of(view),
-        out or run_dir / f"{camera if view is None else 'view'}{ending}",
-    )
+    seen_from = view_of(view)
+    path = out or run_dir / f"{camera if view is None else 'view'}{ending}"
     _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
     scenario = load_run(run_dir, plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
     make_parents(path)
-    quality, verdict = quality_of(scenario, fine), ending_of(run_dir)
+    quality = quality_of(scenario, fine)
+    verdict = ending_of(run_dir)
 
     def make(path: Path) -> Path | None:
         return film_log(scenario, log, camera, path, quality, size_px, verdict, seen_from)
@@ -198,6 +191,14 @@ def render(
         )
     if not quiet:
         typer.echo(str(film), err=True)
+
+
+def _must_end_in(ending: str, out: Path | None) -> None:
+    """Refuse the file of `--out` where it is not of the kind that `--gif` says."""
+    if out is None or out.suffix.lower() == ending:
+        return
+    other = ".mp4 without" if ending == ".gif" else ".gif with"
+    raise ParameterError("--out", f"must end in {ending}, or in {other} --gif", str(out))
 
 
 def _size_of(words: str | None) -> tuple[int, int] | None:
@@ -272,17 +273,18 @@ def report(
     """Write report.html again."""
     from vstestbed.core.files import only_writer
 
-    _must_hold(folder, "comparison.yaml", "tuning.yaml", "scenario.yaml")
+    known = (*apps.offered("reports"), *apps.WORDS["reports"])
+    _must_hold(folder, "comparison.yaml", "scenario.yaml", *known)
+    of_apps = [name for name in known if (folder / name).is_file()]
     with only_writer(folder):
         # each with its own imports: those of a comparison take as long as the report of a run
         if (folder / "comparison.yaml").is_file():
             from vstestbed.studies.comparison import report_again
 
             page = report_again(folder, plugin or [], figures)
-        elif (folder / "tuning.yaml").is_file():
-            from vstestbed.studies.tuning import report_again
-
-            page = report_again(folder, plugin or [])
+        elif of_apps:
+            write = apps.loaded("reports", of_apps[0])
+            page = write(folder, plugin or [])
         else:
             from vstestbed.report import write_report
 
@@ -294,54 +296,110 @@ def report(
 COMMANDS: dict[str, Callable[..., None]] = {
     command.__name__.rstrip("_").replace("_", "-"): command
     for command in (
-        *(
-            run,
-            render,
-            report,
-            export,
-            compare,
-            suite,
-            submit,
-            tune,
-            basin,
-            gain_limit,
-            sweep,
-            ros,
-            replay,
-            calibrate,
-            excite,
-            identify,
-        ),
-        *(
-            tools.live,
-            tools.new,
-            tools.list_,
-            tools.schema,
-            tools.describe,
-            tools.doctor,
-            tools.optical_flow,
-            bench,
-            grade,
-        ),
+        run,
+        render,
+        report,
+        compare,
+        tools.new,
+        tools.list_,
+        tools.schema,
+        tools.describe,
+        tools.doctor,
+        tools.optical_flow,
     )
 }
+"""The kernel's commands; all others are of apps."""
+
+
+class Groups(typer.core.TyperGroup):
+    """Shows the kernel's commands, those of apps, and apps that cannot be imported."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the lists, each command with the beginning of its help."""
+        width = formatter.width - 6 - max(map(len, self.commands))
+        of_kernel: list[tuple[str, str]] = []
+        of_apps: list[tuple[str, str]] = []
+        for name, one in self.commands.items():
+            rows = of_kernel if name in COMMANDS else of_apps
+            rows.append((name, one.get_short_help_str(width)))
+        broken = [(name, str(error)) for name, error in apps.left_out().items()]
+        for title, rows in (("Experiments", of_kernel), ("Apps", of_apps), ("Left out", broken)):
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
 
 def program(*names: str) -> typer.Typer:
     """The command line with these commands, by default all: typer takes 0.1 s to read the
     signatures of all.
     """
-    app = typer.Typer(
+    app = _without_commands()
+    app.callback()(_options)
+    for name in names:
+        app.command(name)(_command(name))
+    if not names:
+        for name in (*COMMANDS, *apps.offered("commands")):
+            app.command(name)(_command_or_refusal(name))
+    return app
+
+
+def _without_commands() -> typer.Typer:
+    return typer.Typer(
+        cls=Groups,
         help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
         no_args_is_help=True,
         add_completion=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
-    app.callback()(_options)
-    for name in names or COMMANDS:
-        app.command(name)(COMMANDS[name])
-    return app
+
+
+def _command(name: str) -> Callable[..., None]:
+    """A command by its word. Raises PluginError: it is of another package, and broken."""
+    if name in COMMANDS:
+        return COMMANDS[name]
+    command = apps.loaded("commands", name)
+    if not any(name in app.commands for app in apps.bundled().values()):
+        _must_be_readable(name, command)
+    return command
+
+
+def _must_be_readable(name: str, command: Callable[..., None]) -> None:
+    """Refuse a command of another package that typer cannot read: it would stop the list of all."""
+    alone = _without_commands()
+    alone.command(name)(command)
+    try:
+        typer.main.get_command(alone)
+    except Exception as error:  # of any kind: it is the code of others
+        place = apps.offered("commands")[name]
+        raise PluginError(place, f"cannot be a command: {error}", apps.REMEDY) from error
+
+
+def _command_or_refusal(name: str) -> Callable[..., None]:
+    """A command for the list of all; a broken one of another package only says what is wrong."""
+    try:
+        return _command(name)
+    except PluginError as error:
+        refused = error
+
+    def refusal() -> NoReturn:
+        raise refused
+
+    refusal.__doc__ = f"Cannot be used: {refused}"
+    return refusal
+
+
+def _commands_of(words: list[str]) -> list[str]:
+    """The command that a command line begins with; none where it begins with an option, or no app
+    has the command.
+    """
+    name = words[0] if words else "-"
+    if name.startswith("-"):
+        return []
+    if name in COMMANDS or apps.loaded("commands", name) is not None:
+        return [name]
+    apps.must_be_complete()
+    return []
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
@@ -357,10 +415,9 @@ def main(argv: list[str] | None = None) -> NoReturn:
         program()(arguments, prog_name="vstestbed")
     # --debug may stand anywhere
     given = [argument for argument in arguments if argument != "--debug"]
-    app = program(*(name for name in given[:1] if name in COMMANDS))
-    sys.exit(
-        exit_code(
-            lambda: app(given, prog_name="vstestbed", standalone_mode=False),
-            debug=len(given) < len(arguments),
-        )
-    )
+
+    def command() -> object:
+        app = program(*_commands_of(given))
+        return app(given, prog_name="vstestbed", standalone_mode=False)
+
+    sys.exit(exit_code(command, debug=len(given) < len(arguments)))

@@ -7,23 +7,22 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.cli.ending import INTERRUPTED, NOT_REACHED, REGRESSED
-from vstestbed.cli.tools import Force, Json, Plugins, SettingsOfAll, settings_of
+from vstestbed.cli.ending import INTERRUPTED, REGRESSED
+from vstestbed.cli.options import Force, Json, Plugins, SettingsOfAll, settings_of, vary_of
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
     from polars import DataFrame
 
     from vstestbed.report.comparison.baseline import BaselineChanges
-    from vstestbed.report.scores import Score
-    from vstestbed.studies.comparison import Comparison
+    from vstestbed.studies.comparison import Campaign, Comparison
     from vstestbed.studies.comparison.folder import ComparisonTable
 
 
@@ -126,34 +125,31 @@ def compare(
     """Every scenario, with every value that is varied, from every seed: one table, one report, one
     film.
     """
-    from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.report.comparison.baseline import TOLERANCE
     from vstestbed.studies.comparison import (
         Baseline,
         Shard,
-        carry_out,
-        chosen,
+        asked_for,
+        begun,
         must_be_known,
-        prepared,
+        resumed,
     )
 
     must_be_known(executor)
     places = [Path(name) for name in scenarios or []]
-    if again or merge:
-        _again(places, out, jobs, executor, not quiet) if again else _merge(
-            places, out, figures, as_json, quiet
-        )
+    shown = not quiet and not as_json
+    if again:
+        _again(places, out, jobs, executor, not quiet)
+        return
+    if merge:
+        _merge(places, out, figures, as_json, quiet)
         return
     if baseline is None and (fail or tolerance is not None):
         option = "--fail-on-regression" if fail else "--tolerance"
         raise ParameterError.needs(
             option, "the earlier results", why="--baseline OLD, a comparison's folder"
         )
-    before, settings, shown = (
-        None if baseline is None else Baseline.read(baseline),
-        settings_of(set_),
-        not quiet and not as_json,
-    )
+    before = None if baseline is None else Baseline.read(baseline)
     fields = {
         "seeds": seeds,
         "limit": limit,
@@ -161,50 +157,50 @@ def compare(
         "reference": reference,
         "first_seed": first_seed,
     }
-    if plan and scenarios:
-        asked = chosen(scenarios, settings, vary_of(vary), plugin or [], **fields)
+    asked = asked_for(scenarios or [], vary_of(vary), settings_of(set_), plugin or [], fields)
+    if plan and asked is not None:
         typer.echo("\n".join(_plan_lines(asked, force)))
         return
     share = None if shard is None else Shard.read(shard)
-    ready = prepared(
-        scenarios or [],
-        vary_of(vary),
-        out,
-        resume,
-        settings,
-        plugin or [],
-        film,
-        force,
-        before,
-        fields,
-        shard=share,
-    )
-    with ready as (runner, comparison):
-        show_notes(not quiet)
-        total = len(runner.jobs)
-        try:
-            with Counter(total, runner.done, shown) as counter:
-                table = carry_out(
-                    runner,
-                    comparison,
-                    jobs,
-                    executor,
-                    counter.run_done,
-                    counter.say,
-                    baseline=before,
-                    figures=figures,
-                )
-        except KeyboardInterrupt:
-            # counted in the folder: finished runs are there in full, others not at all
-            words = (
-                f"interrupted: {runner.done} of {total} runs are done;"
-                f" go on with: vstestbed compare --resume --out {runner.folder}"
-            )
-            typer.echo(words, err=True)
-            raise typer.Exit(INTERRUPTED) from None
+    if resume:
+        ready = resumed(out, asked, plugin or [], film=film, force=force, shard=share)
+    else:
+        ready = begun(asked, out, film=film, force=force, baseline=before, shard=share)
+    with ready as campaign:
+        campaign.baseline = before
+        table = _flown(campaign, jobs, executor, figures, quiet, shown)
     _tell(table, as_json, quiet)
     if table.baseline is not None:
         _tell_changes(table.baseline, TOLERANCE if tolerance is None else tolerance, fail, shown)
+
+
+def _flown(
+    campaign: Campaign,
+    jobs: int | None,
+    executor: str,
+    figures: bool,
+    quiet: bool,
+    shown: bool,
+) -> ComparisonTable:
+    """Fly what is missing; Ctrl-C ends it with a word on how to go on."""
+    from vstestbed.cli.progress import Counter, show_notes
+
+    show_notes(not quiet)
+    runner = campaign.runner
+    total = len(runner.jobs)
+    try:
+        with Counter(total, runner.done, shown) as counter:
+            return campaign.carry_out(
+                jobs, executor, counter.run_done, counter.say, figures=figures
+            )
+    except KeyboardInterrupt:
+        # counted in the folder: finished runs are there in full, others not at all
+        words = (
+            f"interrupted: {runner.done} of {total} runs are done;"
+            f" go on with: vstestbed compare --resume --out {runner.folder}"
+        )
+        typer.echo(words, err=True)
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _plan_lines(asked: Comparison, force: bool) -> Iterator[str]:
@@ -304,28 +300,6 @@ def _again(
         raise typer.Exit(REGRESSED)
 
 
-def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
-    """The lists of values of `--vary` by dotted path: `1,2`, `[0, 1], [1, 0]`,
-    `{kind: oracle}, blobs`.
-    """
-    from vstestbed.scenario.yaml_marks import read_value
-
-    pairs: list[tuple[str, str]] = []
-    for option in options or []:
-        path, equals, text = option.partition("=")
-        if not equals or not text.strip() or not all(part.strip() for part in path.split(".")):
-            raise ParameterError.form("--vary", "a.b=v1,v2", option)
-        pairs.append((path.strip(), text))
-    if len({path for path, _ in pairs}) < len(pairs):
-        raise ParameterError.twice("--vary", "a field", options)
-    # in brackets it is a YAML list, whose reader knows which commas are inside nested brackets
-    values = {path: read_value(f"[{text}]") for path, text in pairs}
-    return {
-        path: tuple(found) if isinstance(found, list) else (found,)
-        for path, found in values.items()
-    }
-
-
 def _summary_text(table: DataFrame, folder: Path) -> str:
     from vstestbed.report.comparison.tables import statistics_text
 
@@ -338,172 +312,3 @@ def _summary_text(table: DataFrame, folder: Path) -> str:
     return "\n".join(
         filter(None, (reached, statistics_text(folder), f"  results   {folder}{opened}"))
     )
-
-
-# The commands `suite` and `submit`: the same tasks for any law.
-def suite(
-    law: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[LAW_FILE]",
-            help="A law of your own: a plugin with one law, or a YAML file with law and plugins.",
-        ),
-    ] = None,
-    name: Annotated[
-        str, typer.Option("--suite", metavar="NAME", help="The suite, by name or file.")
-    ] = "VS-1",
-    quick: Annotated[
-        bool, typer.Option("--quick", help="One or two starts of each of a task's lists.")
-    ] = False,
-    alone: Annotated[
-        bool,
-        typer.Option(
-            "--alone",
-            help=(
-                "Fly LAW_FILE alone; the suite's own laws stand beside it"
-                " with the runs that are kept."
-            ),
-        ),
-    ] = False,
-    word: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WORD", help="Draw the random starts by a word that was not known before."
-        ),
-    ] = None,
-    check: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Fly drawn runs of a submission again: do they agree?"),
-    ] = None,
-    shard: Annotated[
-        str | None,
-        typer.Option(metavar="I/N", help="Fly the share I of N of each task, into its own DIR."),
-    ] = None,
-    merge: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--merge",
-            metavar="DIR",
-            help="Put shards together: the folder of one; repeat it for each.",
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")
-    ] = None,
-    executor: Annotated[
-        str,
-        typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT."),
-    ] = "local",
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the results; one that is there goes on."),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
-) -> None:
-    """Fly the suite's tasks by its laws and yours: successes, times and ranks, each with its
-    interval.
-    """
-    from vstestbed.cli.progress import Counter, show_notes
-    from vstestbed.core.files import make_folder, new_folder
-    from vstestbed.studies.comparison import Shard, must_be_known
-    from vstestbed.studies.suite import opened
-
-    must_be_known(executor)
-    if check is not None:
-        _check(
-            check,
-            new_folder(Path("runs") / "suite", out, "give a new one"),
-            jobs,
-            (name, quick, word),
-        )
-        return
-    entry, share = (
-        opened(law, name, quick, word, alone),
-        None if shard is None else Shard.read(shard),
-    )
-    show_notes(not quiet)
-    folder = make_folder(
-        out
-        if out is not None and out.exists()
-        else new_folder(Path("runs") / "suite", out, "give a new one")
-    )
-    entry.mark(folder)
-    say = (lambda words: None) if quiet else lambda words: typer.echo(words, err=True)
-    if merge:
-        runs = entry.merged(merge, folder, say)
-    else:
-        try:
-            shards = share.of if share else 1
-            say(entry.effort(shards, jobs))
-            with Counter(entry.total // shards, 0, not quiet) as counter:
-                runs = entry.fly(folder, jobs, executor, counter.run_done, counter.say, share)
-        except KeyboardInterrupt:
-            typer.echo(f"interrupted; go on with the same command and --out {folder}", err=True)
-            raise typer.Exit(INTERRUPTED) from None
-    if share is not None:
-        typer.echo(
-            (
-                f"shard {share} is in {folder};"
-                " `vstestbed suite ... --merge DIR --merge DIR` puts all together"
-            ),
-            err=True,
-        )
-        return
-    found = entry.write(folder, runs)
-    if quiet:
-        return
-    lines = [*_ranking(found)]
-    lines += [f"{one} takes no part in {task}: {why}" for (one, task), why in entry.blank.items()]
-    typer.echo("\n".join([*lines, f"  results   {folder} (open report.html)"]), err=True)
-
-
-def _ranking(found: Sequence[Score]) -> Iterator[str]:
-    from vstestbed.report.scores import overall
-
-    for one in overall(found):
-        rank = f"mean rank {one.rank.mean:.1f} [{one.rank.low:.1f}, {one.rank.high:.1f}]"
-        yield (
-            f"{one.law}: {rank} over {one.tasks} tasks,"
-            f" place {one.place} of the {one.of} laws that flew them"
-        )
-
-
-def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, str | None]) -> None:
-    """Say whether a submission agrees with what is flown here; exit 3 where it does not."""
-    from vstestbed.studies.submission import Asked, check
-
-    found = check(file, folder, jobs, asked=Asked(*asked))
-    agree = found.runs - len(found.otherwise)
-    lines = [
-        *found.otherwise,
-        f"{agree} of {found.runs} runs that were flown again agree",
-        *found.flattering,
-        *_ranking(found.scores),
-    ]
-    typer.echo(
-        "\n".join(
-            [*lines, f"  results   {folder} (open report.html: the runs as they were handed in)"]
-        ),
-        err=True,
-    )
-    if found.otherwise or found.flattering:
-        raise typer.Exit(NOT_REACHED)
-
-
-def submit(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="A suite's folder, with a law of your own.")
-    ],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The file. [default: DIR.zip]")
-    ] = None,
-) -> None:
-    """Pack a suite's results with the law, the versions and the machine into one file, which
-    `suite --check` flies again in part.
-    """
-    from vstestbed.core.files import must_be_new
-    from vstestbed.studies.submission import pack
-
-    path = out or folder.with_name(f"{folder.resolve().name}.zip")
-    must_be_new(path, "give a new file with --out")
-    typer.echo(str(pack(folder, path)), err=True)

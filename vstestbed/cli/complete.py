@@ -14,6 +14,8 @@ from typing import Any
 
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 
+__all__ = ["asked", "experiments", "figures", "kinds", "paths", "scenarios"]
+
 VARIABLE = "_VSTESTBED_COMPLETE"  # environment variable by which a shell's completion asks
 
 
@@ -51,21 +53,24 @@ def kinds(incomplete: str) -> list[str]:
     """
     whole = _schema()
     if "." in incomplete:
-        owner, rules = incomplete.rpartition(".")[0], [whole]
-        for part in owner.split("."):
-            rules = [child for name, child in _within(rules, whole) if name == part]
-        below = {
-            f"{owner}.{rule['const'] if name == 'kind' else name}"
-            for name, rule in _within(rules, whole)
-        }
-        return sorted(word for word in below if word.startswith(incomplete))
-    words = set(whole["properties"])
-    words |= {
-        block["properties"]["kind"]["const"]
-        for block in whole["$defs"].values()
-        if "kind" in block["properties"]
-    }
+        words = _words_below(incomplete.rpartition(".")[0], whole)
+    else:
+        words = set(whole["properties"])
+        for block in whole["$defs"].values():
+            if "kind" in block["properties"]:
+                words.add(block["properties"]["kind"]["const"])
     return sorted(word for word in words if word.startswith(incomplete))
+
+
+def _words_below(owner: str, whole: dict[str, Any]) -> set[str]:
+    """The kinds and fields of a block, each after its dotted path."""
+    rules = [whole]
+    for part in owner.split("."):
+        rules = [child for name, child in _within(rules, whole) if name == part]
+    return {
+        f"{owner}.{rule['const'] if name == 'kind' else name}"
+        for name, rule in _within(rules, whole)
+    }
 
 
 def paths(incomplete: str) -> list[str]:

@@ -68,29 +68,7 @@ def describe_record(word: str, console: Console) -> None:
     """
     console.print(Text(word, style="bold"))
     console.print()
-    if word.startswith("log"):
-        found = [text_of(word[4:])] if word != "log" else column_texts()
-        if None in found:
-            names = [name for text in column_texts() for name in text.shown.split(", ")]
-            raise ParameterError.unknown(word, "column of a log", nearest(word[4:], names))
-        table = _table("column", "unit", "of", "what it is")
-        for text in filter(None, found):
-            table.add_row(
-                Text(text.shown, style="cyan"),
-                Text(text.unit),
-                Text(text.whose),
-                Text(f"{text.words}."),
-            )
-    else:
-        table = _table("number", "shown in", "better", "what it is")
-        for name, words in RUN_COLUMNS.items() if word == "table" else ():
-            table.add_row(Text(name, style="cyan"), Text(""), Text(""), Text(f"{words}."))
-        for metric in (*KNOWN.values(), *own_metrics().values()):
-            better = {1: "more", -1: "less", 0: ""}[metric.better]
-            words = f"{metric.title}{f'; only of {metric.where}' if metric.where else ''}."
-            table.add_row(
-                Text(metric.name, style="cyan"), Text(metric.unit), Text(better), Text(words)
-            )
+    table = _columns_of_log(word) if word.startswith("log") else _numbers_of_runs(word)
     console.print(table)
     if word == "log":
         console.print()
@@ -98,6 +76,38 @@ def describe_record(word: str, console: Console) -> None:
             "An effect or a law may add columns of its own: vstestbed describe KIND says which.",
             console,
         )
+
+
+def _columns_of_log(word: str) -> Table:
+    """All columns of a log, or that of `log.NAME`."""
+    if word == "log":
+        found = list(column_texts())
+    else:
+        name = word.removeprefix("log.")
+        one = text_of(name)
+        if one is None:
+            names = [each for text in column_texts() for each in text.shown.split(", ")]
+            raise ParameterError.unknown(word, "column of a log", nearest(name, names))
+        found = [one]
+    table = _table("column", "unit", "of", "what it is")
+    for text in found:
+        shown = Text(text.shown, style="cyan")
+        table.add_row(shown, Text(text.unit), Text(text.whose), Text(f"{text.words}."))
+    return table
+
+
+def _numbers_of_runs(word: str) -> Table:
+    """The numbers of `summary.json`; of `table` what a row says besides."""
+    table = _table("number", "shown in", "better", "what it is")
+    if word == "table":
+        for name, words in RUN_COLUMNS.items():
+            table.add_row(Text(name, style="cyan"), Text(""), Text(""), Text(f"{words}."))
+    for metric in (*KNOWN.values(), *own_metrics().values()):
+        better = {1: "more", -1: "less", 0: ""}[metric.better]
+        only = f"; only of {metric.where}" if metric.where else ""
+        name = Text(metric.name, style="cyan")
+        table.add_row(name, Text(metric.unit), Text(better), Text(f"{metric.title}{only}."))
+    return table
 
 
 def _text(cls: type, console: Console) -> None:
@@ -124,39 +134,40 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
     """Print a field: its sentence, default, unit and an example, and the blocks that have it; then
     the block that it holds.
     """
-    names, cls = _names(entries), next(iter(field.owners.values()))
+    names = _names(entries)
     console.print(Text(field.path, style="bold"))
     console.print()
-    # one row where all blocks say the same of a field, else one for each that differs
-    rows: dict[tuple[str, ...], list[str]] = {}
-    for name, owner in field.owners.items():
-        rows.setdefault(tuple(map(str, _cells(owner, field.name, names))), []).append(name)
-    alike = len(rows) == 1
-    table = _field_table("field" if alike else "field of")
-    for same in rows.values():
-        table.add_row(
-            Text(field.name if alike else "\n".join(same), style="cyan"),
-            *_cells(field.owners[same[0]], field.name, names),
-        )
-    console.print(table)
+    alike = _print_cells(field, names, console)
     console.print()
     if alike and "scenario" not in field.owners:
         _wrapped(f"A field of {', '.join(field.owners)}.", console)
+    cls = next(iter(field.owners.values()))
     example = next(examples_of(cls, field.name, bundled_uses()), None)
     if example is not None:
         text = flow_text(example)
-        shown = (
-            f"--set {shlex.quote(f'{field.path}={text}')}"
-            if field.settable
-            else f"{field.name}: {text}"
-        )
-        _wrapped(f"Example: {shown}", console)
-    held = list(
-        dict.fromkeys(_inner(fields(cls)[field.name], names) for cls in field.owners.values())
-    )
-    if len(held) == 1 and held[0]:
+        setting = f"--set {shlex.quote(f'{field.path}={text}')}"
+        _wrapped(f"Example: {setting if field.settable else f'{field.name}: {text}'}", console)
+    held = {_inner(fields(owner)[field.name], names) for owner in field.owners.values()}
+    if len(held) == 1 and (inner := held.pop()):
         console.print()
-        describe_entry(entries[held[0]], entries, console)
+        describe_entry(entries[inner], entries, console)
+
+
+def _print_cells(field: FieldPlace, names: dict[type, str], console: Console) -> bool:
+    """One row where all blocks say the same of a field, else one for each that differs; whether
+    they do.
+    """
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for name, owner in field.owners.items():
+        said = tuple(map(str, _cells(owner, field.name, names)))
+        rows.setdefault(said, []).append(name)
+    alike = len(rows) == 1
+    table = _field_table("field" if alike else "field of")
+    for same in rows.values():
+        title = Text(field.name if alike else "\n".join(same), style="cyan")
+        table.add_row(title, *_cells(field.owners[same[0]], field.name, names))
+    console.print(table)
+    return alike
 
 
 def _names(entries: dict[str, Entry]) -> dict[type, str]:

@@ -29,6 +29,8 @@ from vstestbed.core.errors import (
 )
 from vstestbed.core.shares import STOPS
 
+__all__ = ["GOAL_REACHED", "INTERRUPTED", "NOT_REACHED", "REGRESSED", "exit_code"]
+
 
 class Stream:
     """A standard stream that drops its text from the first error on; None: the process has none."""

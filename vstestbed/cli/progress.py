@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
     from vstestbed.tasks.frame import Frame
 
+__all__ = ["Counter", "Progress", "ProgressBar", "show_notes", "summary_text"]
+
 
 class ProgressBar:
     """A progress bar on standard error, one task; hidden if that is no terminal, or `shown` is

@@ -1,5 +1,4 @@
-"""The commands `list`, `schema`, `doctor`, `optical-flow`, `new` and `live`, and the options that
-several commands share.
+"""The commands `list`, `schema`, `describe`, `doctor`, `optical-flow` and `new`.
 
 Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 """
@@ -10,19 +9,14 @@ import importlib.util
 import json
 import keyword
 import re
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import typer
 
 from vstestbed.cli import complete
+from vstestbed.cli.options import Plugins
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
-
-if TYPE_CHECKING:
-    from vstestbed.live.app import LiveApp
-    from vstestbed.live.playback import PlaybackApp
-    from vstestbed.scenario.scenario import Scenario
 
 Listed = Literal[
     "scenarios",
@@ -42,63 +36,6 @@ Listed = Literal[
     "perturbations",
     "comparisons",
 ]
-Plugins = Annotated[
-    list[str] | None,
-    typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds."),
-]
-_SET = {"metavar": "a.b=value", "autocompletion": complete.paths}
-Settings = Annotated[
-    list[str] | None, typer.Option("--set", help="Change a field before it is checked.", **_SET)
-]
-SettingsOfAll = Annotated[
-    list[str] | None, typer.Option("--set", help="Change a field of all scenarios.", **_SET)
-]
-ScenarioName = Annotated[
-    str,
-    typer.Argument(
-        help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios
-    ),
-]
-Experiments = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="SCENARIO...",
-        help="Scenarios, or one comparison: names or files.",
-        autocompletion=complete.experiments,
-    ),
-]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")
-]
-
-Force = Annotated[
-    bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")
-]
-
-
-def load_scenario(
-    name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None
-) -> Scenario:
-    """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""
-    from vstestbed.scenario.load import load
-    from vstestbed.scenario.yaml_marks import from_option
-
-    overrides = settings_of(settings)
-    return load(name, overrides, seed, from_option(overrides), plugins or [])
-
-
-def settings_of(settings: list[str] | None) -> dict[str, object]:
-    """The values of `--set` by dotted path, each read as YAML."""
-    from vstestbed.scenario.yaml_marks import read_value
-
-    overrides: dict[str, object] = {}
-    for setting in settings or []:
-        key, equals, value = setting.partition("=")
-        # an empty value is allowed: YAML reads it as null
-        if not equals or not all(part.strip() for part in key.split(".")):
-            raise ParameterError.form("--set", "a.b=value", setting)
-        overrides[key.strip()] = read_value(value)
-    return overrides
 
 
 def list_(
@@ -108,34 +45,41 @@ def list_(
     plugin: Plugins = None,
 ) -> None:
     """What there is, one line each."""
+    from vstestbed.scenario.plugins import load_plugins
+
+    load_plugins(plugin or [])
+    if registry is not None:
+        _list_one(registry, "")
+        return
+    for name in get_args(Listed):
+        typer.echo(f"{name}:")
+        _list_one(name, "  ")
+
+
+def _list_one(name: str, indent: str) -> None:
+    """The words of a registry, or of bundled files, a line each."""
+    entries = _entries(name)
+    if not entries:
+        words = "none; those of the package are blocks of robots (vstestbed describe puma560)"
+        typer.echo(f"{indent}{words}")
+        return
+    width = max(map(len, entries))
+    for word, text in entries.items():
+        typer.echo(f"{indent}{word:{width}}  {text}")
+
+
+def _entries(name: str) -> dict[str, str]:
+    """The words of a registry, or of bundled files, and what they are."""
     from vstestbed.core.fields import class_text
     from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-    from vstestbed.scenario import plugins
+    from vstestbed.scenario.plugins import registry
     from vstestbed.scenario.yaml_marks import bundled_mapping
 
-    plugins.load_plugins(plugin or [])
-    for name in [registry] if registry else get_args(Listed):
-        if registry is None:
-            typer.echo(f"{name}:")
-        if name in ("scenarios", "comparisons"):
-            files = bundled_scenarios() if name == "scenarios" else bundled_comparisons()
-            # as they are written: an arm's file may be in a package that is not installed
-            entries = [
-                (word, str(bundled_mapping(path)["description"])) for word, path in files.items()
-            ]
-        else:
-            entries = [
-                (word, class_text(cls).summary)
-                for word, cls in plugins.registry(name).members.items()
-            ]
-        width = max((len(entry) for entry, _ in entries), default=0)
-        if not entries:
-            typer.echo(
-                f"{'' if registry else '  '}none;"
-                " those of the package are blocks of robots (vstestbed describe puma560)"
-            )
-        for entry, text in entries:
-            typer.echo(f"{'' if registry else '  '}{entry:{width}}  {text}")
+    bundled = {"scenarios": bundled_scenarios, "comparisons": bundled_comparisons}.get(name)
+    if bundled is None:
+        return {word: class_text(cls).summary for word, cls in registry(name).members.items()}
+    # as they are written: an arm's file may be in a package that is not installed
+    return {word: str(bundled_mapping(path)["description"]) for word, path in bundled().items()}
 
 
 def schema(
@@ -297,28 +241,7 @@ def new(
         raise ParameterError(
             "NAME", f"is bundled already ({kind}); take another, such as my_{name}", name
         )
-    if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
-        raise ParameterError(
-            "--out",
-            (
-                "must be a Python file,"
-                f" such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py"
-            ),
-            str(path),
-        )
-    if path.exists() or path.is_symlink():
-        raise OutputError(
-            path, "is there already, and is not written over", "give another name, or --out FILE.py"
-        )
-    if (taken := importlib.util.find_spec(path.stem)) is not None:
-        other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
-        words = (
-            f"is the name of a module that Python finds already ({taken.origin}),"
-            " and pytest would import that in its place"
-        )
-        raise ParameterError(
-            "NAME" if out is None else "--out", f"{words}; take another, such as {other}", path.stem
-        )
+    _must_be_free(path, "NAME" if out is None else "--out")
     text = text_of(kind, name, str(path))
     from vstestbed.core.files import make_parents, write_whole
 
@@ -328,6 +251,27 @@ def new(
         typer.echo(f"  {command}")
     if importlib.util.find_spec("pytest") is None:
         typer.echo("pytest is not installed here; pip install pytest", err=True)
+
+
+def _must_be_free(path: Path, said: str) -> None:
+    """Refuse a file that is no module, is there already, or has the name of another module. said:
+    where the name was given.
+    """
+    stem = path.stem
+    if path.suffix != ".py" or not stem.isidentifier() or keyword.iskeyword(stem):
+        works = f"{re.sub(r'[^0-9A-Za-z_]', '_', stem) or 'my'}_.py"
+        raise ParameterError("--out", f"must be a Python file, such as {works}", str(path))
+    if path.exists() or path.is_symlink():
+        raise OutputError(
+            path, "is there already, and is not written over", "give another name, or --out FILE.py"
+        )
+    if (taken := importlib.util.find_spec(stem)) is not None:
+        other = f"{stem}_2" if stem.startswith("my_") else f"my_{stem}"
+        words = (
+            f"is the name of a module that Python finds already ({taken.origin}),"
+            f" and pytest would import that in its place; take another, such as {other}"
+        )
+        raise ParameterError(said, words, stem)
 
 
 def text_of(kind: str, name: str, path: str) -> str:
@@ -349,55 +293,3 @@ def text_of(kind: str, name: str, path: str) -> str:
 def commands_of(text: str) -> list[str]:
     """The commands in the docstring of a template: its lines that are indented."""
     return [line.strip() for line in text.split('"""')[1].splitlines() if line.startswith("    ")]
-
-
-def live(
-    what: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENARIO|RUN_DIR",
-            help="A bundled scenario's name, a YAML file, or a run's folder.",
-            autocompletion=complete.scenarios,
-        ),
-    ],
-    set_: Settings = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")
-    ] = None,
-    port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port on 127.0.0.1. [default: a free one]")
-    ] = None,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Do not open a browser.")] = False,
-    plugin: Plugins = None,
-) -> None:
-    """The run in a browser, with its gains under your fingers; a run's folder is played back.
-    Ctrl-C ends it.
-    """
-    if importlib.util.find_spec("viser") is None:
-        raise EnvironmentLackError(
-            "the live view needs viser, which is not installed", "pip install 'vstestbed[live]'"
-        )
-    from vstestbed.cli.progress import show_notes
-
-    show_notes(True)
-    folder = Path(what)
-    app: PlaybackApp | LiveApp
-    if (folder / "scenario.yaml").is_file():
-        if set_ or seed is not None:
-            raise ParameterError.only_for(
-                "--set" if set_ else "--seed", "a scenario; what a folder holds has run already"
-            )
-        from vstestbed.live import playback
-
-        app = playback.PlaybackApp(folder, port, plugin or [])
-    else:
-        from vstestbed.live import app as running
-        from vstestbed.live.run import Settings as LiveSettings
-
-        app = running.LiveApp(LiveSettings(what, settings_of(set_), seed, plugin or []), port)
-    typer.echo(f"{app.address}   (Ctrl-C ends it)", err=True)
-    if not no_open and sys.stderr.isatty():
-        import webbrowser
-
-        webbrowser.open(app.address)
-    app.serve()

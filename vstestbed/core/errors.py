@@ -29,6 +29,25 @@ from importlib import import_module
 from pathlib import Path
 from typing import Self
 
+__all__ = [
+    "NOTHING_RAN",
+    "EnvironmentLackError",
+    "Mistake",
+    "OutputError",
+    "ParameterError",
+    "PluginError",
+    "RunFolderError",
+    "ScenarioError",
+    "SessionError",
+    "UnreachableError",
+    "VstestbedError",
+    "lack_of",
+    "nearest",
+    "short",
+    "shortage",
+    "take_early",
+]
+
 
 class VstestbedError(Exception):
     """Base class of these exceptions; `exit_code` is the exit status of the command line."""

@@ -25,6 +25,8 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 from vstestbed.core.quantity import Bounded, TighterBounds
 from vstestbed.core.registry import Registry, to_mapping
 
+__all__ = ["DIMENSIONLESS", "Node", "SchemaField", "class_text", "fields", "needed", "without_unit"]
+
 
 @dataclass(frozen=True)
 class Node:

@@ -29,6 +29,32 @@ from vstestbed.core.foreign import foreign
 if TYPE_CHECKING:
     import polars
 
+__all__ = [
+    "NO_SPACE",
+    "PartFile",
+    "allowed",
+    "distinct",
+    "file_word",
+    "flush_entries",
+    "linked",
+    "make_folder",
+    "make_parents",
+    "must_be_new",
+    "new_folder",
+    "numbered",
+    "only_writer",
+    "read_file",
+    "read_json",
+    "remove_empty",
+    "temporary",
+    "unflushed",
+    "whole_folder",
+    "write_json",
+    "write_table",
+    "write_whole",
+    "writing",
+]
+
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # disk full, quota exceeded, file too large
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from vstestbed.core.errors import ParameterError, VstestbedError, lack_of, nearest, short
 
+__all__ = ["MOST_BYTES", "foreign", "of_field", "only_known", "plain_file", "reason"]
+
 Refusal = Callable[[object, str, str], VstestbedError]
 """Makes an error of the name of what cannot be read, the reason, and what would work:
 `ParameterError.unreadable`, `RunFolderError`.

@@ -25,6 +25,39 @@ from vstestbed.core.spec import spec
 if TYPE_CHECKING:
     from spatialmath import SE3
 
+__all__ = [
+    "FLIP",
+    "Array",
+    "DepthImage",
+    "Image",
+    "Images",
+    "Pose",
+    "adjoint",
+    "all_finite",
+    "angles",
+    "clip",
+    "direction",
+    "exp",
+    "inverse",
+    "joined",
+    "lengths",
+    "log",
+    "pixel_grid",
+    "pose_block",
+    "pose_from",
+    "quaternion_wxyz",
+    "rigid_error",
+    "rotation_angle",
+    "rotation_from_quaternion",
+    "rotation_from_rpy",
+    "rpy_of",
+    "skew",
+    "transform",
+    "turn_between",
+    "unit_of",
+    "unit_quaternion",
+]
+
 
 def rotation_from_rpy(rpy: Array) -> Array:
     """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the

@@ -15,6 +15,25 @@ from types import ModuleType
 from vstestbed.core.errors import OutputError, ParameterError
 from vstestbed.core.foreign import MOST_BYTES, foreign, of_field, plain_file
 
+__all__ = [
+    "CALIBRATED",
+    "ENDINGS",
+    "FILE_FIELDS",
+    "absolute_file",
+    "bundled_comparisons",
+    "bundled_labs",
+    "bundled_scenarios",
+    "folder",
+    "is_there",
+    "kept_at",
+    "line_of",
+    "load_file",
+    "model_path",
+    "module_of",
+    "named_file",
+    "place_of_file",
+]
+
 ENDINGS = re.compile(
     r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json|ya?ml)$|\.py:\w+$", re.IGNORECASE
 )

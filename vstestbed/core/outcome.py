@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import Enum
 
+__all__ = ["Outcome", "Verdict"]
+
 
 class Outcome(Enum):
     """How a run ended; the value is the sentence that the user reads."""

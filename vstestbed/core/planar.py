@@ -16,6 +16,19 @@ from vstestbed.core.quantity import Angle, Length
 from vstestbed.core.spatial import class_of, floor_place, is_matrix
 from vstestbed.core.spec import spec
 
+__all__ = [
+    "GroundPose",
+    "arc",
+    "block_of",
+    "composed",
+    "motion_between",
+    "moved",
+    "place_of",
+    "pose_on_ground",
+    "relative",
+    "wrapped",
+]
+
 
 @spec
 class GroundPose:

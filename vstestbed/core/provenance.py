@@ -6,6 +6,8 @@ import functools
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
+__all__ = ["versions", "vstestbed_version"]
+
 PACKAGES = {
     "mujoco": "mujoco",
     "dm_control": "dm-control",

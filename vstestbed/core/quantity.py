@@ -22,6 +22,47 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from vstestbed.core.errors import ParameterError
 
+__all__ = [
+    "GRAVITY",
+    "Angle",
+    "AngleWidth",
+    "Angles",
+    "Bias",
+    "Bounded",
+    "Broadcast",
+    "Coefficient",
+    "Distance",
+    "Duration",
+    "Frequencies",
+    "Frequency",
+    "GainOrZero",
+    "Length",
+    "Mass",
+    "Pixel",
+    "Pixels",
+    "Position",
+    "PositiveAngle",
+    "PositiveGain",
+    "PositiveGrey",
+    "PositiveLength",
+    "PositivePixels",
+    "PositiveRate",
+    "PositiveRateDeg",
+    "PositiveSpeed",
+    "PositiveTime",
+    "Seed",
+    "Sigma",
+    "SignedGain",
+    "Speed",
+    "Stiffness",
+    "TighterBounds",
+    "Time",
+    "Torque",
+    "Velocity",
+    "check_ordered",
+    "check_range",
+]
+
 
 @dataclass(frozen=True)
 class Bounded:

@@ -28,6 +28,20 @@ from vstestbed.core.errors import ParameterError, nearest
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
+__all__ = [
+    "REGISTRIES",
+    "SPECS",
+    "Contract",
+    "Registry",
+    "brief_mapping",
+    "kind_of",
+    "registries_of",
+    "to_mapping",
+    "undone_on_error",
+    "validator_of",
+    "whole_adapter",
+]
+
 T = TypeVar("T")
 SPECS: list[type] = []  # Every spec in the order of definition
 REGISTRIES: list[Registry] = []

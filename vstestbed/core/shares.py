@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
+__all__ = ["STOPS", "Call", "at_once", "result_of", "some_done"]
+
 # Calls a function with arguments, perhaps in another process: `call(function, *arguments)`
 Call = Callable[..., "Future[Any]"]
 STOPS = tuple(

@@ -29,6 +29,8 @@ from vstestbed.core.fields import fields
 from vstestbed.core.messages import message, refuse_conversions
 from vstestbed.core.registry import SPECS, validator_of
 
+__all__ = ["FromFile", "OrText", "Shorthand", "spec"]
+
 T = TypeVar("T")
 # Not strict: YAML has lists where a spec has tuples, and integers where it has floats.
 # `scenario.yaml_marks` refuses other conversions.

@@ -18,6 +18,23 @@ from vstestbed.core.registry import Contract, Registry
 if TYPE_CHECKING:
     import mujoco
 
+__all__ = [
+    "ASSETS",
+    "EFFECTS",
+    "MOTOR",
+    "RANGE_GROUP",
+    "Actor",
+    "Effect",
+    "EffectBase",
+    "Four",
+    "Further",
+    "RobotBody",
+    "RobotModel",
+    "StateIndices",
+    "Vector",
+    "places_of",
+]
+
 Vector = tuple[float, float, float]
 Four = tuple[float, float, float, float]  # of rotors front, right, back, left
 ASSETS = "assets"  # folder, in a scene, of the files in memory

@@ -15,6 +15,19 @@ from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 
+__all__ = [
+    "AtGoal",
+    "Constant",
+    "Depth",
+    "DepthCues",
+    "DepthSource",
+    "Estimate",
+    "OnFloor",
+    "PnP",
+    "depth_at",
+    "triangulated",
+]
+
 # Least depth of a visible marker by an estimated pose, as a share of the distance in the goal view:
 # propagated by the camera's motion, a pose may drift through the target.
 NEAREST = 0.01

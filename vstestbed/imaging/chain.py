@@ -16,6 +16,8 @@ from vstestbed.imaging.optics import LensEffects
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, Floats, ImageNoise, SensorNoise, plain
 from vstestbed.imaging.stream import VideoStream, round_trip
 
+__all__ = ["Chain", "Change", "Imaging", "scaled"]
+
 Change = Callable[[float, Images, DepthImage | None], Images]
 """One step: from the time [s], the images of all panels, and the true depths (H, W) [m] where a
 step needs them, to new images.

@@ -27,6 +27,24 @@ from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import load_lapack
 from vstestbed.robots.own_model import OwnModel
 
+__all__ = [
+    "LAW_CONTRACT",
+    "OBSERVATION_FIELDS",
+    "AdaptiveGain",
+    "Command",
+    "ConstantGain",
+    "Gain",
+    "Law",
+    "LawBase",
+    "LawFailedError",
+    "Motions",
+    "TwistLimits",
+    "Views",
+    "has_batch",
+    "held",
+    "inputs_of",
+]
+
 M = TypeVar("M")
 Motions = tuple[tuple[float, Array], ...]
 """Motions left to a secondary task, as pairs of a share and camera twists (6, k); see

@@ -19,6 +19,22 @@ from vstestbed.features.base import Feature
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.solve import least_squares, units_of
 
+__all__ = [
+    "ALL",
+    "NO_AREA",
+    "NO_POSE",
+    "TOO_FEW",
+    "Rows",
+    "Visibility",
+    "at_goal",
+    "check_goal",
+    "check_margin",
+    "moved_markers",
+    "points",
+    "reckoned_markers",
+    "usable_rows",
+]
+
 Rows = slice | NDArray[np.bool_]  # selection of markers along the first axis of an array
 TOO_FEW = "too few markers in sight"
 NO_DEPTH = "the depth of the markers in sight is unknown"

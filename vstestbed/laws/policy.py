@@ -27,6 +27,8 @@ from vstestbed.imaging.chain import scaled
 from vstestbed.laws.base import Command, Law, TwistLimits
 from vstestbed.laws.photometric import NO_PICTURE, luminance
 
+__all__ = ["MOST_PX", "Policy", "action_unit", "observed"]
+
 # bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is
 # unlimited
 MOST_PX = 1e6

@@ -20,6 +20,18 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST
 
+__all__ = [
+    "LOSS",
+    "POSE",
+    "WORDS",
+    "Kept",
+    "Layout",
+    "check_own",
+    "column_texts",
+    "kept",
+    "text_of",
+]
+
 PER_MARKER = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 # columns of which limit of the robot changed the command; only of runs in which one did

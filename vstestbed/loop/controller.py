@@ -35,6 +35,8 @@ from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
 from vstestbed.vision.observe import CameraPixels
 
+__all__ = ["FROZEN", "GUESS", "Controller", "GuardedLaw"]
+
 
 class GuardedLaw:
     """A law that has failed is not asked again: its robot must be stopped, whatever it does next.

@@ -18,6 +18,8 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.timing.setpoints import Mode, Profile
 from vstestbed.vision.base import TruthView
 
+__all__ = ["CommandHistory", "Exposure", "OwnRates", "mount_at"]
+
 
 class Exposure(NamedTuple):
     """A picture, with the robot's sensor reading at its exposure. t: of the exposure's middle [s].

@@ -36,6 +36,8 @@ from vstestbed.tasks.frame import CameraRecord, Cycle, Frame
 from vstestbed.timing.clock import DelayLine, directions
 from vstestbed.vision.base import goal_of_points, points_of
 
+__all__ = ["BY_HAND", "Episode"]
+
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
 BY_HAND = "Changed by hand during the run:"  # in the description of a run that no scenario repeats

@@ -21,6 +21,8 @@ from vstestbed.robots.flight import FlightReading
 from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 
+__all__ = ["OUTSIDE", "Inputs", "OwnClock", "Readings", "SightClock", "all_or_none", "seconds"]
+
 Readings = tuple[Reading, Reading]
 # of a clock that tells no time: too long for any order, and finite, since ages are differences
 UNKNOWN_S = 1e6

@@ -42,6 +42,8 @@ from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.points import Visibility
 from vstestbed.loop.columns import check_own
 
+__all__ = ["JACOBIAN", "MODULE", "Child", "Declared", "Isolated", "honest", "offered", "shown"]
+
 Answer = TypeVar("Answer")
 MODULE = f"{__name__}_kind"  # the plugin that adds it
 START_S = 60.0  # time for Python and the package, and most for the law's files [s]

@@ -27,6 +27,8 @@ from vstestbed.tasks.frame import Frame
 if TYPE_CHECKING:
     import polars
 
+__all__ = ["ROW_GROUP", "Log", "LogWriter", "finish", "open_log"]
+
 WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into another folder"
 # how `log.part` begins; the names of its columns follow, with commas between them, to the end of
 # the line

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from spatialmath import SE3, Twist3
 
+__all__ = ["Recording", "Watcher", "read_summary"]
+
 
 class Watcher(Protocol):
     """Receives every frame of a run: the log on disk, a video, a progress bar."""

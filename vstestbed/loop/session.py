@@ -26,6 +26,8 @@ from vstestbed.tasks.frame import Frame
 if TYPE_CHECKING:
     from spatialmath import SE3, Twist3
 
+__all__ = ["Session", "run", "uninterrupted"]
+
 
 class Session:
     """A scenario that is simulated frame by frame; `run` is a session turned to its end.

@@ -41,6 +41,22 @@ from vstestbed.tasks.base import Log as Columns
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST, Figures
 
+__all__ = [
+    "NO_LAG",
+    "LastPart",
+    "Poles",
+    "Stability",
+    "closed_form",
+    "gain_limit",
+    "loop_shares",
+    "reversal",
+    "roots",
+    "sentence",
+    "swing",
+    "swing_frames",
+    "window",
+]
+
 # Discrete-time model of the visual servo loop with dead time and actuator lag: poles and gain
 # limit.
 #

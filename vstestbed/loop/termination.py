@@ -28,6 +28,8 @@ from vstestbed.tasks.monitor import TaskMonitor, has_held, held_since, timed_out
 from vstestbed.tasks.monitors import Monitor, checked
 from vstestbed.tasks.stop import Stop
 
+__all__ = ["FAR_M", "LostMarkers", "Termination"]
+
 FAR_M = 200.0  # distance from the target beyond which the camera has diverged [m]
 BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
 BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     from vstestbed.report.chart import Chart, ChartPanel, Curve
 
+__all__ = ["chart_figure", "new_figure", "panels", "plain", "publish", "save", "style", "wrapped"]
+
 DPI = 200  # of pictures
 _STYLE: Any = {
     # comes with matplotlib; the names behind `sans-serif` would be looked up for every word

@@ -8,6 +8,35 @@ import colorsys
 import math
 from typing import Any, Final
 
+__all__ = [
+    "AIM",
+    "AXIS_COLORS",
+    "BAND",
+    "END",
+    "FAILED",
+    "GOAL",
+    "INK",
+    "LINE",
+    "LINE_COLORS",
+    "LOST",
+    "MARKERS",
+    "RULE",
+    "START",
+    "THRESHOLD",
+    "TIME",
+    "WIDTH_IN",
+    "Look",
+    "counted",
+    "line_color",
+    "listed",
+    "look",
+    "marker_colors",
+    "number",
+    "paint",
+    "signed",
+    "with_unit",
+]
+
 INK: Final = "#010203"
 RULE: Final = "#a1b2c3"
 """Colours that nothing else uses: on a page they are replaced by its CSS variables, which follow

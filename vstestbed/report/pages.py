@@ -17,6 +17,18 @@ from vstestbed.report.marks import counted, number
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+__all__ = [
+    "NO_CELL",
+    "Cell",
+    "Film",
+    "cell",
+    "data_url",
+    "film_of",
+    "page",
+    "text_of",
+    "write_page",
+]
+
 # Of a table that sorts: sort key (None sorts last), words, whether the number differs
 # significantly, and small lines below it.
 Cell = tuple[float | str | None, str, bool, list[str]]

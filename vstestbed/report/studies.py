@@ -24,6 +24,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = [
+    "Branches",
+    "ConvergenceMap",
+    "ParameterAxis",
+    "TrialRow",
+    "TuningPage",
+    "write_basin",
+    "write_delay",
+    "write_sweep",
+    "write_tuning",
+]
+
 # Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to
 # converge.
 BasinAxis = tuple[str, str, float, float]  # Name, unit, low, high

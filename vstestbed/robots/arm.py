@@ -61,6 +61,8 @@ from vstestbed.robots.inner_loops import (
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Realistic
 
+__all__ = ["INNER", "Arm", "ArmStart", "Positions", "singularity_damping2", "unit_scale"]
+
 THRESHOLD = (
     0.05  # smallest singular value that is left undamped, with lengths in the arm's own unit
 )

@@ -44,6 +44,20 @@ from vstestbed.robots.attitude import Level, to_body
 from vstestbed.robots.base import FOLLOWS, HOLDS, Reading, Supervisor
 from vstestbed.robots.rotors import X4, QuadrotorParameters
 
+__all__ = [
+    "HOLD",
+    "MAX_TRIM",
+    "RECOVER_RAD",
+    "STILL",
+    "Failsafe",
+    "FlightEstimate",
+    "FlightReading",
+    "Gains",
+    "Instruments",
+    "Loops",
+    "fly",
+]
+
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
 """Tilted by more than the first, the craft ignores its setpoint and levels; under the second it
 takes setpoints again.

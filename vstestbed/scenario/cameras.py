@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from vstestbed.sim.scene.world import World
     from vstestbed.targets import Target
 
+__all__ = ["OWN", "FurtherCamera", "OtherCamera", "check_cameras", "eyes_of"]
+
 OWN = "camera"  # name of the law's own camera where several are listed
 RESERVED = (OWN, "eye", "overview", "robot", "target", "leader", "scenery", "floor", "truth")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")

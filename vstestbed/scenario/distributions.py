@@ -22,6 +22,29 @@ from vstestbed.scenario.yaml_marks import build, put_over
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
 
+__all__ = [
+    "BODY_STREAM",
+    "DEPTH_STREAM",
+    "DISTRIBUTIONS",
+    "GOAL_STREAM",
+    "IMAGE_STREAM",
+    "IMAGING_STREAM",
+    "LINK_STREAM",
+    "MOTION_STREAM",
+    "NOISE_STREAM",
+    "PERTURB_STREAM",
+    "RGBD_STREAM",
+    "SENSOR_STREAM",
+    "STAMP_STREAM",
+    "START_STREAM",
+    "TARGET_STREAM",
+    "TIMING_STREAM",
+    "Distribution",
+    "check_randomise",
+    "drawn",
+    "values_of",
+]
+
 
 NOT_DRAWN = "name", "description", "plugins", "seed", "randomise"
 """Blocks that no distribution may change: the seed decides what is drawn, and the others describe

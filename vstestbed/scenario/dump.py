@@ -31,6 +31,19 @@ from vstestbed.scenario.plugins import HOMES, absolute, absolute_files, is_file_
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 
+__all__ = [
+    "as_yaml",
+    "block_text",
+    "changes",
+    "check_plugins",
+    "documents",
+    "dump",
+    "flow_text",
+    "given_text",
+    "kept_files",
+    "load_run",
+]
+
 WIDTH, ON_ONE_LINE = 120, 110  # columns of a line, and of a block that stands on one line
 
 

@@ -27,6 +27,8 @@ from vstestbed.scenario.yaml_marks import (
     text_of,
 )
 
+__all__ = ["GIVEN", "RESOLVED", "find", "for_another_folder", "load", "parse", "seeded"]
+
 GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
 """In a run's folder: the scenario as it was given, and as it ran, with every default, preset and
 draw written out.

@@ -16,6 +16,8 @@ from vstestbed.imaging.sensor import Drift
 from vstestbed.targets import Target
 from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase, Perturbed
 
+__all__ = ["Noise", "TargetNoise"]
+
 GreySigma = Annotated[Sigma, TighterBounds(le=255)]
 Kinds = tuple[Annotated[PerturbationBase, PERTURBATIONS], ...]
 

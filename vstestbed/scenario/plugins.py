@@ -29,6 +29,18 @@ from vstestbed.core.named_files import (
 from vstestbed.core.registry import REGISTRIES, Registry, undone_on_error
 from vstestbed.scenario.yaml_marks import FROM_OPTION, FROM_PYTHON, Marks, place_of
 
+__all__ = [
+    "HOMES",
+    "absolute",
+    "absolute_files",
+    "is_file_name",
+    "load_named",
+    "load_plugins",
+    "registries",
+    "registry",
+    "relative_files",
+]
+
 HOMES = {
     "robots": "vstestbed.robots",
     "cameras": "vstestbed.camera",

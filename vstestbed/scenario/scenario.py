@@ -46,6 +46,8 @@ from vstestbed.vision import DETECTORS, Blobs, Detector
 from vstestbed.vision.derotate import Derotation
 from vstestbed.vision.perturb import Perturbed
 
+__all__ = ["Scenario", "check_scenario"]
+
 VIEW_MARGIN_PX = 10.0  # margin round each whole marker in the picture of a random start [px]
 
 

@@ -22,6 +22,23 @@ from vstestbed.core.foreign import foreign
 from vstestbed.core.messages import all_messages, converted
 from vstestbed.core.registry import REGISTRIES, to_mapping, validator_of
 
+__all__ = [
+    "FROM_OPTION",
+    "FROM_PYTHON",
+    "Key",
+    "Marks",
+    "build",
+    "bundled_mapping",
+    "from_option",
+    "marks_under",
+    "place_of",
+    "plain_mapping",
+    "put_over",
+    "read_value",
+    "respelled",
+    "text_of",
+]
+
 T = TypeVar("T")
 
 Key = tuple[str | int, ...]

@@ -28,6 +28,21 @@ if TYPE_CHECKING:
     from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.scene.scene import Scene
 
+__all__ = [
+    "IdealPlant",
+    "OtherEye",
+    "Plant",
+    "PlantCamera",
+    "Renderer",
+    "SceneDescription",
+    "Truth",
+    "Viewpoint",
+    "camera_start",
+    "flange_for",
+    "posture_at",
+    "target_start",
+]
+
 
 @dataclass(frozen=True)
 class SceneDescription:

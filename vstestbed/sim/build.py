@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.scene.scene import Scene
 
+__all__ = ["PictureSetup", "build_plant", "scene_files"]
+
 
 class PictureSetup(NamedTuple):
     """What becomes of a camera's pictures.

@@ -28,6 +28,8 @@ from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import SetpointBuffer
 
+__all__ = ["LinearArm", "MujocoPlant", "linear_arm"]
+
 
 class RobotContacts:
     """Tells the contacts that a robot may have, of feet or wheels on the ground, from collisions.

@@ -27,6 +27,8 @@ from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.base import Target
 
+__all__ = ["FREE", "Replay", "Rerendering", "measure_baseline"]
+
 FILM_SHADOW_PX = 2048  # shadow map of the outside view: half of MuJoCo's default
 
 FILM_SLICES = 20

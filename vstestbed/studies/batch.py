@@ -30,7 +30,7 @@ from vstestbed.laws.base import Views, has_batch, inputs_of
 from vstestbed.loop.controller import GuardedLaw
 from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.loop.termination import FAR_M
-from vstestbed.robots import Free, Mount
+from vstestbed.robots import Free, Mount, Robot
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import parse
@@ -46,6 +46,21 @@ from vstestbed.vision.homography import left_open, relative_view
 
 if TYPE_CHECKING:
     from vstestbed.studies.comparison.plan import Comparison
+
+__all__ = [
+    "FIRST_POSE",
+    "Batch",
+    "BatchSetup",
+    "behind",
+    "ideal",
+    "left_out",
+    "must_be_few_starts",
+    "seen_by",
+    "simulate_batch",
+    "simulate_in_parts",
+    "start_of",
+    "started_at",
+]
 
 
 # A law without equations for many runs in a batch: its `step` is asked run by run.
@@ -195,33 +210,32 @@ class BatchSetup:
 
     def _conditions(self) -> Iterator[tuple[str, bool, str]]:
         """Field, whether it fits, and what else the message says."""
-        s, law = self.scenario, self.scenario.law
+        yield from self._of_law()
+        yield from self._of_task()
+        yield from self._of_plant()
+
+    def _of_law(self) -> Iterator[tuple[str, bool, str]]:
+        law = self.scenario.law
         foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(law.inputs))
-        yield (
-            "law.kind",
-            not foreign,
-            (
-                f"{law.kind} reads {''.join(foreign[:1])},"
-                " which the ideal cameras of a batch do not measure"
-            ),
-        )
+        first = "".join(foreign[:1])
+        words = f"{law.kind} reads {first}, which the ideal cameras of a batch do not measure"
+        yield "law.kind", not foreign, words
         margin_px = law.visibility.margin_px
         yield "law.visibility.margin_px", margin_px == 0, f"must be 0 in a batch, got {margin_px}"
         yield "law.feedforward", law.feedforward.kind == "none", "must be none in a batch"
         known = not (isinstance(law.depth, Estimate) or law.depth.measured)
-        yield (
-            "law.depth",
-            known,
-            f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle",
-        )
+        words = f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle"
+        yield "law.depth", known, words
+
+    def _of_task(self) -> Iterator[tuple[str, bool, str]]:
+        s = self.scenario
         words = (
             "must be [] in a batch, whose runs share one scenario;"
             " compare --seeds draws it for each run"
         )
         yield "randomise", not s.randomise, words
-        one_view = not (
-            len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands
-        )
+        still = not (s.target.moves or s.goal.continuing or s.goal.lands)
+        one_view = still and len(s.goal_views) <= 1
         yield "goal", one_view, "must be one view of a target that stands still, in a batch"
         in_pixels = s.stop.converged.error_px is not None and not s.stop.converged.by_estimate
         yield "stop.converged", in_pixels, "must be judged by error_px alone in a batch"
@@ -232,36 +246,36 @@ class BatchSetup:
             " give an unlimited field of view, or a target without one"
         )
         yield "target", not (solid and bordered), words
+        words = "must be none in a batch, which ends runs by the loop's own alone"
+        yield "monitors", not s.monitors, words
+
+    def _of_plant(self) -> Iterator[tuple[str, bool, str]]:
+        s = self.scenario
         exact = s.calibration.camera_exact and s.calibration.depth_exact
         yield "calibration", exact, "must be exact in a batch, whose poses and depths are true"
         yield "cameras", not s.cameras, "must be none in a batch, whose runs have one camera each"
-        yield (
-            "monitors",
-            not s.monitors,
-            "must be none in a batch, which ends runs by the loop's own alone",
-        )
-        disturbed = (
-            s.noise != Noise()
-            or s.timing != Timing()
-            or any((s.camera.latency_s, s.camera.readout_s))
-        )
+        on_time = s.timing == Timing() and not (s.camera.latency_s or s.camera.readout_s)
+        seen_exactly = isinstance(s.detector, Oracle) and s.noise == Noise()
+        open_view = s.robot.body is None and not s.world.hides
         words = (
             "must have a free camera, detector oracle, no latency, no noise, no rolling shutter,"
-            " and no plates or scenery for a batch"
+            " and no plates or scenery for a batch; `basin.setup.ideal` makes it so"
         )
-        ideal = (
-            s.robot.body is None
-            and isinstance(s.detector, Oracle)
-            and not disturbed
-            and not s.world.hides
-        )
-        yield "scenario", ideal, f"{words}; `basin.setup.ideal` makes it so"
+        yield "scenario", on_time and seen_exactly and open_view, words
 
     @cached_property
     def law(self) -> Any:
         """The law, where it takes many runs at once; else `OneByOne`."""
         law = self.scenario.law
         return law if has_batch(law) else OneByOne(law, self.scenario.camera)
+
+    def needed_at(self, t: float) -> int:
+        """How many markers a run must see at a time [s] for a command: more for the first pose that
+        is solved from pixels, or depths from it.
+        """
+        law = self.scenario.law
+        posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
+        return max(self.needed, FIRST_POSE) if posed and t == 0 else self.needed
 
     @cached_property
     def error_px(self) -> float:
@@ -649,42 +663,33 @@ def _commands(
 
     The law is evaluated once for each group of runs that see the same markers.
     """
-    law, plane = setup.scenario.law, bool(PLANE_INPUTS & set(setup.scenario.law.inputs))
+    scenario, law = setup.scenario, setup.scenario.law
+    goal = scenario.goal_view
     # a wide camera sees points behind its image plane, which have no normalised coordinates
-    usable = seen & (p[..., 2] > 0) if plane else seen
-    state, twist = runs.state.copy(), np.full((len(p), 6), np.nan)
-    # by a pose solved from the pixels, or depths from it
-    posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
-    needed = max(setup.needed, FIRST_POSE) if posed and t == 0 else setup.needed
+    in_plane = bool(PLANE_INPUTS & set(law.inputs))
+    usable = seen & (p[..., 2] > 0) if in_plane else seen
+    state = runs.state.copy()
+    twist = np.full((len(p), 6), np.nan)
+    needed = setup.needed_at(t)
+    radius = scenario.target.marker.radius
     if isinstance(setup.law, OneByOne):
         enough = np.count_nonzero(usable, axis=1) >= needed
-        views = Views(
-            t,
-            p[enough],
-            runs.T[enough],
-            setup.scenario.goal_view,
-            law.depth,
-            setup.scenario.target.marker.radius,
-        )
-        state[enough], twist[enough] = setup.law.step(
-            state[enough], views, usable[enough], setup.scenario.goal_view
-        )
+        views = Views(t, p[enough], runs.T[enough], goal, law.depth, radius)
+        stepped = setup.law.step(state[enough], views, usable[enough], goal)
+        state[enough], twist[enough] = stepped
         return state, twist, np.isfinite(twist[:, 0])
     for which, rows in _groups(usable):
         if np.count_nonzero(rows) < needed:
             continue
-        goal = setup.scenario.goal_view if rows.all() else setup.scenario.goal_view.of_rows(rows)
-        views = Views(
-            t,
-            p[which] if rows.all() else p[which][:, rows],
-            runs.T[which],
-            goal,
-            law.depth,
-            setup.scenario.target.marker.radius,
-        )
-        state[which], twist[which] = setup.law.step_batch(runs.state[which], views, goal)
+        whole = rows.all()
+        of_rows = goal if whole else goal.of_rows(rows)
+        points = p[which] if whole else p[which][:, rows]
+        views = Views(t, points, runs.T[which], of_rows, law.depth, radius)
+        stepped = setup.law.step_batch(runs.state[which], views, of_rows)
+        state[which], twist[which] = stepped
         if law.inputs == ("relative",):
-            twist[which] = np.where(_undetermined(views, goal)[:, None], np.nan, twist[which])
+            undetermined = _undetermined(views, of_rows)[:, None]
+            twist[which] = np.where(undetermined, np.nan, twist[which])
     return state, twist, np.isfinite(twist[:, 0])
 
 
@@ -717,3 +722,47 @@ def _undetermined(views: Views, goal: Goal) -> NDArray[np.bool_]:
     if flat.any():
         undetermined[flat] = left_open(goal.xy, views.xy[flat])
     return undetermined
+
+
+def left_out(scenario: Scenario) -> list[str]:
+    """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on
+    pictures and timing by their paths.
+    """
+    found = [] if scenario.robot.body is None else [*_of_robot(scenario.robot)]
+    if scenario.detector.rows is not None:
+        found.append(
+            f"the points that detector {scenario.detector.kind} finds"
+            " (the law has the target's corners in their place)"
+        )
+    of_cameras = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
+    found += [
+        f"camera.{name}" for name in of_cameras if getattr(scenario.camera, name) not in (0.0, None)
+    ]
+    for name in ("noise", "timing"):
+        block = getattr(scenario, name)
+        plain = type(block)()
+        found += [
+            f"{name}.{f.name}"
+            for f in fields(block)
+            if getattr(block, f.name) != getattr(plain, f.name)
+        ]
+    # what may stand before a target; the rest of the world changes how pictures look
+    return found + [
+        f"world.{name}" for name in ("plates", "scenery") if getattr(scenario.world, name)
+    ]
+
+
+def _of_robot(robot: Robot) -> Iterator[str]:
+    """Its dynamics and limits, its preset, and the effects that it has: the blocks that are none by
+    default.
+    """
+    yield f"the dynamics and limits of robot {robot.kind}"
+    if getattr(robot, "realism", "none") != "none":
+        yield "robot.realism"  # which fills the others
+        return
+    names = {field.name: field.default for field in fields(robot) if field.init}  # pyright: ignore[reportArgumentType] - a spec
+    yield from (
+        f"robot.{name}"
+        for name, default in names.items()
+        if default is None and getattr(robot, name) is not None
+    )

@@ -22,6 +22,8 @@ from vstestbed.core.registry import to_mapping
 from vstestbed.scenario.dump import as_yaml
 from vstestbed.scenario.load import for_another_folder
 
+__all__ = ["RESUMABLE", "resumed_folder", "study_folder", "write_plan"]
+
 RESUMABLE = "give a new one, or --resume to go on with what is there"
 
 

@@ -23,12 +23,28 @@ from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from vstestbed.core import apps
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.files import writing
 from vstestbed.core.shares import STOPS, at_once, some_done
 
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
+
+__all__ = [
+    "MOST_TRIES",
+    "Done",
+    "LocalPool",
+    "Pool",
+    "Request",
+    "WorkerLostError",
+    "clear",
+    "completed",
+    "must_be_known",
+    "must_not_be_worker",
+    "pool_of",
+    "workers",
+]
 
 Done_co = TypeVar("Done_co", covariant=True)
 
@@ -515,27 +531,24 @@ whose worker died raises WorkerLostError, and by then the pool has replaced the 
 def pool_of(
     executor: str, workers: int, folder: Path, flown: Callable[[], Iterable[Scenario]] = tuple
 ) -> Pool:
-    """The pool of `--executor`: `local`, `warp`, or `dask://HOST:PORT`; `folder` is the study's.
-    flown: what it shall fly.
-    Raises ParameterError: warp does not draw what one of them asks for. EnvironmentLackError: no
-    scheduler, no MuJoCo Warp.
+    """The pool of `--executor`: `local`, `dask://HOST:PORT`, or one of an app; `folder` is the
+    study's. flown: what it shall fly.
+    Raises ParameterError: it cannot fly one of them. EnvironmentLackError: no scheduler, or a
+    package that it needs.
     """
     must_be_known(executor)
-    if executor == "warp":
-        try:
-            from vstestbed.studies.together import TogetherPool, must_fly_together
-        except ImportError as error:
-            raise EnvironmentLackError(
-                f"MuJoCo Warp is not installed ({error})", "pip install 'vstestbed[gpu]'"
-            ) from None
-        must_fly_together(flown())
-        return TogetherPool(workers, folder)
-    return (
-        LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
-    )
+    if executor == "local":
+        return LocalPool(workers, folder)
+    if executor.startswith(DASK):
+        return DaskPool(executor.removeprefix(DASK))
+    return apps.loaded("executors", executor)(workers, folder, flown)
 
 
 def must_be_known(executor: str) -> None:
     """Refuse any other value of `--executor`."""
-    if executor not in ("local", "warp") and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
-        raise ParameterError.fixed("--executor", "local, warp or dask://HOST:PORT", executor)
+    if executor == "local" or re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
+        return
+    if apps.loaded("executors", executor) is None:
+        apps.must_be_complete()
+        words = f"{', '.join(['local', *apps.offered('executors')])} or dask://HOST:PORT"
+        raise ParameterError.fixed("--executor", words, executor)

@@ -11,7 +11,7 @@ import shutil
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -30,6 +30,8 @@ from vstestbed.sim.build import scene_files
 
 if TYPE_CHECKING:
     from vstestbed.report.video.film import FilmThread
+
+__all__ = ["ASSETS", "Files", "files_in", "files_of_failure", "new_folder", "run_into", "store"]
 
 Films = Literal["camera", "overview", "both", "none"]
 FILM_CAMERAS: dict[str, dict[str, str]] = {
@@ -81,7 +83,7 @@ def run_into(
         # of a process that ended between the check of `new_folder` and this one
         if (folder / GIVEN).exists():
             raise OutputError(folder, "holds a run", REMEDY)
-        recording = _run_into(folder, scenario, films, watch, tile_px, fine, fly)
+        recording = _run_into(folder, scenario, _Filmed(films, tile_px, fine), watch, fly)
         if report:
             # imported only if a report is written
             from vstestbed.report import Setting, write_report
@@ -91,27 +93,34 @@ def run_into(
     return recording
 
 
+@dataclass(frozen=True)
+class _Filmed:
+    """Which films of a run are made, and how: as of `run_into`."""
+
+    films: Films
+    tile_px: tuple[int, int] | None
+    fine: bool
+
+
 def _run_into(
     folder: Path,
     scenario: Scenario,
-    films: Films,
+    filmed: _Filmed,
     watch: Iterable[Watcher],
-    tile_px: tuple[int, int] | None,
-    fine: bool,
     fly: Callable[..., Recording],
 ) -> Recording:
     with _all_or_nothing(folder):
         before = files_before(scenario)  # first: what its seed draws may be refused
         scenario = scenario.resolved
-        with _filming(folder, scenario, films, tile_px, fine) as filming:
+        with _filming(folder, scenario, filmed) as filming:
             put(folder, before)
             # A film shows rows and flicker where the run took the pictures; one drawn afterwards is
             # of an instant.
-            pictures = "camera" in FILM_CAMERAS[films] and scenario.by_rows
+            pictures = "camera" in FILM_CAMERAS[filmed.films] and scenario.by_rows
             recording = fly(scenario, [*filming, *watch], folder, pictures=pictures)
             for film in filming:
                 # a film of several runs shows it itself
-                film.close(None if tile_px else (recording.outcome, recording.reason))
+                film.close(None if filmed.tile_px else (recording.outcome, recording.reason))
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
     finish(folder, recording.rows)
     goals: Files = {}
@@ -254,18 +263,17 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _filming(
-    folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None, fine: bool
-) -> Iterator[list[FilmThread]]:
+def _filming(folder: Path, scenario: Scenario, filmed: _Filmed) -> Iterator[list[FilmThread]]:
     """The films of a run, to be closed when it ends or is interrupted; discarded when it fails."""
-    paths = {camera: folder / f"{name}.mp4" for name, camera in FILM_CAMERAS[films].items()}
+    cameras = FILM_CAMERAS[filmed.films]
+    paths = {camera: folder / f"{name}.mp4" for name, camera in cameras.items()}
     if not paths:
         yield []
         return
     from vstestbed.report.video.film import FilmThread, Pace, open_films, quality_of
 
-    quality = quality_of(scenario, fine)
-    quality = replace(quality, size=tile_px or quality.size)
+    quality = quality_of(scenario, filmed.fine)
+    quality = replace(quality, size=filmed.tile_px or quality.size)
     rate_hz = scenario.camera.rate_hz
     filming = FilmThread(
         lambda: open_films(scenario, paths, quality), Pace(rate_hz, quality.every(rate_hz))

@@ -22,6 +22,20 @@ from vstestbed.core.quantity import Pixel, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import BOARD_MARGIN, Target
 
+__all__ = [
+    "SHARE",
+    "TEXTURE",
+    "PictureTarget",
+    "as_png",
+    "decoded",
+    "picture_name",
+    "place_of_picture",
+    "read_rgb",
+    "read_tile",
+    "textures",
+    "whole",
+]
+
 MOST_PX = 2048  # longest side of a texture, with its margin [px]
 # The margin is two sixteenths of the texture, one for the edges on each side: OpenGL repeats
 # textures, and without it a picture's right edge would shine through at its left edge, from afar

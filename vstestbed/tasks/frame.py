@@ -20,6 +20,8 @@ from vstestbed.robots import Allocation
 from vstestbed.robots.allocation import Order
 from vstestbed.sim.base import Truth
 
+__all__ = ["CameraRecord", "Cycle", "Frame", "FrameTiming", "ImageError"]
+
 
 class FrameTiming(NamedTuple):
     """Times of one frame.

@@ -15,6 +15,21 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.tasks.stop import Converged, Stop
 
+__all__ = [
+    "MEASURED_BY",
+    "JudgedError",
+    "Reward",
+    "RewardKind",
+    "at_the_end",
+    "at_worst",
+    "by_convergence",
+    "in_a_frame",
+    "in_words_unit",
+    "largest",
+    "nearness",
+    "potential",
+]
+
 By = Literal["pixels", "level pixels", "grey levels", "estimate", "truth"]
 MEASURED_BY: dict[By, str] = {
     "pixels": "measured pixels",

@@ -20,6 +20,25 @@ from vstestbed.core.spec import spec
 from vstestbed.tasks.base import Log
 from vstestbed.tasks.monitor import Setup
 
+__all__ = [
+    "EVERY_RUN",
+    "FIGURES",
+    "KNOWN",
+    "METRICS",
+    "OF_A_RUN",
+    "RUN_COLUMNS",
+    "SOME_FIGURES",
+    "SOME_RUNS",
+    "TWIST",
+    "Figures",
+    "Metric",
+    "MetricContract",
+    "check_metrics",
+    "comparable",
+    "own_figures",
+    "own_metrics",
+]
+
 ERRORS = ("position_error_m", "rotation_error_rad")
 Figures = dict[str, object]
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")

@@ -22,6 +22,8 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 
+__all__ = ["REST", "Setup", "TaskMonitor", "has_held", "held_since", "timed_out_words"]
+
 # a commanded twist under this (goal distances/s and rad/s) is rest; with any pixel noise, commands
 # never are so small
 REST = 1e-6

@@ -15,6 +15,8 @@ from vstestbed.core.quantity import (
 )
 from vstestbed.core.spec import spec
 
+__all__ = ["Converged", "Stop"]
+
 
 @spec
 class Converged:

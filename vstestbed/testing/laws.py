@@ -27,6 +27,8 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.testing.robots import must_refuse
 from vstestbed.timing.plan import Timing
 
+__all__ = ["check_feature", "check_law", "quick", "unnamed_in_source"]
+
 STEP = 1e-6  # motion of the camera for a difference quotient [m, rad], which then has 9 digits
 VIEWS = 20
 RADIUS_M = 0.35

@@ -19,6 +19,8 @@ from vstestbed.loop.isolated import Isolated
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
+__all__ = ["Likeness"]
+
 # of the commands' size: pbvs and hybrid, the most alike on the course's tasks, differ by 0.085 and
 # more there
 ALIKE = 0.02

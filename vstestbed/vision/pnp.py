@@ -19,6 +19,15 @@ from vstestbed.vision.homography import homography
 if TYPE_CHECKING:
     from cv2.typing import MatLike
 
+__all__ = [
+    "AT_THE_LENS",
+    "looking_along",
+    "solve_pose",
+    "solve_pose_from_rays",
+    "three_ray_poses",
+    "unit_for",
+]
+
 # The two poses of a planar target: infinitesimal plane-based pose estimation (IPPE), which has no
 # degenerate frontal view.
 PLANE_ROUNDING = 1e-12  # elements and singular values below this share of the largest are rounding

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vstestbed.cli.compare import vary_of
-from vstestbed.cli.tools import settings_of
+from vstestbed.cli.options import settings_of, vary_of
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.named_files import bundled_comparisons
 from vstestbed.studies.comparison import Comparison, Jobs, chosen, controllers

@@ -27,6 +27,8 @@ from vstestbed.report.comparison.verdict import (
 )
 from vstestbed.tasks.metrics import Metric
 
+__all__ = ["SUCCESS", "Of", "Pair", "against", "has_every_pair", "pairs"]
+
 MOST_CONTROLLERS: Final = 6
 """Up to this many controllers every metric of every pair is compared; with more, those of each with
 the reference.

@@ -22,6 +22,19 @@ from vstestbed.report.comparison import statistics as stats
 from vstestbed.report.comparison.verdict import MARGIN
 from vstestbed.tasks.metrics import EVERY_RUN, SOME_FIGURES, Metric, own_metrics
 
+__all__ = [
+    "CENSORED",
+    "RESTRICTED",
+    "TASK",
+    "TIME",
+    "ComparisonResults",
+    "ControllerResults",
+    "Means",
+    "interquartiles",
+    "shown_by_default",
+    "value_text",
+]
+
 TASK: Final = "task"  # Column of the task of each run, which only a comparison with tasks has
 _TIMES: Final = ("time_to_converge_s", "sim_time_s")
 LIMIT: Final = Metric.named("limit_s")

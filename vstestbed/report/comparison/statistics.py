@@ -18,6 +18,25 @@ from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array
 
+__all__ = [
+    "CONFIDENCE",
+    "FEWEST",
+    "LEAST",
+    "NOTHING",
+    "IntervalEstimate",
+    "MeanEstimate",
+    "holm",
+    "improvement",
+    "interquartile_mean",
+    "paired_difference",
+    "quartiles",
+    "rounding",
+    "share_of",
+    "sign_test",
+    "success_rate",
+    "wilson",
+]
+
 CONFIDENCE: Final = 0.95  # of all intervals
 # Fewest runs for the interval of an interquartile mean: of fewer, a single value would be left, or
 # all of them

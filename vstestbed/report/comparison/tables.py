@@ -19,6 +19,8 @@ from vstestbed.report.marks import number, signed
 from vstestbed.report.pages import NO_CELL, Cell
 from vstestbed.tasks.metrics import Metric
 
+__all__ = ["Section", "sections", "statistics_text"]
+
 Section = tuple[str, list[tuple[str, list[str], list[list[Cell]]]]]
 """Of the page: title; tables, each with the name of the controller that it is against ("": none),
 heads and lines.

@@ -159,7 +159,7 @@ class Setting:
         """The setting of a loaded scenario; goal view and thresholds are None for tasks that have
         none.
         """
-        from vstestbed.report.export.source import unit_of_joint
+        from vstestbed.report.recorded_run import unit_of_joint
         from vstestbed.scenario.dump import changes  # here: the figures themselves need no scenario
 
         goal, converged, planar = (

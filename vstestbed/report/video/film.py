@@ -45,6 +45,20 @@ from vstestbed.sim.scene.follow import FixedView
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
+__all__ = [
+    "FINE",
+    "FilmThread",
+    "Pace",
+    "Pictures",
+    "ending_of",
+    "film_log",
+    "open_films",
+    "picture_of_the_end",
+    "quality_of",
+    "replay_of",
+    "rows_of",
+]
+
 # How films are drawn: quick drafts beside a run, or fine films; how large, and which frames they
 # show.
 

@@ -20,6 +20,8 @@ from vstestbed.sim.replay import FREE, Replay
 if TYPE_CHECKING:
     from vstestbed.report.video.overlay import FilmFrame
 
+__all__ = ["GOAL", "OWN", "Outside", "frustum_corners", "inset_share"]
+
 GOAL: Final[Color] = (110, 255, 170)
 OWN: Final[Color] = (255, 196, 64)
 AXES: Final[tuple[Color, ...]] = ((255, 70, 70), (70, 225, 90), (90, 150, 255))

@@ -26,6 +26,30 @@ from vstestbed.sim.base import SceneState
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 
+__all__ = [
+    "ALARM",
+    "GOOD",
+    "HOLD_S",
+    "INK",
+    "PAPER",
+    "SHIFT",
+    "SMALL",
+    "UNIT",
+    "Color",
+    "FilmFrame",
+    "Overlay",
+    "Residual",
+    "captioned",
+    "draw_banner",
+    "draw_ending",
+    "draw_text",
+    "named",
+    "overlay_of",
+    "shortened",
+    "strip_height",
+    "text_width",
+]
+
 Color = tuple[int, int, int]
 
 INK: Final[Color] = (18, 20, 24)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from av import VideoFrame, VideoStream
     from av.container import OutputContainer
 
+__all__ = ["DATASET", "Image", "VideoWriter", "jpeg_of", "png_of"]
+
 Image = NDArray[np.uint8]
 
 ONE_THREAD = "threads=1:sync-lookahead=0:lookahead-threads=1"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from vstestbed.camera import Camera, Image
+from vstestbed.camera import Camera
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
 from vstestbed.sim import gl_probe as gl
@@ -18,21 +18,20 @@ from vstestbed.sim.render.cube_map import drawn_for
 if TYPE_CHECKING:
     from vstestbed.sim.render.opengl import SceneCamera
     from vstestbed.sim.render.rays import RaySceneCamera
-    from vstestbed.sim.render.warp import PictureRequest
     from vstestbed.sim.scene.scene import Scene
+
+__all__ = ["bare_renderer", "drawn_together", "draws_rays", "outside_view", "servo_renderer"]
 
 T = TypeVar("T")
 
 
 class DrawsTogether(Protocol):
-    """Draws a run's pictures together with those of others (`studies.together`). name: of what
-    draws them.
-    """
+    """Draws a run's pictures together with those of others."""
 
-    name: str
-
-    def draw(self, request: PictureRequest, /) -> Sequence[Image]:
-        """The tiles of a picture, among those of other runs."""
+    def renderer(
+        self, stage: Scene, camera: Camera, noisy: bool, share: float, eye: str
+    ) -> Renderer:
+        """The renderer of a run's camera; arguments as of `servo_renderer`."""
         ...
 
 
@@ -55,9 +54,7 @@ def servo_renderer(
     """
     given = stage, camera, noisy, share, eye
     if together := drawn_together.get():
-        from vstestbed.sim.render.warp import WarpRenderer
-
-        return WarpRenderer(stage, camera, together, noisy, share, eye)
+        return together.renderer(*given)
     return _chosen(
         camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given)
     )

@@ -27,6 +27,8 @@ from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.vision.colour import noise_rows
 
+__all__ = ["Raster", "RayRenderer", "RaySceneCamera"]
+
 
 def cone_of(rays: Array) -> tuple[Array, float]:
     """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the

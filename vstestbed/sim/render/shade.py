@@ -12,6 +12,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.sim.gl_context import repeated
 from vstestbed.sim.scene.meshes import TARGET_GROUP, own_colours, texels_of
 
+__all__ = ["Paint"]
+
 
 class Mipmap:
     """A texture (H, W, 3) uint8 and its copies of half the size, a quarter, ... down to one texel,

@@ -15,6 +15,24 @@ from vstestbed.core.geometry import FLIP, Array
 from vstestbed.effects.base import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed, turned
 
+__all__ = [
+    "FACE_VIEWER",
+    "GLOW",
+    "HAND_PLATE",
+    "LENS_GROUP",
+    "OF_FILES",
+    "ROBOT_GROUP",
+    "SITE_GROUP",
+    "TARGET_GROUP",
+    "Pane",
+    "Solid",
+    "own_colours",
+    "panes",
+    "solids",
+    "texels_of",
+    "texture_of",
+]
+
 # MuJoCo's default colour of a geom, for which its material's is used
 PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 PAPER_RGB = (0.96, 0.96, 0.96)

@@ -23,6 +23,8 @@ from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.joint_chain import before, placed
 from vstestbed.sim.scene.meshes import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 
+__all__ = ["Scene"]
+
 PLANAR = ("root_x", "root_y", "root_yaw")
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,7 @@ from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, po
 __all__ = [
     "PLAN",
     "Baseline",
+    "Campaign",
     "Comparison",
     "ComparisonTable",
     "Job",
@@ -62,8 +64,17 @@ __all__ = [
     "Runner",
     "Shard",
     "Variant",
+    "again",
+    "asked_for",
+    "begun",
+    "chosen",
+    "compare",
+    "controllers",
+    "merge",
+    "must_be_known",
+    "resumed",
+    "stored",
 ]
-__all__ += ["chosen", "compare", "controllers", "merge", "must_be_known"]
 
 
 def compare(
@@ -121,10 +132,9 @@ def compare(
     """
     must_not_be_worker("compare")
     must_be_known(executor)
-    folder, earlier = (
-        None if out is None else Path(out),
-        None if baseline is None else Baseline.read(baseline),
-    )
+    folder = None if out is None else Path(out)
+    earlier = None if baseline is None else Baseline.read(baseline)
+    share = None if shard is None else Shard.read(shard)
     fields = {
         "seeds": seeds,
         "limit": limit,
@@ -132,82 +142,90 @@ def compare(
         "reference": reference,
         "first_seed": first_seed,
     }
-    share = None if shard is None else Shard.read(shard)
-    with prepared(
-        scenarios,
-        vary or {},
-        folder,
-        resume,
-        set or {},
-        plugins,
-        film,
-        force,
-        earlier,
-        fields,
-        shard=share,
-    ) as found:
-        runner, comparison = found
-        return carry_out(
-            runner,
-            comparison,
-            jobs,
-            executor,
-            on_done,
-            report=report,
-            baseline=earlier,
-            figures=figures,
-        )
+    asked = asked_for(scenarios, vary or {}, set or {}, plugins, fields)
+    if resume:
+        ready = resumed(folder, asked, plugins, film=film, force=force, shard=share)
+    else:
+        ready = begun(asked, folder, film=film, force=force, baseline=earlier, shard=share)
+    with ready as campaign:
+        campaign.baseline = earlier
+        return campaign.carry_out(jobs, executor, on_done, report=report, figures=figures)
 
 
-def carry_out(
-    runner: Runner,
-    comparison: Comparison,
-    jobs: int | None = None,
-    executor: str = "local",
-    on_done: OnDone = lambda job, summary: None,
-    stage: Callable[[str], None] = lambda words: None,
-    report: bool = True,
-    baseline: Baseline | None = None,
-    figures: bool = True,
-) -> ComparisonTable:
-    """Do the missing runs of a comparison, then table, film and report; `stage` is called with what
-    is being done after the runs. A shard has a table alone. Raises EnvironmentLackError,
-    OutputError: as of `compare`; or stored runs are gone: there is no result.
+def asked_for(
+    scenarios: Sequence[str | Path],
+    vary: Mapping[str, Sequence[object]],
+    settings: Mapping[str, object],
+    plugins: Sequence[str],
+    fields: Mapping[str, Any],
+) -> Comparison | None:
+    """The comparison of scenarios, or one by its name, with these settings, varied values and
+    fields, as of `chosen`; None where none is named.
     """
-    with ExitStack() as stack:
-        pool = None
-        try:
-            if left := len(runner.jobs) - runner.done:
-                pool = stack.enter_context(
-                    closing(pool_of(executor, workers(jobs, left), runner.folder, runner.scenarios))
-                )
-                runner.run(pool, on_done)
-            else:
-                clear(runner.folder)  # of a process that was killed while it wrote the report
-        finally:  # also an interrupted comparison has its table
-            table = table_of(runner.folder, runner.jobs)
-            write_table(runner.folder / "comparison", table, GROUP)
-        if lost := len(runner.jobs) - len(table):
+    if not scenarios:
+        return None
+    plain = {path: block_of(value) for path, value in settings.items()}
+    axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
+    return chosen([str(name) for name in scenarios], plain, axes, plugins, **fields)
+
+
+@dataclass
+class Campaign:
+    """A comparison that is flown into its folder.
+
+    runner: does its runs, or those of a shard. baseline: an earlier one, for what has changed.
+    """
+
+    runner: Runner
+    comparison: Comparison
+    baseline: Baseline | None = None
+
+    def carry_out(
+        self,
+        jobs: int | None = None,
+        executor: str = "local",
+        on_done: OnDone = lambda job, summary: None,
+        stage: Callable[[str], None] = lambda words: None,
+        report: bool = True,
+        figures: bool = True,
+    ) -> ComparisonTable:
+        """Do the missing runs, then table, film and report; `stage` is called with what is being
+        done after the runs. A shard has a table alone. Raises EnvironmentLackError, OutputError: as
+        of `compare`; or stored runs are gone: there is no result.
+        """
+        runner, folder = self.runner, self.runner.folder
+        with ExitStack() as stack:
+            pool = None
+            try:
+                if left := len(runner.jobs) - runner.done:
+                    pool = pool_of(executor, workers(jobs, left), folder, runner.scenarios)
+                    stack.enter_context(closing(pool))
+                    runner.run(pool, on_done)
+                else:
+                    clear(folder)  # of a process that was killed while it wrote the report
+            finally:  # also an interrupted comparison has its table
+                table = table_of(folder, runner.jobs)
+                write_table(folder / "comparison", table, GROUP)
+            self._must_have_all(table)
+            changes = None
+            if self.baseline is not None:
+                changes = self.baseline.changes(self.comparison, table, folder)
+                write_json(folder / FILE, changes.plain())  # before the page, which reads it
+            if report and Shard.in_folder(folder).of == 1:
+                call = at_once if pool is None else pool.call
+                finish(folder, self.comparison, table, stage, call, figures)
+        return ComparisonTable.of(table, folder, self.comparison, changes)
+
+    def _must_have_all(self, table: pl.DataFrame) -> None:
+        """OutputError: runs that were stored are not there any more."""
+        total = len(self.runner.jobs)
+        if lost := total - len(table):
             words = (
-                f"{lost} of {len(runner.jobs)} runs are not there any more,"
+                f"{lost} of {total} runs are not there any more,"
                 " though each was stored when it was done"
             )
             advice = "see what else writes there, then do them again with --resume"
-            raise OutputError(runner.folder, words, advice, EnvironmentLackError.exit_code)
-        changes = None
-        if baseline is not None:
-            changes = baseline.changes(comparison, table, runner.folder)
-            write_json(runner.folder / FILE, changes.plain())  # before the page, which reads it
-        if report and Shard.in_folder(runner.folder).of == 1:
-            finish(
-                runner.folder,
-                comparison,
-                table,
-                stage,
-                at_once if pool is None else pool.call,
-                figures,
-            )
-    return ComparisonTable.of(table, runner.folder, comparison, changes)
+            raise OutputError(self.runner.folder, words, advice, EnvironmentLackError.exit_code)
 
 
 def again(
@@ -226,8 +244,8 @@ def again(
     with study_folder("compare", out) as folder:
         copied_plan(place, folder)
         keep(folder)
-    with prepared([], {}, folder, True, {}, (), False, force=True) as (runner, comparison):
-        table = carry_out(runner, comparison, jobs, executor, on_done, report=False)
+    with resumed(folder, film=False, force=True) as campaign:
+        table = campaign.carry_out(jobs, executor, on_done, report=False)
     return folder, agreement(pl.read_parquet(place / "comparison.parquet"), table)
 
 
@@ -250,65 +268,76 @@ def merge(
     with study_folder("compare", out) as folder:
         stage("linking the runs")
         gather(places, folder)
-        return carry_out(Runner(folder, jobs), comparison, stage=stage, figures=figures)
+        return Campaign(Runner(folder, jobs), comparison).carry_out(stage=stage, figures=figures)
 
 
 @contextmanager
-def prepared(
-    scenarios: Sequence[str | Path],
-    vary: Mapping[str, Sequence[object]],
+def begun(
+    asked: Comparison | None,
     out: Path | None,
-    resume: bool,
-    settings: Mapping[str, object],
-    plugins: Sequence[str],
-    film: bool,
+    film: bool = True,
     force: bool = False,
     baseline: Baseline | None = None,
-    fields: Mapping[str, Any] | None = None,
-    requested: Comparison | None = None,
     shard: Shard | None = None,
-) -> Iterator[tuple[Runner, Comparison]]:
-    """Check everything, make or open the folder, write the plan; the folder is held until the block
-    ends. fields: as of `chosen`. requested: the comparison, of which none is named by `scenarios`.
-    shard: only this share of it; None: all, or what the folder is.
+) -> Iterator[Campaign]:
+    """Check everything, make the folder, write the plan; the folder is held until the block ends.
+    baseline: must have runs of it. shard: only this share of it. Errors as of `compare`.
     """
+    _must_name_folder(shard, out)
+    if asked is None:
+        raise ParameterError.missing("SCENARIO", "name scenarios to compare, or a comparison")
+    # before the folder is made: bad input leaves no folder
+    found = controllers(asked, force)
+    _check_workers_find(found)
+    must_have_reference(asked, found)
+    share = shard or Shard()
+    every = Share(Jobs(found, asked.seeds, asked.first_seed), share)
+    if baseline is not None:
+        baseline.must_match(asked, every)
+    with study_folder("compare", out, RESUMABLE) as folder:
+        write_plan(folder / PLAN, asked, "base")
+        share.keep(folder)
+        keep(folder)
+        yield Campaign(Runner(folder, every, _filmed(asked, film)), asked, baseline)
+
+
+@contextmanager
+def resumed(
+    out: Path | None,
+    asked: Comparison | None = None,
+    plugins: Sequence[str] = (),
+    film: bool = True,
+    force: bool = False,
+    shard: Shard | None = None,
+) -> Iterator[Campaign]:
+    """Open the folder of a comparison that was begun; it is held until the block ends. asked,
+    shard: where they are given, those of the folder. plugins: besides those that it remembers.
+    """
+    _must_name_folder(shard, out)
+    with resumed_folder("compare", out, PLAN) as folder:
+        must_be_unchanged(folder, plugins)
+        comparison, found = _resumed(folder, asked, force, plugins)
+        there = Shard.in_folder(folder)
+        if shard is not None and shard != there:
+            raise ParameterError(
+                "--resume",
+                f"goes on with shard {there} of what the folder compares; leave --shard out",
+                str(folder),
+            )
+        every = Share(Jobs(found, comparison.seeds, comparison.first_seed), there)
+        yield Campaign(Runner(folder, every, _filmed(comparison, film)), comparison)
+
+
+def _must_name_folder(shard: Shard | None, out: Path | None) -> None:
     if shard is not None and out is None:
         raise ParameterError.needs("--shard", "a folder of its own", why="--out DIR")
-    if scenarios:
-        settings = {path: block_of(value) for path, value in settings.items()}
-        axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
-        requested = chosen([str(s) for s in scenarios], settings, axes, plugins, **fields or {})
-    with ExitStack() as stack:
-        if resume:
-            folder = stack.enter_context(resumed_folder("compare", out, PLAN))
-            must_be_unchanged(folder, plugins)
-            comparison, found = _resumed(folder, requested, force, plugins)
-            there = Shard.in_folder(folder)
-            if shard is not None and shard != there:
-                raise ParameterError(
-                    "--resume",
-                    f"goes on with shard {there} of what the folder compares; leave --shard out",
-                    str(folder),
-                )
-            every = Share(Jobs(found, comparison.seeds, comparison.first_seed), there)
-        elif requested is None:
-            raise ParameterError.missing("SCENARIO", "name scenarios to compare, or a comparison")
-        else:
-            # before the folder is made: bad input leaves no folder
-            comparison, found = requested, controllers(requested, force)
-            _check_workers_find(found)
-            must_have_reference(comparison, found)
-            every = Share(Jobs(found, comparison.seeds, comparison.first_seed), shard or Shard())
-            if baseline is not None:
-                baseline.must_match(comparison, every)
-            folder = stack.enter_context(study_folder("compare", out, RESUMABLE))
-            write_plan(folder / PLAN, comparison, "base")
-            (shard or Shard()).keep(folder)
-            keep(folder)
-        first = comparison.first_seed if comparison.seeds is not None else None
-        # a film of a few starts would not show a task
-        filmed = (first,) if film and not comparison.tasks else ()
-        yield Runner(folder, every, filmed), comparison
+
+
+def _filmed(comparison: Comparison, film: bool) -> tuple[int | None, ...]:
+    """The seeds of the film: the first one; a film of a few starts would not show a task."""
+    if not film or comparison.tasks:
+        return ()
+    return (None if comparison.seeds is None else comparison.first_seed,)
 
 
 def _check_workers_find(found: Variants) -> None:
@@ -348,10 +377,11 @@ def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
     def essence(c: Variant) -> tuple[object, ...]:
         return tuple(dump(s, defaults=True) for s in c.starts or [c.scenario]), c.folder, c.runs
 
-    same = (a.seeds, a.first_seed, a.limit) == (b.seeds, b.first_seed, b.limit) and len(
-        of_a
-    ) == len(of_b)
-    return same and all(essence(x) == essence(y) for x, y in zip(of_a, of_b, strict=True))
+    if (a.seeds, a.first_seed, a.limit) != (b.seeds, b.first_seed, b.limit):
+        return False
+    if len(of_a) != len(of_b):
+        return False
+    return all(essence(x) == essence(y) for x, y in zip(of_a, of_b, strict=True))
 
 
 def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True) -> Path:

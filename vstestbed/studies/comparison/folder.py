@@ -24,12 +24,24 @@ from vstestbed.core.files import read_file
 from vstestbed.core.foreign import foreign
 from vstestbed.core.shares import Call, at_once
 from vstestbed.loop.recording import read_summary
-from vstestbed.report.comparison.baseline import BaselineChanges, change_of
+from vstestbed.report.comparison.baseline import BaselineChanges, ControllerChange, change_of
 from vstestbed.report.comparison.results import TIME, ComparisonResults, shown_by_default
 from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, TASK, Comparison, Job, Variant
 from vstestbed.studies.comparison.record import moved_plugins
 from vstestbed.studies.comparison.tuning_record import settings_of
+
+__all__ = [
+    "GROUP",
+    "Baseline",
+    "ComparisonTable",
+    "finish",
+    "finished",
+    "must_have_reference",
+    "stored_runs",
+    "summary_of",
+    "table_of",
+]
 
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
 # folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where
@@ -377,31 +389,26 @@ class Baseline:
         """What changed in the runs that both have. comparison: the new one. table: of its runs.
         folder: its folder.
         """
-        results = ComparisonResults(
-            table, comparison.varied, comparison.metrics or shown_by_default(table)
-        )
+        shown = comparison.metrics or shown_by_default(table)
+        results = ComparisonResults(table, comparison.varied, shown)
         metrics = list({m.name: m for m in (*results.shown, TIME)}.values())
         before = _rows_by_key(self.table, comparison.varied)
-        left, only_now, found = dict(before), list[str](), []
+        left = dict(before)
+        only_now, found = list[str](), list[ControllerChange]()
         for controller in results.controllers:
             keys = [_key(row, comparison.varied) for row in controller.runs.iter_rows(named=True)]
             here = [i for i, key in enumerate(keys) if left.pop(key, None) is not None]
             if len(here) < len(keys):
                 only_now.append(f"{controller.label}, {len(keys) - len(here)} of {len(keys)} runs")
-            if here:
-                now, then = controller.runs[here], self.table[[before[keys[i]] for i in here]]
-                found.append(
-                    change_of(
-                        controller.label, then, now, metrics, self._settings(then, folder, now)
-                    )
-                )
-        return BaselineChanges(
-            str(self.place),
-            sum(c.runs for c in found),
-            tuple(only_now),
-            self._named(left.values()),
-            tuple(found),
-        )
+            if not here:
+                continue
+            now = controller.runs[here]
+            then = self.table[[before[keys[i]] for i in here]]
+            settings = self._settings(then, folder, now)
+            found.append(change_of(controller.label, then, now, metrics, settings))
+        gone = self._named(left.values())
+        total = sum(each.runs for each in found)
+        return BaselineChanges(str(self.place), total, tuple(only_now), gone, tuple(found))
 
     def _named(self, rows: Iterable[int]) -> tuple[str, ...]:
         """The controllers of some rows, each with how many there are."""

@@ -9,7 +9,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -37,6 +37,24 @@ from vstestbed.scenario.yaml_marks import (
     text_of,
 )
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Metric, comparable, own_metrics
+
+__all__ = [
+    "AMOUNT",
+    "CHECKED",
+    "TASK",
+    "TUNED",
+    "Comparison",
+    "Job",
+    "Jobs",
+    "Tuned",
+    "Variant",
+    "Variants",
+    "changed",
+    "chosen",
+    "controllers",
+    "must_be_few",
+    "read_comparison",
+]
 
 
 class StartLists(NamedTuple):
@@ -317,34 +335,38 @@ class Comparison:
         if len({Path(name).stem.casefold() for name in self.base}) < len(self.base):
             raise ParameterError.twice("base", "a scenario, or a file name,", list(self.base))
         self._check_axes()
+        self._check_cases()
+        self._check_starts()
+        self._check_metrics()
+
+    def _check_cases(self) -> None:
+        taken = {*self.axes, *OWN_COLUMNS, *own_metrics(), ""}
         for name, cases in self.cases.items():
-            if name in (*self.axes, *OWN_COLUMNS, *own_metrics(), "") or not cases:
+            if name in taken or not cases:
                 raise ParameterError(
                     f"cases.{name}", "must have a name of its own, and one case or more"
                 )
+
+    def _check_starts(self) -> None:
         if self.tasks and self.seeds is not None:
             raise ParameterError.conflict(
                 "seeds", "tasks, which say themselves how many runs there are,", self.seeds
             )
         if (self.seeds or 0) + self.first_seed > TUNED:
-            raise ParameterError.bound(
-                "seeds",
-                "at most",
-                TUNED - self.first_seed,
-                self.seeds,
-                "the seeds from there on are those of searches",
-            )
+            most = TUNED - self.first_seed
+            why = "the seeds from there on are those of searches"
+            raise ParameterError.bound("seeds", "at most", most, self.seeds, why)
         if self.limit is not None and not self.tasks:
-            raise ParameterError.only_for(
-                "limit",
-                "a comparison with `tasks`; of random starts `seeds` says how many",
-                self.limit,
-            )
-        for place, name in (
-            *(("metrics", name) for name in self.metrics),
-            *([("primary", self.primary)] if self.primary else []),
-        ):
-            if name not in (known := comparable()):
+            what = "a comparison with `tasks`; of random starts `seeds` says how many"
+            raise ParameterError.only_for("limit", what, self.limit)
+
+    def _check_metrics(self) -> None:
+        named = [("metrics", name) for name in self.metrics]
+        if self.primary:
+            named.append(("primary", self.primary))
+        for place, name in named:
+            known = comparable()
+            if name not in known:
                 raise ParameterError.choice(place, known, name)
         if self.primary and Metric.named(self.primary).better == 0:
             raise ParameterError(
@@ -431,44 +453,43 @@ def chosen(
 
     Raises ScenarioError, ParameterError, PluginError: invalid input.
     """
-    settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
+    settings = absolute_files(settings, Path.cwd())
+    axes = absolute_files(axes, Path.cwd())
     given = {name: value for name, value in fields.items() if value is not None}
-    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
-    needs = "a comparison needs base, a scenario robot, target, law and goal"
-    options: Marks = {}
-    options |= {("set", dotted): "--set" for dotted in settings} | {
-        ("axes", dotted): "--vary" for dotted in axes
-    }
-    options |= {("base",): "SCENARIO"} if names[1:] else {}
-    # scenarios
-    if (
-        path is None
-        or not is_there(path)
-        or "base" not in plain_mapping(text_of(path), str(path), needs)[0]
-    ):
-        plugins = load_plugins(plugins)
-        own = Comparison(
-            base=tuple(names), set=dict(settings), axes=dict(axes), plugins=tuple(plugins), **given
-        )
-        return changed(own, options)
+    options: Marks = {("set", dotted): "--set" for dotted in settings}
+    options |= {("axes", dotted): "--vary" for dotted in axes}
+    if names[1:]:
+        options[("base",)] = "SCENARIO"
+    path = _comparison_file(names)
+    if path is None:
+        given |= {"set": dict(settings), "axes": dict(axes), "plugins": load_plugins(plugins)}
+        return changed(Comparison(base=tuple(names), **given), options)
     read = read_comparison(path, plugins)
-    for dotted in settings:
-        _must_have_effect(read, dotted)
-    own = {key: where for key, where in read.places.items() if key[:2] not in options}
-    base = tuple(names[1:]) or read.base
+    _must_have_effect(read, settings)
+    places = {key: where for key, where in read.places.items() if key[:2] not in options}
     return changed(
         read,
-        own | options,
-        base=base,
+        places | options,
+        base=tuple(names[1:]) or read.base,
         set=merged(read.set, settings),
         axes=read.axes | dict(axes),
         **given,
     )
 
 
-def _must_have_effect(read: Comparison, path: str) -> None:
+def _comparison_file(names: Sequence[str]) -> Path | None:
+    """The file of the comparison that the first of some names is; None where it is a scenario."""
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    if path is None or not is_there(path):
+        return None
+    needs = "a comparison needs base, a scenario robot, target, law and goal"
+    plain, _ = plain_mapping(text_of(path), str(path), needs)
+    return path if "base" in plain else None
+
+
+def _must_have_effect(read: Comparison, paths: Iterable[str]) -> None:
     """Refuse a setting that whatever is applied after it writes over, in every run."""
-    for blocks in _after_set(read):
+    for path, blocks in itertools.product(paths, _after_set(read)):
         over = [
             (key, own)
             for key, block in blocks

@@ -25,7 +25,27 @@ from vstestbed.core.provenance import versions
 from vstestbed.scenario.dump import as_yaml
 from vstestbed.scenario.plugins import is_file_name
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
-from vstestbed.tasks.metrics import EVERY_RUN
+from vstestbed.tasks.metrics import EVERY_RUN, Metric
+
+__all__ = [
+    "FILES",
+    "LEAST",
+    "PLAN",
+    "RECORD",
+    "SCENARIOS",
+    "TOLERANCE",
+    "Agreement",
+    "agreement",
+    "copied_plan",
+    "environment",
+    "files_in",
+    "is_bundled",
+    "keep",
+    "moved_plugins",
+    "must_be_comparison",
+    "must_be_unchanged",
+    "needed_files",
+]
 
 PLAN, RECORD, FILES, SCENARIOS = "comparison.yaml", "record.json", "files", "scenarios"
 TOLERANCE, LEAST = 0.02, 0.05
@@ -176,25 +196,32 @@ def agreement(before: pl.DataFrame, now: pl.DataFrame) -> Agreement:
     has.
     """
     metrics = [m for m in EVERY_RUN if m.name in before.columns and m.name in now.columns]
-    rows, same, near, differ = (
-        {row["folder"]: row for row in now.rows(named=True)},
-        0,
-        0,
-        list[str](),
-    )
+    by_folder = {row["folder"]: row for row in now.rows(named=True)}
+    same = near = 0
+    differ = list[str]()
     for row in before.rows(named=True):
-        other = rows.get(row["folder"])
-        if other is None or other["outcome"] != row["outcome"]:
-            differ.append(
-                f"{row['folder']}: {row['outcome']},"
-                f" now {'not there' if other is None else other['outcome']}"
-            )
-            continue
-        pairs = [(m, row[m.name], other[m.name]) for m in metrics if row[m.name] != other[m.name]]
-        far = [f"{m.name} {a}, now {b}" for m, a, b in pairs if not _agree(a, b, m.scale)]
-        same, near = same + (not pairs), near + (bool(pairs) and not far)
-        differ += [f"{row['folder']}: {far[0]}"] if far else []
+        other = by_folder.get(row["folder"])
+        far = _difference(row, other, metrics)
+        if other is None or far:
+            differ.append(f"{row['folder']}: {far}")
+        elif any(row[m.name] != other[m.name] for m in metrics):
+            near += 1
+        else:
+            same += 1
     return Agreement(same, near, tuple(differ))
+
+
+def _difference(
+    row: Mapping[str, Any], other: Mapping[str, Any] | None, metrics: Sequence[Metric]
+) -> str:
+    """The first thing in which two runs differ beyond the tolerance, in words; "" where none is."""
+    if other is None or other["outcome"] != row["outcome"]:
+        return f"{row['outcome']}, now {'not there' if other is None else other['outcome']}"
+    for m in metrics:
+        a, b = row[m.name], other[m.name]
+        if a != b and not _agree(a, b, m.scale):
+            return f"{m.name} {a}, now {b}"
+    return ""
 
 
 def _agree(a: Any, b: Any, scale: float) -> bool:
@@ -247,15 +274,17 @@ def files_in(value: Any, key: str = "") -> Iterator[Path]:
     elif isinstance(value, list):
         for inner in value:
             yield from files_in(inner, key)
-    elif isinstance(value, str):
-        plugin = key == "plugins" and is_file_name(value)
+    elif isinstance(value, str) and _names_file(value, key):
         path = Path(re.sub(r"(\.py):\w+$", r"\1", value))
-        if (
-            (plugin or (key in FILE_FIELDS and ENDINGS.search(value)))
-            and path.is_absolute()
-            and is_there(path)
-        ):
+        if path.is_absolute() and is_there(path):
             yield path
+
+
+def _names_file(text: str, key: str) -> bool:
+    """Whether a text under a field's name is that of a file."""
+    if key == "plugins":
+        return is_file_name(text)
+    return key in FILE_FIELDS and ENDINGS.search(text) is not None
 
 
 def is_bundled(path: Path) -> bool:
@@ -313,17 +342,22 @@ def _needed(path: Path) -> Iterator[Path]:
         yield from (Path(os.path.normpath(name)) for name in files_read(path))
     elif path.suffix == ".py":
         for node in ast.walk(_parsed(path)):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-            for name in names:
-                beside = path.parent.joinpath(*name.split("."))
-                yield from (beside.with_suffix(".py"), beside / "__init__.py")
-            if (
-                isinstance(node, ast.Constant)
-                and isinstance(node.value, str)
-                and re.fullmatch(r"[\w./-]{1,100}\.\w{1,8}", node.value)
-            ):
-                yield path.parent / node.value
+            yield from _named_by(node, path.parent)
+
+
+def _named_by(node: ast.AST, folder: Path) -> Iterator[Path]:
+    """The files beside a Python file that a node of it imports, or names in a text."""
+    modules: list[str] = []
+    if isinstance(node, ast.Import):
+        modules = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom) and node.module:
+        modules = [node.module]
+    for name in modules:
+        beside = folder.joinpath(*name.split("."))
+        yield from (beside.with_suffix(".py"), beside / "__init__.py")
+    text = node.value if isinstance(node, ast.Constant) else None
+    if isinstance(text, str) and re.fullmatch(r"[\w./-]{1,100}\.\w{1,8}", text):
+        yield folder / text
 
 
 def _parsed(path: Path) -> ast.AST:

@@ -26,6 +26,8 @@ from vstestbed.studies.comparison.shards import Share
 from vstestbed.studies.pools import MOST_TRIES, Pool, Request, WorkerLostError, completed
 from vstestbed.studies.run_folder import ASSETS, Files, files_in, files_of_failure, run_into, store
 
+__all__ = ["OnDone", "Runner", "is_light"]
+
 TILE_PX = (480, 270)
 """Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of
 the work of the full size.

@@ -17,6 +17,8 @@ from vstestbed.studies.comparison.plan import Job, Jobs
 from vstestbed.studies.comparison.record import FILES, PLAN, RECORD, SCENARIOS
 from vstestbed.studies.run_folder import ASSETS
 
+__all__ = ["Shard", "Share", "gather", "must_be_done", "must_be_whole"]
+
 SHARD = "shard.json"  # in the folder of a shard: which of how many it is
 FORM = "I/N with I from 1 to N, e.g. 3/64"
 

@@ -16,6 +16,17 @@ from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.yaml_marks import build
 from vstestbed.studies.comparison.plan import Comparison, Tuned, Variant, Variants, changed
 
+__all__ = [
+    "gains_of",
+    "is_gain",
+    "law_axes",
+    "laws_of",
+    "ranges",
+    "settings_of",
+    "tunable",
+    "world",
+]
+
 # laws of a comparison that are looked at, each of which takes a hundredth of a second to load
 MOST = 500
 MOST_REASONS = 4  # groups of laws that the sentence names
