@@ -18,6 +18,11 @@ from vstestbed.core.registry import Registry, registries_of, to_mapping
 Key = tuple[str | int, ...]
 
 
+def key_of(dotted: str) -> Key:
+    """The key of a dotted path, such as `randomise.2`."""
+    return tuple(int(part) if part.isdecimal() else part for part in dotted.split("."))
+
+
 def refuse_conversions(made: Any, values: Mapping[str, Any]) -> None:
     """Refuse what pydantic has converted to a number or a truth value in a constructor in Python: a
     text, or True for 1.
@@ -151,8 +156,8 @@ def _message(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
     if isinstance(inner, ParameterError):
         got = "" if inner.found is None else f", got {short(inner.found)}"
         # without a field it is about the block as a whole
-        own = inner.field.split(".") if inner.field else []
-        return (*place.key, *(int(p) if p.isdecimal() else p for p in own)), f"{inner.problem}{got}"
+        own = key_of(inner.field) if inner.field else ()
+        return (*place.key, *own), f"{inner.problem}{got}"
     # what is missing is a field, also of a block that is a bare word
     if detail["type"] == "missing" and place.key[-1:] != (place.name,):
         place = replace(place, key=(*place.key, place.name))
