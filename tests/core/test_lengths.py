@@ -27,7 +27,7 @@ REASONS = {
         """
         core/geometry.py ORDINARY_M
         core/quantity.py Distance Length Position
-        core/spatial.py LEVEL RIGID
+        core/spatial.py LEVEL
         loop/inputs.py OUTSIDE
         loop/termination.py FAR_M
         report/run/page.py FARTHEST_M

@@ -297,7 +297,8 @@ ctypes.
 """
 FILES = re.compile(r"(?i)too ?many ?open ?files")
 # What a process that is not short can still have: the largest library takes less memory to load
-SPARE_BYTES, SPARE_FILES = 1 << 28, 8
+SPARE_BYTES = 1 << 28
+SPARE_FILES = 8
 
 
 def lack_of(error: BaseException) -> EnvironmentLackError | None:
