@@ -337,7 +337,8 @@ def shadowed(disparity: DepthImage) -> NDArray[np.bool_]:
     height, width = disparity.shape
     at = np.arange(width, dtype=np.float32) - disparity
     low = np.floor(at).astype(np.int32)
-    first, last = int(low.min()), int(low.max()) + 2
+    first = int(low.min())
+    last = int(low.max()) + 2
     nearest = np.zeros((2, height, last - first), np.float32)
     rows = np.arange(height)[:, None]
     # Of the pixels in one column of the second view the rightmost is the nearest, and it is written
@@ -375,6 +376,7 @@ def _flying(z: DepthImage, rng: np.random.Generator) -> DepthImage:
     """
     wide = np.pad(z, 1, mode="edge")
     around = [wide[i : i + z.shape[0], j : j + z.shape[1]] for i in range(3) for j in range(3)]
-    near, far = np.minimum.reduce(around), np.maximum.reduce(around)
+    near = np.minimum.reduce(around)
+    far = np.maximum.reduce(around)
     share = rng.random(z.shape, dtype=np.float32)
     return np.where(_apart(near, far), near + share * (far - near), z)

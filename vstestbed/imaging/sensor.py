@@ -256,7 +256,8 @@ class Drift:
     def gains(self, t: float) -> tuple[float, float, float]:
         """Gains of red, green and blue at time t [s]."""
         a = 2 * math.pi * t / self.period_s
-        all_three, red = 1 + self.brightness * math.sin(a), self.color * math.cos(a)
+        all_three = 1 + self.brightness * math.sin(a)
+        red = self.color * math.cos(a)
         return all_three * (1 + red), all_three, all_three * (1 - red)
 
     def of(self, images: Images, t: float) -> Images:
@@ -286,7 +287,8 @@ class ImageNoise:
     """
 
     def __init__(self, sigma: float = 0.0, rng: np.random.Generator | None = None):
-        self._sigma, self._rng = sigma, rng if sigma > 0 else None
+        self._sigma = sigma
+        self._rng = rng if sigma > 0 else None
         self.acts = self._rng is not None
 
     def next(self) -> Callable[[Images], Images]:

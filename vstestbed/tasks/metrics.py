@@ -51,7 +51,8 @@ class StartShares:
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`; undefined also where the goal is no single pose."""
         errors = np.column_stack([log[name] for name in ERRORS])
-        start, last = errors[0], errors[-1]
+        start = errors[0]
+        last = errors[-1]
         if not (start > LEAST).all():
             return {**dict.fromkeys(self.titles)}
         over = np.flatnonzero((errors >= self.share * start).any(axis=1))
@@ -129,12 +130,10 @@ class Metric:
         return self.of == "any"
 
 
-MOVING, MODES, LINK, PLUG = (
-    "a target that moves",
-    "a law with modes",
-    "a link or a camera clock",
-    "a task of insertion",
-)
+MOVING = "a target that moves"
+MODES = "a law with modes"
+LINK = "a link or a camera clock"
+PLUG = "a task of insertion"
 EVERY_RUN = (
     Metric("sim_time_s", "Simulated time", "s", better=0),
     Metric("frames", "Frames", better=0),
@@ -260,7 +259,8 @@ OF_A_RUN = (
 are named.
 """
 KNOWN = {metric.name: metric for metric in (*EVERY_RUN, *SOME_RUNS, *OF_A_RUN)}
-FIGURES, SOME_FIGURES = tuple(m.name for m in EVERY_RUN), tuple(m.name for m in SOME_RUNS)
+FIGURES = tuple(m.name for m in EVERY_RUN)
+SOME_FIGURES = tuple(m.name for m in SOME_RUNS)
 RUN_COLUMNS = {
     "scenario": "name of the scenario",
     "outcome": "how the run ended: `converged`, `timed_out`, `target_lost`, ...",
@@ -334,8 +334,10 @@ class ErrorIntegrals:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`; undefined for a target that was never seen."""
-        t, e = np.asarray(log["t"], dtype=float), np.asarray(log["error_px"], dtype=float)
-        t, e = t[np.isfinite(e)], e[np.isfinite(e)]
+        t = np.asarray(log["t"], dtype=float)
+        e = np.asarray(log["error_px"], dtype=float)
+        t = t[np.isfinite(e)]
+        e = e[np.isfinite(e)]
         found = [float(np.trapezoid(y, t)) for y in (e, e * e, t * e)] if len(e) else [None] * 3
         return dict(zip(self.titles, found, strict=True))
 

@@ -87,16 +87,18 @@ class TaskMonitor:
     error_columns: tuple[str, ...] = ()
 
     def __init__(self, setup: Setup, views: int, supervisor: Supervisor):
-        self.setup, self.views, self.supervisor = setup, views, supervisor
+        self.setup = setup
+        self.views = views
+        self.supervisor = supervisor
         self.mount_inverse = inverse(setup.camera.mount.T)
-        self._by_estimate, self._leans = (
-            setup.stop.converged.by_estimate,
-            setup.robot.base == "floating",
-        )
+        self._by_estimate = setup.stop.converged.by_estimate
+        self._leans = setup.robot.base == "floating"
         self.estimate = math.nan, math.nan
         self.error_px = self.error_grey = math.nan
         self._in_grey = "image" in setup.law.inputs
-        self._near, self._held_since, self._rest_since = False, math.inf, math.inf
+        self._near = False
+        self._held_since = math.inf
+        self._rest_since = math.inf
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -111,7 +113,8 @@ class TaskMonitor:
 
     def measure(self, frame: Frame) -> tuple[float, ...]:
         """The columns' values, by which `reached` and `missed` also decide."""
-        seen, goal = frame.observation, frame.goal
+        seen = frame.observation
+        goal = frame.goal
         self.error_px = level_error(seen, goal) if self._leans else frame.error.rms_px
         self.error_grey = frame.command.error_grey
         if self._by_estimate:
@@ -150,12 +153,15 @@ class TaskMonitor:
     def missed(self, frame: Frame) -> Verdict | None:
         """A local minimum, or the end of the duration."""
         # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
-        twist, reach = frame.command.twist.tolist(), frame.goal.reach_m
+        twist = frame.command.twist.tolist()
+        reach = frame.goal.reach_m
         rests = max(map(abs, twist[:3])) < REST * reach and max(map(abs, twist[3:])) < REST
         at_rest = rests and not frame.error.lost and not self._near
         self._rest_since = held_since(self._rest_since, at_rest, frame.t)
         if has_held(self._rest_since, frame.t, self.setup.stop.rest_after):
-            goal, (distance, angle), said = self.setup.stop.converged, self.estimate, list[str]()
+            goal = self.setup.stop.converged
+            (distance, angle) = self.estimate
+            said = list[str]()
             if goal.error_px is not None:
                 said.append(f"at an RMS error of {self.error_px:.3g} px")
             if goal.error_grey is not None:

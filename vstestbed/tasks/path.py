@@ -80,10 +80,8 @@ class GoalPath(Continuing):
         """When each view is reached, for the last time (n,) [s]."""
         times = []
         for a, b in pairwise(self._ways):
-            length, angle = (
-                np.linalg.norm(b[:3, 3] - a[:3, 3]),
-                rotation_angle(a[:3, :3].T @ b[:3, :3]),
-            )
+            length = np.linalg.norm(b[:3, 3] - a[:3, 3])
+            angle = rotation_angle(a[:3, :3].T @ b[:3, :3])
             times.append(
                 max(
                     JERK_PEAK * length / self.speed_mps,
@@ -140,7 +138,8 @@ class GoalPath(Continuing):
             return inverse(self._ways[0]), 0
         if leg >= len(self._ways) - 1:
             return inverse(self._ways[-1]), len(self._ways) - 1
-        a, b = self._ways[leg], self._ways[leg + 1]
+        a = self._ways[leg]
+        b = self._ways[leg + 1]
         share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
         return inverse(between(a, b, share)), leg + 1
 
@@ -164,14 +163,17 @@ class GoalPath(Continuing):
         """
         until = self._until
         first, last = np.clip([t - LATE_S, t + LATE_S], until[0], until[-1])
-        x, nearest = T_target_camera[:3, 3], np.inf
+        x = T_target_camera[:3, 3]
+        nearest = np.inf
         for leg in range(len(until) - 1):
-            began, ended = until[leg], until[leg + 1]
+            began = until[leg]
+            ended = until[leg + 1]
             if began > last or ended < first:
                 continue
             # The part of this leg within the window, by travelled shares; a leg of pure rotation
             # has no length to divide by.
-            a, along = self._ways[leg][:3, 3], self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
+            a = self._ways[leg][:3, 3]
+            along = self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
             low, high = (
                 _smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last)
             )

@@ -82,7 +82,8 @@ class DelayLine(Generic[T]):
     """
 
     def __init__(self, delay_steps: int = 0, overtakes: bool = False):
-        self.delay_steps, self._overtakes = delay_steps, overtakes
+        self.delay_steps = delay_steps
+        self._overtakes = overtakes
         self._waiting: deque[tuple[int, T]] = deque()
 
     def push(self, step: int, item: T) -> None:
@@ -237,8 +238,10 @@ Loses = Callable[[int], bool]
 def bursty_link(loss: BurstLoss, rng: np.random.Generator) -> Loses:
     """One direction of the link in a run. loss: its parameters. rng: of this direction alone."""
     steps, losses = rng.spawn(2)
-    p, r = loss.enter_probability, loss.leave_probability
-    bad, now = bool(steps.random() < p / (p + r)), 0
+    p = loss.enter_probability
+    r = loss.leave_probability
+    bad = bool(steps.random() < p / (p + r))
+    now = 0
 
     def loses(period: int) -> bool:
         nonlocal bad, now
