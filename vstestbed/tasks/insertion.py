@@ -55,7 +55,7 @@ class Approach(NamedTuple):
     rest_n: float = math.nan
 
 
-class Plug(NamedTuple):
+class PlugError(NamedTuple):
     """How the plug stands to the reference, along and beside the axis of the hole, by the robot's
     own measurements.
 
@@ -71,7 +71,7 @@ class Plug(NamedTuple):
     press_n: float
 
     @classmethod
-    def of(cls, T_camera_target: Array, reference: Array, wrench: Array | None) -> Plug:
+    def of(cls, T_camera_target: Array, reference: Array, wrench: Array | None) -> PlugError:
         """By the pose as estimated and as wanted (4, 4), and a wrench (6,); None without a
         sensor.
         """
@@ -195,7 +195,7 @@ class GoalInsertion(Task):
         goal = self._view_at(setup, way)
         if seen.T_camera_target is None or math.isnan(dt):
             return state._replace(t=seen.t), goal
-        plug = Plug.of(seen.T_camera_target, goal.T_camera_target, seen.wrench)
+        plug = PlugError.of(seen.T_camera_target, goal.T_camera_target, seen.wrench)
         since = held_since(state.in_line_since, self._in_line(plug), seen.t)
         rest_n = state.rest_n
         if way == 0.0 or math.isnan(rest_n):
@@ -207,14 +207,14 @@ class GoalInsertion(Task):
             goal = self._view_at(setup, way, self.speed_mps)
         return state._replace(way_m=way), goal
 
-    def _in_line(self, plug: Plug) -> bool:
+    def _in_line(self, plug: PlugError) -> bool:
         return (
             plug.lateral_m < self.within_m
             and plug.turned_deg < self.within_deg
             and abs(plug.lead_m) < LEAD_M
         )
 
-    def _advances(self, state: Approach, plug: Plug) -> bool:
+    def _advances(self, state: Approach, plug: PlugError) -> bool:
         begun = state.way_m > 0.0 or state.t - state.in_line_since >= self.hold_s
         inside = state.way_m > self.standoff_m
         presses = self.press_n is not None and plug.press_n - state.rest_n > self.press_n
