@@ -55,7 +55,7 @@ REASONS = {
         robots/car.py CarParameters.track_m CarParameters.wheel_radius_m CarParameters.wheelbase_m
         robots/compound.py DECK_M
         robots/flight.py RESUME_M
-        robots/mjcf.py WIND_UP_M WIND_UP_RAD
+        robots/mjcf.py WIND_UP_M
         robots/omni.py OmniParameters.track_m OmniParameters.wheel_radius_m
         robots/omni.py OmniParameters.wheelbase_m
         robots/own_model.py OwnModel.unit_m

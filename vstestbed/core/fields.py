@@ -53,6 +53,11 @@ class Node:
         )
 
     @property
+    def is_block(self) -> bool:
+        """Whether it is a block of one spec class."""
+        return isinstance(self.type, type) and dataclasses.is_dataclass(self.type)
+
+    @property
     def length(self) -> int | None:
         """The only valid length of a list; None where there are several."""
         for bound in self.bounds:
@@ -101,11 +106,7 @@ class Node:
                 kind = block["kind"] if isinstance(block, dict) else None
                 if isinstance(kind, str) and kind in leaf.registry.members:
                     return leaf.registry.members[kind], leaf.registry
-            elif (
-                isinstance(leaf.type, type)
-                and dataclasses.is_dataclass(leaf.type)
-                and (isinstance(value, dict) or leaf.bounds)
-            ):
+            elif leaf.is_block and (isinstance(value, dict) or leaf.bounds):
                 return leaf.type, None
         return None
 
@@ -116,7 +117,7 @@ class Node:
         for leaf in self.leaves():
             if leaf.registry is not None:
                 yield from ((leaf.registry, member) for member in leaf.registry.members.values())
-            elif isinstance(leaf.type, type) and dataclasses.is_dataclass(leaf.type):
+            elif leaf.is_block:
                 yield None, leaf.type
 
 

@@ -53,10 +53,10 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def _is_special(path: Path) -> bool:
-    """Whether a path is there and neither a file nor a folder: a pipe, a socket, a device."""
+def _is_no_folder(path: Path) -> bool:
+    """Whether a path is there and no folder: a file, a pipe, a socket, a device."""
     try:
-        return path.exists() and not (path.is_file() or path.is_dir())
+        return path.exists() and not path.is_dir()
     except (OSError, ValueError):
         return False
 
@@ -80,7 +80,7 @@ def place_of_file(file: str) -> Path:
         if found is None or not found.submodule_search_locations:
             raise ParameterError("file", _no_package(name, inside), file)
         path = Path(found.submodule_search_locations[0]) / inside
-    if not (is_there(path) or _is_special(path)):
+    if not _is_no_folder(path):
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
         words = (
             "give its path: absolute,"

@@ -31,6 +31,8 @@ FixedPattern = tuple[Floats, Floats]
 relative to the mean (H, W, 3) [1].
 """
 Electrons = Annotated[float, Ge(0), Le(1e6)]
+Full = Annotated[float, Gt(0), Le(1e6)]
+Share = Annotated[float, Ge(0), Lt(1)]
 
 
 @spec
@@ -96,8 +98,8 @@ class SensorNoise:
     doi:10.1117/3.725073; Bayer 1976, Color imaging array, US patent 3971065.
     """
 
-    full_well_e: Annotated[float, Gt(0), Le(1e6)] = 10500.0
-    white_e: Annotated[float, Gt(0), Le(1e6)] | None = None
+    full_well_e: Full = 10500.0
+    white_e: Full | None = None
     gain_dn_per_e: Annotated[float, Gt(0), Le(1e4)] | None = None
     dark_noise_e: Electrons = 2.3
     dsnu_e: Electrons = 0.6
@@ -248,9 +250,9 @@ class Drift:
         period_s: period of all of them [s].
     """
 
-    brightness: Annotated[float, Ge(0), Lt(1)] = 0.0
-    color: Annotated[float, Ge(0), Lt(1)] = 0.0
-    contrast: Annotated[float, Ge(0), Lt(1)] = 0.0
+    brightness: Share = 0.0
+    color: Share = 0.0
+    contrast: Share = 0.0
     period_s: PositiveTime = 10.0
 
     def gains(self, t: float) -> tuple[float, float, float]:

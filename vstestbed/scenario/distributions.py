@@ -191,6 +191,11 @@ DISTRIBUTIONS = Registry(
 # Domain randomisation: the block `randomise`, and clutter, drawn from a scenario's seed.
 # Independent random streams of one seed. Their numbers enter the seed: a new one comes last, or all
 # recorded runs change.
+# In groups: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of
+# timing, of the calibration of depths, the target's random walk, perturbations;
+# the depth camera, the goal's picture, what differs from one robot to the next of its kind, losses
+# of the link, time stamps, the image sensor, the block `randomise`, clutter;
+# changes of the target's own picture.
 (
     START_STREAM,
     NOISE_STREAM,
@@ -200,11 +205,6 @@ DISTRIBUTIONS = Registry(
     DEPTH_STREAM,
     MOTION_STREAM,
     PERTURB_STREAM,
-) = range(8)
-"""The start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing, of
-the calibration of depths, the target's random walk, perturbations.
-"""
-(
     RGBD_STREAM,
     GOAL_STREAM,
     BODY_STREAM,
@@ -213,11 +213,8 @@ the calibration of depths, the target's random walk, perturbations.
     IMAGING_STREAM,
     RANDOMISE_STREAM,
     CLUTTER_STREAM,
-) = range(8, 16)
-"""The depth camera, the goal's picture, what differs from one robot to the next of its kind, losses
-of the link, time stamps, the image sensor, the block `randomise`, clutter.
-"""
-TARGET_STREAM = 16  # changes of the target's own picture
+    TARGET_STREAM,
+) = range(17)
 
 
 def drawn(scenario: Scenario) -> Scenario:

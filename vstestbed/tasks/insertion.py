@@ -55,37 +55,6 @@ class Approach(NamedTuple):
     rest_n: float = math.nan
 
 
-class PlugError(NamedTuple):
-    """How the plug stands to the reference, along and beside the axis of the hole, by the robot's
-    own measurements.
-
-    Attributes:
-        lateral_m, turned_deg: lateral and rotational error [m, deg]. lead_m: how far the reference
-            is ahead of it along the axis [m]. press_n: with what force it presses along the axis
-            [N].
-    """
-
-    lateral_m: float
-    turned_deg: float
-    lead_m: float
-    press_n: float
-
-    @classmethod
-    def of(cls, T_camera_target: Array, reference: Array, wrench: Array | None) -> PlugError:
-        """By the pose as estimated and as wanted (4, 4), and a wrench (6,); None without a
-        sensor.
-        """
-        axis = reference[:3, 2]  # of the hole, into it, in the camera's frame
-        # how far the camera still has to go, so that the target comes to where it is wanted
-        away = reference[:3, 3] - T_camera_target[:3, 3]
-        return cls(
-            float(np.linalg.norm(away - (away @ axis) * axis)),
-            math.degrees(rotation_angle(T_camera_target[:3, :3].T @ reference[:3, :3])),
-            float(-away @ axis),
-            0.0 if wrench is None else float(-wrench[:3] @ axis),
-        )
-
-
 @spec
 class GoalInsertion(Task):
     """Insert the arm's plug (`robot.tool`) into the target's socket: servo to a view with the tip
@@ -193,33 +162,37 @@ class GoalInsertion(Task):
         way = state.way_m
         dt = seen.t - state.t
         goal = self._view_at(setup, way)
-        if seen.T_camera_target is None or math.isnan(dt):
+        T = seen.T_camera_target
+        reference = goal.T_camera_target
+        if T is None or math.isnan(dt):
             return state._replace(t=seen.t), goal
-        plug = PlugError.of(seen.T_camera_target, goal.T_camera_target, seen.wrench)
-        since = held_since(state.in_line_since, self._in_line(plug), seen.t)
+        axis = reference[:3, 2]  # of the hole, into it, in the camera's frame
+        # how far the camera still has to go, so that the target comes to where it is wanted
+        away = reference[:3, 3] - T[:3, 3]
+        lateral = float(np.linalg.norm(away - (away @ axis) * axis))
+        lead = float(-away @ axis)
+        turned = math.degrees(rotation_angle(T[:3, :3].T @ reference[:3, :3]))
+        in_line = lateral < self.within_m and turned < self.within_deg and abs(lead) < LEAD_M
+        since = held_since(state.in_line_since, in_line, seen.t)
+        press = 0.0 if seen.wrench is None else float(-seen.wrench[:3] @ axis)
         rest_n = state.rest_n
         if way == 0.0 or math.isnan(rest_n):
-            rest_n = plug.press_n  # the weight of the tool
+            rest_n = press  # the weight of the tool
         state = Approach(setup, way, seen.t, since, rest_n)
         last = self.standoff_m + self.depth_in(setup.target) + BEYOND_M
-        if way < last and self._advances(state, plug):
+        if way < last and self._advances(state, in_line, lead, press):
             way = min(way + self.speed_mps * dt, last)
             goal = self._view_at(setup, way, self.speed_mps)
         return state._replace(way_m=way), goal
 
-    def _in_line(self, plug: PlugError) -> bool:
-        return (
-            plug.lateral_m < self.within_m
-            and plug.turned_deg < self.within_deg
-            and abs(plug.lead_m) < LEAD_M
-        )
-
-    def _advances(self, state: Approach, plug: PlugError) -> bool:
+    def _advances(self, state: Approach, in_line: bool, lead: float, press: float) -> bool:
+        """Whether the reference goes on: it is not far ahead of the plug [m], which is in line and
+        does not press [N].
+        """
         begun = state.way_m > 0.0 or state.t - state.in_line_since >= self.hold_s
         inside = state.way_m > self.standoff_m
-        presses = self.press_n is not None and plug.press_n - state.rest_n > self.press_n
-        guided = self._in_line(plug) or inside
-        return begun and guided and abs(plug.lead_m) < LEAD_M and not presses
+        presses = self.press_n is not None and press - state.rest_n > self.press_n
+        return begun and (in_line or inside) and abs(lead) < LEAD_M and not presses
 
     def _view_at(self, setup: Setup, way_m: float, speed_mps: float = 0.0) -> Goal:
         """The view at a way along the axis, with the errors of the calibration that the first view
@@ -278,10 +251,8 @@ class InsertionMonitor(TaskMonitor):
     def task_error(self, frame: Frame) -> tuple[float, ...]:
         T = inverse(frame.truth.T_world_target) @ frame.T_world_base(self.mount_inverse)
         x, y, z = T[:3, :3] @ self._tip + T[:3, 3]
-        self.depth_m, self.offset_m = (
-            float(z + self._socket.depth),
-            math.hypot(x - self._socket.xy[0], y - self._socket.xy[1]),
-        )
+        self.depth_m = float(z + self._socket.depth)
+        self.offset_m = math.hypot(x - self._socket.xy[0], y - self._socket.xy[1])
         return self.depth_m, self.offset_m, max(0.0, self._depth - self.depth_m)
 
     def reached(self, frame: Frame) -> Verdict | None:

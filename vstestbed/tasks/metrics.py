@@ -54,18 +54,15 @@ class StartShares:
         start = errors[0]
         last = errors[-1]
         if not (start > LEAST).all():
-            return {**dict.fromkeys(self.titles)}
+            return dict.fromkeys(self.titles)
         over = np.flatnonzero((errors >= self.share * start).any(axis=1))
         pictures = int(over[-1]) + 2 if len(over) else 1
         q = np.column_stack([log[name] for name in QUATERNION])
         cosine = np.abs(np.einsum("ij,ij->i", q[1:], q[:-1]))
         sine = np.sqrt(np.maximum(0, 1 - np.minimum(cosine, 1) ** 2))
         turned = float(2 * np.arctan2(sine, cosine).sum())
-        found = (
-            *(last / start).tolist(),
-            pictures if pictures <= len(errors) else None,
-            turned / float(start[1]),
-        )
+        within = pictures if pictures <= len(errors) else None
+        found = (*(last / start).tolist(), within, turned / float(start[1]))
         return dict(zip(self.titles, found, strict=True))
 
 
@@ -359,12 +356,10 @@ class CommandVariation:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`."""
-        steps = np.diff(np.column_stack([log[f"cmd_{name}"] for name in TWIST]), axis=0).reshape(
-            -1, 2, 3
-        )
-        return dict(
-            zip(self.titles, np.linalg.norm(steps, axis=2).sum(axis=0).tolist(), strict=True)
-        )
+        twists = np.column_stack([log[f"cmd_{name}"] for name in TWIST])
+        steps = np.diff(twists, axis=0).reshape(-1, 2, 3)
+        found = np.linalg.norm(steps, axis=2).sum(axis=0).tolist()
+        return dict(zip(self.titles, found, strict=True))
 
 
 @spec
@@ -411,11 +406,11 @@ METRICS = Registry(
 def own_metrics() -> dict[str, Metric]:
     """The metrics of all registered kinds, by name."""
     kinds: Any = METRICS.members.values()  # of the contract
-    return {
-        name: Metric(name, *title, of="any", within=ANY)
-        for kind in kinds
-        for name, title in kind.titles.items()
-    }
+    found = {}
+    for kind in kinds:
+        for name, title in kind.titles.items():
+            found[name] = Metric(name, *title, of="any", within=ANY)
+    return found
 
 
 def comparable() -> tuple[str, ...]:
@@ -450,8 +445,8 @@ def own_figures(metrics: Sequence[MetricContract], log: Log, setup: Setup) -> Fi
         for name in metric.titles:
             value = found[name]
             if isinstance(value, bool) or not isinstance(value, Real | None):
-                raise ParameterError.returned(
-                    f"metrics: {metric.kind}", "figures", f"{name} as a number or None", str(value)
-                )
+                wanted = f"{name} as a number or None"
+                field = f"metrics: {metric.kind}"
+                raise ParameterError.returned(field, "figures", wanted, str(value))
             figures[name] = None if value is None else float(value)
     return figures

@@ -103,13 +103,16 @@ class TaskMonitor:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the task's columns in the log."""
-        return (
-            *(("view",) if self.views > 1 else ()),
-            *self.error_columns,
-            *(("est_position_m", "est_rotation_rad") if self._by_estimate else ()),
-            *(("level_error_px",) if self._leans else ()),
-            *(("error_grey",) if self._in_grey else ()),
-        )
+        names = [*self.error_columns]
+        if self.views > 1:
+            names.insert(0, "view")
+        if self._by_estimate:
+            names += ["est_position_m", "est_rotation_rad"]
+        if self._leans:
+            names.append("level_error_px")
+        if self._in_grey:
+            names.append("error_grey")
+        return tuple(names)
 
     def measure(self, frame: Frame) -> tuple[float, ...]:
         """The columns' values, by which `reached` and `missed` also decide."""
@@ -119,13 +122,16 @@ class TaskMonitor:
         self.error_grey = frame.command.error_grey
         if self._by_estimate:
             self.estimate = estimated_error(seen, goal)
-        return (
-            *((goal.view,) if self.views > 1 else ()),
-            *self.task_error(frame),
-            *(self.estimate if self._by_estimate else ()),
-            *((self.error_px,) if self._leans else ()),
-            *((self.error_grey,) if self._in_grey else ()),
-        )
+        values = [*self.task_error(frame)]
+        if self.views > 1:
+            values.insert(0, goal.view)
+        if self._by_estimate:
+            values += self.estimate
+        if self._leans:
+            values.append(self.error_px)
+        if self._in_grey:
+            values.append(self.error_grey)
+        return tuple(values)
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
         """Values of `error_columns`."""
@@ -133,13 +139,10 @@ class TaskMonitor:
 
     def near(self, frame: Frame) -> bool:
         """Whether the conditions hold in this frame."""
-        last = frame.goal.view + 1 == self.views and not frame.goal.moves
+        if frame.goal.view + 1 < self.views or frame.goal.moves or frame.error.lost:
+            return False
         errors = self.error_px, *self.estimate, self.error_grey
-        return (
-            last
-            and not frame.error.lost
-            and self.setup.stop.converged.near(frame.error.all_seen, *errors)
-        )
+        return self.setup.stop.converged.near(frame.error.all_seen, *errors)
 
     def reached(self, frame: Frame) -> Verdict | None:
         """Converged, when the conditions have held for long enough."""
@@ -175,9 +178,9 @@ class TaskMonitor:
         # After the local minimum: of a law that rests in the last frame, the more telling reason
         # counts.
         duration = self.setup.stop.duration_s
-        return (
-            (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None
-        )
+        if frame.t < duration - 1e-9:
+            return None
+        return Outcome.timed_out, timed_out_words(duration)
 
 
 def estimated_error(seen: Observation, goal: Goal) -> tuple[float, float]:

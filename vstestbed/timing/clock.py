@@ -111,6 +111,7 @@ class DelayLine(Generic[T]):
         return self._waiting[0][0] if self._waiting else None
 
 
+Probability = Annotated[float, Ge(0), Le(1)]
 Offset = Annotated[
     float,
     Bounded(-60.0, 60.0, "s", "a minute; clocks that differ by more are not taken for one another"),
@@ -219,10 +220,10 @@ class BurstLoss:
         carries: what goes over the link.
     """
 
-    enter_probability: Annotated[float, Ge(0), Le(1)] = 0.02
+    enter_probability: Probability = 0.02
     leave_probability: Annotated[float, Gt(0), Le(1)] = 0.2
     good_loss: Annotated[float, Ge(0), Lt(1)] = 0.0
-    bad_loss: Annotated[float, Ge(0), Le(1)] = 1.0
+    bad_loss: Probability = 1.0
     carries: Literal["pictures", "commands", "both"] = "both"
 
     @property

@@ -25,6 +25,10 @@ LEAST_PERIODS = 3  # a command lasts this many camera periods at least
 BLURRED = 0.2
 
 
+Images = Annotated[int, Ge(3), Le(999)]  # of which a picture is composed
+Minute = Annotated[Time, TighterBounds(le=60)]
+
+
 @spec
 class Timing:
     """Timing of pictures and commands beyond the camera's rate and latency, rounded to whole
@@ -76,13 +80,13 @@ class Timing:
     """
 
     exposure_s: Time = 0.0
-    exposure_pictures: Annotated[int, Ge(3), Le(999)] = 9
-    readout_pictures: Annotated[int, Ge(3), Le(999)] = 21
+    exposure_pictures: Images = 9
+    readout_pictures: Images = 21
     jitter: Literal["uniform", "normal"] = "uniform"
     exposure_jitter_s: Time = 0.0
-    latency_jitter_s: Annotated[Time, TighterBounds(le=60)] = 0.0
+    latency_jitter_s: Minute = 0.0
     drop_probability: Annotated[float, Ge(0), Lt(1)] = 0.0
-    command_latency_s: Annotated[Time, TighterBounds(le=60)] = 0.0
+    command_latency_s: Minute = 0.0
     command_timeout_s: PositiveTime = 0.5
     out_of_order: bool = False
     camera_clock: CameraStamps | None = None
