@@ -135,7 +135,9 @@ def _node(hint: Any, bounds: tuple[Any, ...] = ()) -> Node:
         return Node(Literal, bounds, words=arguments)
     if origin in (typing.Union, UnionType):
         parts = tuple(_node(part, bounds) for part in arguments if part is not type(None))
-        return Node(typing.Union, parts=parts) if len(parts) > 1 else parts[0]
+        if len(parts) == 1:
+            return parts[0]
+        return Node(typing.Union, parts=parts)
     if origin is tuple:
         return Node(tuple, bounds, parts=(_node(arguments[0]),))
     if origin is dict:  # a mapping by name: the values

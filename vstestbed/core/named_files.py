@@ -211,8 +211,9 @@ def module_of(path: Path) -> ModuleType | None:
     target = path.resolve()
     for module in list(sys.modules.values()):
         file = getattr(module, "__file__", None)
-        alike = isinstance(file, str) and file.endswith((path.name, target.name))
-        if alike and Path(file).resolve() == target:
+        if not isinstance(file, str) or not file.endswith((path.name, target.name)):
+            continue
+        if Path(file).resolve() == target:
             return module
     return None
 

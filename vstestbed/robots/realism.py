@@ -115,7 +115,7 @@ class Realistic(Robot):
         every: dict[str, object] = {}
         for preset in cls.presets.values():
             every |= dict.fromkeys(preset)
-        return every | cls.presets.get(level, {})
+        return {**every, **cls.presets.get(level, {})}
 
     @property
     def preset_values(self) -> dict[str, object]:

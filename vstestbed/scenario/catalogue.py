@@ -180,7 +180,7 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     if owners:
         return FieldPlace(path, name, owners, _settable(before, entries))
     for cls in holders:
-        if _kind(cls) == name:
+        if getattr(cls, "kind", "") == name:
             return by_class[cls]
     raise _none_in(path, name, before, holders)
 
@@ -252,12 +252,8 @@ def _within(holders: Sequence[type], part: str) -> Iterator[type]:
     holds, and the kind of this name.
     """
     inner = [inner for cls in holders for _, inner in _blocks_at(cls, part)]
-    inner += [cls for cls in holders if _kind(cls) == part]
+    inner += [cls for cls in holders if getattr(cls, "kind", "") == part]
     yield from dict.fromkeys(inner)
-
-
-def _kind(cls: type) -> str:
-    return str(fields(cls)["kind"].default) if "kind" in fields(cls) else ""
 
 
 def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:

@@ -399,7 +399,7 @@ def _check_same_markers(law: Any, detector: str) -> None:
     wanted = f"the same markers in every picture, and detector {detector} shows other points"
     for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
         feature = getattr(part, "feature", None)
-        if feature is not None and part.needs_same_markers:
+        if part is not None and feature is not None and part.needs_same_markers:
             why = (
                 f"it is made of several markers together, which takes {wanted};"
                 " use point, polar or spherical"

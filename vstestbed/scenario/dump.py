@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import io
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -204,7 +205,9 @@ def block_text(value: object, width: int) -> str:
 
 def _yaml_text(value: object, **style: Any) -> str:
     style.setdefault("Dumper", LIBYAML)
-    return yaml.dump(value, sort_keys=False, allow_unicode=True, **style)
+    out = io.StringIO()
+    yaml.dump(value, out, sort_keys=False, allow_unicode=True, **style)
+    return out.getvalue()
 
 
 def _width(node: Any) -> int:
@@ -331,8 +334,11 @@ def _different(
 ) -> Iterator[tuple[str, Any]]:
     for key, value in given.items():
         other = bundled.get(key)
-        blocks = isinstance(value, dict) and isinstance(other, dict)
-        if blocks and value.get("kind") == other.get("kind"):
+        if (
+            isinstance(value, dict)
+            and isinstance(other, dict)
+            and value.get("kind") == other.get("kind")
+        ):
             yield from _different(value, other, f"{prefix}{key}.")
         elif (value != other or key not in bundled) and not _is_copy(value, other):
             yield prefix + key, value

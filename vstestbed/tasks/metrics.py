@@ -54,7 +54,7 @@ class StartShares:
         start = errors[0]
         last = errors[-1]
         if not (start > LEAST).all():
-            return dict.fromkeys(self.titles)
+            return {**dict.fromkeys(self.titles)}
         over = np.flatnonzero((errors >= self.share * start).any(axis=1))
         pictures = int(over[-1]) + 2 if len(over) else 1
         q = np.column_stack([log[name] for name in QUATERNION])

@@ -72,7 +72,7 @@ class _Views(Task):
 
 
 @spec
-class GoalPath(_Views, Continuing):
+class GoalPath(_Views, Continuing):  # pyright: ignore[reportIncompatibleVariableOverride] - see `view_fields`
     """Continuing task: fly along a path through given views, and stay at the last one.
 
     Between two views the reference camera moves along a straight line, rotating about a fixed axis,
