@@ -30,7 +30,7 @@ REASONS = {
         """
         core/geometry.py ORDINARY_M
         core/quantity.py Distance Length Position
-        core/spatial.py LEVEL RIGID
+        core/spatial.py LEVEL
         loop/inputs.py OUTSIDE
         loop/termination.py FAR_M
         report/run/page.py FARTHEST_M
@@ -58,7 +58,7 @@ REASONS = {
         robots/car.py CarParameters.track_m CarParameters.wheel_radius_m CarParameters.wheelbase_m
         robots/compound.py DECK_M
         robots/flight.py RESUME_M
-        robots/mjcf.py WIND_UP_M WIND_UP_RAD
+        robots/mjcf.py WIND_UP_M
         robots/omni.py OmniParameters.track_m OmniParameters.wheel_radius_m
         robots/omni.py OmniParameters.wheelbase_m
         robots/own_model.py OwnModel.unit_m

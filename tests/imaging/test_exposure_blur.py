@@ -57,7 +57,7 @@ def flown(exposure_s: float) -> Array:
     s = scenario({"time_s": exposure_s, "nominal_s": exposure_s}, renderer="gl", multisampling=16)
     with closing(plant_of(s)) as plant:
         plant.apply(np.array([SPEED, 0, 0, 0, 0, 0]))
-        shutter = Shutter(s.timing, s.camera, STEP, PER_FRAME, np.random.default_rng(0))
+        shutter = Shutter(s.timing, s.camera, STEP, np.random.default_rng(0))
         shutter.following()
         plan, step = shutter.following(plant.exposure_s()), 0
         for at, weight in zip(plan.opens, plan.weights, strict=True):
@@ -91,7 +91,7 @@ def test_the_smear_is_as_long_as_the_exposure_time():
 @pytest.mark.parametrize("exposure_s", [5e-4, 0.002, 0.003, 0.004, 0.0101, 0.02, 0.037])
 def test_weights_have_the_moments_of_the_exposure(exposure_s: float):
     camera = Perspective(rate_hz=25, exposure=ExposureControl(time_s=exposure_s, blurs=True))
-    shutter = Shutter(Timing(), camera, STEP, PER_FRAME, np.random.default_rng(0))
+    shutter = Shutter(Timing(), camera, STEP, np.random.default_rng(0))
     w, t = np.array(shutter.opening.weights), shutter.opening.nodes
     assert w.sum() == pytest.approx(1) and w @ t == pytest.approx(0, abs=1e-12) and (w > 0).all()
     assert w @ t**2 == pytest.approx(exposure_s**2 / 12, rel=1e-9)
@@ -113,7 +113,7 @@ def still(
     """Exposure time [s], gain and image of the pictures of a small camera at rest."""
     s = scenario(exposure, width=72, height=56, **camera)
     with closing(plant_of(s)) as plant:
-        shutter = Shutter(s.timing, s.camera, STEP, PER_FRAME, np.random.default_rng(0))
+        shutter = Shutter(s.timing, s.camera, STEP, np.random.default_rng(0))
         for _ in range(pictures):
             plan = shutter.following(plant.exposure_s())
             for weight in plan.weights:
@@ -166,7 +166,7 @@ def test_noise_grows_with_gain_and_not_with_time():
 def test_a_row_of_a_rolling_shutter_is_exposed_for_the_time():
     exposure = ExposureControl(blurs=True, auto=AutoExposure(longest_s=0.01))
     camera = Perspective(rate_hz=25, readout_s=0.02, exposure=exposure)
-    shutter = Shutter(Timing(), camera, STEP, PER_FRAME, np.random.default_rng(0))
+    shutter = Shutter(Timing(), camera, STEP, np.random.default_rng(0))
     shutter.following()
     for exposure_s, end in ((0.002, 26), (0.01, 28)):
         plan = shutter.following(exposure_s)

@@ -51,9 +51,7 @@ def pictures(
     plant = build_plant(s.scene, PictureSetup(needs_image=True, needs_truth=False))[0]
     assert s.world.light is not None
     rng = np.random.default_rng(0)
-    shutter = Shutter(
-        s.timing, s.camera, plant.step_s, plant.steps_per_frame, rng, flicker=s.world.light.flicker
-    )
+    shutter = Shutter(s.timing, s.camera, plant.step_s, rng, flicker=s.world.light.flicker)
     columns = []
     for _ in range(number):
         plan = shutter.following()
@@ -151,7 +149,7 @@ def test_none_is_steady_and_costs_nothing():
     assert light is not None and light.flicker == STEADY
     s = vs.load("ibvs_book")
     assert Shutter(
-        s.timing, s.camera, 0.002, 50, np.random.default_rng(0), flicker=STEADY
+        s.timing, s.camera, 0.002, np.random.default_rng(0), flicker=STEADY
     ).following().weights == (1.0,)
 
 

@@ -67,9 +67,7 @@ def taken(
     """The second picture of a camera with a constant twist, and the truth at its time stamp."""
     plant, truth, step = plant_of(s), None, 0
     plant.apply(np.array(twist, float))
-    shutter = Shutter(
-        s.timing, s.camera, plant.step_s, plant.steps_per_frame, np.random.default_rng(0)
-    )
+    shutter = Shutter(s.timing, s.camera, plant.step_s, np.random.default_rng(0))
     shutter.following()
     plan = shutter.following()
     for at, weight in zip(plan.opens, plan.weights, strict=True):
@@ -215,13 +213,13 @@ class TestWeights:
 
     def test_a_global_shutter_is_planned_as_ever(self):
         plan = Shutter(
-            Timing(), Perspective(rate_hz=25), 0.002, 20, np.random.default_rng(0)
+            Timing(), Perspective(rate_hz=25), 0.002, np.random.default_rng(0)
         ).following()
         assert plan.weights == (1.0,)
 
     def test_the_latency_counts_from_the_last_row(self):
         camera = Perspective(rate_hz=25, latency_s=0.01, readout_s=0.02)
-        shutter = Shutter(Timing(exposure_s=0.004), camera, 0.002, 20, np.random.default_rng(0))
+        shutter = Shutter(Timing(exposure_s=0.004), camera, 0.002, np.random.default_rng(0))
         plan = [shutter.following() for _ in range(2)][1]
         assert plan.opens == tuple(range(14, 27)) and plan.arrives == 26 + 5
         assert all(isinstance(weight, tuple) for weight in plan.weights)
@@ -287,7 +285,6 @@ def test_a_part_is_completed_as_the_whole():
             Timing(),
             scene("perspective", "gl", READOUT).camera,
             plant.step_s,
-            plant.steps_per_frame,
             np.random.default_rng(0),
         )
         plan = [shutter.following() for _ in range(2)][1]

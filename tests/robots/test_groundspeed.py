@@ -6,6 +6,7 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import GRAVITY
 from vstestbed.robots.attitude import level, to_body
+from vstestbed.robots.flight import Instruments
 from vstestbed.robots.flight_sensors import AT_REST, READING_S, VELOCITIES, Filtered, Flow, step
 
 DT, STILL = 0.001, (0.0, 0.0, 0.0)
@@ -23,9 +24,9 @@ def run(source, velocity, force, duration, R=FLAT, yaw_rate=0.0, rng=None, state
             if rng
             else np.zeros(3)
         )
-        state = step(
-            state, R, tuple(np.add(velocity((k + 1) * DT), noise)), force, yaw_rate, source, DT
-        )
+        measured = tuple(np.add(velocity((k + 1) * DT), noise))
+        reading = Instruments((0, 0, 0), force, measured, 0.0)
+        state = step(state, R, reading, yaw_rate, source, DT)
         rows.append(state[0])
     return np.array(rows), state
 

@@ -21,7 +21,7 @@ IDEAL = {"camera.rate_hz": 25, "detector": {"kind": "oracle", "field_of_view": "
 
 
 def plans(timing: Timing, n: int = MANY) -> list[Planned]:
-    shutter = Shutter(timing, CAMERA, STEP, PER_FRAME, np.random.default_rng(3))
+    shutter = Shutter(timing, CAMERA, STEP, np.random.default_rng(3))
     return [shutter.following() for _ in range(n)]
 
 
@@ -150,7 +150,6 @@ class TestBlur:
             Timing(exposure_s=exposure_s, exposure_pictures=99),
             CAMERA,
             STEP,
-            PER_FRAME,
             np.random.default_rng(0),
         )
         shutter.following()

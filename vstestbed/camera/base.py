@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 Window = tuple[int, int, int, int]  # left, top, right, bottom [px]; right and bottom are exclusive
 # of interest: for each panel of a camera its windows; empty for a panel that is not needed
 Regions = tuple[tuple[Window, ...], ...]
-LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
+LARGEST_PX = 8192
+MOST_SAMPLES = 1 << 27
 """Largest side of a picture [px], and most samples of a rendered one, of colour and depth in a GB:
 what graphics cards draw.
 """
@@ -99,6 +100,9 @@ class Picture:
             images=tuple(None if image is None else image.copy() for image in self.images),
             depth=depth,
         )
+
+
+IMAGING = ("optics", "exposure", "sensor", "stream")  # fields of what changes a rendered picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,46 +191,40 @@ class Camera(ABC):
         return ArgsKwargs((), sized) if isinstance(given, ArgsKwargs) else sized
 
     def __post_init__(self) -> None:
+        size = f"{self.width} x {self.height}"
         if self.width * self.height * self.multisampling > MOST_SAMPLES:
             most = MOST_SAMPLES // (self.width * self.height)
-            words = (
-                f"{most} for a {self.width} x {self.height} picture,"
-                " whose samples would not fit into the memory"
-            )
+            words = f"{most} for a {size} picture, whose samples would not fit into the memory"
             raise ParameterError.bound("multisampling", "at most", words, self.multisampling)
         if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
-            raise ParameterError.bound(
-                "principal_px",
-                "within",
-                f"the {self.width} x {self.height} picture",
-                self.principal_px,
-            )
-        if self.depth_sensor is not None and not self.with_depth:
+            limit = f"the {size} picture"
+            raise ParameterError.bound("principal_px", "within", limit, self.principal_px)
+        if self.depth_sensor is not None:
+            self._check_depth_sensor(self.depth_sensor, size)
+        if self.imaged:
+            self._check_imaging()
+
+    def _check_depth_sensor(self, sensor: DepthSensor, size: str) -> None:
+        if not self.with_depth:
             words = (
                 "camera perspective, with distortion or without: depth cameras have no wide lenses"
             )
             raise ParameterError.only_for("depth_sensor", words)
-        lens = self.depth_sensor.lens if self.depth_sensor is not None else None
+        lens = sensor.lens
         if lens is not None and (lens.width < self.width or lens.height < self.height):
-            raise ParameterError.bound(
-                "depth_sensor.lens",
-                "at least",
-                f"{self.width} x {self.height} px",
-                [lens.width, lens.height],
-            )
-        if not self.imaged:
-            return
+            found = [lens.width, lens.height]
+            raise ParameterError.bound("depth_sensor.lens", "at least", f"{size} px", found)
+
+    def _check_imaging(self) -> None:
+        """Refuse what its lens, or its rate, cannot have of optics, exposure, sensor and stream."""
         if len(self.panels) > 1:
-            field = next(
-                name
-                for name in ("optics", "exposure", "sensor", "stream")
-                if getattr(self, name) is not None
-            )
+            given = [name for name in IMAGING if getattr(self, name) is not None]
             words = (
                 "is of a camera with one picture,"
-                f" and {getattr(self, 'kind', 'this lens')} has several"
+                f" and {getattr(self, 'kind', 'this lens')} has several;"
+                " works: perspective, fisheye or catadioptric"
             )
-            raise ParameterError(field, f"{words}; works: perspective, fisheye or catadioptric")
+            raise ParameterError(given[0], words)
         if self.optics is not None:
             self.optics.check(self.with_depth, getattr(self, "focal_length_m", None))
         if self.exposure is not None and self.exposure.auto is not None:
@@ -249,12 +247,7 @@ class Camera(ABC):
         """Whether lens, exposure, sensor or stream change its pictures, which are then always taken
         whole.
         """
-        return not (
-            self.optics is None
-            and self.exposure is None
-            and self.sensor is None
-            and self.stream is None
-        )
+        return any(getattr(self, name) is not None for name in IMAGING)
 
     def imaging(self, rng: np.random.Generator | None) -> Imaging | None:
         """What lens, exposure, sensor and stream make of the pictures of one run; None where they
@@ -262,14 +255,12 @@ class Camera(ABC):
         """
         if not self.imaged:
             return None
-        size, rng = (self.width, self.height), rng or np.random.default_rng(0)
-        focal = getattr(self, "f", 0.0), getattr(self, "focal_length_m", None)
-        lens = (
-            None
-            if self.optics is None
-            else LensEffects(self.optics, size, self.centre, self.ray, *focal)
-        )
-        return Imaging(size, self.rate_hz, lens, self.exposure, self.sensor, self.stream, rng)
+        lens = None
+        if self.optics is not None:
+            size = self.width, self.height
+            focal = getattr(self, "f", 0.0), getattr(self, "focal_length_m", None)
+            lens = LensEffects(self.optics, size, self.centre, self.ray, *focal)
+        return Imaging(self, lens, rng or np.random.default_rng(0))
 
     @property
     def period(self) -> float:

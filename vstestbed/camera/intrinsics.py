@@ -345,7 +345,8 @@ def _from_opencv(text: str) -> list[Any]:
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     if not storage.root(1).empty():
         raise ValueError("it holds several documents; keep one")
-    root, found = storage.root(), []
+    root = storage.root()
+    found = []
     for key in root.keys():  # noqa: SIM118 - a FileNode is no mapping
         read = NAMES.get(_bare(key)) in READ  # others, such as all corners of a board, may be long
         found.append((key, _node(root.getNode(key)) if read else None))
@@ -576,16 +577,17 @@ def _quaternion_in(plain: Mapping[str, Any], where: str) -> Array | None:
     """The pose (4, 4) of x, y, z and a quaternion, in one block or in `translation` and `rotation`;
     None where it has not all seven numbers.
     """
-    place, turn, before = plain, plain, "q"
+    place = plain
+    turn = plain
+    before = "q"
     if "rotation" in plain or "translation" in plain:
         if beside := [name for name in POSE if name in plain]:
             raise ParameterError.conflict(f"{where}{beside[0]}", "translation and rotation")
-        place, turn, before = (
-            _block(plain, "translation", "xyz"),
-            _block(plain, "rotation", "wxyz"),
-            "",
-        )
-    p, q = [place.get(name) for name in "xyz"], [turn.get(f"{before}{name}") for name in "wxyz"]
+        place = _block(plain, "translation", "xyz")
+        turn = _block(plain, "rotation", "wxyz")
+        before = ""
+    p = [place.get(name) for name in "xyz"]
+    q = [turn.get(f"{before}{name}") for name in "wxyz"]
     if None in p or None in q:
         return None
     unit = unit_quaternion(_numbers(q, f"{where}rotation"), f"{where}rotation")
@@ -688,7 +690,8 @@ def as_ros(camera: Camera) -> tuple[Array, Model, Sequence[float]] | None:
     if lens not in LENSES:
         return None
     k: tuple[float, ...] = camera.lens_coefficients  # type: ignore[attr-defined] - both lenses have them
-    (fx, fy), (cx, cy) = np.broadcast_to(camera.focal, 2), camera.centre
+    (fx, fy) = np.broadcast_to(camera.focal, 2)
+    (cx, cy) = camera.centre
     model: Model = (
         "equidistant"
         if lens == "fisheye"

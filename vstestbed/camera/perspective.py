@@ -20,7 +20,8 @@ from vstestbed.core.spec import spec
 
 # 8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3
 DEFAULT_FOVY_DEG = 64.0
-X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+X_AXIS = np.array([1.0, 0.0, 0.0])
+Y_AXIS = np.array([0.0, 1.0, 0.0])
 
 
 def first_root(coefficients: list[float]) -> float:
@@ -65,49 +66,47 @@ class Perspective(Camera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [
-            name
-            for name in ("fovy_deg", "focal_length_m", "distortion", "principal_px")
-            if getattr(self, name) is not None
-        ]
-        if self.intrinsics is not None and given:
-            raise ParameterError.conflict(given[0], "intrinsics, which say it")
         if self.intrinsics is not None:
-            self.intrinsics.check("perspective", self.width, self.height, "intrinsics")
+            self._check_intrinsics(self.intrinsics)
         if (self.focal_length_m is None) != (self.pixel_size_m is None):
             missing = "pixel_size_m" if self.pixel_size_m is None else "focal_length_m"
-            raise ParameterError.missing(
-                missing, "a lens is given by focal_length_m and pixel_size_m together"
-            )
-        if self.focal_length_m is not None and self.fovy_deg is not None:
+            why = "a lens is given by focal_length_m and pixel_size_m together"
+            raise ParameterError.missing(missing, why)
+        if self.focal_length_m is None:
+            if self.fovy_deg is None and self.intrinsics is None:
+                # so that the scenario as run states it
+                object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)
+        elif self.fovy_deg is not None:
             raise ParameterError.conflict("fovy_deg", "focal_length_m")
-        if self.focal_length_m is None and self.fovy_deg is None and self.intrinsics is None:
-            # so that the scenario as run states it
-            object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)
-        if not self.resampled:
-            return
-        u, v = self.width - 0.5, self.height - 0.5
+        if self.resampled:
+            self._check_distortion()
+
+    def _check_intrinsics(self, intrinsics: Intrinsics) -> None:
+        for name in ("fovy_deg", "focal_length_m", "distortion", "principal_px"):
+            if getattr(self, name) is not None:
+                raise ParameterError.conflict(name, "intrinsics, which say it")
+        intrinsics.check("perspective", self.width, self.height, "intrinsics")
+
+    def _check_distortion(self) -> None:
+        """Refuse a lens that folds its picture, and one for which too large a picture is needed."""
+        u = self.width - 0.5
+        v = self.height - 0.5
         half = np.array([[-0.5, v / 2], [u, v / 2], [u / 2, -0.5], [u / 2, v]])
         border = np.concatenate([half, [[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]]])
         xy = self.normalise(border)
-        back, field = (
-            self._distort(xy) * self.focal + self.centre,
-            "distortion" if self.intrinsics is None else "intrinsics.distortion",
-        )
+        back = self._distort(xy) * self.focal + self.centre
+        field = "distortion" if self.intrinsics is None else "intrinsics.distortion"
         if not np.allclose(back, border, atol=1e-3) or not (lengths(xy) ** 2 < self.reach2).all():
             words = "folds the picture over itself before its corners; use smaller coefficients"
             raise ParameterError(field, words, self.lens_coefficients)
         # The pinhole picture from which the distorted one is resampled covers the undistorted
         # border.
-        side, most = float(np.ptp(xy, axis=0).max()) * self.f, 2 * LARGEST_PX
+        side = float(np.ptp(xy, axis=0).max()) * self.f
+        most = 2 * LARGEST_PX
         if side > most:
             words = f"a rendered picture of {side:.4g} px, and {most} are the most"
-            raise ParameterError.needs(
-                field,
-                words,
-                self.lens_coefficients,
-                works="smaller coefficients or a smaller picture",
-            )
+            works = "smaller coefficients or a smaller picture"
+            raise ParameterError.needs(field, words, self.lens_coefficients, works=works)
 
     @cached_property
     def resampled(self) -> bool:
@@ -143,7 +142,8 @@ class Perspective(Camera):
                 self,
                 intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion),
             )
-        f, pixel = self.f * (1 + focal_error), self.pixel_size_m
+        f = self.f * (1 + focal_error)
+        pixel = self.pixel_size_m
         given: dict[str, float | None] = {
             "fovy_deg": math.degrees(2 * math.atan(self.height / 2 / f))
         }
@@ -179,7 +179,8 @@ class Perspective(Camera):
         k1, k2, _, _, k3, *below = self.lens_coefficients or (0.0,) * 5
         if not any(below):
             return first_root([7 * k3, 5 * k2, 3 * k1, 1.0])
-        N, D = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([*below[::-1], 1.0])
+        N = np.poly1d([k3, k2, k1, 1.0])
+        D = np.poly1d([*below[::-1], 1.0])
         rises = N * D + np.poly1d([2.0, 0.0]) * (N.deriv() * D - N * D.deriv())
         return min(first_root(rises.coeffs.tolist()), first_root(D.coeffs.tolist()))
 
@@ -212,7 +213,8 @@ class Perspective(Camera):
             return super().whole(p_camera, radius, margin)
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.where(p_camera[..., 2] > 0, self.f / p_camera[..., 2], np.nan)
-            half, clear = radius * scale + margin, True
+            half = radius * scale + margin
+            clear = True
             for i, size in enumerate((self.width, self.height)):
                 at = p_camera[..., i] * scale + self.centre[i]
                 clear &= (at + 0.5 >= half) & (size - 0.5 - at >= half)
@@ -226,13 +228,15 @@ class Perspective(Camera):
     def ray(self, uv: Array) -> Array:
         """Unit rays (..., N, 3) of pixels uv (..., N, 2)."""
         p = np.empty((*uv.shape[:-1], 3))
-        p[..., :2], p[..., 2] = self.normalise(uv), 1.0
+        p[..., :2] = self.normalise(uv)
+        p[..., 2] = 1.0
         p /= lengths(p)
         return p
 
     def _distort(self, xy: Array) -> Array:
         _, _, p1, p2, *_ = self.lens_coefficients or (0.0,) * 5
-        x, y = xy[..., 0], xy[..., 1]
+        x = xy[..., 0]
+        y = xy[..., 1]
         r2 = x * x + y * y
         radial, _ = self._radial(r2)
         x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
@@ -242,7 +246,8 @@ class Perspective(Camera):
     def _radial(self, r2: Array) -> tuple[Array, Array]:
         """The factor on a radius whose square is r2 (...), and twice its derivative by r2."""
         k1, k2, _, _, k3, *below = self.lens_coefficients or (0.0,) * 5
-        N, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        N = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
         if not any(below):
             return N, slope
         k4, k5, k6 = below
@@ -256,7 +261,8 @@ class Perspective(Camera):
         _, _, p1, p2, *_ = self.lens_coefficients
         xy = xy_d.copy()
         for _ in range(10):
-            x, y = xy[..., 0], xy[..., 1]
+            x = xy[..., 0]
+            y = xy[..., 1]
             r2 = x * x + y * y
             radial, slope = self._radial(r2)
             a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x

@@ -131,8 +131,10 @@ class Radial(Camera):
         distance, inwards = super().borders(uv)
         d = (uv - self.centre) * (self.f / self.focal)
         r = np.linalg.norm(d, axis=1, keepdims=True)
-        out, (inner, outer) = d / np.maximum(r, 1e-9), (self.f * m for m in self.ring)
-        distance, inwards = np.hstack([distance, outer - r]), np.hstack([inwards, -out[:, None]])
+        out = d / np.maximum(r, 1e-9)
+        (inner, outer) = (self.f * m for m in self.ring)
+        distance = np.hstack([distance, outer - r])
+        inwards = np.hstack([inwards, -out[:, None]])
         return (
             (distance, inwards)
             if inner == 0

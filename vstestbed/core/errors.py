@@ -68,7 +68,9 @@ class ParameterError(VstestbedError, ValueError):
     """
 
     def __init__(self, field: object, problem: str = "", found: object = None):
-        self.field, self.problem, self.found = str(field), problem, found
+        self.field = str(field)
+        self.problem = problem
+        self.found = found
         got = "" if found is None else f", got {found!r}"
         super().__init__(f"{field} {problem}{got}".rstrip())
 
@@ -185,6 +187,16 @@ def _why(why: str) -> str:
     return why and f": {why}"
 
 
+@contextlib.contextmanager
+def within(block: str) -> Iterator[None]:
+    """Put the name of a block before the field of a ParameterError that a check of it raises."""
+    try:
+        yield
+    except ParameterError as error:
+        field = f"{block}.{error.field}".removesuffix(".")
+        raise ParameterError(field, error.problem, error.found) from None
+
+
 class UnreachableError(ParameterError):
     """A start at which the robot cannot stand; a comparison tells it as the outcome of a run."""
 
@@ -200,11 +212,8 @@ class Mistake:
     sentence: str
 
     def __str__(self) -> str:
-        return (
-            f"{self.where}: {self.field}: {self.sentence}"
-            if self.field
-            else f"{self.where}: {self.sentence}"
-        )
+        field = f"{self.field}: " if self.field else ""
+        return f"{self.where}: {field}{self.sentence}"
 
 
 class ScenarioError(VstestbedError):
@@ -214,7 +223,12 @@ class ScenarioError(VstestbedError):
 
     def __init__(self, mistakes: Sequence[Mistake]):
         self.mistakes = tuple(mistakes)
-        super().__init__("\n".join(str(m) for m in self.mistakes))
+        super().__init__("\n".join(map(str, self.mistakes)))
+
+    @staticmethod
+    def at(where: str, field: str, sentence: str) -> ScenarioError:
+        """The error for one mistake."""
+        return ScenarioError([Mistake(where, field, sentence)])
 
 
 class PluginError(ScenarioError):
@@ -272,7 +286,8 @@ class EnvironmentLackError(VstestbedError):
     exit_code = 4
 
     def __init__(self, lack: str, remedy: str):
-        self.lack, self.remedy = lack, remedy
+        self.lack = lack
+        self.remedy = remedy
         super().__init__(f"{lack}; {remedy}")
 
 
@@ -301,7 +316,8 @@ ctypes.
 """
 FILES = re.compile(r"(?i)too ?many ?open ?files")
 # What a process that is not short can still have: the largest library takes less memory to load
-SPARE_BYTES, SPARE_FILES = 1 << 28, 8
+SPARE_BYTES = 1 << 28
+SPARE_FILES = 8
 
 
 def lack_of(error: BaseException) -> EnvironmentLackError | None:

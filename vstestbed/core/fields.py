@@ -16,14 +16,14 @@ import inspect
 import re
 import typing
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from types import UnionType
 from typing import Any, Literal
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
 from vstestbed.core.quantity import Bounded, TighterBounds
-from vstestbed.core.registry import Registry, to_mapping
+from vstestbed.core.registry import Registry, default_of, is_needed, to_mapping
 
 __all__ = ["DIMENSIONLESS", "Node", "SchemaField", "class_text", "fields", "needed", "without_unit"]
 
@@ -55,12 +55,22 @@ class Node:
         )
 
     @property
+    def is_block(self) -> bool:
+        """Whether it is a block of one spec class."""
+        return isinstance(self.type, type) and dataclasses.is_dataclass(self.type)
+
+    @property
     def length(self) -> int | None:
         """The only valid length of a list; None where there are several."""
-        lengths = [
-            (bound.min_length, bound.max_length) for bound in self.bounds if isinstance(bound, Len)
-        ]
-        return next((least for least, most in lengths if least == most), None)
+        for bound in self.bounds:
+            if isinstance(bound, Len) and bound.min_length == bound.max_length:
+                return bound.min_length
+        return None
+
+    @property
+    def takes_number(self) -> bool:
+        """Whether it is a number, or a block for which a number may stand."""
+        return self.number or (self.registry is not None and self.registry.number is not None)
 
     @property
     def within(self) -> Bounded | None:
@@ -70,21 +80,15 @@ class Node:
     @property
     def limits(self) -> tuple[float, float]:
         """The smallest and the largest value of a number."""
-        lows, highs = [float("-inf")], [float("inf")]
+        lows = [float("-inf")]
+        highs = [float("inf")]
         for bound in self.bounds:
             if isinstance(bound, Bounded):
-                lows, highs = [*lows, bound.low], [*highs, bound.high]
+                lows.append(bound.low)
+                highs.append(bound.high)
             elif isinstance(bound, TighterBounds | Ge | Gt | Le | Lt):
-                lows += [
-                    float(getattr(bound, name))
-                    for name in ("gt", "ge")
-                    if getattr(bound, name, None) is not None
-                ]
-                highs += [
-                    float(getattr(bound, name))
-                    for name in ("lt", "le")
-                    if getattr(bound, name, None) is not None
-                ]
+                lows += _numbers(bound, "gt", "ge")
+                highs += _numbers(bound, "lt", "le")
         return max(lows), min(highs)
 
     def leaves(self) -> Iterator[Node]:
@@ -104,11 +108,7 @@ class Node:
                 kind = block["kind"] if isinstance(block, dict) else None
                 if isinstance(kind, str) and kind in leaf.registry.members:
                     return leaf.registry.members[kind], leaf.registry
-            elif (
-                isinstance(leaf.type, type)
-                and dataclasses.is_dataclass(leaf.type)
-                and (isinstance(value, dict) or leaf.bounds)
-            ):
+            elif leaf.is_block and (isinstance(value, dict) or leaf.bounds):
                 return leaf.type, None
         return None
 
@@ -119,34 +119,39 @@ class Node:
         for leaf in self.leaves():
             if leaf.registry is not None:
                 yield from ((leaf.registry, member) for member in leaf.registry.members.values())
-            elif isinstance(leaf.type, type) and dataclasses.is_dataclass(leaf.type):
+            elif leaf.is_block:
                 yield None, leaf.type
+
+
+def _numbers(bound: object, *names: str) -> list[float]:
+    values = (getattr(bound, name, None) for name in names)
+    return [float(value) for value in values if value is not None]
 
 
 def _node(hint: Any, bounds: tuple[Any, ...] = ()) -> Node:
     if hasattr(hint, "__metadata__"):
-        bounds = (*bounds, *hint.__metadata__)
-        registry = next((bound for bound in bounds if isinstance(bound, Registry)), None)
-        return (
-            _node(hint.__origin__, bounds)
-            if registry is None
-            else Node(hint.__origin__, bounds, registry=registry)
-        )
-    origin, inner = (
-        typing.get_origin(hint),
-        [part for part in typing.get_args(hint) if part is not type(None)],
-    )
+        return _annotated(hint.__origin__, (*bounds, *hint.__metadata__))
+    origin = typing.get_origin(hint)
+    arguments = typing.get_args(hint)
     if origin is Literal:
-        return Node(Literal, bounds, words=typing.get_args(hint))
+        return Node(Literal, bounds, words=arguments)
     if origin in (typing.Union, UnionType):
-        return (
-            _node(inner[0], bounds)
-            if len(inner) == 1
-            else Node(typing.Union, parts=tuple(_node(part, bounds) for part in inner))
-        )
-    if origin in (tuple, dict):  # a mapping by name: the values
-        return Node(origin, bounds, parts=(_node(inner[-1] if origin is dict else inner[0]),))
+        parts = tuple(_node(part, bounds) for part in arguments if part is not type(None))
+        if len(parts) == 1:
+            return parts[0]
+        return Node(typing.Union, parts=parts)
+    if origin is tuple:
+        return Node(tuple, bounds, parts=(_node(arguments[0]),))
+    if origin is dict:  # a mapping by name: the values
+        return Node(dict, bounds, parts=(_node(arguments[1]),))
     return Node(hint, bounds)
+
+
+def _annotated(hint: Any, bounds: tuple[Any, ...]) -> Node:
+    for bound in bounds:
+        if isinstance(bound, Registry):
+            return Node(hint, bounds, registry=bound)
+    return _node(hint, bounds)
 
 
 @dataclass(frozen=True)
@@ -168,27 +173,24 @@ _annotations = functools.cache(inspect.get_annotations)
 @functools.cache
 def fields(cls: type) -> dict[str, SchemaField]:
     """The fields of a spec class that its constructor takes, by name."""
-    own = {field.name: field for field in dataclasses.fields(cls) if field.init}
+    own = [field for field in dataclasses.fields(cls) if field.init]
+    types: dict[str, Any] = {}
     # of a class in a function, `spec` has read the types already
-    bases = reversed(cls.__mro__) if any(isinstance(f.type, str) for f in own.values()) else ()
-    types = {
-        name: hint for base in bases for name, hint in _annotations(base, eval_str=True).items()
-    }
-    return {
-        name: SchemaField(name, _node(types.get(name, field.type)), *_default(field))
-        for name, field in own.items()
-    }
+    if any(isinstance(field.type, str) for field in own):
+        for base in reversed(cls.__mro__):
+            types |= _annotations(base, eval_str=True)
+    found = {}
+    for field in own:
+        lacks = is_needed(field)
+        default = None if lacks else to_mapping(default_of(field))
+        node = _node(types.get(field.name, field.type))
+        found[field.name] = SchemaField(field.name, node, default, lacks)
+    return found
 
 
 def needed(cls: type) -> list[str]:
     """The fields of a spec class that have no default."""
     return [name for name, field in fields(cls).items() if field.needed]
-
-
-def _default(field: dataclasses.Field[Any]) -> tuple[Any, bool]:
-    if field.default_factory is not MISSING:
-        return to_mapping(field.default_factory()), False
-    return (None, True) if field.default is MISSING else (to_mapping(field.default), False)
 
 
 DIMENSIONLESS = "1"
@@ -232,31 +234,41 @@ def class_text(cls: type) -> ClassText:
     """The docstring of a dataclass in parts; inherited fields have the text of the class that
     brings them.
     """
-    summary, *rest = [
-        text.strip("\n") for text in _sections(cls)[0].split("\n\n") if text.strip()
-    ] or [""]
-    sources = tuple(" ".join(_SOURCE.sub("", p).split()) for p in rest if _SOURCE.match(p))
-    text = "\n\n".join(p for p in rest if not _SOURCE.match(p) and not p.startswith("Raises ("))
-    return ClassText(" ".join(summary.split()), text, sources, _field_texts(cls))
+    paragraphs = [text.strip("\n") for text in _sections(cls)[0].split("\n\n") if text.strip()]
+    summary = " ".join("".join(paragraphs[:1]).split())
+    sources = []
+    rest = []
+    for text in paragraphs[1:]:
+        if _SOURCE.match(text):
+            sources.append(" ".join(_SOURCE.sub("", text).split()))
+        elif not text.startswith("Raises ("):
+            rest.append(text)
+    return ClassText(summary, "\n\n".join(rest), tuple(sources), _field_texts(cls))
 
 
 def _field_texts(cls: type) -> dict[str, FieldText]:
     words: dict[str, FieldText] = {}
-    for names, text in (line for base in reversed(cls.__mro__) for line in _sections(base)[1]):
-        example, sentence = _EXAMPLE.search(text), _EXAMPLE.sub("", text)
-        each, units = [name.strip() for name in names.split(",")], unit_in(sentence).split(", ")
-        of_each = (
-            units if len(units) == len(each) else [units[0] if len(units) == 1 else ""] * len(each)
-        )
-        for name, unit in zip(each, of_each, strict=True):
-            words[name] = FieldText(sentence, unit, example[1] if example else "")
-    own = {
-        name: (field.node, words.get(name, FieldText("", "")))
-        for name, field in fields(cls).items()
-    }
+    for base in reversed(cls.__mro__):
+        for names, text in _sections(base)[1]:
+            words |= _texts_of(names, text)
+    texts = {}
+    for name, field in fields(cls).items():
+        text = words.get(name, FieldText("", ""))
+        texts[name] = dataclasses.replace(text, unit=_unit_of(field.node, text))
+    return texts
+
+
+def _texts_of(names: str, words: str) -> dict[str, FieldText]:
+    """The texts of the fields that share a line: with a unit for each of them, or one for all."""
+    example = _EXAMPLE.search(words)
+    sentence = _EXAMPLE.sub("", words)
+    each = names.split(",")
+    units = unit_in(sentence).split(", ")
+    if len(units) != len(each):
+        units = (units if len(units) == 1 else [""]) * len(each)
     return {
-        name: dataclasses.replace(text, unit=_unit_of(node, text))
-        for name, (node, text) in own.items()
+        name.strip(): FieldText(sentence, unit, example[1] if example else "")
+        for name, unit in zip(each, units, strict=True)
     }
 
 
@@ -269,34 +281,36 @@ def _sections(cls: type) -> tuple[str, tuple[tuple[str, str], ...]]:
     # dataclasses write a signature where there is none
     if not own or cls is object or own.startswith(f"{cls.__name__}("):
         return "", ()
-    text, items, heading = list[str](), list[list[str]](), ""
+    lists: dict[str, list[str]] = {"Args:": [], "Attributes:": []}
+    here = text = list[str]()
     for line in inspect.cleandoc(own).splitlines():
-        if line in ("Args:", "Attributes:"):
-            heading = line
+        if line in lists:
+            here = lists[line]
         elif line and not line.startswith(" "):
-            heading = ""
-        if not heading:
-            text.append(line)
-        elif heading == "Args:" and (item := _ITEM.fullmatch(line)):
+            here = text
+        here.append(line)
+    return "\n".join(text), _items(lists["Args:"])
+
+
+def _items(lines: list[str]) -> tuple[tuple[str, str], ...]:
+    items: list[list[str]] = []
+    for line in lines:
+        if item := _ITEM.fullmatch(line):
             items.append([item[1], item[2]])
-        elif heading == "Args:" and items:  # the next line of a field
+        elif items:  # the next line of a field
             items[-1][1] += f" {line.strip()}"
-    return "\n".join(text), tuple((names, words.strip()) for names, words in items)
+    return tuple((names, words.strip()) for names, words in items)
 
 
 def unit_in(words: str) -> str:
     """The unit in brackets of a field's sentence, the last one where there are several; "" where
     there is none.
     """
-    found = [text.partition(";")[0] for text in _UNIT.findall(words)]
-    return next(
-        (
-            text
-            for text in reversed(found)
-            if all(_IS_UNIT.fullmatch(part) for part in text.split(", "))
-        ),
-        "",
-    )
+    for text in reversed(_UNIT.findall(words)):
+        unit = text.partition(";")[0]
+        if all(map(_IS_UNIT.fullmatch, unit.split(", "))):
+            return unit
+    return ""
 
 
 def without_unit(words: str) -> str:
@@ -308,20 +322,11 @@ def _unit_of(node: Node, text: FieldText) -> str:
     """The unit of a field: as written, which can be the finer (px^2 in a type of px), else of its
     type.
     """
-    # a number may stand for a block of a registry
-    numbers = [
-        leaf
-        for leaf in node.leaves()
-        if leaf.number or (leaf.registry is not None and leaf.registry.number)
-    ]
+    numbers = [leaf for leaf in node.leaves() if leaf.takes_number]
     if not numbers:
         return ""
-    typed = next(
-        (leaf.within.unit for leaf in numbers if leaf.within is not None and leaf.within.unit), ""
-    )
+    typed = [leaf.within.unit for leaf in numbers if leaf.within is not None]
     # A whole number counts something, unless its sentence has a unit.
-    return (
-        text.unit
-        or typed
-        or (DIMENSIONLESS if all(leaf.type is int or leaf.words for leaf in numbers) else "")
-    )
+    counts = all(leaf.type is int or leaf.words for leaf in numbers)
+    units = [text.unit, *typed, DIMENSIONLESS if counts else ""]
+    return next(filter(None, units), "")

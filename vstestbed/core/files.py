@@ -67,12 +67,10 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in NO_SPACE:
-            raise EnvironmentLackError(
-                f"{path}: no space left on the disk", "free some, or choose another place"
-            ) from error
-        raise OutputError(
-            path, f"cannot be written ({error.strerror or error})", "choose another place"
-        ) from error
+            lack = f"{path}: no space left on the disk"
+            raise EnvironmentLackError(lack, "free some, or choose another place") from error
+        reason = f"cannot be written ({error.strerror or error})"
+        raise OutputError(path, reason, "choose another place") from error
 
 
 _flushed: ContextVar[bool] = ContextVar("_flushed", default=True)
@@ -96,7 +94,8 @@ class PartFile:
     """
 
     def __init__(self, path: Path, buffering: int = -1):
-        self.path, self.part = path, temporary(path)
+        self.path = path
+        self.part = temporary(path)
         self.file: IO[bytes] = self.part.open("x+b", buffering)
 
     def keep(self) -> None:
@@ -156,10 +155,8 @@ def write_json(path: Path, plain: object) -> Path:
 
 def write_table(path: Path, table: polars.DataFrame, row_group_size: int | None = None) -> None:
     """Write a table as PATH.parquet and PATH.csv; errors as of `write_whole`."""
-    for ending, write in (
-        ("parquet", partial(table.write_parquet, row_group_size=row_group_size)),
-        ("csv", table.write_csv),
-    ):
+    write_parquet = partial(table.write_parquet, row_group_size=row_group_size)
+    for ending, write in (("parquet", write_parquet), ("csv", table.write_csv)):
         file = path.with_name(f"{path.name}.{ending}")
         with writing(file), PartFile(file) as part:
             write(part.file)
@@ -218,13 +215,9 @@ try:
 except ImportError:  # Windows has no flock
     fcntl = None
 
-DEVICES = {
-    "con",
-    "prn",
-    "aux",
-    "nul",
-    *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³"),
-}
+DEVICES = {"con", "prn", "aux", "nul"}
+for _number in "123456789¹²³":
+    DEVICES |= {f"com{_number}", f"lpt{_number}"}
 # how many nested holds this process has on each folder, by its device and inode
 _held: dict[tuple[int, int], int] = {}
 
@@ -260,11 +253,10 @@ def _lock(folder: Path) -> int | None:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        holder = _holder(os.fstat(handle).st_ino)
+        found = f"is in use by {_holder(os.fstat(handle).st_ino)}"
         os.close(handle)
-        raise OutputError(
-            folder, f"is in use by {holder}", "wait until it ends, or choose another folder"
-        ) from None
+        remedy = "wait until it ends, or choose another folder"
+        raise OutputError(folder, found, remedy) from None
     except OSError:  # NFS locks only files that are open for writing
         os.close(handle)
         return None
@@ -279,12 +271,10 @@ def _holder(inode: int) -> str:
         for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
             _, kind, _, _, pid, place, *_ = line.split()
             if kind == "FLOCK" and place.endswith(f":{inode}") and int(pid) > 0:
-                words = (
-                    Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
-                )
-                return (
-                    f"process {pid} ({' '.join(shlex.join(words[:-1]).split())[:120]})"  # one line
-                )
+                command = Path(f"/proc/{pid}/cmdline").read_text("utf-8", "replace")
+                *words, _ = command.split("\0")
+                line = " ".join(shlex.join(words).split())
+                return f"process {pid} ({line[:120]})"
     return "another process"
 
 
@@ -305,11 +295,9 @@ def file_word(text: str, most: int = 60) -> str:
     separators, never `..`, not over `most` bytes; a checksum keeps different long texts distinct.
     """
     word = re.sub(r"[^\w.+-]+", "_", unicodedata.normalize("NFC", text)).strip("._") or "value"
-    return allowed(
-        word
-        if len(word.encode()) <= most
-        else f"{_cut(word, most - 12)}_{zlib.crc32(text.encode(errors='replace')):08x}"
-    )
+    if len(word.encode()) > most:
+        word = f"{_cut(word, most - 12)}_{zlib.crc32(text.encode(errors='replace')):08x}"
+    return allowed(word)
 
 
 def allowed(name: str, most: int = 150) -> str:
@@ -318,11 +306,9 @@ def allowed(name: str, most: int = 150) -> str:
     """
     if name.partition(".")[0].casefold() in DEVICES:
         name = f"_{name}"
-    return (
-        name
-        if len(name.encode()) <= most
-        else f"{_cut(name, most - 17)}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
-    )
+    if len(name.encode()) > most:
+        name = f"{_cut(name, most - 17)}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+    return name
 
 
 def _cut(name: str, most: int) -> str:
@@ -417,5 +403,6 @@ def remove_empty(folder: Path) -> None:
     """Remove a folder if it is empty; of one in `runs` also `runs/<kind>` and `runs`."""
     with contextlib.suppress(OSError):  # a folder that is not empty stays
         folder.rmdir()
-        for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():
-            parent.rmdir()
+        if folder.parts[0] == "runs":
+            for parent in folder.parents[:2]:
+                parent.rmdir()

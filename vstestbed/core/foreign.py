@@ -59,11 +59,13 @@ def reason(error: BaseException) -> str:
     """
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
-    # of OpenCV's FileStorage
-    error = error.__cause__ if isinstance(error, SystemError) and error.__cause__ else error
+    if isinstance(error, SystemError) and error.__cause__:  # of OpenCV's FileStorage
+        error = error.__cause__
     words = " ".join(str(error).split())
     words = words.partition(": error: ")[2] or words  # of OpenCV's without the place in its source
-    return f"{words[:197]}..." if len(words) > 200 else words or type(error).__name__
+    if len(words) > 200:
+        return f"{words[:197]}..."
+    return words or type(error).__name__
 
 
 def plain_file(
@@ -81,11 +83,9 @@ def plain_file(
     if not regular:
         raise refusal(path, "it is not a regular file", works)
     if found.st_size > most_bytes:
-        raise refusal(
-            path,
-            f"it has {found.st_size / 2**20:.0f} MiB, at most {most_bytes / 2**20:.0f} are read",
-            works,
-        )
+        size_mib = found.st_size / 2**20
+        words = f"it has {size_mib:.0f} MiB, at most {most_bytes / 2**20:.0f} are read"
+        raise refusal(path, words, works)
     return path
 
 
@@ -106,6 +106,5 @@ def only_known(
             word = " ".join(str(key).split())[:60]
             name = f"{field}.{word}" if field else word
             shown = value if isinstance(value, int | float) else short(value)
-            raise ParameterError(
-                name, f"is not read here, and may change the meaning; {nearest(word, known)}", shown
-            )
+            words = f"is not read here, and may change the meaning; {nearest(word, known)}"
+            raise ParameterError(name, words, shown)

@@ -83,8 +83,10 @@ def rpy_of(R: list[list[float]]) -> Angles:
         # each angle from what the ones before leave: R is met at every pitch, to rounding
         (xx, xy, xz), (yx, yy, yz), (zx, _, _) = R
         yaw = math.atan2(yx, xx)
-        c, s = math.cos(yaw), math.sin(yaw)
-        pitch, roll = math.atan2(-zx, c * xx + s * yx), math.atan2(s * xz - c * yz, c * yy - s * xy)
+        c = math.cos(yaw)
+        s = math.sin(yaw)
+        pitch = math.atan2(-zx, c * xx + s * yx)
+        roll = math.atan2(s * xz - c * yz, c * yy - s * xy)
         return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
     return angles
 
@@ -95,7 +97,8 @@ def _rpy_from_largest(R: list[list[float]]) -> Angles:
     if abs(abs(zx) - 1) < 20 * np.finfo(float).eps:
         yaw = -math.atan2(xy, xz) if zx < 0 else math.atan2(-xy, -xz)
         return 0.0, -math.asin(min(max(zx, -1.0), 1.0)) * (180 / math.pi), yaw * (180 / math.pi)
-    roll, yaw = math.atan2(zy, zz), math.atan2(yx, xx)
+    roll = math.atan2(zy, zz)
+    yaw = math.atan2(yx, xx)
     # the largest of the four that are the pitch's cosine times a sine or cosine of another angle
     largest, of_angle = max(
         ((xx, math.cos(yaw)), (yx, math.sin(yaw)), (zy, math.sin(roll)), (zz, math.cos(roll))),
@@ -139,7 +142,9 @@ class Pose:
         """The homogeneous matrix, shape (4, 4), read-only."""
         T = np.eye(4)
         for axis, angle in ((2, self.rpy_deg[2]), (1, self.rpy_deg[1]), (0, self.rpy_deg[0])):
-            turn, c, s = np.eye(3), math.cos(math.radians(angle)), math.sin(math.radians(angle))
+            turn = np.eye(3)
+            c = math.cos(math.radians(angle))
+            s = math.sin(math.radians(angle))
             i, j = (axis + 1) % 3, (axis + 2) % 3
             turn[i, i], turn[j, j], turn[i, j], turn[j, i] = c, c, -s, s
             # not `rotation_from_rpy`, whose last bits are others: a log is made again byte for byte
@@ -211,25 +216,27 @@ def unit_of(length: float) -> float:
     The metre for what is of the size of a hand or a room, else a power of two, which costs no
     digit.
     """
-    return (
-        1.0
-        if not length or ORDINARY_M[0] <= length <= ORDINARY_M[1]
-        else math.ldexp(1.0, math.frexp(length)[1] - 1)
-    )
+    if not length or ORDINARY_M[0] <= length <= ORDINARY_M[1]:
+        return 1.0
+    return math.ldexp(1.0, math.frexp(length)[1] - 1)
 
 
 def clip(x: float, lowest: float, highest: float) -> float:
     """A number within its bounds; NaN becomes the highest. A third of the time of
     `max(lowest, min(highest, x))`.
     """
-    return x if lowest <= x <= highest else lowest if x < lowest else highest
+    if lowest <= x <= highest:
+        return x
+    return lowest if x < lowest else highest
 
 
 def skew(w: Array) -> Array:
     """Cross-product matrix S of w (..., 3), shape (..., 3, 3): S p = w x p."""
     w = np.asarray(w, dtype=float)
     S = np.zeros((*w.shape[:-1], 3, 3))
-    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = w[..., 0], w[..., 1], w[..., 2]
+    S[..., 2, 1] = w[..., 0]
+    S[..., 0, 2] = w[..., 1]
+    S[..., 1, 0] = w[..., 2]
     return S - np.swapaxes(S, -1, -2)
 
 
@@ -269,19 +276,19 @@ def exp(xi: Array) -> Array:
     """
     xi = np.asarray(xi, dtype=float)
     if xi.ndim == 1:  # one, for the time loop: numpy's overhead would be ten times the arithmetic
-        vx, vy, vz, x, y, z = xi.tolist()
+        twist = xi.tolist()
+        x, y, z = twist[3:]
         theta2 = x * x + y * y + z * z
         theta = math.sqrt(theta2)
         if theta < 1e-4:
             a, b, c = 1 - theta2 / 6, 0.5 - theta2 / 24, 1 / 6 - theta2 / 120
         else:
-            a, b, c = (
-                math.sin(theta) / theta,
-                2 * math.sin(theta / 2) ** 2 / theta2,
-                (theta - math.sin(theta)) / (theta2 * theta),
-            )
-        return np.array([*_exp_entries(vx, vy, vz, x, y, z, a, b, c), (0.0, 0.0, 0.0, 1.0)])
-    vx, vy, vz, x, y, z = np.moveaxis(xi, -1, 0)
+            a = math.sin(theta) / theta
+            b = 2 * math.sin(theta / 2) ** 2 / theta2
+            c = (theta - math.sin(theta)) / (theta2 * theta)
+        return np.array([*_exp_entries(twist, (a, b, c)), (0.0, 0.0, 0.0, 1.0)])
+    twist = np.moveaxis(xi, -1, 0)
+    x, y, z = twist[3:]
     theta2 = x * x + y * y + z * z
     theta = np.sqrt(theta2)
     # there the series are exact to rounding, and 1 - cos would lose all its digits
@@ -292,19 +299,19 @@ def exp(xi: Array) -> Array:
     b = np.where(small, 0.5 - theta2 / 24, 2 * np.square(np.sin(safe / 2) / safe))
     c = np.where(small, 1 / 6 - theta2 / 120, (safe - sine) / safe**3)
     out = np.zeros((*xi.shape[:-1], 4, 4))
-    for row, values in enumerate(_exp_entries(vx, vy, vz, x, y, z, a, b, c)):
+    for row, values in enumerate(_exp_entries(twist, (a, b, c))):
         for column, value in enumerate(values):
             out[..., row, column] = value
     out[..., 3, 3] = 1.0
     return out
 
 
-def _exp_entries(
-    vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: Any, c: Any
-) -> tuple[tuple[Any, ...], ...]:
-    """The first three rows of `exp`, from numbers or from arrays; S^2 v = w (w.v) - theta^2 v, S
-    v = w x v.
+def _exp_entries(twist: Any, factors: tuple[Any, Any, Any]) -> tuple[tuple[Any, ...], ...]:
+    """The first three rows of `exp`, from numbers or from arrays, by its factors a, b and c; S^2 v
+    = w (w.v) - theta^2 v, S v = w x v.
     """
+    vx, vy, vz, x, y, z = twist
+    a, b, c = factors
     bx, by, bz = b * x, b * y, b * z
     xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
     ax, ay, az = a * x, a * y, a * z
@@ -322,13 +329,15 @@ def log(T: Array) -> Array:
     w = theta u, v = (I - S/2 + (1 - theta/2 cot(theta/2)) / theta^2 S^2) t with S = [w]x.
     Reference: Lynch & Park 2017, Modern Robotics, eq. 3.92.
     """
-    q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
+    q = quaternion_wxyz(T[:3, :3])
+    t = T[:3, 3]
     sine = float(np.linalg.norm(q[1:]))
     # theta/2, exact near 0 and near pi, where an arc cosine loses half of the digits
     half = math.atan2(sine, float(q[0]))
     small = half < 1e-4
-    S = skew(w := q[1:] * (2.0 if small else 2 * half / sine))
+    w = q[1:] * (2.0 if small else 2 * half / sine)
     share = 1 / 12 if small else (1 - half / math.tan(half)) / (4 * half * half)
+    S = skew(w)
     return np.concatenate([t - S @ t / 2 + share * (S @ (S @ t)), w])
 
 
@@ -358,7 +367,8 @@ def angles(p: Array) -> Array:
 
 def direction(theta_phi: Array) -> Array:
     """Unit vectors (..., 3) of angles (theta, phi) (..., 2) [rad]: the inverse of `angles`."""
-    theta, phi = theta_phi[..., 0], theta_phi[..., 1]
+    theta = theta_phi[..., 0]
+    phi = theta_phi[..., 1]
     across = np.sin(theta)
     return joined(across * np.cos(phi), across * np.sin(phi), np.cos(theta))
 
@@ -382,11 +392,11 @@ def quaternion_wxyz(R: Array) -> Array:
     if R.ndim == 2:  # one, for the time loop, as in `exp`
         columns = _quaternion_columns(*R.tolist())
         largest = max(range(4), key=lambda i: columns[i][i])
-        q = columns[largest]
-        size = math.copysign(
-            math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), q[0] if q[0] else 1.0
-        )
-        return np.array([q[0] / size, q[1] / size, q[2] / size, q[3] / size])
+        w, x, y, z = columns[largest]
+        size = math.sqrt(w * w + x * x + y * y + z * z)
+        if w < 0:
+            size = -size
+        return np.array([w / size, x / size, y / size, z / size])
     columns = _quaternion_columns(*(np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0)))
     four = np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)  # 4 q q^T
     largest = np.diagonal(four, axis1=-2, axis2=-1).argmax(axis=-1)
@@ -410,7 +420,8 @@ def _quaternion_columns(x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any, An
 def rotation_from_quaternion(q_wxyz: Array) -> Array:
     """Rotation matrix (..., 3, 3) of a unit quaternion (..., 4) in the order (w, x, y, z)."""
     q = np.asarray(q_wxyz, dtype=float)
-    w, u = q[..., 0, None, None], q[..., 1:]
+    w = q[..., 0, None, None]
+    u = q[..., 1:]
     S = skew(u)
     return np.eye(3) + 2 * w * S + 2 * S @ S
 

@@ -13,9 +13,14 @@ import pydantic
 
 from vstestbed.core.errors import ParameterError, nearest, short
 from vstestbed.core.fields import Node, SchemaField, class_text, fields, needed
-from vstestbed.core.registry import Registry, registries_of, to_mapping
+from vstestbed.core.registry import Registry, kind_of, registries_of, to_mapping
 
 Key = tuple[str | int, ...]
+
+
+def key_of(dotted: str) -> Key:
+    """The key of a dotted path, such as `randomise.2`."""
+    return tuple(int(part) if part.isdecimal() else part for part in dotted.split("."))
 
 
 def refuse_conversions(made: Any, values: Mapping[str, Any]) -> None:
@@ -49,11 +54,16 @@ def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
     elif isinstance(plain, list | tuple) and isinstance(built, list):
         for i, (p, b) in enumerate(zip(plain, built, strict=False)):
             yield from converted(p, b, (*key, i))
-    elif isinstance(built, bool):  # before int: a bool is one
-        if not isinstance(plain, bool):
-            yield key, f"must be true or false, got {short(plain)}"
-    elif isinstance(built, int | float) and isinstance(plain, str | bool):
-        yield key, f"must be a number, got {short(plain)}"
+    elif wanted := _wanted(plain, built):
+        yield key, f"must be {wanted}, got {short(plain)}"
+
+
+def _wanted(plain: Any, built: Any) -> str:
+    """What a value is that pydantic has made of another type; "" of one that it has not."""
+    if isinstance(built, bool):  # before int: a bool is one
+        return "" if isinstance(plain, bool) else "true or false"
+    converted = isinstance(built, int | float) and isinstance(plain, str | bool)
+    return "a number" if converted else ""
 
 
 UNKNOWN = "is an unknown field"  # how the sentence for one begins
@@ -69,9 +79,8 @@ def message(
     inner = details[0].get("ctx", {}).get("error")
     if isinstance(inner, ParameterError) and not details[0]["loc"] and inner.field:
         return inner  # raised by the __post_init__ of this class, in whose words it stays
-    key, words = _message(
-        min(details, key=lambda d: d["type"] != "unexpected_keyword_argument"), values, cls
-    )
+    first = min(details, key=lambda d: d["type"] != "unexpected_keyword_argument")
+    key, words = _message(first, values, cls)
     return ParameterError(".".join((cls.__name__, *map(str, key))), words)
 
 
@@ -91,7 +100,7 @@ def _details(error: pydantic.ValidationError) -> list[Any]:
     return [
         d
         for d in error.errors()
-        if not (d["type"] == "too_short" and len(d["input"]) >= d.get("ctx", {})["min_length"])
+        if d["type"] != "too_short" or len(d["input"]) < d.get("ctx", {})["min_length"]
     ]
 
 
@@ -109,34 +118,31 @@ class _Place:
     field: SchemaField | None = None
     node: Node | None = None
 
+    def inner(self, part: int | str, here: Any, key: Key) -> _Place:
+        """The place of a field, or of an item, of the value that stands here. key: of it."""
+        node = self.node
+        if isinstance(part, int) or (node is not None and node.type is dict):
+            if node and node.type in (tuple, dict):
+                node = node.parts[0]
+            return replace(self, key=key, node=node)
+        block = (node and node.block_of(here)) or (self.block, self.registry)
+        of_part = fields(block[0]).get(part)
+        return _Place(key, *block, part, of_part, of_part and of_part.node)
+
 
 def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
     """The place of a pydantic location in the values that should become a `cls`."""
-    here, place = plain, _Place((), cls, next(iter(registries_of(cls)), None))
+    here = plain
+    place = _Place((), cls, next(iter(registries_of(cls)), None))
     for part in loc:
-        node = place.node
-        # the part says which of the alternatives is meant
-        if node is not None and node.type is Union:
-            place = replace(
-                place,
-                node=next(
-                    (one for one in node.parts if getattr(one.type, "__name__", "") == part),
-                    node.parts[0],
-                ),
-            )
+        if place.node is not None and place.node.type is Union:
+            place = replace(place, node=_meant_alternative(place.node, part))
             continue
         # A number, a word or a text may stand for a block or a list: its place is then that of the
         # whole.
         named = isinstance(here, dict if isinstance(part, str) else list | tuple)
         key = (*place.key, part) if named else place.key
-        if isinstance(part, str) and (node is None or node.type is not dict):
-            block, registry = (node and node.block_of(here)) or (place.block, place.registry)
-            of_part = fields(block).get(part)
-            place = _Place(key, block, registry, part, of_part, of_part and of_part.node)
-        else:
-            place = replace(
-                place, key=key, node=node.parts[0] if node and node.type in (tuple, dict) else node
-            )
+        place = place.inner(part, here, key)
         if named:
             try:
                 here = here[part]  # type: ignore[index] - named: it is a mapping or a list
@@ -145,24 +151,30 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
     return place
 
 
+def _meant_alternative(node: Node, part: int | str) -> Node:
+    """The alternative of which a part of a pydantic location is the name."""
+    for one in node.parts:
+        if getattr(one.type, "__name__", "") == part:
+            return one
+    return node.parts[0]
+
+
 def _message(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
-    place, inner = _place(detail["loc"], plain, cls), detail.get("ctx", {}).get("error")
+    place = _place(detail["loc"], plain, cls)
+    inner = detail.get("ctx", {}).get("error")
     # raised by a __post_init__; its field is relative to the block
     if isinstance(inner, ParameterError):
         got = "" if inner.found is None else f", got {short(inner.found)}"
         # without a field it is about the block as a whole
-        own = inner.field.split(".") if inner.field else []
-        return (*place.key, *(int(p) if p.isdecimal() else p for p in own)), f"{inner.problem}{got}"
+        own = key_of(inner.field) if inner.field else ()
+        return (*place.key, *own), f"{inner.problem}{got}"
     # what is missing is a field, also of a block that is a bare word
     if detail["type"] == "missing" and place.key[-1:] != (place.name,):
         place = replace(place, key=(*place.key, place.name))
+    found = detail["input"]
     # The error belongs to the block; the mistake stands at its `kind`.
-    if (
-        detail["type"] == "unknown_kind"
-        and isinstance(detail["input"], dict)
-        and "kind" in detail["input"]
-    ):
-        return (*place.key, "kind"), _sentence(detail | {"input": detail["input"]["kind"]}, place)
+    if detail["type"] == "unknown_kind" and isinstance(found, dict) and "kind" in found:
+        return (*place.key, "kind"), _sentence(detail | {"input": found["kind"]}, place)
     return place.key, _sentence(detail, place)
 
 
@@ -190,28 +202,32 @@ _WORDS = {
 
 
 def _sentence(detail: Any, place: _Place) -> str:
-    kind, found, node = detail["type"], detail["input"], place.node
+    kind = detail["type"]
+    found = detail["input"]
     if kind == "unexpected_keyword_argument":
         return _unknown(place)
     if kind == "dataclass_type":
-        return _block_needed(place.block if node is None else node.type, found)
+        return _block_needed(place.block if place.node is None else place.node.type, found)
     if kind == "missing":
         return "is missing" + _meaning(place)
-    if kind in ("block", "unknown_kind") and node and node.registry and node.registry.number:
-        return (
-            "must be a number, or a block of one of the kinds"
-            f" {', '.join(sorted(node.registry.members))}, got {short(found)}"
-        )
-    words = (
-        _WORDS[kind].format(**_shown(detail.get("ctx", {})))
-        if kind in _WORDS
-        else str(detail["msg"])
-    )
+    return f"{_rule(kind, detail, place)}, got {short(found)}"
+
+
+def _rule(kind: str, detail: Any, place: _Place) -> str:
+    """What a value must be: the sentence's first part."""
+    node = place.node
+    registry = node.registry if node else None
+    length = node.length if node else None
+    if kind in ("block", "unknown_kind") and registry and registry.number:
+        kinds = ", ".join(sorted(registry.members))
+        return f"must be a number, or a block of one of the kinds {kinds}"
+    if kind in ("too_short", "too_long") and length is not None:
+        return f"must be a list of {length} items"
     if kind == "tuple_type":
-        words += _such_as(place)
-    elif kind in ("too_short", "too_long") and node and node.length is not None:
-        words = f"must be a list of {node.length} items"
-    return f"{words}, got {short(found)}"
+        return _WORDS[kind] + _such_as(place)
+    if kind in _WORDS:
+        return _WORDS[kind].format(**_shown(detail.get("ctx", {})))
+    return str(detail["msg"])
 
 
 def _such_as(place: _Place) -> str:
@@ -222,16 +238,14 @@ def _such_as(place: _Place) -> str:
         return f" of blocks, each {_a(registry.what) if registry else f'of {_listed(block)}'}"
     # the example of the field's docstring, or its default
     default = place.field.default
-    example = class_text(place.block).fields[place.name].example or (
-        short(default) if isinstance(default, list) and default else ""
-    )
+    example = class_text(place.block).fields[place.name].example
+    if not example and default and isinstance(default, list):
+        example = short(default)
     if not example:
         return ""
-    return (
-        f", such as {example}"
-        if place.node is place.field.node
-        else f", as in {place.name}: {example}"
-    )
+    if place.node is place.field.node:
+        return f", such as {example}"
+    return f", as in {place.name}: {example}"
 
 
 def _a(noun: str) -> str:
@@ -247,7 +261,8 @@ def _meaning(place: _Place) -> str:
     """The rest of the sentence for a missing field: the kinds that it may be, or what its docstring
     says of it.
     """
-    node, text = place.node, class_text(place.block).fields.get(place.name)
+    node = place.node
+    text = class_text(place.block).fields.get(place.name)
     if node is None or text is None:
         return ""
     if node.registry is not None:
@@ -263,13 +278,11 @@ def _block_needed(block: type, found: Any) -> str:
     takes the value.
     """
     words = f"must be a block (a mapping) of {_listed(block)}, got {short(found)}"
+    meant = list(found) if isinstance(found, tuple) else found
     for name in _meant(block, found):
         with contextlib.suppress(ParameterError):
             block(**{name: found})
-            return (
-                f"{words}; did you mean {{{name}:"
-                f" {short(list(found) if isinstance(found, tuple) else found)}}}?"
-            )
+            return f"{words}; did you mean {{{name}: {short(meant)}}}?"
     return words
 
 
@@ -284,23 +297,15 @@ def _meant(block: type, value: Any) -> list[str]:
     if isinstance(value, list | tuple):
         return list(fields(block)) if value else []
     only = needed(block) or list(fields(block))
-    return (
-        only
-        if isinstance(value, int | float) and not isinstance(value, bool) and len(only) == 1
-        else []
-    )
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return only if number and len(only) == 1 else []
 
 
 def _unknown(place: _Place) -> str:
-    able = (
-        [kind for kind, member in place.registry.members.items() if place.name in fields(member)]
-        if place.registry
-        else []
-    )
-    if able and place.registry:
-        kind = next(
-            kind for kind, member in place.registry.members.items() if member is place.block
-        )
-        words = f"{', '.join(able[:-1])} and {able[-1]} have" if able[1:] else f"{able[0]} has"
-        return f"{UNKNOWN} of {kind}; {words} it"
-    return f"{UNKNOWN}; {nearest(place.name, fields(place.block))}"
+    members = place.registry.members if place.registry else {}
+    able = [kind for kind, member in members.items() if place.name in fields(member)]
+    if not able:
+        return f"{UNKNOWN}; {nearest(place.name, fields(place.block))}"
+    *others, last = able
+    words = f"{', '.join(others)} and {last} have" if others else f"{last} has"
+    return f"{UNKNOWN} of {kind_of(place.block)}; {words} it"

@@ -72,10 +72,10 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def _is_special(path: Path) -> bool:
-    """Whether a path is there and neither a file nor a folder: a pipe, a socket, a device."""
+def _is_no_folder(path: Path) -> bool:
+    """Whether a path is there and no folder: a file, a pipe, a socket, a device."""
     try:
-        return path.exists() and not (path.is_file() or path.is_dir())
+        return path.exists() and not path.is_dir()
     except (OSError, ValueError):
         return False
 
@@ -88,11 +88,10 @@ def place_of_file(file: str) -> Path:
     if file.startswith(PACKAGE):
         name, _, inside = file.removeprefix(PACKAGE).partition("/")
         if not (name and inside):
-            raise ParameterError.form(
-                "file",
-                "package:NAME/path, the name by which Python imports the package and a file in it",
-                file,
+            form = (
+                "package:NAME/path, the name by which Python imports the package and a file in it"
             )
+            raise ParameterError.form("file", form, file)
         try:
             found = importlib.util.find_spec(name)
         except (ImportError, ValueError):  # its parent is not there, or it is no name of a package
@@ -100,7 +99,7 @@ def place_of_file(file: str) -> Path:
         if found is None or not found.submodule_search_locations:
             raise ParameterError("file", _no_package(name, inside), file)
         path = Path(found.submodule_search_locations[0]) / inside
-    if not (is_there(path) or _is_special(path)):
+    if not _is_no_folder(path):
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
         words = (
             "give its path: absolute,"
@@ -139,24 +138,32 @@ def _no_package(name: str, inside: str) -> str:
             " or give the file's path"
         )
         return f"names the package {name}, which is not installed; {remedy}"
-    # the outermost folder with an __init__.py that holds the file: packages of several
-    # distributions may share a namespace
-    packages = sorted(
-        (path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")),
-        key=len,
-    )
     there = next((path for path in files if path.endswith(f"/{inside}")), "")
-    package = next((one for one in packages if not there or there.startswith(f"{one}/")), "")
+    package = _package_of(there, files)
     if not package:
         return (
             f"names the distribution {name}, which is installed and has no such package;"
             " give the file's path"
         )
-    dotted, at = package.replace("/", "."), there.removeprefix(f"{package}/") or "PATH"
+    dotted = package.replace("/", ".")
+    at = there.removeprefix(f"{package}/") or "PATH"
     return (
         f"names the distribution {name}, which is installed, and is imported as {dotted};"
         f" write {PACKAGE}{dotted}/{at}"
     )
+
+
+def _package_of(file: str, files: list[str]) -> str:
+    """The outermost folder with an __init__.py that holds a file of a distribution, since packages
+    of several may share a namespace; of no file the outermost of all, and "" where there is none.
+    """
+    packages = [
+        path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")
+    ]
+    for package in sorted(packages, key=len):
+        if not file or file.startswith(f"{package}/"):
+            return package
+    return ""
 
 
 def kept_at(source: Path, what: str = "target") -> str:
@@ -223,11 +230,9 @@ def module_of(path: Path) -> ModuleType | None:
     target = path.resolve()
     for module in list(sys.modules.values()):
         file = getattr(module, "__file__", None)
-        if (
-            isinstance(file, str)
-            and file.endswith((path.name, target.name))
-            and Path(file).resolve() == target
-        ):
+        if not isinstance(file, str) or not file.endswith((path.name, target.name)):
+            continue
+        if Path(file).resolve() == target:
             return module
     return None
 
@@ -266,10 +271,7 @@ def line_of(error: BaseException, name: str, path: Path | None) -> str:
 
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [
-        f"{f.filename}:{f.lineno}"
-        for f in frames
-        if path is not None and Path(f.filename).resolve() == path.resolve()
-    ]
-    return lines[-1] if lines else name
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if path is not None and Path(frame.filename).resolve() == path.resolve():
+            return f"{frame.filename}:{frame.lineno}"
+    return name

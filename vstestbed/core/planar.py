@@ -71,15 +71,13 @@ def block_of(value: Any) -> Any:
     """A pose (SE3 or (4, 4)) or a place (SE2 or (3, 3)) as the plain block of a scenario; any other
     value as it is.
     """
-    if not is_matrix(value) or (
-        isinstance(value, np.ndarray) and value.shape not in ((3, 3), (4, 4))
-    ):
-        return value
-    return (
-        place_block(value)
-        if class_of(value) == "SE2" or np.shape(value) == (3, 3)
-        else pose_block(value)
-    )
+    kind = class_of(value)
+    shape = value.shape if isinstance(value, np.ndarray) else ()
+    if kind == "SE2" or shape == (3, 3):
+        return place_block(value)
+    if kind or shape == (4, 4):
+        return pose_block(value)
+    return value
 
 
 def place_block(value: Any) -> dict[str, Any]:
@@ -92,10 +90,12 @@ def pose_on_ground(place: Array) -> Array:
     pitch.
     """
     place = np.asarray(place, dtype=float)
-    c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
+    c = np.cos(place[..., 2])
+    s = np.sin(place[..., 2])
     T = np.zeros((*place.shape[:-1], 4, 4))
     T[..., 0, 0] = T[..., 1, 1] = c
-    T[..., 0, 1], T[..., 1, 0] = -s, s
+    T[..., 0, 1] = -s
+    T[..., 1, 0] = s
     T[..., :2, 3] = place[..., :2]
     T[..., 2, 2] = T[..., 3, 3] = 1.0
     return T
@@ -118,15 +118,19 @@ def relative(here: Array, there: Array) -> Array:
     [m, m, rad].
     """
     d = there - here  # in world axes; the rotation by -heading turns it into the axes of `here`
-    c, s = np.cos(here[..., 2]), np.sin(here[..., 2])
+    c = np.cos(here[..., 2])
+    s = np.sin(here[..., 2])
     return joined(c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrapped(d[..., 2]))
 
 
 def composed(place: Array, step: Array) -> Array:
     """Places (..., 3) after steps (ahead, left, turn) (..., 3); the heading is not wrapped."""
-    place, step = np.asarray(place, dtype=float), np.asarray(step, dtype=float)
-    c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
-    ahead, left = step[..., 0], step[..., 1]
+    place = np.asarray(place, dtype=float)
+    step = np.asarray(step, dtype=float)
+    c = np.cos(place[..., 2])
+    s = np.sin(place[..., 2])
+    ahead = step[..., 0]
+    left = step[..., 1]
     return place + joined(c * ahead - s * left, s * ahead + c * left, step[..., 2])
 
 
@@ -139,7 +143,9 @@ def arc(motion: Array, duration: float) -> Array:
     Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
     """
     step = np.asarray(motion, dtype=float) * duration
-    dx, dy, theta = step[..., 0], step[..., 1], step[..., 2]
+    dx = step[..., 0]
+    dy = step[..., 1]
+    theta = step[..., 2]
     a, b = _chord(theta)
     return joined(a * dx - b * dy, b * dx + a * dy, theta)
 
@@ -153,9 +159,8 @@ def motion_between(before: Array, now: Array, duration: float) -> Array:
     """The constant motion (vx, vy, wz) (..., 3) between two places in a duration [s]: the inverse
     of `arc`, with a turn in [-pi, pi).
     """
-    dx, dy, theta = np.moveaxis(
-        relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0
-    )
+    step = relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float))
+    dx, dy, theta = np.moveaxis(step, -1, 0)
     a, b = _chord(theta)
     # The inverse of the matrix [[a, -b], [b, a]] of `arc`; its determinant is 0 only for a full
     # turn.

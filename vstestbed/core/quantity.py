@@ -95,10 +95,8 @@ class Bounded:
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         inner = handler(schema)
-        low, high = (
-            max(self.low, inner.get("minimum", self.low)),
-            min(self.high, inner.get("maximum", self.high)),
-        )
+        low = max(self.low, inner.get("minimum", self.low))
+        high = min(self.high, inner.get("maximum", self.high))
         return inner | {"minimum": low, "maximum": high}
 
 
@@ -117,9 +115,8 @@ class TighterBounds:
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
         schema: Any = handler(source)
-        schema["steps"][0].update(
-            {name: bound for name, bound in vars(self).items() if bound is not None}
-        )
+        given = {name: bound for name, bound in vars(self).items() if bound is not None}
+        schema["steps"][0].update(given)
         return schema
 
 
@@ -153,11 +150,11 @@ class Broadcast:
 
 def check_ordered(block: Any, low: str, high: str, equal: bool = True) -> None:
     """Refuse a field of a block that is over another one of it; equal: both may be the same."""
-    smaller, larger = getattr(block, low), getattr(block, high)
+    smaller = getattr(block, low)
+    larger = getattr(block, high)
     if smaller > larger or (smaller == larger and not equal):
-        raise ParameterError.bound(
-            low, "at most" if equal else "under", f"{high} = {larger:g}", smaller
-        )
+        relation = "at most" if equal else "under"
+        raise ParameterError.bound(low, relation, f"{high} = {larger:g}", smaller)
 
 
 def check_range(block: Any, name: str, equal: bool = True) -> None:

@@ -70,13 +70,11 @@ class Registry:
         fields: Mapping[str, str] | None = None,
         contract: Contract | None = None,
     ):
-        self.what, self.number, self.default, self.fields, self.contract = (
-            what,
-            number,
-            default,
-            dict(fields or {}),
-            contract,
-        )
+        self.what = what
+        self.number = number
+        self.default = default
+        self.fields = dict(fields or {})
+        self.contract = contract
         self._members: dict[str, type] = {}
         self._left_out: str | None = None
         REGISTRIES.append(self)
@@ -104,14 +102,10 @@ class Registry:
         none.
         """
         kinds = self.members.values()
-        return next(
-            (
-                cls
-                for cls in SPECS
-                if kinds and cls not in kinds and all(issubclass(kind, cls) for kind in kinds)
-            ),
-            None,
-        )
+        for cls in SPECS:
+            if kinds and cls not in kinds and all(issubclass(kind, cls) for kind in kinds):
+                return cls
+        return None
 
     def implied(self, block: Mapping[str, Any]) -> str | None:
         """The kind of a block without `kind`, by one of its fields; None where none tells it."""
@@ -126,11 +120,9 @@ class Registry:
         # Python's bool is an int: without the exception `gain: true` would be a gain of 1.
         if self.number and isinstance(value, int | float) and not isinstance(value, bool):
             return {"kind": self.number[0], self.number[1]: value}
-        return (
-            {**value, "kind": value.get("kind", self.implied(value) or self.default)}
-            if isinstance(value, dict)
-            else value
-        )
+        if isinstance(value, dict):
+            return {**value, "kind": value.get("kind", self.implied(value) or self.default)}
+        return value
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
@@ -146,13 +138,11 @@ class Registry:
         # would be ignored.
         if not any(member is known for known in SPECS):
             name = getattr(member, "__name__", repr(member))
-            raise ParameterError(
-                name,
-                (
-                    f"is not a spec; a {self.what} is a class"
-                    " with @spec directly above it, below any `add`"
-                ),
+            words = (
+                f"is not a spec; a {self.what} is a class"
+                " with @spec directly above it, below any `add`"
             )
+            raise ParameterError(name, words)
         kind = kind_of(member)
         known = self.members.get(kind, member)
         home = known.__module__
@@ -161,11 +151,9 @@ class Registry:
             home == member.__module__ == "__main__" and known.__qualname__ == member.__qualname__
         )
         if known is not member and not again:
-            place = (
-                home
-                if home.startswith("vstestbed.")
-                else getattr(sys.modules.get(home), "__file__", home)
-            )
+            place = home
+            if not home.startswith("vstestbed."):
+                place = getattr(sys.modules.get(home), "__file__", home)
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
         # of those a test checks it once for all starts
@@ -193,29 +181,21 @@ class Registry:
                 " a plugin may add one (`--plugin FILE.py`)"
             )
             raise PydanticCustomError("block", "{words}", {"words": words})
-        block, words = self.expanded(value), ", ".join(sorted(self.members))
+        block = self.expanded(value)
+        kinds = ", ".join(sorted(self.members))
         if not isinstance(block, dict):
-            raise PydanticCustomError(
-                "block",
-                "must be a {what} block or one of the words: {words}",
-                {"what": self.what, "words": words},
-            )
+            words = f"must be a {self.what} block or one of the words: {kinds}"
+            raise PydanticCustomError("block", "{words}", {"words": words})
         kind = block["kind"]
         if kind is None:
-            needs = (
-                f"one of the fields {', '.join(self.fields)}, or a kind"
-                if self.fields
-                else "a kind"
-            )
-            raise PydanticCustomError(
-                "no_kind", "needs {words}", {"words": f"{needs}; valid kinds: {words}"}
-            )
+            needs = "needs a kind"
+            if self.fields:
+                needs = f"needs one of the fields {', '.join(self.fields)}, or a kind"
+            words = f"{needs}; valid kinds: {kinds}"
+            raise PydanticCustomError("no_kind", "{words}", {"words": words})
         if not isinstance(kind, str) or kind not in self.members:
-            raise PydanticCustomError(
-                "unknown_kind",
-                "is no {what}; {hint}",
-                {"what": self.what, "hint": f"valid kinds: {words}"},
-            )
+            words = f"is no {self.what}; valid kinds: {kinds}"
+            raise PydanticCustomError("unknown_kind", "{words}", {"words": words})
         return validator_of(self.members[kind]).validate_python(block)
 
     def __get_pydantic_core_schema__(
@@ -239,13 +219,12 @@ class Registry:
         needs = {} if self.default or self.fields else {"required": ["kind"]}
         choices: list[dict[str, Any]] = [block | needs for block in blocks]
         # A bare word is a block of defaults only, so it needs a kind without required fields.
-        words = sorted(
-            kind
-            for kind, member in self.members.items()
-            if not any(_is_needed(f) for f in dataclasses.fields(member))
-        )
+        words = []
+        for kind, member in self.members.items():
+            if not any(map(is_needed, dataclasses.fields(member))):
+                words.append(kind)
         if words:
-            choices.append({"enum": words})
+            choices.append({"enum": sorted(words)})
         if self.number:
             kind, field = self.number
             hint = typing.get_type_hints(self.members[kind], include_extras=True)[field]
@@ -293,7 +272,8 @@ def undone_on_error() -> Iterator[None]:
     """Take back what was defined and registered within where an error ends it: a plugin is there as
     a whole, or not at all.
     """
-    specs, members = len(SPECS), [(registry, dict(registry.members)) for registry in REGISTRIES]
+    specs = len(SPECS)
+    members = [(registry, dict(registry.members)) for registry in REGISTRIES]
     try:
         yield
     except BaseException:
@@ -309,10 +289,9 @@ def to_mapping(value: Any) -> Any:
     `resolved.yaml`.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        names = [field.name for field in dataclasses.fields(value) if field.init]
         # `kind` first, as people write it; the sort is stable and keeps the order of the others.
-        names = sorted(
-            (f.name for f in dataclasses.fields(value) if f.init), key=lambda name: name != "kind"
-        )
+        names.sort(key=lambda name: name != "kind")
         return {name: to_mapping(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):
         return [to_mapping(v) for v in value]
@@ -326,13 +305,7 @@ def brief_mapping(value: Any) -> Any:
     without `.0`, with shorthands.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        preset = getattr(value, "preset_values", {})
-        block = {
-            name: _brief_part(getattr(value, name), preset.get(name))
-            for name in _kept_fields(value, preset)
-        }
-        kind = getattr(value, "kind", None)
-        return block if kind is None else _with_kind(kind, block, registries_of(type(value)))
+        return _brief_block(value)
     if isinstance(value, tuple | list):
         return [brief_mapping(v) for v in value]
     if isinstance(value, dict):
@@ -342,18 +315,26 @@ def brief_mapping(value: Any) -> Any:
     return value
 
 
+def _brief_block(value: Any) -> Any:
+    preset = getattr(value, "preset_values", {})
+    block = {}
+    for name in _kept_fields(value, preset):
+        block[name] = _brief_part(getattr(value, name), preset.get(name))
+    kind = getattr(value, "kind", None)
+    return block if kind is None else _with_kind(kind, block, registries_of(type(value)))
+
+
 def _brief_part(value: Any, preset: Any) -> Any:
     """A field's value; of a block that a preset fills, the fields alone in which it differs from
     the preset's.
     """
-    if dataclasses.is_dataclass(value) and type(value) is type(preset):
-        different = [
-            f.name
-            for f in dataclasses.fields(value)
-            if f.init and getattr(value, f.name) != getattr(preset, f.name)
-        ]
-        return {name: brief_mapping(getattr(value, name)) for name in different}
-    return brief_mapping(value)
+    if not dataclasses.is_dataclass(value) or type(value) is not type(preset):
+        return brief_mapping(value)
+    different = {}
+    for f in dataclasses.fields(value):
+        if f.init and getattr(value, f.name) != getattr(preset, f.name):
+            different[f.name] = brief_mapping(getattr(value, f.name))
+    return different
 
 
 def _kept_fields(value: Any, preset: Mapping[str, Any]) -> list[str]:
@@ -364,9 +345,10 @@ def _kept_fields(value: Any, preset: Mapping[str, Any]) -> list[str]:
     # What makes it this kind comes before what all kinds have, as people write it: a square's side
     # before its pose.
     own = sorted(fields, key=lambda f: f.name not in type(value).__annotations__)
-    return [f.name for f in own if getattr(value, f.name) != preset.get(f.name, _default(f))] or [
-        f.name for f in own[: not hasattr(value, "kind")]
-    ]
+    kept = [f.name for f in own if getattr(value, f.name) != preset.get(f.name, default_of(f))]
+    if not kept and not hasattr(value, "kind"):
+        kept = [f.name for f in own[:1]]
+    return kept
 
 
 def _with_kind(kind: str, block: dict[str, Any], registries: list[Registry]) -> Any:
@@ -378,16 +360,16 @@ def _with_kind(kind: str, block: dict[str, Any], registries: list[Registry]) -> 
     return {"kind": kind, **block} if block or not registries else kind
 
 
-def _is_needed(field: dataclasses.Field[Any]) -> bool:
+def is_needed(field: dataclasses.Field[Any]) -> bool:
+    """Whether a field of a constructor has no default."""
     return field.init and field.default is field.default_factory is dataclasses.MISSING
 
 
-def _default(field: dataclasses.Field[Any]) -> Any:
-    return (
-        field.default_factory()
-        if field.default_factory is not dataclasses.MISSING
-        else field.default
-    )
+def default_of(field: dataclasses.Field[Any]) -> Any:
+    """The default of a field, also one that a function makes."""
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
 
 
 # A plugin that lacks a method would otherwise run until the loop first calls that method, and end
@@ -424,13 +406,11 @@ class Contract:
         own = inspect.getattr_static(member, name, None)
         if own is None:
             return hasattr(member, name) or name in getattr(member, "__dataclass_fields__", {})
-        inherited = own is vars(self.protocol).get(name) and getattr(
-            self.protocol, "_is_protocol", False
-        )
-        # func: of a cached property
-        return not inherited and not getattr(
-            getattr(own, "func", own), "__isabstractmethod__", False
-        )
+        stub = own is vars(self.protocol).get(name)
+        if stub and getattr(self.protocol, "_is_protocol", False):
+            return False
+        function = getattr(own, "func", own)  # of a cached property
+        return not getattr(function, "__isabstractmethod__", False)
 
     def _remedy(self, member: type) -> str:
         if self.base is None or issubclass(member, self.base):
@@ -445,48 +425,43 @@ class Contract:
 def _public_members(protocol: type) -> dict[str, Callable[..., Any] | None]:
     found: dict[str, Callable[..., Any] | None] = {}
     for cls in reversed(protocol.__mro__):
-        found |= dict.fromkeys(
-            name for name in inspect.get_annotations(cls) if not name.startswith("_")
-        )
-        found |= {
-            name: value if inspect.isfunction(value) else None
-            for name, value in vars(cls).items()
-            if not name.startswith("_")
-        }
-    return found
+        found |= dict.fromkeys(inspect.get_annotations(cls))
+        for name, value in vars(cls).items():
+            found[name] = value if inspect.isfunction(value) else None
+    return {name: method for name, method in found.items() if not name.startswith("_")}
 
 
 def _shown(name: str, method: Callable[..., Any] | None) -> str:
-    return (
-        name
-        if method is None
-        else f"{name}({', '.join(list(inspect.signature(method).parameters)[1:])})"
-    )
+    if method is None:
+        return name
+    _, *parameters = inspect.signature(method).parameters
+    return f"{name}({', '.join(parameters)})"
 
 
 def _check_shape(member: type, name: str, method: Callable[..., Any] | None) -> None:
     """Refuse a method where an attribute belongs, an attribute where a method belongs, and a wrong
     number of parameters.
     """
-    own, where = inspect.getattr_static(member, name, None), f"{member.__name__}.{name}"
+    own = inspect.getattr_static(member, name, None)
+    where = f"{member.__name__}.{name}"
     if method is None:
         if inspect.isfunction(own):
-            raise ParameterError(
-                where, "must be an attribute, and is a method; write @property above it"
-            )
+            words = "must be an attribute, and is a method; write @property above it"
+            raise ParameterError(where, words)
         return
+    wanted = _shown(name, method)
     if not callable(getattr(member, name, None)):
-        raise ParameterError(where, f"must be a method {_shown(name, method)}")
+        raise ParameterError(where, f"must be a method {wanted}")
+    arguments = list(inspect.signature(method).parameters)
     # Read off the class, a plain function still has its `self`; a static or class method does not.
-    arguments = list(inspect.signature(method).parameters)[0 if inspect.isfunction(own) else 1 :]
+    if not inspect.isfunction(own):
+        del arguments[0]
     signature = inspect.signature(getattr(member, name))
     try:
         signature.bind(*arguments)
     except TypeError:
-        raise ParameterError(
-            where,
-            f"must take the arguments of {_shown(name, method)}; it has the signature {signature}",
-        ) from None
+        words = f"must take the arguments of {wanted}; it has the signature {signature}"
+        raise ParameterError(where, words) from None
 
 
 def _check_words(member: type, name: str, valid: Collection[str]) -> None:
@@ -500,12 +475,11 @@ def _check_words(member: type, name: str, valid: Collection[str]) -> None:
         except (TypeError, ParameterError):
             # a field without a default, or defaults that need another value beside them
             return
+    where = f"{member.__name__}.{name}"
     if not isinstance(words, tuple):
-        raise ParameterError(
-            f"{member.__name__}.{name}", "must be a tuple of words, such as ('xy', 'depth')", words
-        )
+        problem = "must be a tuple of words, such as ('xy', 'depth')"
+        raise ParameterError(where, problem, words)
     for word in words:
         if word not in valid:
-            raise ParameterError.unknown(
-                f"{member.__name__}.{name}: {word!r}", "valid word", nearest(str(word), valid)
-            )
+            hint = nearest(str(word), valid)
+            raise ParameterError.unknown(f"{where}: {word!r}", "valid word", hint)

@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from spatialmath import SE3, Twist3
 
 Array = NDArray[np.float64]
-RIGID, LEVEL = 1e-6, 1e-9
-"""Largest entry of R^T R - I of a rotation (one written with six digits has some 1e-6); largest
-height [m] and tilt [rad] on the floor.
-"""
+# largest entry of R^T R - I of a rotation: one that is written with six digits has some 1e-6
+RIGID = 1e-6
+LEVEL = 1e-9  # largest height [m] and tilt [rad] on the floor
 
 
 def class_of(value: object) -> str:
@@ -45,24 +44,17 @@ def pose_matrix(value: Any, name: str = "") -> Array:
     """
     kind = class_of(value)
     if kind == "SE2":
-        raise ParameterError(
-            name,
-            (
-                "is a place in the plane (SE2), and here a pose in space belongs;"
-                " its SE3() lifts it to height 0"
-            ),
+        words = (
+            "is a place in the plane (SE2), and here a pose in space belongs;"
+            " its SE3() lifts it to height 0"
         )
+        raise ParameterError(name, words)
     if kind not in ("", "SE3"):
-        raise ParameterError(
-            name,
-            (
-                f"must be a pose (SE3), got {_a(kind)};"
-                " SE3.Rt(R, [x, y, z]) has a rotation and a place"
-            ),
+        words = (
+            f"must be a pose (SE3), got {_a(kind)}; SE3.Rt(R, [x, y, z]) has a rotation and a place"
         )
-    return _rigid(
-        _one(value, kind, 4, "a pose: an SE3, or a homogeneous matrix (4, 4)", name), name
-    )
+        raise ParameterError(name, words)
+    return _rigid(value, 4, "a pose: an SE3, or a homogeneous matrix (4, 4)", name)
 
 
 def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
@@ -71,12 +63,7 @@ def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
     Raises ParameterError: several places, a pose off the floor, a matrix that is no rigid motion.
     """
     if class_of(value) == "SE2" or (np.shape(value) == (3, 3) and not class_of(value)):
-        T = _rigid(
-            _one(
-                value, class_of(value), 3, "a place: an SE2, or a homogeneous matrix (3, 3)", name
-            ),
-            name,
-        )
+        T = _rigid(value, 3, "a place: an SE2, or a homogeneous matrix (3, 3)", name)
         return tidy(T[0, 2], 15), tidy(T[1, 2], 15), heading_of(T)
     (x, y, z), heading = upright(value, name)
     if abs(z) > LEVEL:
@@ -98,13 +85,11 @@ def upright(value: Any, name: str = "") -> tuple[list[float], float]:
     T = pose_matrix(value, name)
     if max(abs(T[0, 2]), abs(T[1, 2])) > LEVEL or T[2, 2] < 0:
         axis = T[:3, 2].round(3).tolist()
-        raise ParameterError(
-            name,
-            (
-                "must be upright, turned about the world's z axis alone;"
-                f" the z axis of this pose is {axis}"
-            ),
+        words = (
+            "must be upright, turned about the world's z axis alone;"
+            f" the z axis of this pose is {axis}"
         )
+        raise ParameterError(name, words)
     return tidy_position(T), heading_of(T)
 
 
@@ -125,9 +110,8 @@ def twist_numbers(value: Any, name: str = "command") -> Any:
     if kind != "Twist3":
         raise ParameterError(name, f"must be a twist (Twist3) or numbers, got {_a(kind)}")
     if len(value) != 1:
-        raise ParameterError.count(
-            name, "one", "twist", len(value), why="take one of them, as twists[0]"
-        )
+        why = "take one of them, as twists[0]"
+        raise ParameterError.count(name, "one", "twist", len(value), why=why)
     return np.asarray(value.S, dtype=float)
 
 
@@ -145,26 +129,27 @@ def as_twist3(S: Array) -> Twist3:
     return Twist3(list(S), check=False) if len(S) else Twist3.Empty()
 
 
-def _one(value: Any, kind: str, size: int, wanted: str, name: str) -> Array:
+def _one(value: Any, size: int, wanted: str, name: str) -> Array:
+    kind = class_of(value)
     if kind and len(value) != 1:
-        raise ParameterError.count(
-            name, "one", "pose", len(value), why="take one of them, as poses[0]"
-        )
+        why = "take one of them, as poses[0]"
+        raise ParameterError.count(name, "one", "pose", len(value), why=why)
     try:
         T = np.array(value.A if kind else value, dtype=float)
     except (TypeError, ValueError):
         T = np.zeros(0)
     if T.shape != (size, size):
-        raise ParameterError(
-            name,
-            f"must be {wanted}, got {type(value).__name__}"
-            + (f" of shape {T.shape}" if T.size else ""),
-        )
+        words = f"must be {wanted}, got {type(value).__name__}"
+        if T.size:
+            words += f" of shape {T.shape}"
+        raise ParameterError(name, words)
     return T
 
 
-def _rigid(T: Array, name: str) -> Array:
-    n = len(T) - 1
+def _rigid(value: Any, size: int, wanted: str, name: str) -> Array:
+    """The matrix (size, size) of a rigid motion that a value is. wanted: what it must be."""
+    T = _one(value, size, wanted, name)
+    n = size - 1
     if not np.isfinite(T).all():
         raise ParameterError.infinite(name, "a pose with other numbers")
     off = float(np.abs(T[:n, :n].T @ T[:n, :n] - np.eye(n)).max())
@@ -175,13 +160,11 @@ def _rigid(T: Array, name: str) -> Array:
         )
         raise ParameterError(name, words)
     if np.linalg.det(T[:n, :n]) < 0:
-        raise ParameterError(
-            name, "is no rigid motion: it mirrors (its axes are left-handed); reverse one of them"
-        )
-    if np.abs(T[n] - np.eye(n + 1)[n]).max() > LEVEL:
-        raise ParameterError(
-            name, f"must end with the row {'0 ' * n}1; perhaps it is the transpose of a pose"
-        )
+        words = "is no rigid motion: it mirrors (its axes are left-handed); reverse one of them"
+        raise ParameterError(name, words)
+    if np.abs(T[n] - np.eye(size)[n]).max() > LEVEL:
+        words = f"must end with the row {'0 ' * n}1; perhaps it is the transpose of a pose"
+        raise ParameterError(name, words)
     return T
 
 

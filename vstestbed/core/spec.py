@@ -27,7 +27,7 @@ from pydantic_core import ArgsKwargs, CoreSchema, core_schema
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.fields import fields
 from vstestbed.core.messages import message, refuse_conversions
-from vstestbed.core.registry import SPECS, validator_of
+from vstestbed.core.registry import SPECS, default_of, is_needed, validator_of
 
 __all__ = ["FromFile", "OrText", "Shorthand", "spec"]
 
@@ -56,26 +56,14 @@ def spec(cls: type[T]) -> type[T]:
         )
         for field in dataclasses.fields(made):
             field.type = types[field.name]
-    # Whether the defaults alone make no object: a field has none, or a validator of pydantic's
-    # checks what has been made. One in the mode "before" reads what is given, and has nothing to
-    # read then.
-    has_more = any(
-        field.init and field.default is field.default_factory is dataclasses.MISSING
-        for field in dataclasses.fields(made)
-    )
-    checks = (
-        getattr(member, "decorator_info", None)
-        for base in made.__mro__
-        for member in vars(base).values()
-    )
-    has_more |= any(
-        check is not None and getattr(check, "mode", "") != "before" for check in checks
-    )
+    # whether the defaults alone make no object
+    has_more = any(map(is_needed, dataclasses.fields(made))) or _is_checked(made)
 
     def init(self: Any, *nameless: Any, **values: Any) -> None:
         construct(self, made, has_more, nameless, values)
 
-    made.__init__, made.__signature__ = init, _Signature()
+    made.__init__ = init
+    made.__signature__ = _Signature()
     made.__setattr__ = made.__delattr__ = _frozen
     for name, method in (("__eq__", _equal), ("__hash__", _hashed), ("__repr__", _shown)):
         # a class with __eq__ alone has None for the other
@@ -83,6 +71,18 @@ def spec(cls: type[T]) -> type[T]:
             setattr(made, name, method)
     SPECS.append(made)
     return made
+
+
+def _is_checked(cls: type) -> bool:
+    """Whether a validator of pydantic's checks what has been made. One in the mode "before" reads
+    what is given, and has nothing to read where nothing is.
+    """
+    for base in cls.__mro__:
+        for member in vars(base).values():
+            check = getattr(member, "decorator_info", None)
+            if check is not None and getattr(check, "mode", "") != "before":
+                return True
+    return False
 
 
 def _frozen(self: Any, name: str, *_: Any) -> None:
@@ -97,16 +97,17 @@ def _compared(cls: type) -> tuple[str, ...]:
 def _equal(self: Any, other: object) -> Any:
     if other.__class__ is not self.__class__:
         return NotImplemented
-    mine, others = self.__dict__, other.__dict__
-    return [mine[name] for name in _compared(type(self))] == [
-        others[name] for name in _compared(type(self))
-    ]
+    return _values(self) == _values(other)
+
+
+def _values(one: Any) -> list[Any]:
+    values = one.__dict__
+    return [values[name] for name in _compared(type(one))]
 
 
 def _hashed(self: Any) -> int:
-    values = self.__dict__
-    parts = [values[name] for name in _compared(type(self))]
-    return hash(tuple([tuple(part.items()) if type(part) is dict else part for part in parts]))
+    parts = [tuple(v.items()) if type(v) is dict else v for v in _values(self)]
+    return hash(tuple(parts))
 
 
 def _shown(self: Any) -> str:
@@ -122,20 +123,13 @@ class _Signature:
     """The signature of a spec's constructor for `help` and notebooks, made when somebody asks."""
 
     def __get__(self, made: object, cls: type) -> inspect.Signature:
-        given = [field for field in dataclasses.fields(cls) if field.init]
-        own = [
-            inspect.Parameter(
-                f.name, inspect.Parameter.KEYWORD_ONLY, default=_default(f), annotation=f.type
-            )
-            for f in given
-        ]
+        only = inspect.Parameter.KEYWORD_ONLY
+        own = []
+        for f in dataclasses.fields(cls):
+            if f.init:
+                default = inspect.Parameter.empty if is_needed(f) else default_of(f)
+                own.append(inspect.Parameter(f.name, only, default=default, annotation=f.type))
         return inspect.Signature(own)
-
-
-def _default(field: dataclasses.Field[Any]) -> Any:
-    if field.default_factory is not dataclasses.MISSING:
-        return field.default_factory()
-    return inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
 
 
 def construct(
@@ -146,13 +140,10 @@ def construct(
     """
     if nameless:
         first = next((name for name in fields(cls) if name != "kind"), "kind")
-        raise ParameterError(
-            cls.__name__,
-            f"takes its fields by their names, such as {cls.__name__}({first}=...)",
-            nameless,
-        )
+        words = f"takes its fields by their names, such as {cls.__name__}({first}=...)"
+        raise ParameterError(cls.__name__, words, nameless)
     if not (values or has_more):  # defaults need no check
-        made.__dict__.update((field.name, _default(field)) for field in dataclasses.fields(cls))
+        made.__dict__.update((field.name, default_of(field)) for field in dataclasses.fields(cls))
         if hasattr(made, "__post_init__"):
             made.__post_init__()
         return
@@ -164,47 +155,6 @@ def construct(
 
 
 @dataclasses.dataclass(frozen=True)
-class Shorthand:
-    """For `Annotated` of a spec: a text stands for the block that has it in one field. field: its
-    name.
-    """
-
-    field: str
-
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(
-            lambda v: {self.field: v} if isinstance(v, str) else v, handler(source)
-        )
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        return {"anyOf": [handler(schema), {"type": "string"}]}
-
-
-@dataclasses.dataclass(frozen=True)
-class FromFile:
-    """For `Annotated` of a spec: the name of a file stands for the block that it holds. read: from
-    the name to the block's values.
-    """
-
-    read: Callable[[str], Any]
-
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(
-            lambda v: self.read(v) if isinstance(v, str) else v, handler(source)
-        )
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        return {"anyOf": [handler(schema), {"type": "string"}]}
-
-
 class OrText:
     """For `Annotated` of a field whose class reads another text than those listed, such as a file's
     name, before it is validated.
@@ -219,3 +169,31 @@ class OrText:
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         return {"anyOf": [handler(schema), {"type": "string"}]}
+
+
+@dataclasses.dataclass(frozen=True)
+class FromText(OrText):
+    """For `Annotated` of a spec: a text stands for the block that is read from it. read: from the
+    text to the block's values.
+    """
+
+    read: Callable[[str], Any]
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self._block, handler(source))
+
+    def _block(self, value: Any) -> Any:
+        return self.read(value) if isinstance(value, str) else value
+
+
+class FromFile(FromText):
+    """The same of the name of a file, for the block that it holds."""
+
+
+class Shorthand(FromText):
+    """The same of a text that the block has in one field. field: its name."""
+
+    def __init__(self, field: str):
+        super().__init__(lambda text: {field: text})

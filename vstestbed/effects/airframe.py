@@ -121,7 +121,8 @@ def nearness(z: float, radius: float) -> float:
 # All blocks of a craft together.
 
 # where front, right, back and left are, along x and y, in arms
-ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)
+ALONG = (1.0, 0.0, -1.0, 0.0)
+ACROSS = (0.0, -1.0, 0.0, 1.0)
 NOTHING: Vector = (0.0, 0.0, 0.0)
 ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
 
@@ -211,28 +212,29 @@ class Airframe:
     """
 
     def __init__(self, craft: _Craft, given: FlightBlocks, rng: np.random.Generator):
-        self._craft, self._given = craft, given
+        self._craft = craft
+        self._given = given
         spread, gusts, noise = rng.spawn(3)
         self._thrust, self._limit = given.motors.drawn(spread) if given.motors else (ALIKE, ALIKE)
-        self._gusts, self._noise = _normal(gusts, 4), _normal(noise, 6)
+        self._gusts = _normal(gusts, 4)
+        self._noise = _normal(noise, 6)
         self._rough: Sequence[float] = gusts.standard_normal(4).tolist()
         self._angles: Four = _four(noise.uniform(0.0, 2 * math.pi, 4).tolist())
         self._W: Four = _four([craft.hover] * 4)
-        self._charge, self._voltage = 1.0, 0.0
+        self._charge = 1.0
+        self._voltage = 0.0
         if given.battery:
             self._charge = given.battery.charge
-            self._voltage = given.battery.voltage(
-                self._charge, given.battery.power((math.sqrt(craft.hover),) * 4, craft)
-            )
-        self._drag = (
-            given.rotor_drag.coefficient * craft.thrust_coefficient / craft.rotor_radius_m
-            if given.rotor_drag
-            else 0.0
-        )
+            power = given.battery.power((math.sqrt(craft.hover),) * 4, craft)
+            self._voltage = given.battery.voltage(self._charge, power)
+        self._drag = 0.0
+        if given.rotor_drag:
+            drag = given.rotor_drag.coefficient
+            self._drag = drag * craft.thrust_coefficient / craft.rotor_radius_m
         self._spin = given.rotor_inertia.of(craft) if given.rotor_inertia else 0.0
-        self.probes: Sequence[Vector] = (
-            _probes(craft) if given.ground_effect or given.downwash else ()
-        )
+        self.probes: Sequence[Vector] = ()
+        if given.ground_effect or given.downwash:
+            self.probes = _probes(craft)
 
     def act(
         self,
@@ -254,48 +256,51 @@ class Airframe:
         speeds = _four([math.sqrt(x) for x in self._W])
         reached = self._driven(orders, speeds, dt)
         force, torque = self._lifted(air, below, dt)
-        (vx, vy, _), (wx, wy, wz) = air, rates
         if self._drag:
-            arm, h = self._craft.arm_m, ROTOR_M
-            fx = fy = turn = 0.0
-            for i in range(4):
-                x, y, k = ALONG[i] * arm, ACROSS[i] * arm, self._drag * speeds[i]
-                px, py = -k * (vx + wy * h - wz * y), -k * (vy + wz * x - wx * h)
-                fx, fy, turn = fx + px, fy + py, turn + x * py - y * px
-            force, torque = (
-                (force[0] + fx, force[1] + fy, force[2]),
-                (torque[0] - h * fy, torque[1] + h * fx, torque[2] + turn),
-            )
+            fx, fy, turn = self._dragged(air, rates, speeds)
+            force = force[0] + fx, force[1] + fy, force[2]
+            torque = torque[0] - ROTOR_M * fy, torque[1] + ROTOR_M * fx, torque[2] + turn
         if self._spin:  # the equation of `RotorInertia`; omega x z = (w_y, -w_x, 0)
-            half = 0.5 / self._craft.rotor_lag_s
-            turning = [
-                half * (u - W) / w if w > 1.0 else 0.0
-                for u, W, w in zip(reached, self._W, speeds, strict=True)
-            ]
-            momentum, change = (
-                self._spin * (front - right + back - left)
-                for front, right, back, left in (speeds, turning)
-            )
+            wx, wy, _ = rates
+            momentum = self._spin * _about_z(speeds)
+            change = self._spin * _about_z(self._accelerations(reached, speeds))
             torque = torque[0] - momentum * wy, torque[1] + momentum * wx, torque[2] - change
         if self._given.vibration:
-            self._angles = _four(
-                [
-                    (phi + w * dt) % (2 * math.pi)
-                    for phi, w in zip(self._angles, speeds, strict=True)
-                ]
-            )
+            turned = [phi + w * dt for phi, w in zip(self._angles, speeds, strict=True)]
+            self._angles = _four([phi % (2 * math.pi) for phi in turned])
         return force, torque, reached
+
+    def _dragged(self, air: Vector, rates: Vector, speeds: Four) -> Vector:
+        """Forces of the rotors' drag along x and y [N], and their torque about z [Nm]."""
+        vx, vy, _ = air
+        wx, wy, wz = rates
+        arm = self._craft.arm_m
+        h = ROTOR_M
+        fx = fy = turn = 0.0
+        for i in range(4):
+            x = ALONG[i] * arm
+            y = ACROSS[i] * arm
+            k = self._drag * speeds[i]
+            px = -k * (vx + wy * h - wz * y)
+            py = -k * (vy + wz * x - wx * h)
+            fx += px
+            fy += py
+            turn = turn + x * py - y * px
+        return fx, fy, turn
+
+    def _accelerations(self, reached: Four, speeds: Four) -> Sequence[float]:
+        """Of the rotors (4,) [rad/s^2], by their lag; of one that stands none."""
+        half = 0.5 / self._craft.rotor_lag_s
+        rotors = zip(reached, self._W, speeds, strict=True)
+        return [half * (u - W) / w if w > 1.0 else 0.0 for u, W, w in rotors]
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
         """The IMU's readings with the vibration, and the battery's `voltage` [V]."""
         if self._given.vibration:
-            shaken, turned = self._given.vibration.at(
-                self._angles, self._W, self._craft.hover, next(self._noise)
-            )
-            sensors["accelerometer"] = [
-                x + d for x, d in zip(sensors["accelerometer"], shaken, strict=True)
-            ]
-            sensors["gyro"] = [x + d for x, d in zip(sensors["gyro"], turned, strict=True)]
+            noise = next(self._noise)
+            moved = self._given.vibration.at(self._angles, self._W, self._craft.hover, noise)
+            for name, change in zip(("accelerometer", "gyro"), moved, strict=True):
+                sensors[name] = [x + d for x, d in zip(sensors[name], change, strict=True)]
         if self._given.battery:
             sensors["voltage"] = [self._voltage]
         return sensors
@@ -304,7 +309,9 @@ class Airframe:
         """What the motors make of the orders (4,): less by a battery's voltage, and each up to its
         own limit.
         """
-        battery, share, most = self._given.battery, 1.0, self._craft.limit
+        battery = self._given.battery
+        most = self._craft.limit
+        share = 1.0
         if battery:
             power = battery.power(speeds, self._craft)
             self._voltage = battery.voltage(self._charge, power)
@@ -316,41 +323,57 @@ class Airframe:
 
     def _lifted(self, air: Vector, below: Sequence[float], dt: float) -> tuple[Vector, Vector]:
         """Force and torque of what the thrusts are more than those of the model's file."""
-        ground, wash, given = self._given.ground_effect, self._given.downwash, self._given
-        if not (ground or wash or given.motors):
+        given = self._given
+        wash = given.downwash
+        if not (given.ground_effect or wash or given.motors):
             return NOTHING, NOTHING
-        b, R, arm = self._craft.thrust_coefficient, self._craft.rotor_radius_m, self._craft.arm_m
         if wash:
             keep = math.exp(-dt / wash.turbulence_s)
             fresh = math.sqrt(1.0 - keep * keep)
-            self._rough = [
-                keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)
-            ]
-        up = x = y = 0.0
+            gusts = zip(self._rough, next(self._gusts), strict=True)
+            self._rough = [keep * x + fresh * n for x, n in gusts]
+        arm = self._craft.arm_m
         speed = math.hypot(air[0], air[1])
+        up = x = y = 0.0
         for i in range(4):
-            usual = b * self._W[i]
+            usual = self._craft.thrust_coefficient * self._W[i]
             thrust = usual * self._thrust[i]
-            # the mean over its probes of what the ground, and the wake from it, make of a rotor's
-            # thrust
             if self.probes:
-                near = [nearness(z, R) for z in below[4 * i : 4 * i + 4]]
-                gain = (
-                    0.25 * sum([ground.gain(n, R, thrust, speed) for n in near]) if ground else 1.0
-                )
-                thrust *= gain + (
-                    wash.turbulence * 0.25 * sum(near) * self._rough[i] if wash else 0.0
-                )
+                thrust *= self._share(i, below, thrust, speed)
             more = thrust - usual
-            up, x, y = up + more, x + ACROSS[i] * arm * more, y - ALONG[i] * arm * more
+            up += more
+            x += ACROSS[i] * arm * more
+            y -= ALONG[i] * arm * more
         return (0.0, 0.0, up), (x, y, 0.0)
+
+    def _share(self, i: int, below: Sequence[float], thrust: float, speed: float) -> float:
+        """What the ground, and the wake from it, make of the thrust of rotor i [N], a factor: the
+        mean over its probes. speed: horizontal, against the air [m/s].
+        """
+        ground = self._given.ground_effect
+        wash = self._given.downwash
+        R = self._craft.rotor_radius_m
+        near = [nearness(z, R) for z in below[4 * i : 4 * i + 4]]
+        share = 1.0
+        if ground:
+            share = 0.25 * sum([ground.gain(n, R, thrust, speed) for n in near])
+        if wash:
+            share += wash.turbulence * 0.25 * sum(near) * self._rough[i]
+        return share
+
+
+def _about_z(rotors: Sequence[float]) -> float:
+    """The sum of the rotors' rates (4,), or of their accelerations, by their sense of rotation."""
+    front, right, back, left = rotors
+    return front - right + back - left
 
 
 def _probes(craft: _Craft) -> tuple[Vector, ...]:
     """Four points of each disc, of front, right, back and left in turn, at R / sqrt(2) from its
     hub, in the base frame (16, 3) [m].
     """
-    d, r = craft.arm_m, craft.rotor_radius_m / math.sqrt(2)
+    d = craft.arm_m
+    r = craft.rotor_radius_m / math.sqrt(2)
     return tuple(
         (x * d + r * u, y * d + r * v, ROTOR_M)
         for x, y in zip(ALONG, ACROSS, strict=True)
@@ -373,24 +396,27 @@ class OnBase(Actor):
     """
 
     def __init__(self, body: RobotBody, airframe: Airframe):
-        model, data = body.model, body.data
-        self._model, self._data, self._airframe = model, data, airframe
-        self._body, dof = model.body("robot/base").id, int(model.joint("robot/root").dofadr[0])
+        model = body.model
+        data = body.data
+        self._model = model
+        self._data = data
+        self._airframe = airframe
+        self._body = model.body("robot/base").id
+        dof = int(model.joint("robot/root").dofadr[0])
         # Views of MuJoCo's own memory, taken once: each takes as long as ten operations on floats.
         self.force = np.zeros(model.nv)
-        self._velocity, self._applied = data.qvel[dof : dof + 6], self.force[dof : dof + 6]
-        self._place, self._turn, self._wind = (
-            data.xpos[self._body],
-            data.xmat[self._body],
-            model.opt.wind,
-        )
-        self._activations, self._acting = data.act, body.at.act.tolist()
-        self._probes, self._below, self._next = (
-            airframe.probes,
-            [math.inf] * len(airframe.probes),
-            0,
-        )
-        self._from, self._geom = np.zeros(3), np.zeros(1, dtype=np.int32)
+        self._velocity = data.qvel[dof : dof + 6]
+        self._applied = self.force[dof : dof + 6]
+        self._place = data.xpos[self._body]
+        self._turn = data.xmat[self._body]
+        self._wind = model.opt.wind
+        self._activations = data.act
+        self._acting = body.at.act.tolist()
+        self._probes = airframe.probes
+        self._below = [math.inf] * len(airframe.probes)
+        self._next = 0
+        self._from = np.zeros(3)
+        self._geom = np.zeros(1, dtype=np.int32)
 
     def start(self) -> None:
         """Measure all heights: the craft is at its start."""
@@ -410,7 +436,10 @@ class OnBase(Actor):
         vx, vy, vz, p, q, r = self._velocity.tolist()
         wx, wy, wz = self._wind.tolist()
         a, b, c, d, e, f, g, h, i = R
-        x, y, z, activations = vx - wx, vy - wy, vz - wz, self._activations.tolist()
+        x = vx - wx
+        y = vy - wy
+        z = vz - wz
+        activations = self._activations.tolist()
         air = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
         W = [activations[k] for k in self._acting]
         (x, y, z), (p, q, r), reached = self._airframe.act(
@@ -418,14 +447,8 @@ class OnBase(Actor):
         )
         # A free joint's generalised force: linear along world axes at the base's origin, angular in
         # the base's own.
-        self._applied[:] = (
-            a * x + b * y + c * z,
-            d * x + e * y + f * z,
-            g * x + h * y + i * z,
-            p,
-            q,
-            r,
-        )
+        world = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+        self._applied[:] = (*world, p, q, r)
         return reached
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:

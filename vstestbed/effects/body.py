@@ -98,7 +98,8 @@ def loosen(model: mujoco.MjSpec, joint: str, width: float) -> None:
     """
     import mujoco
 
-    servo, output = _named(model, "joint", joint), f"{joint}_output"
+    servo = _named(model, "joint", joint)
+    output = f"{joint}_output"
     holder = servo.parent.parent.add_body(name=output, pos=servo.parent.pos)
     # MuJoCo demands some mass. Behind the play are a crank of the car's steering, as the file has
     # it [kg m^2], king pins (chosen) [Nm] and the damping of the column [Nm s/rad]; without
@@ -121,7 +122,8 @@ def loosen(model: mujoco.MjSpec, joint: str, width: float) -> None:
     # The difference of the two angles as a tendon with limits: each end of the play is a stop, as
     # stiff as the steering's couplings.
     play = model.add_tendon(name=f"{joint}_play", limited=True, range=[-width / 2, width / 2])
-    play.solref_limit[:2], play.solimp_limit[:3] = [0.004, 1.0], [0.99, 0.999, 0.001]
+    play.solref_limit[:2] = [0.004, 1.0]
+    play.solimp_limit[:3] = [0.99, 0.999, 0.001]
     play.wrap_joint(output, 1.0)
     play.wrap_joint(joint, -1.0)
 

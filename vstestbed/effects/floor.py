@@ -59,9 +59,11 @@ class UnevenFloor(Effect):
         Before a seed is drawn they are those of seed 0.
         """
         cells = round(2 * half_m * CELLS / self.correlation_m)
-        n, cell = cells + 1, 2 * half_m / cells
+        n = cells + 1
+        cell = 2 * half_m / cells
         # For rfft2 the last axis has the non-negative wave numbers alone.
-        along, across = np.fft.rfftfreq(n, cell) * 2 * np.pi, np.fft.fftfreq(n, cell) * 2 * np.pi
+        along = np.fft.rfftfreq(n, cell) * 2 * np.pi
+        across = np.fft.fftfreq(n, cell) * 2 * np.pi
         of_one = [np.exp(-(k**2) * self.correlation_m**2 / 8) for k in (across, along)]
         noise = np.fft.rfft2(np.random.default_rng(self.seed or 0).standard_normal((n, n)))
         filtered = (
@@ -78,8 +80,11 @@ class UnevenFloor(Effect):
         """
         import mujoco
 
-        scene, heights = robot.scene, self.heights(HALF_M)
-        low, high, n = float(heights.min()), float(heights.max()), len(heights)
+        scene = robot.scene
+        heights = self.heights(HALF_M)
+        low = float(heights.min())
+        high = float(heights.max())
+        n = len(heights)
         scene.meshdir = ASSETS
         size = [HALF_M, HALF_M, high - low, 0.1]  # the last: thickness under the lowest place [m]
         scene.add_hfield(

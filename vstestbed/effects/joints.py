@@ -161,11 +161,10 @@ class Encoders:
 
     def read(self, q: Array, qd: Array, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Measured positions and velocities (n,) each of joints at q, qd (n,) [rad, rad/s]."""
-        e, N = (
-            np.radians(each("encoders.eccentricity_deg", self.eccentricity_deg, slides)),
-            each("encoders.turns", self.turns, slides),
-        )
-        p, pd = q + e * np.sin(N * q), qd * (1 + e * N * np.cos(N * q))
+        e = np.radians(each("encoders.eccentricity_deg", self.eccentricity_deg, slides))
+        N = each("encoders.turns", self.turns, slides)
+        p = q + e * np.sin(N * q)
+        pd = qd * (1 + e * N * np.cos(N * q))
         counts = each("encoders.counts", self.counts, slides)
         step = 2 * np.pi / np.where(counts > 0, counts, 1.0)
         speed_step = step / self.window_s
@@ -205,7 +204,8 @@ def _add_spring(
     `free` [rad].
     """
     spring = model.add_tendon(name=f"{prefix}{name}", springlength=[-free, free])
-    spring.stiffness[0], spring.damping[0] = stiffness, damping
+    spring.stiffness[0] = stiffness
+    spring.damping[0] = damping
     spring.wrap_joint(f"{MOTOR}{name}", 1.0)
     spring.wrap_joint(name, -1.0)
 
@@ -223,7 +223,9 @@ def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
     body = link.parent.parent.add_body(
         name=f"{MOTOR}{name}", pos=link.parent.pos, quat=link.parent.quat, mass=1e-6
     )
-    body.inertia, body.explicitinertial = [1e-9] * 3, True  # which MuJoCo asks for
+    # which MuJoCo asks for
+    body.inertia = [1e-9] * 3
+    body.explicitinertial = True
     body.ipos = link.pos  # on the axis: its weight turns nothing
     # the orientation as the file writes it
     for field in ("type", "axisangle", "euler", "xyaxes", "zaxis"):
@@ -231,11 +233,16 @@ def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
     rotor = body.add_joint(
         name=f"{MOTOR}{name}", type=link.type, pos=link.pos, axis=link.axis, armature=link.armature
     )
-    rotor.damping, rotor.frictionloss = link.damping, link.frictionloss
-    rotor.solref_friction, rotor.solimp_friction = link.solref_friction, link.solimp_friction
-    rotor.actfrclimited, rotor.actfrcrange = link.actfrclimited, link.actfrcrange
+    rotor.damping = link.damping
+    rotor.frictionloss = link.frictionloss
+    rotor.solref_friction = link.solref_friction
+    rotor.solimp_friction = link.solimp_friction
+    rotor.actfrclimited = link.actfrclimited
+    rotor.actfrcrange = link.actfrcrange
     rotor.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-    link.armature, link.frictionloss, link.damping = 0.0, 0.0, [0.0] * len(link.damping)
+    link.armature = 0.0
+    link.frictionloss = 0.0
+    link.damping = [0.0] * len(link.damping)
     link.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
     for actuator in model.actuators:
         if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target == name:
@@ -292,7 +299,8 @@ class ElasticJoints(Effect):
 
     def settle(self, body: RobotBody, load: Array) -> None:
         """Wind the gears up by the load, which then is the rotors'."""
-        soft, at = self.stiffness > 0, body.at
+        soft = self.stiffness > 0
+        at = body.at
         if not soft.any():
             return
         asked = load[at.qvel][soft]
@@ -321,17 +329,18 @@ class ElasticJoints(Effect):
         return self._under(torque)[0]
 
     def _under(self, torque: Array) -> tuple[Array, Array]:
-        k, left = self.stiffness.copy(), np.abs(torque)
-        at, torsion = np.zeros(len(k)), np.zeros(len(k))
+        k = self.stiffness.copy()
+        left = np.abs(torque)
+        at = np.zeros(len(k))
+        torsion = np.zeros(len(k))
         for stage in () if self.stages is None else self.stages.transpose(1, 2, 0):
             # the torque at which this stage begins, beyond that of the former one
             held = k * (stage[0] - at)
             beyond = (left > held) & (stage[1] > 0)
-            torsion, left = (
-                torsion + np.where(beyond, stage[0] - at, 0.0),
-                left - np.where(beyond, held, 0.0),
-            )
-            at, k = np.where(beyond, stage[0], at), k + np.where(beyond, stage[1], 0.0)
+            torsion = torsion + np.where(beyond, stage[0] - at, 0.0)
+            left = left - np.where(beyond, held, 0.0)
+            at = np.where(beyond, stage[0], at)
+            k = k + np.where(beyond, stage[1], 0.0)
         rest = np.divide(left, k, out=np.zeros(len(k)), where=k > 0)
         return np.sign(torque) * (torsion + rest), k
 
@@ -355,13 +364,17 @@ def quickest(M: Array, rotors: Array, stiffness: Array) -> tuple[float, int]:
     soft = np.flatnonzero(stiffness > 0)
     if not len(soft):
         return 0.0, 0
-    n, k = len(stiffness), stiffness[soft]
-    mass, spring = np.zeros((n + len(soft),) * 2), np.zeros((n + len(soft),) * 2)
+    n = len(stiffness)
+    k = stiffness[soft]
+    mass = np.zeros((n + len(soft),) * 2)
+    spring = np.zeros((n + len(soft),) * 2)
     mass[:n, :n] = M + np.diag(np.where(stiffness > 0, 0.0, rotors))
     mass[n:, n:] = np.diag(rotors[soft])
     at = n + np.arange(len(soft))
-    spring[soft, soft], spring[at, at] = k, k
-    spring[soft, at], spring[at, soft] = -k, -k
+    spring[soft, soft] = k
+    spring[at, at] = k
+    spring[soft, at] = -k
+    spring[at, soft] = -k
     L_inverse = np.linalg.inv(np.linalg.cholesky(mass))
     w2, modes = np.linalg.eigh(L_inverse @ spring @ L_inverse.T)
     mode = L_inverse.T @ modes[:, -1]
@@ -426,20 +439,17 @@ class MotorTorques(Actor):
     def __init__(self, body: RobotBody, motors: Motors):
         import mujoco
 
-        model, at = body.model, body.at
+        model = body.model
+        at = body.at
         self.force = np.zeros(model.nv)
-        self._data, self._motors, self._qpos, self._qvel = (
-            body.data,
-            motors,
-            at.motor_qpos,
-            at.motor_qvel,
-        )
+        self._data = body.data
+        self._motors = motors
+        self._qpos = at.motor_qpos
+        self._qvel = at.motor_qvel
         self._actuators = np.array([model.actuator(f"robot/{name}").id for name in body.actuators])
         self._ctrl = model.actuator_ctrladr[self._actuators]
-        self._kp, self._kv = (
-            -model.actuator_biasprm[self._actuators, 1],
-            -model.actuator_biasprm[self._actuators, 2],
-        )
+        self._kp = -model.actuator_biasprm[self._actuators, 1]
+        self._kv = -model.actuator_biasprm[self._actuators, 2]
         self._told = (self._kp == 0) & (self._kv == 0)  # motors that are told their torque
         self._integrates = model.actuator_dyntype[self._actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
         self._act = np.where(self._integrates, model.actuator_actadr[self._actuators], 0)
@@ -447,10 +457,8 @@ class MotorTorques(Actor):
         self._most = np.where(
             model.jnt_actfrclimited[joints].astype(bool), model.jnt_actfrcrange[joints, 1], np.inf
         )
-        self._limited, self._ranges = (
-            model.actuator_forcelimited[self._actuators].astype(bool),
-            model.actuator_forcerange,
-        )
+        self._limited = model.actuator_forcelimited[self._actuators].astype(bool)
+        self._ranges = model.actuator_forcerange
         self._ripples = motors.ripple > 0 or bool(motors.cogging.any())
         if motors.loops is not None:
             h = body.step_s
@@ -465,7 +473,8 @@ class MotorTorques(Actor):
             self._late = deque([self._tau] * self._delay)
 
     def act(self, t: float, dt: float) -> None:
-        m, tau = self._motors, 0.0
+        m = self._motors
+        tau = 0.0
         if m.loops is not None:
             self._late.append(self._servos())
             u = self._late.popleft()
@@ -478,8 +487,10 @@ class MotorTorques(Actor):
         self.force[self._qvel] = tau
 
     def _servos(self) -> Array:
-        data, kv = self._data, self._kv
-        at, speed = data.qpos[self._qpos], data.qvel[self._qvel]
+        data = self._data
+        kv = self._kv
+        at = data.qpos[self._qpos]
+        speed = data.qvel[self._qvel]
         held = self._kp * (data.act[self._act] - at) if data.act.size else 0.0
         u = np.where(
             self._integrates,
@@ -564,7 +575,8 @@ class StrainWave:
         Raises ParameterError: another number of sizes, or one that the catalogue has not.
         """
         sizes = each("strain_wave.sizes", self.sizes, slides)
-        k, stages = np.zeros(len(slides)), np.zeros((len(slides), 2, 2))
+        k = np.zeros(len(slides))
+        stages = np.zeros((len(slides), 2, 2))
         for i, size in enumerate(sizes.astype(int).tolist()):
             if size == 0:
                 continue

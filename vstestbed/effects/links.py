@@ -91,7 +91,8 @@ class GeometryError(Effect):
         """
         import mujoco
 
-        compiled, displaced = robot.compiled(), self.displacements(len(robot.joints))
+        compiled = robot.compiled()
+        displaced = self.displacements(len(robot.joints))
         if displaced is None:
             return
         for name, D in zip(robot.joints[1:], displaced[:-1], strict=True):
@@ -108,12 +109,15 @@ class GeometryError(Effect):
                 )
                 raise ParameterError("robot.geometry_error", words)
             number = compiled.jnt_bodyid[compiled.joint(name).id]
-            R, T = np.zeros(9), np.eye(4)
+            R = np.zeros(9)
+            T = np.eye(4)
             mujoco.mju_quat2Mat(R, compiled.body_quat[number])
-            T[:3, :3], T[:3, 3] = R.reshape(3, 3), compiled.body_pos[number]
+            T[:3, :3] = R.reshape(3, 3)
+            T[:3, 3] = compiled.body_pos[number]
             T = D @ T
             body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-            body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
+            body.pos = T[:3, 3]
+            body.quat = quaternion_wxyz(T[:3, :3])
         robot.T_body_flange = displaced[-1] @ robot.T_body_flange
 
 
@@ -142,7 +146,8 @@ class Payload(Effect):
         body = robot.flange.add_body(
             name=PAYLOAD, pos=at, quat=quaternion_wxyz(T[:3, :3]), mass=self.mass_kg
         )
-        body.inertia, body.explicitinertial = [self.mass_kg * self.edge_m**2 / 6] * 3, True
+        body.inertia = [self.mass_kg * self.edge_m**2 / 6] * 3
+        body.explicitinertial = True
         body.ipos = np.zeros(3)
         body.gravcomp = robot.carried if self.declared else 0.0
 
@@ -153,7 +158,8 @@ class Payload(Effect):
         import mujoco
 
         # What a kilogram asks of each joint: -J^T g, with the Jacobian J of its centre.
-        model, J = body.model, np.zeros((3, body.model.nv))
+        model = body.model
+        J = np.zeros((3, body.model.nv))
         mujoco.mj_jacBodyCom(model, body.data, J, None, model.body(f"robot/{PAYLOAD}").id)
         a_kilogram = -(J.T @ model.opt.gravity)[body.at.qvel]
         without = weight - self.mass_kg * a_kilogram

@@ -123,7 +123,8 @@ def hover_squares(thrust: Four, craft: _Craft) -> Four:
     W_left = 2 S: with the harmonic means h of each pair's factors, S = 2 W_hover / (h_1 + h_2).
     """
     front, right, back, left = thrust
-    one, other = 2 * front * back / (front + back), 2 * right * left / (right + left)
+    one = 2 * front * back / (front + back)
+    other = 2 * right * left / (right + left)
     double = 4 * craft.hover / (one + other)
     return (
         double * back / (front + back),
@@ -262,7 +263,10 @@ class Vibration:
             x += share * math.cos(phi)
             y += share * math.sin(phi)
             z += share * math.cos(self.blades * phi)
-        a, p, g = self.imbalance_mps2 / hover, self.blade_pass_mps2 / hover, self.gyro_radps / hover
+        a = self.imbalance_mps2 / hover
+        p = self.blade_pass_mps2 / hover
+        g = self.gyro_radps / hover
         i, j, k, u, v, w = noise
-        s, r = self.accel_sigma_mps2, self.gyro_sigma_radps
+        s = self.accel_sigma_mps2
+        r = self.gyro_sigma_radps
         return (a * x + s * i, a * y + s * j, p * z + s * k), (g * x + r * u, g * y + r * v, r * w)

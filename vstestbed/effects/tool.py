@@ -16,9 +16,12 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, RobotBody, RobotModel
 
 # names of the geom and of the sensors in the robot's model
-PLUG, FORCE, TORQUE = "plug", "wrist_force", "wrist_torque"
+PLUG = "plug"
+FORCE = "wrist_force"
+TORQUE = "wrist_torque"
 # a sensor of MuJoCo, and its parameters: force, the net one of all contacts, one
-CONTACT, NET_FORCE = "plug_contact", (2, 3, 1)
+CONTACT = "plug_contact"
+NET_FORCE = (2, 3, 1)
 STEEL = [0.72, 0.72, 0.75, 1.0]
 TOOL_GROUP = 2  # of geoms that every camera sees
 # time constant of the contact, two physics steps of 2 ms: shorter, and it would swing (MuJoCo's own
@@ -85,10 +88,12 @@ class Tool(Effect):
         """A body at the flange, with the plug's shape, and the sensor between both."""
         import mujoco
 
-        T, spec_ = robot.T_body_flange, robot.spec
+        T = robot.T_body_flange
+        spec_ = robot.spec
         body = robot.flange.add_body(name="tool", pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
         if (plug := self.plug) is not None:
-            r, end = plug.radius, plug.length - plug.radius
+            r = plug.radius
+            end = plug.length - plug.radius
             geom = body.add_geom(
                 name=PLUG,
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
@@ -97,12 +102,13 @@ class Tool(Effect):
                 rgba=STEEL,
             )
             geom.material = ""  # and not that of its body's class
-            geom.mass, geom.group, geom.contype, geom.conaffinity = plug.mass_kg, TOOL_GROUP, 1, 1
-            geom.friction, geom.solref, geom.condim = (
-                [plug.friction, 0.005, 0.0001],
-                [SOFT_S, 1.0],
-                4,
-            )
+            geom.mass = plug.mass_kg
+            geom.group = TOOL_GROUP
+            geom.contype = 1
+            geom.conaffinity = 1
+            geom.friction = [plug.friction, 0.005, 0.0001]
+            geom.solref = [SOFT_S, 1.0]
+            geom.condim = 4
             spec_.add_sensor(
                 name=CONTACT,
                 type=mujoco.mjtSensor.mjSENS_CONTACT,
@@ -142,5 +148,6 @@ class PlugForce(Actor):
 
     def row(self) -> Sequence[float]:
         self.act(0.0, 0.0)
-        most, self._most = self._most, 0.0
+        most = self._most
+        self._most = 0.0
         return (most,)

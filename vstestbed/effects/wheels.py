@@ -136,7 +136,8 @@ class Tyres(Effect):
         a = speed * dt / self.relaxation_m
         keep = math.exp(-a)
         gain = dt * (1 - keep) / a if a > 1e-9 else dt
-        along, across = keep * u[0] - gain * sliding[0], keep * u[1] - gain * sliding[1]
+        along = keep * u[0] - gain * sliding[0]
+        across = keep * u[1] - gain * sliding[1]
         # A patch that slides is not deflected further: else it would have to wind back before the
         # force could turn.
         most = 3 * friction * self.relaxation_m / self.stiffness
@@ -159,7 +160,8 @@ class Tyres(Effect):
             if speed < LOW_SPEED
             else 0.0
         )
-        along, across = spring * u[0] - damper * sliding[0], spring * u[1] - damper * sliding[1]
+        along = spring * u[0] - damper * sliding[0]
+        across = spring * u[1] - damper * sliding[1]
         share = min(1.0, most / max(math.hypot(along, across), 1e-12))
         return along * share, across * share
 
@@ -185,32 +187,28 @@ class TyreForces(Actor):
     """
 
     def __init__(self, body: RobotBody, tyres: Tyres):
-        model, self._data, self._model, self._tyres = (
-            body.model,
-            body.data,
-            body.model,
-            (tyres, tyres, tyres.rear, tyres.rear),
-        )
+        model = body.model
+        self._data = body.data
+        self._model = body.model
+        self._tyres = (tyres, tyres, tyres.rear, tyres.rear)
         self._bodies = [int(model.body(f"robot/{name}_wheel").id) for name in WHEELS]
         self._slides = np.array([model.joint(f"robot/{name}_spring").dofadr[0] for name in WHEELS])
         contacts = [model.geom(f"robot/{name}_contact").id for name in WHEELS]
-        self._radius, self._friction = (
-            model.geom_size[contacts, 0].tolist(),
-            model.geom_friction[contacts, 0].tolist(),
-        )
+        self._radius = model.geom_size[contacts, 0].tolist()
+        self._friction = model.geom_friction[contacts, 0].tolist()
         self._deflection: list[Pair] = [(0.0, 0.0)] * len(WHEELS)
-        self._twist, self._wrench = np.zeros(6), np.zeros((len(WHEELS), 6))
+        self._twist = np.zeros(6)
+        self._wrench = np.zeros((len(WHEELS), 6))
 
     def act(self, t: float, dt: float) -> None:
         """The forces of the next physics step, of dt [s]."""
         import mujoco
 
         # Plain numbers, wheel by wheel: arrays of four take five times as long.
-        data, twist = self._data, self._twist
-        loads, axles = (
-            data.qfrc_constraint[self._slides].tolist(),
-            data.xmat[self._bodies][:, [1, 4]].tolist(),
-        )
+        data = self._data
+        twist = self._twist
+        loads = data.qfrc_constraint[self._slides].tolist()
+        axles = data.xmat[self._bodies][:, [1, 4]].tolist()
         for i, body in enumerate(self._bodies):
             mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_XBODY, body, twist, 0)
             self._wrench[i] = self._wheel(i, loads[i], axles[i], twist.tolist(), dt)
@@ -225,15 +223,22 @@ class TyreForces(Actor):
         if load <= 0:  # in the air: it lands with a patch that is not deflected
             self._deflection[i] = 0.0, 0.0
             return (0.0,) * 6
-        size, r, tyre = math.hypot(*axle), self._radius[i], self._tyres[i]
-        x, y = axle[1] / size, -axle[0] / size  # along: axle x up; across is (-y, x)
+        size = math.hypot(*axle)
+        r = self._radius[i]
+        tyre = self._tyres[i]
+        # along: axle x up; across is (-y, x)
+        x = axle[1] / size
+        y = -axle[0] / size
         wx, wy, _, vx, vy, _ = twist
         # Of the point of the wheel under its centre: v + w x (0, 0, -r).
-        px, py = vx - r * wy, vy + r * wx
-        sliding, speed = (px * x + py * y, py * x - px * y), abs(vx * x + vy * y)
+        px = vx - r * wy
+        py = vy + r * wx
+        sliding = (px * x + py * y, py * x - px * y)
+        speed = abs(vx * x + vy * y)
         u = self._deflection[i] = tyre.deflected(
             self._deflection[i], sliding, speed, self._friction[i], dt
         )
         along, across = tyre.force(u, sliding, speed, self._friction[i], load)
-        fx, fy = along * x - across * y, along * y + across * x
+        fx = along * x - across * y
+        fy = along * y + across * x
         return fx, fy, 0.0, r * fy, -r * fx, 0.0

@@ -87,7 +87,9 @@ class WindField(Actor):
     with_controller: ClassVar[bool] = True
 
     def __init__(self, wind: Wind, model: mujoco.MjModel, rng: np.random.Generator):
-        self._wind, self._model, self._rng = wind, model, rng
+        self._wind = wind
+        self._model = model
+        self._rng = rng
         # Drawn from the stationary distribution: started at 0, turbulence would take some
         # correlation times to reach its size.
         self._rough = (

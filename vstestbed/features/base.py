@@ -69,7 +69,8 @@ def checked(
     Raises ParameterError: the shapes do not match, the markers are fewer than `least`, or a
     distance is not positive.
     """
-    x, distance = np.asarray(x, dtype=float), np.asarray(distance, dtype=float)
+    x = np.asarray(x, dtype=float)
+    distance = np.asarray(distance, dtype=float)
     name, of = inputs
     size = 3 if name == "ray" else 2
     if x.shape[-1:] != (size,) or x.shape[:-1] != distance.shape:
@@ -254,7 +255,8 @@ def angle(z: Any, floor: Any = 0.0) -> Any:
     """
     if not isinstance(z, Dual):
         return np.angle(z)
-    size, least = np.abs(z.value), np.maximum(floor, np.finfo(float).tiny)
+    size = np.abs(z.value)
+    least = np.maximum(floor, np.finfo(float).tiny)
     share = np.minimum(size / least, 1)  # once for the fading, and 1/|z| is bounded by it too
     across = (z.value.conj() / np.maximum(size, least) * share)[..., None] * z.rate
     return Dual(np.angle(z.value), across.imag / np.maximum(size, least)[..., None])

@@ -289,7 +289,8 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
 
     NaN where under half of a square is valid; what lies outside of the picture is not.
     """
-    half, (height, width) = side // 2, depth_image.shape
+    half = side // 2
+    (height, width) = depth_image.shape
     known = np.isfinite(uv[:, 0]) & np.isfinite(uv[:, 1])
     at = np.rint(np.clip(np.where(known[:, None], uv, -1e6), -1e6, 1e6)).astype(int)
     v, u = (at[:, i, None] + np.arange(-half, half + 1) for i in (1, 0))
@@ -300,7 +301,8 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
     # NaN last
     values = np.sort(np.where(inside, values, np.nan).reshape(len(uv), side * side), axis=1)
     n = np.isfinite(values).sum(axis=1)
-    rows, enough = np.arange(len(uv)), 2 * n > side * side
+    rows = np.arange(len(uv))
+    enough = 2 * n > side * side
     middle = values[rows, np.maximum(n - 1, 0) // 2] + values[rows, n // 2]
     return np.where(enough, middle / 2, np.nan)
 
@@ -334,8 +336,12 @@ def triangulated(ray: Array, ray_other: Array, T_camera_other: Array) -> Array:
 
     T_camera_other: pose (4, 4) of the second camera in the frame of the first.
     """
-    a, b, t = ray, ray_other @ T_camera_other[:3, :3].T, T_camera_other[:3, 3]
-    c, at, bt = np.einsum("ni,ni->n", a, b), a @ t, b @ t
+    a = ray
+    b = ray_other @ T_camera_other[:3, :3].T
+    t = T_camera_other[:3, 3]
+    c = np.einsum("ni,ni->n", a, b)
+    at = a @ t
+    bt = b @ t
     with np.errstate(divide="ignore", invalid="ignore"):
         s, r = (at - c * bt) / (1 - c * c), (c * at - bt) / (1 - c * c)  # ranges along both rays
     p = (a * s[:, None] + t + b * r[:, None]) / 2

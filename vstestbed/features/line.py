@@ -183,8 +183,11 @@ def line_on_floor(
     theta).
     """
     rho, theta, ahead = np.broadcast_arrays(rho, theta, ahead)
-    R, t = T_base_camera[:3, :3], T_base_camera[:3, 3]
-    cos, sin, none = np.cos(theta), np.sin(theta), np.zeros_like(theta)
+    R = T_base_camera[:3, :3]
+    t = T_base_camera[:3, 3]
+    cos = np.cos(theta)
+    sin = np.sin(theta)
+    none = np.zeros_like(theta)
     # not normalised: y, phi and their derivatives are ratios of its components
     N = np.stack([cos, sin, -rho], axis=-1) @ R.T
     dN = (
@@ -259,7 +262,9 @@ class Segment(Feature):
 
     def _rows(self, x1: Any, y1: Any, x2: Any, y2: Any) -> list[Any]:
         along = (x1 - x2) + 1j * (y1 - y2)
-        xc, yc, alpha = 0.5 * (x1 + x2), 0.5 * (y1 + y2), angle(along, FLOOR)
+        xc = 0.5 * (x1 + x2)
+        yc = 0.5 * (y1 + y2)
+        alpha = angle(along, FLOOR)
         length = at_least(square(along), FLOOR**2) ** 0.5
         return (
             [xc / length, yc / length, length**-1, alpha]

@@ -83,8 +83,10 @@ def fitted_plane(xy: Array, depth: Array) -> Array:
 
     Points on one line do not tell the tilt about it, which is then taken as zero.
     """
-    xy, inverse = np.asarray(xy, dtype=float), 1 / np.asarray(depth, dtype=float)
-    middle, mean = xy.mean(axis=-2), inverse.mean(axis=-1)
+    xy = np.asarray(xy, dtype=float)
+    inverse = 1 / np.asarray(depth, dtype=float)
+    middle = xy.mean(axis=-2)
+    mean = inverse.mean(axis=-1)
     d = xy - middle[..., None, :]
     scatter = np.swapaxes(d, -1, -2) @ d
     AB = np.linalg.pinv(scatter, FLAT, hermitian=True) @ (
@@ -439,7 +441,9 @@ class Moments(Feature):
         """Error e (..., rows): s - s*, with alpha's in (-pi, pi] rad where its axis has a
         direction, else in (-pi/2, pi/2].
         """
-        s, s_star, n = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float), len(self.rows)
+        s = np.asarray(s, dtype=float)
+        s_star = np.asarray(s_star, dtype=float)
+        n = len(self.rows)
         e = s[..., :n] - s_star[..., :n]
         if "alpha" in self.rows:
             i = self.rows.index("alpha")
@@ -497,7 +501,8 @@ class Moments(Feature):
         be an ellipse.
         """
         before = [row for row in self.rows if row in INVARIANTS]
-        best, pair = MOST_CONDITION, ()
+        best = MOST_CONDITION
+        pair = ()
         for names in combinations(INVARIANTS, 2) if before else ():
             other = replace(
                 self, rows=tuple(row for row in self.rows if row not in INVARIANTS) + names
@@ -506,7 +511,8 @@ class Moments(Feature):
                 continue
             found = other._condition(m, xy, depth)
             if found < best:
-                best, pair = found, names
+                best = found
+                pair = names
         if not pair:
             return (
                 "the target may be an ellipse; use fewer rows, feature ellipse, or another target"
@@ -541,10 +547,8 @@ class Moments(Feature):
 
     @property
     def _order(self) -> int:
-        return max(
-            3 if row == "alpha" else INVARIANTS[row][1] if row in INVARIANTS else 2
-            for row in self.rows
-        )
+        orders = {"alpha": 3} | {row: order for row, (_, order) in INVARIANTS.items()}
+        return max(orders.get(row, 2) for row in self.rows)
 
     def _named(self, *words: str) -> str:
         return ", ".join(word for word in words if word in self.rows)
@@ -623,7 +627,8 @@ class Ellipse(Feature):
         """
         require_plane(xy, depth, self.kind)
         s = fitted_ellipse(xy)
-        d, n = xy - s[:2], np.array([[s[2], s[3]], [s[3], s[4]]])
+        d = xy - s[:2]
+        n = np.array([[s[2], s[3]], [s[3], s[4]]])
         # Distances of the markers from the centre, by that of the ellipse in their direction, are 1
         # on the outline.
         if not (

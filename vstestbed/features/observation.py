@@ -259,7 +259,8 @@ class Goal:
     @classmethod
     def of_points(cls, camera: Camera, p: Array, T_camera_target: Array) -> Goal:
         """The view of points p (N, 3) in the camera's frame [m]."""
-        uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
+        uv = camera.project(p)
+        reach = np.linalg.norm(p, axis=-1)
         return cls(uv, p[:, 2], p / reach[:, None], reach, T_camera_target, camera, *_plane(p))
 
     @classmethod

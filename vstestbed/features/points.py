@@ -33,8 +33,11 @@ class Point(Feature):
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs)
-        x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth
-        across, ones = x * y, 1 + xy * xy
+        x = xy[..., 0]
+        y = xy[..., 1]
+        inv_z = 1.0 / depth
+        across = x * y
+        ones = 1 + xy * xy
         L = np.zeros((*xy.shape, 6))
         L[..., 0, 0] = L[..., 1, 1] = -inv_z
         L[..., 2] = xy * inv_z[..., None]
@@ -115,7 +118,8 @@ class Bearings(Feature):
         """Error s - s* (..., 2N); that of bearings is w w* wrap(phi - phi*), whose derivative at
         s* = s is w^2 phi_dot.
         """
-        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        s = np.asarray(s, dtype=float)
+        s_star = np.asarray(s_star, dtype=float)
         e = s - s_star
         w, w_star = (
             bearing_weight(self._off_axis(x), self.centre_weight)
@@ -162,7 +166,10 @@ class Polar(Bearings):
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs)
         s = self.measure(xy).reshape(xy.shape)
-        r, cos, sin, inv_z = s[..., 0], np.cos(s[..., 1]), np.sin(s[..., 1]), 1 / depth
+        r = s[..., 0]
+        cos = np.cos(s[..., 1])
+        sin = np.sin(s[..., 1])
+        inv_z = 1 / depth
         weight = bearing_weight(r, self.centre_weight) ** 2
         inv_r = weight / np.where(r > 0, r, 1)  # at r = 0 the weight is 0, and so is the row
         L = np.zeros((*xy.shape, 6))
@@ -204,9 +211,11 @@ class Spherical(Bearings):
         """
         ray, range_ = checked(ray, range_, self.inputs)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
-        cosines, sines = np.cos(s), np.sin(s)
+        cosines = np.cos(s)
+        sines = np.sin(s)
         cos_t, cos, sin_t, sin = cosines[..., 0], cosines[..., 1], sines[..., 0], sines[..., 1]
-        inv_r, weight = 1 / range_, bearing_weight(sin_t, self.centre_weight) ** 2
+        inv_r = 1 / range_
+        weight = bearing_weight(sin_t, self.centre_weight) ** 2
         # on the axis the weight is 0, and so is the row
         inv_sin = weight / np.where(sin_t > 0, sin_t, 1)
         L = np.zeros((*s.shape, 6))

@@ -63,7 +63,9 @@ class Polygon(Feature):
         """
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         points = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
-        area, after, before = _signed_area(xy), np.roll(xy, -1, axis=-2), np.roll(xy, 1, axis=-2)
+        area = _signed_area(xy)
+        after = np.roll(xy, -1, axis=-2)
+        before = np.roll(xy, 1, axis=-2)
         slope = 0.5 * np.stack(
             [after[..., 1] - before[..., 1], before[..., 0] - after[..., 0]], axis=-1
         )
@@ -71,7 +73,8 @@ class Polygon(Feature):
         # gives a zero row.
         half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
         size_row = half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
-        d, (i, j) = segments(xy), np.triu_indices(xy.shape[-2], 1)
+        d = segments(xy)
+        (i, j) = np.triu_indices(xy.shape[-2], 1)
         across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
         share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
         angle_row = np.einsum(
@@ -83,7 +86,8 @@ class Polygon(Feature):
         """Error e (..., 2): sigma - sigma*, and the angle in (-pi, pi] rad of the longest segment
         from its direction at the goal.
         """
-        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        s = np.asarray(s, dtype=float)
+        s_star = np.asarray(s_star, dtype=float)
         d, d_star = (v[..., 1:].reshape(*v.shape[:-1], -1, 2) for v in (s, s_star))
         turned = angle_error(d, d_star)
         return np.stack(
@@ -131,7 +135,8 @@ def size_error(
     faces the camera sigma_dot = sigma vz/Z, so that the last form is that of the depth, log(Z*/Z).
     A size that is not positive has no ratio: ParameterError.
     """
-    sigma, sigma_star = np.asarray(sigma, dtype=float), np.asarray(sigma_star, dtype=float)
+    sigma = np.asarray(sigma, dtype=float)
+    sigma_star = np.asarray(sigma_star, dtype=float)
     if form == "difference":
         return sigma - sigma_star
     if not ((sigma > 0).all() and (sigma_star > 0).all()):

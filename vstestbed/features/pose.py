@@ -58,7 +58,8 @@ def theta_u(R: Array) -> Array:
     largest component of u is positive.
     """
     quaternion = quaternion_wxyz(np.asarray(R, dtype=float))
-    w, q = quaternion[..., :1], quaternion[..., 1:]
+    w = quaternion[..., :1]
+    q = quaternion[..., 1:]
     n = np.linalg.norm(q, axis=-1, keepdims=True)
     some = n > 0
     # 2: the limit of theta/|q| at 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -24,6 +25,25 @@ step needs them, to new images.
 """
 
 
+class _Camera(Protocol):
+    """What is asked of a camera here."""
+
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def period(self) -> float: ...
+    @property
+    def rate_hz(self) -> float: ...
+    @property
+    def exposure(self) -> ExposureControl | None: ...
+    @property
+    def sensor(self) -> SensorNoise | None: ...
+    @property
+    def stream(self) -> VideoStream | None: ...
+
+
 class Imaging:
     """A camera's lens, exposure, sensor and stream, in the order in which light passes them. It has
     a state: each run has its own.
@@ -34,28 +54,24 @@ class Imaging:
         exposed: exposure of the picture last taken; None without `camera.exposure`.
 
     Args:
-        size: width and height of the picture [px]. rate_hz: of the camera [Hz]. rng: of the
-            sensor's noise.
+        camera: whose pictures they are. lens: its errors. rng: of the sensor's noise.
     """
 
-    def __init__(
-        self,
-        size: tuple[int, int],
-        rate_hz: float,
-        lens: LensEffects | None,
-        exposure: ExposureControl | None,
-        sensor: SensorNoise | None,
-        stream: VideoStream | None,
-        rng: np.random.Generator,
-    ):
-        self._lens, self._control, self._sensor, self._rng = lens, exposure, sensor, rng
+    def __init__(self, camera: _Camera, lens: LensEffects | None, rng: np.random.Generator):
+        sensor = camera.sensor
+        self._lens = lens
+        self._control = camera.exposure
+        self._sensor = sensor
+        self._rng = rng
         # whether the true depth of each pixel is asked for
         self.needs_depth = lens is not None and lens.needs_depth
-        self._pattern = None if sensor is None else sensor.pattern(size, rng)
-        self._exposure = ExposureLoop(
-            exposure, 1.0 / rate_hz, 0.0 if sensor is None else sensor.black
-        )
-        self._fresh_trip = functools.partial(round_trip, stream, rate_hz)
+        self._pattern = None
+        black = 0.0
+        if sensor is not None:
+            self._pattern = sensor.pattern((camera.width, camera.height), rng)
+            black = sensor.black
+        self._exposure = ExposureLoop(camera.exposure, camera.period, black)
+        self._fresh_trip = functools.partial(round_trip, camera.stream, camera.rate_hz)
         self._trip = self._fresh_trip()
         self.exposed: ExposureSetting | None = None
 
@@ -75,8 +91,10 @@ class Imaging:
         light = self._light(images, depth)
         setting = self._exposure.setting(t, self._metered(light))
         self.exposed = None if self._control is None else setting
-        seed = None if self._sensor is None else int(self._rng.integers(2**63))
-        image = self._read(light, setting, None if seed is None else np.random.default_rng(seed))
+        rng = None
+        if self._sensor is not None:
+            rng = np.random.default_rng(int(self._rng.integers(2**63)))
+        image = self._read(light, setting, rng)
         self._exposure.saw(image)
         return (image,)
 
@@ -100,22 +118,19 @@ class Imaging:
     def _read(
         self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None
     ) -> Image:
-        return (
-            plain(light, setting)
-            if self._sensor is None
-            else self._sensor.read(light, setting, self._pattern, rng)
-        )
+        if self._sensor is None:
+            return plain(light, setting)
+        return self._sensor.read(light, setting, self._pattern, rng)
 
     def _metered(self, light: Floats) -> Callable[[ExposureSetting], Image]:
         """What exposure control looks at before the first picture: a part of the pixels, without
         their noise.
         """
-        part, sensor = light[::SKIP, ::SKIP], self._sensor
-        return lambda setting: (
-            plain(part, setting)
-            if sensor is None
-            else sensor.upper(sensor.converted(part, setting, None, None))
-        )
+        part = light[::SKIP, ::SKIP]
+        sensor = self._sensor
+        if sensor is None:
+            return functools.partial(plain, part)
+        return lambda setting: sensor.upper(sensor.converted(part, setting, None, None))
 
 
 class Chain:
@@ -133,24 +148,21 @@ class Chain:
         drift: Drift = NO_DRIFT,
         changed: Callable[[], Callable[[float, Images], Images]] | None = None,
     ):
-        self.imaging, self._noise, self._drift, self._changed = (
-            imaging,
-            noise or ImageNoise(),
-            drift,
-            changed,
-        )
-        self.noisy, self.whole = self._noise.acts, imaging is not None
+        self.imaging = imaging
+        self._noise = noise or ImageNoise()
+        self._drift = drift
+        self._changed = changed
+        self.noisy = self._noise.acts
+        self.whole = imaging is not None
         self.needs_depth = imaging is not None and imaging.needs_depth
 
     def next(self) -> list[Change]:
         """What becomes of the next picture, step by step; noise and changes are the same however
         often they are applied to it.
         """
-        noised, changed, imaging = (
-            self._noise.next(),
-            self._changed() if self._changed else None,
-            self.imaging,
-        )
+        noised = self._noise.next()
+        changed = self._changed() if self._changed else None
+        imaging = self.imaging
         steps: list[Change | None] = [
             imaging.taken if imaging else None,
             lambda t, images, depth: noised(images),

@@ -63,6 +63,13 @@ class DepthLens:
         return np.array([self.width - 1.0, self.height - 1.0]) / 2
 
 
+Grazing = Annotated[float, Gt(0), Le(90)]
+Blur = Annotated[Pixels, TighterBounds(le=10)]
+Window = Annotated[int, Ge(1), Le(32)]
+Baseline = Annotated[Distance, TighterBounds(le=2)]
+Quantum = Annotated[Pixels, TighterBounds(le=4)]
+
+
 @spec
 class DepthSensor(ABC):
     """What all depth cameras have in common. From the true depth Z of each pixel, inf where there
@@ -96,11 +103,11 @@ class DepthSensor(ABC):
     kind: Any
     near_m: Distance = 0.0
     far_m: PositiveLength = 100.0
-    grazing_deg: Annotated[float, Gt(0), Le(90)] = 90.0
-    lateral_px: Annotated[Pixels, TighterBounds(le=10)] = 0.0
-    correlation_px: Annotated[int, Ge(1), Le(32)] = 1
-    baseline_m: Annotated[Distance, TighterBounds(le=2)] = 0.0
-    quantum_px: Annotated[Pixels, TighterBounds(le=4)] = 0.0
+    grazing_deg: Grazing = 90.0
+    lateral_px: Blur = 0.0
+    correlation_px: Window = 1
+    baseline_m: Baseline = 0.0
+    quantum_px: Quantum = 0.0
     lens: DepthLens | None = None
     two_pictures: ClassVar[bool] = False
     """Both views are pictures of one size: what the second one does not hold is not measured (a
@@ -217,12 +224,12 @@ class Stereo(DepthSensor):
     kind: Literal["stereo"] = "stereo"
     near_m: Distance = 0.2
     far_m: PositiveLength = 10.0
-    grazing_deg: Annotated[float, Gt(0), Le(90)] = 80.0
-    lateral_px: Annotated[Pixels, TighterBounds(le=10)] = 1.0
-    correlation_px: Annotated[int, Ge(1), Le(32)] = 5
+    grazing_deg: Grazing = 80.0
+    lateral_px: Blur = 1.0
+    correlation_px: Window = 5
     baseline_m: Annotated[PositiveLength, TighterBounds(le=2)] = 0.05
-    quantum_px: Annotated[Pixels, TighterBounds(le=4)] = 0.03125
-    subpixel_px: Annotated[Pixels, TighterBounds(le=10)] = 0.08
+    quantum_px: Quantum = 0.03125
+    subpixel_px: Blur = 0.08
     two_pictures: ClassVar[bool] = True
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
@@ -255,11 +262,11 @@ class StructuredLight(DepthSensor):
     kind: Literal["structured_light"] = "structured_light"
     near_m: Distance = 0.4
     far_m: PositiveLength = 5.0
-    grazing_deg: Annotated[float, Gt(0), Le(90)] = 80.0
-    lateral_px: Annotated[Pixels, TighterBounds(le=10)] = 0.8
-    correlation_px: Annotated[int, Ge(1), Le(32)] = 3
-    baseline_m: Annotated[Distance, TighterBounds(le=2)] = 0.075
-    quantum_px: Annotated[Pixels, TighterBounds(le=4)] = 0.125
+    grazing_deg: Grazing = 80.0
+    lateral_px: Blur = 0.8
+    correlation_px: Window = 3
+    baseline_m: Baseline = 0.075
+    quantum_px: Quantum = 0.125
     noise_scale: GainOrZero = 1.0
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
@@ -290,7 +297,7 @@ class TimeOfFlight(DepthSensor):
     kind: Literal["time_of_flight"] = "time_of_flight"
     near_m: Distance = 0.5
     far_m: PositiveLength = 4.5
-    grazing_deg: Annotated[float, Gt(0), Le(90)] = 80.0
+    grazing_deg: Grazing = 80.0
     noise_scale: GainOrZero = 1.0
     flies: ClassVar[bool] = True
 
@@ -337,7 +344,8 @@ def shadowed(disparity: DepthImage) -> NDArray[np.bool_]:
     height, width = disparity.shape
     at = np.arange(width, dtype=np.float32) - disparity
     low = np.floor(at).astype(np.int32)
-    first, last = int(low.min()), int(low.max()) + 2
+    first = int(low.min())
+    last = int(low.max()) + 2
     nearest = np.zeros((2, height, last - first), np.float32)
     rows = np.arange(height)[:, None]
     # Of the pixels in one column of the second view the rightmost is the nearest, and it is written
@@ -375,6 +383,7 @@ def _flying(z: DepthImage, rng: np.random.Generator) -> DepthImage:
     """
     wide = np.pad(z, 1, mode="edge")
     around = [wide[i : i + z.shape[0], j : j + z.shape[1]] for i in range(3) for j in range(3)]
-    near, far = np.minimum.reduce(around), np.maximum.reduce(around)
+    near = np.minimum.reduce(around)
+    far = np.maximum.reduce(around)
     share = rng.random(z.shape, dtype=np.float32)
     return np.where(_apart(near, far), near + share * (far - near), z)

@@ -208,12 +208,12 @@ class ExposureLoop:
     """
 
     def __init__(self, control: ExposureControl | None, period_s: float, black: float = 0.0):
-        self._control, self._black = control or ExposureControl(), black
-        auto, begun = (
-            self._control.auto,
-            (self._control.time_s or self._control.nominal_s) * self._control.gain,
-        )
-        self._auto, self._share = auto, 0.0 if auto is None else auto.share(period_s)
+        self._control = control or ExposureControl()
+        self._black = black
+        auto = self._control.auto
+        begun = (self._control.time_s or self._control.nominal_s) * self._control.gain
+        self._auto = auto
+        self._share = 0.0 if auto is None else auto.share(period_s)
         self._coming: deque[float] = deque(
             [begun] * (1 if auto is None else auto.delay_pictures + 1)
         )
@@ -263,7 +263,8 @@ class ExposureLoop:
         """
         auto = self._auto
         assert auto is not None
-        low, high = math.log(auto.within(0.0)), math.log(auto.within(math.inf))
+        low = math.log(auto.within(0.0))
+        high = math.log(auto.within(math.inf))
         for _ in range(SETTLING):
             middle = (low + high) / 2
             bright = (

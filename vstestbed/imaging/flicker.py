@@ -53,7 +53,8 @@ class Flicker:
         """Mean brightness B_e over exposures about times t (...) [s]; at the times themselves for
         an exposure of 0.
         """
-        w, phase = 2 * math.pi * self.frequency_hz, math.radians(self.phase_deg)
+        w = 2 * math.pi * self.frequency_hz
+        phase = math.radians(self.phase_deg)
         return 1 + self.depth * np.sinc(self.frequency_hz * exposure_s) * np.cos(
             w * np.asarray(t, dtype=float) + phase
         )
@@ -62,15 +63,19 @@ class Flicker:
         """Integrals of B(t) [s] and of (t - since) B(t) [s^2] over intervals from `begin` to `end`
         (...) [s].
         """
-        w, phase = 2 * math.pi * self.frequency_hz, math.radians(self.phase_deg)
+        w = 2 * math.pi * self.frequency_hz
+        phase = math.radians(self.phase_deg)
 
         def primitive(t: Array) -> tuple[Array, Array]:
-            sine, cosine, after = np.sin(w * t + phase), np.cos(w * t + phase), t - since
+            sine = np.sin(w * t + phase)
+            cosine = np.cos(w * t + phase)
+            after = t - since
             return t + self.depth * sine / w, after**2 / 2 + self.depth * (
                 after * sine / w + cosine / w**2
             )
 
-        (a, b), (c, d) = primitive(begin), primitive(end)
+        (a, b) = primitive(begin)
+        (c, d) = primitive(end)
         return c - a, d - b
 
 

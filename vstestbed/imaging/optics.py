@@ -60,6 +60,27 @@ class Defocus:
             nearer = 1 / z - np.float32(1 / self.focus_m)
         return np.asarray(focal_length_m / self.f_number * f_px * nearer, np.float32)
 
+    def check(self, focal_length_m: float | None) -> None:
+        """Refuse a focal length that is given twice, or not at all, and a focus within it.
+        focal_length_m: see `Optics.check`.
+        """
+        field = "optics.defocus.focal_length_m"
+        given = self.focal_length_m
+        if given is None and focal_length_m is None:
+            words = (
+                "is needed in metres, as the camera is given by its field of view;"
+                " or give camera.focal_length_m and camera.pixel_size_m"
+            )
+            raise ParameterError(field, words)
+        if given is not None and focal_length_m is not None:
+            raise ParameterError.conflict(field, "camera.focal_length_m", given)
+        f = given or focal_length_m or 0.0
+        if self.focus_m <= f:
+            limit = f"the focal length, {f:g} m"
+            raise ParameterError.bound(
+                "optics.defocus.focus_m", "farther than", limit, self.focus_m
+            )
+
 
 @spec
 class Optics:
@@ -117,31 +138,13 @@ class Optics:
                     " depth of field to speak of"
                 )
                 raise ParameterError.only_for(f"optics.{field}", words)
-        if self.defocus is None:
-            return
-        given = self.defocus.focal_length_m
-        if given is None and focal_length_m is None:
-            words = (
-                "is needed in metres, as the camera is given by its field of view;"
-                " or give camera.focal_length_m and camera.pixel_size_m"
-            )
-            raise ParameterError("optics.defocus.focal_length_m", words)
-        if given is not None and focal_length_m is not None:
-            raise ParameterError.conflict(
-                "optics.defocus.focal_length_m", "camera.focal_length_m", given
-            )
-        f = given or focal_length_m or 0.0
-        if self.defocus.focus_m <= f:
-            raise ParameterError.bound(
-                "optics.defocus.focus_m",
-                "farther than",
-                f"the focal length, {f:g} m",
-                self.defocus.focus_m,
-            )
+        if self.defocus is not None:
+            self.defocus.check(focal_length_m)
 
 
 # discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]
-FINE_PX, COARSE = 0.5, 0.1
+FINE_PX = 0.5
+COARSE = 0.1
 SHARP_PX = 0.3  # a disc of this diameter is one pixel [px]
 SUBPIXELS = 8  # points along a pixel's side by which its share of a disc is measured
 MOST = 0.25  # largest disc, as a share of the picture's height
@@ -165,15 +168,20 @@ class LensEffects:
         f_px: float = 0.0,
         focal_length_m: float | None = None,
     ):
-        self._optics, self._size, self._centre, self._ray = optics, size, centre, ray
-        self._f_px, self._focal_length_m = f_px, focal_length_m
+        self._optics = optics
+        self._size = size
+        self._centre = centre
+        self._ray = ray
+        self._f_px = f_px
+        self._focal_length_m = focal_length_m
         self.needs_depth = optics.defocus is not None
 
     def of(self, image: NDArray[np.uint8], depth: DepthImage | None) -> Floats:
         """The light (H, W, 3) behind the lens of a rendered picture (H, W, 3) with the depths (H,
         W) [m] along the axis.
         """
-        light, optics = image.astype(np.float32), self._optics
+        light = image.astype(np.float32)
+        optics = self._optics
         if optics.defocus is not None and depth is not None:
             most = np.float32(MOST * self._size[1])
             focal_length_m = optics.defocus.focal_length_m or self._focal_length_m or 0.0
@@ -209,7 +217,8 @@ class LensEffects:
         """A colour (H, W) magnified about the principal point, so that the farthest corner moves
         out by `px`.
         """
-        scale, (cx, cy) = 1 + px / float(self._radius_px.max()), self._centre
+        scale = 1 + px / float(self._radius_px.max())
+        (cx, cy) = self._centre
         inverse = np.array([[1 / scale, 0, cx - cx / scale], [0, 1 / scale, cy - cy / scale]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size = channel.shape[1], channel.shape[0]
@@ -239,7 +248,8 @@ def defocused(light: Floats, circle_px: Floats) -> Floats:
         return _blurred(light, disc(float(size[count > 0][0])))
     height, width = layer.shape
     # The mask is a fourth colour: picture and mask are blurred in one go.
-    laid, masked = np.zeros((height, width, 4), np.float32), np.ones((height, width, 4), np.float32)
+    laid = np.zeros((height, width, 4), np.float32)
+    masked = np.ones((height, width, 4), np.float32)
     masked[..., :3] = light
     for i in np.flatnonzero(count):
         kernel = disc(float(size[i]))

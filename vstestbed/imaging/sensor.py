@@ -31,6 +31,8 @@ FixedPattern = tuple[Floats, Floats]
 relative to the mean (H, W, 3) [1].
 """
 Electrons = Annotated[float, Ge(0), Le(1e6)]
+Full = Annotated[float, Gt(0), Le(1e6)]
+Share = Annotated[float, Ge(0), Lt(1)]
 
 
 @spec
@@ -96,8 +98,8 @@ class SensorNoise:
     doi:10.1117/3.725073; Bayer 1976, Color imaging array, US patent 3971065.
     """
 
-    full_well_e: Annotated[float, Gt(0), Le(1e6)] = 10500.0
-    white_e: Annotated[float, Gt(0), Le(1e6)] | None = None
+    full_well_e: Full = 10500.0
+    white_e: Full | None = None
     gain_dn_per_e: Annotated[float, Gt(0), Le(1e4)] | None = None
     dark_noise_e: Electrons = 2.3
     dsnu_e: Electrons = 0.6
@@ -248,15 +250,16 @@ class Drift:
         period_s: period of all of them [s].
     """
 
-    brightness: Annotated[float, Ge(0), Lt(1)] = 0.0
-    color: Annotated[float, Ge(0), Lt(1)] = 0.0
-    contrast: Annotated[float, Ge(0), Lt(1)] = 0.0
+    brightness: Share = 0.0
+    color: Share = 0.0
+    contrast: Share = 0.0
     period_s: PositiveTime = 10.0
 
     def gains(self, t: float) -> tuple[float, float, float]:
         """Gains of red, green and blue at time t [s]."""
         a = 2 * math.pi * t / self.period_s
-        all_three, red = 1 + self.brightness * math.sin(a), self.color * math.cos(a)
+        all_three = 1 + self.brightness * math.sin(a)
+        red = self.color * math.cos(a)
         return all_three * (1 + red), all_three, all_three * (1 - red)
 
     def of(self, images: Images, t: float) -> Images:
@@ -286,7 +289,8 @@ class ImageNoise:
     """
 
     def __init__(self, sigma: float = 0.0, rng: np.random.Generator | None = None):
-        self._sigma, self._rng = sigma, rng if sigma > 0 else None
+        self._sigma = sigma
+        self._rng = rng if sigma > 0 else None
         self.acts = self._rng is not None
 
     def next(self) -> Callable[[Images], Images]:

@@ -138,14 +138,14 @@ def _codecs(stream: H264Stream, rate_hz: float, pixels: str, height: int, width:
         raise EnvironmentLackError(
             "PyAV has no x264 here, which camera.stream h264 needs", "use stream jpeg"
         ) from error
-    rate, group = Fraction(rate_hz).limit_denominator(1000), str(stream.group)
-    encoder.height, encoder.width = height, width
-    encoder.pix_fmt, encoder.framerate, encoder.time_base, encoder.thread_count = (
-        pixels,
-        rate,
-        1 / rate,
-        1,
-    )
+    rate = Fraction(rate_hz).limit_denominator(1000)
+    group = str(stream.group)
+    encoder.height = height
+    encoder.width = width
+    encoder.pix_fmt = pixels
+    encoder.framerate = rate
+    encoder.time_base = 1 / rate
+    encoder.thread_count = 1
     # No pictures that wait for later ones.
     options = {
         "preset": "veryfast",
@@ -162,7 +162,8 @@ def _codecs(stream: H264Stream, rate_hz: float, pixels: str, height: int, width:
             "maxrate": str(round(bits)),
             "bufsize": str(round(bits * BUFFER_S)),
         }
-    encoder.gop_size, encoder.options = stream.group, options
+    encoder.gop_size = stream.group
+    encoder.options = options
     decoder = av.VideoCodecContext.create("h264", "r")
     decoder.thread_count = 1
     decoder.flags |= av.codec.context.Flags.low_delay  # pyright: ignore[reportAttributeAccessIssue] - compiled

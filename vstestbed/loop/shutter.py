@@ -165,7 +165,6 @@ class CameraClock:
             scenario.timing,
             scenario.camera,
             plant.step_s,
-            plant.steps_per_frame,
             rng,
             link,
             flicker,

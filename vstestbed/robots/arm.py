@@ -115,16 +115,15 @@ def share(realised: Array, commanded: Array, unit_m: float) -> float:
     in unit_m; 1 for a zero command.
     """
     scale = unit_scale(unit_m)
-    a, b = realised * scale, commanded * scale
+    a = realised * scale
+    b = commanded * scale
     size = float(b @ b)
     return min(1.0, max(0.0, float(a @ b) / size)) if size > 0 else 1.0
 
 
 # from the wanted pose, where the joints count as found: a ten-thousandth of what a camera can tell
-NEAR_M, NEAR_RAD = (
-    1e-7,
-    1e-7,
-)
+NEAR_M = 1e-7
+NEAR_RAD = 1e-7
 
 
 def joints_at(
@@ -155,7 +154,9 @@ def joints_at(
     Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7,
     doi:10.1007/978-1-84628-642-1.
     """
-    q, away_m, away_rad = np.clip(near, *limits.T), np.inf, np.inf
+    q = np.clip(near, *limits.T)
+    away_m = np.inf
+    away_rad = np.inf
     for _ in range(200):
         T, J = kinematics(q)
         away_m, away_rad = rigid_error(T, T_world_flange)
@@ -310,55 +311,52 @@ class Arm(Realistic):
                 where="with actuation: ideal",
                 works="another actuation",
             )
-        given, chain = self.start.nominal.q_deg, self.chain
-        if len(given) != len(chain.names):
-            raise ParameterError.count(
-                "start.nominal.q_deg",
-                len(chain.names),
-                f"positions, of {', '.join(chain.names)}",
-                list(given),
-            )
-        # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
-        for i, (q, (low, high), slides) in enumerate(
-            zip(self.configuration(), chain.limits, chain.slides, strict=True)
-        ):
-            if not low <= q <= high:
-                size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
-                words = f"{chain.names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
-                raise ParameterError.bound(f"start.nominal.q_deg.{i}", "within", words, given[i])
-        if self.controller.takes_wrench and len(chain.names) < 6:
-            raise ParameterError.only_for(
-                "controller",
-                "arms of six joints and more, which can yield in all directions",
-                self.controller.kind,
-            )
+        chain = self.chain
+        n = len(chain.names)
+        self._check_start(chain)
+        if self.controller.takes_wrench and n < 6:
+            able = "arms of six joints and more, which can yield in all directions"
+            raise ParameterError.only_for("controller", able, self.controller.kind)
         self.acting  # noqa: B018 - refuses what does not fit
         if self.encoders is not None:
-            self.encoders.read(np.zeros(len(given)), np.zeros(len(given)), chain.slides)
+            self.encoders.read(np.zeros(n), np.zeros(n), chain.slides)
         for field in ("drives", "ripple", "gravity_error"):
-            if (
-                self.controller.torques
-                and field == "gravity_error"
-                and self.gravity_error is not None
-            ):
-                words = (
-                    f"servos, and controller {self.controller.kind} has a model of the masses;"
-                    " works: payload: {declared: false}"
-                )
-                raise ParameterError.only_for(field, words)
-            if self.actuation == "ideal" and getattr(self, field) is not None:
-                raise ParameterError.only_for(
-                    field,
-                    (
-                        "actuators with limits, and `actuation: ideal` has none;"
-                        " works: another actuation"
-                    ),
-                )
+            if getattr(self, field) is not None:
+                self._check_actuators(field)
+
+    def _check_actuators(self, field: str) -> None:
+        """Refuse an effect that the actuators have not got."""
+        if field == "gravity_error" and self.controller.torques:
+            able = (
+                f"servos, and controller {self.controller.kind} has a model of the masses;"
+                " works: payload: {declared: false}"
+            )
+            raise ParameterError.only_for(field, able)
+        if self.actuation == "ideal":
+            able = (
+                "actuators with limits, and `actuation: ideal` has none; works: another actuation"
+            )
+            raise ParameterError.only_for(field, able)
+
+    def _check_start(self, chain: JointChain) -> None:
+        given = self.start.nominal.q_deg
+        names = chain.names
+        if len(given) != len(names):
+            what = f"positions, of {', '.join(names)}"
+            raise ParameterError.count("start.nominal.q_deg", len(names), what, list(given))
+        # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
+        for i, (q, (low, high)) in enumerate(zip(self.configuration(), chain.limits, strict=True)):
+            if not low <= q <= high:
+                size, unit = (1.0, "m") if chain.slides[i] else (float(np.degrees(1.0)), "deg")
+                words = f"{names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
+                raise ParameterError.bound(f"start.nominal.q_deg.{i}", "within", words, given[i])
 
     @property
     def body(self) -> BodyFile:
         """Its file, with a gripper in place of the camera."""
-        actuation, names, loop = self._actuation, self.chain.names, self.controller
+        actuation = self._actuation
+        names = self.chain.names
+        loop = self.controller
         step = min(LARGEST_STEP_S, 1 / loop.rate_hz) if loop.torques else LARGEST_STEP_S
         return BodyFile(
             self.file,
@@ -448,11 +446,13 @@ class Arm(Realistic):
     @cached_property
     def elastic(self) -> ElasticJoints | None:
         """Its gears in plain numbers; None where it has none."""
-        gears, slides = self.gears, self.chain.slides
+        gears = self.gears
+        slides = self.chain.slides
         if gears is None:
             return None
         k, stages, rotors = self._springs(gears)
-        play, step = gears.play(k, slides), functools.cache(self._gears_step)
+        play = gears.play(k, slides)
+        step = functools.cache(self._gears_step)
         return ElasticJoints(self.chain.names, k, k * gears.damping_s, play, stages, rotors, step)
 
     @cached_property
@@ -460,7 +460,8 @@ class Arm(Realistic):
         """Motors, gears, links, payload, and further ones."""
         found: list[Effect] = []
         if self.ripple is not None or self.drives is not None:
-            ripple, slides = self.ripple or Ripple(), self.chain.slides
+            ripple = self.ripple or Ripple()
+            slides = self.chain.slides
             cogging = each("ripple.cogging_nm", ripple.cogging_nm, slides)
             found.append(
                 Motors(
@@ -482,7 +483,8 @@ class Arm(Realistic):
         """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where
         there are none of its own.
         """
-        preset, slides = self.presets.get(self.realism, {}).get("gears"), self.chain.slides
+        preset = self.presets.get(self.realism, {}).get("gears")
+        slides = self.chain.slides
         if gears.stiffness_nmprad:
             if self.strain_wave is not None and gears == preset:
                 words = (
@@ -515,10 +517,8 @@ class Arm(Realistic):
         whole, own = reader().inertia_at(
             self.file, self.chain.names, tuple(self.configuration().tolist())
         )
-        M, rotors = (
-            whole - np.diag(own),
-            own if self.elastic.rotors is None else self.elastic.rotors,
-        )
+        M = whole - np.diag(own)
+        rotors = own if self.elastic.rotors is None else self.elastic.rotors
         k = self.elastic.stiffest
         for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
             words = (
@@ -557,7 +557,9 @@ class Arm(Realistic):
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
         """What the encoders read of the rotors' angles q and speeds qd (n,) each."""
-        encoders, wrist, slides = self.encoders, self.wrist, self.chain.slides
+        encoders = self.encoders
+        wrist = self.wrist
+        slides = self.chain.slides
         if encoders is None and wrist is None:
             return super().instruments(rng)
 
@@ -586,7 +588,8 @@ class Arm(Realistic):
         )
 
     def randomised(self, rng: np.random.Generator) -> Self:
-        box, chain = random_of(self.start, "{q_deg: 15}"), self.chain
+        box = random_of(self.start, "{q_deg: 15}")
+        chain = self.chain
         drawn = np.array(self.start.nominal.q_deg) + rng.uniform(
             -1, 1, len(chain.names)
         ) * np.where(chain.slides, box.slide_m, box.q_deg)
@@ -638,7 +641,8 @@ class Arm(Realistic):
         """Its joints: encoders, limits, speeds, and the accelerations that stop it from them within
         STOP_S.
         """
-        speeds, n = self.joint_speeds, len(reading.q)
+        speeds = self.joint_speeds
+        n = len(reading.q)
 
         def jacobian(q: Array) -> Array:
             return mount.to_camera @ self.kinematics(q)[1]
@@ -721,7 +725,8 @@ class Arm(Realistic):
             low, high = (
                 limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1)
             )
-        low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+        low = np.where(np.isnan(low), -np.inf, low)
+        high = np.where(np.isnan(high), np.inf, high)
         return -self.avoid_limits * (q - np.clip(q, low, high))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
@@ -776,10 +781,8 @@ class Arm(Realistic):
         for u, at, (low, high), most in limits:  # numpy takes thrice as long
             size = max(abs(u), 1e-12)
             room = (high - at if u > 0 else at - low) - LIMIT_MARGIN
-            speed, position = (
-                min(speed, most / size),
-                min(position, max(room, 0.0) / horizon_s / size),
-            )
+            speed = min(speed, most / size)
+            position = min(position, max(room, 0.0) / horizon_s / size)
         return speed, position
 
 

@@ -87,24 +87,32 @@ def step(
     where none is known. dt: [s].
     """
     (x, y, z), (bx, by, bz) = state
-    (fx, fy, fz), (kx, ky, kz), (gx, gy, gz) = force, acceleration, gyro
-    ax, ay, az = fx - kx, fy - ky, fz - kz
+    (fx, fy, fz) = force
+    (kx, ky, kz) = acceleration
+    (gx, gy, gz) = gyro
+    ax = fx - kx
+    ay = fy - ky
+    az = fz - kz
     size = math.sqrt(ax * ax + ay * ay + az * az)
     ex = ey = ez = 0.0
     # beyond (free fall, a hard pull) the direction is mostly not gravity's
     if 0.5 * GRAVITY < size < 1.5 * GRAVITY:
-        ex, ey, ez = (ay * z - az * y) / size, (az * x - ax * z) / size, (ax * y - ay * x) / size
+        ex = (ay * z - az * y) / size
+        ey = (az * x - ax * z) / size
+        ez = (ax * y - ay * x) / size
     k = filter.gain
-    wx, wy, wz = gx - bx + k * ex, gy - by + k * ey, gz - bz + k * ez
-    dx, dy, dz = (y * wz - z * wy) * dt, (z * wx - x * wz) * dt, (x * wy - y * wx) * dt
+    wx = gx - bx + k * ex
+    wy = gy - by + k * ey
+    wz = gz - bz + k * ez
+    dx = (y * wz - z * wy) * dt
+    dy = (z * wx - x * wz) * dt
+    dz = (x * wy - y * wx) * dt
     # z turns by the second-order series of exp(-[w] dt): |w|^3 dt^2 t / 6 of error; the first order
     # would have |w|^2 dt t / 2.
     h = 0.5 * dt
-    x, y, z = (
-        x + dx + h * (dy * wz - dz * wy),
-        y + dy + h * (dz * wx - dx * wz),
-        z + dz + h * (dx * wy - dy * wx),
-    )
+    x = x + dx + h * (dy * wz - dz * wy)
+    y = y + dy + h * (dz * wx - dx * wz)
+    z = z + dz + h * (dx * wy - dy * wx)
     n = 1.0 / math.sqrt(x * x + y * y + z * z)
     i = filter.bias_gain * dt
     return Attitude((x * n, y * n, z * n), (bx - i * ex, by - i * ey, bz - i * ez))
@@ -115,7 +123,8 @@ def level(up: Vector) -> Level:
     is taken as 0.
     """
     x, y, z = up
-    sp, cp = -x, math.hypot(y, z)
+    sp = -x
+    cp = math.hypot(y, z)
     sr, cr = (y / cp, z / cp) if cp > 1e-6 else (0.0, 1.0)
     return cp, sp * sr, sp * cr, 0.0, cr, -sr, -sp, cp * sr, cp * cr
 

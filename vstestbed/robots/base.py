@@ -111,7 +111,8 @@ class Supervisor:
         if not self.aborted:
             self.mode = HOLDS if blind else FOLLOWS
             return order
-        self.mode, self._stands = STOPS, bool(np.abs(reading.qd).max(initial=0.0) < STANDS_RADPS)
+        self.mode = STOPS
+        self._stands = bool(np.abs(reading.qd).max(initial=0.0) < STANDS_RADPS)
         return order.halted(self.aborted[1], latched=True)
 
     def abort(self, t: float, outcome: Outcome, reason: str) -> None:
@@ -132,7 +133,9 @@ class Supervisor:
         before).
         """
         if not blind:
-            self._lost_at, self._blind_m, self._seen_once = math.nan, 0.0, True
+            self._lost_at = math.nan
+            self._blind_m = 0.0
+            self._seen_once = True
             return ""
         if math.isnan(self._lost_at):
             self._lost_at = t  # the way to here was commanded by a picture that showed the target

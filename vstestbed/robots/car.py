@@ -78,7 +78,8 @@ def steering_of(v: Array | float, w: Array | float, wheelbase: float) -> Array:
     """The steering angle for a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in
     [-pi/2, pi/2].
     """
-    v, w = np.asarray(v, dtype=float), np.asarray(w, dtype=float)
+    v = np.asarray(v, dtype=float)
+    w = np.asarray(w, dtype=float)
     # atan2(sign(v) L w, |v|) and not atan2(L w, v): in reverse that would point the wheels
     # backwards. At v = 0 it is a quarter turn.
     return np.arctan2(np.where(v < 0, -w, w) * wheelbase, np.abs(v))
@@ -159,16 +160,20 @@ def drive(
     """
     steps = round(duration / period)
     place = np.empty((steps + 1, *np.shape(start)))
-    v, steering = np.zeros(place.shape[:-1]), np.zeros(place.shape[:-1])
+    v = np.zeros(place.shape[:-1])
+    steering = np.zeros(place.shape[:-1])
     place[0] = start
-    now_v, now_steering = v[0], steering[0]
+    now_v = v[0]
+    now_steering = steering[0]
     for k in range(steps):
         commanded = within_limits(*law(place[k]), now_steering, wheelbase, limits)
         now_v = toward(now_v, commanded[0], limits.acceleration_mps2 * period)
         now_steering = toward(now_steering, commanded[1], limits.steering_rate_radps * period)
-        v[k], steering[k] = now_v, now_steering
+        v[k] = now_v
+        steering[k] = now_steering
         place[k + 1] = rolled(place[k], now_v, now_steering, wheelbase, period)
-    v[-1], steering[-1] = now_v, now_steering
+    v[-1] = now_v
+    steering[-1] = now_steering
     return Drive(np.linspace(0.0, steps * period, steps + 1), place, v, steering)
 
 
@@ -206,7 +211,9 @@ class CarParameters:
     motor_torque_nm: Annotated[float, Ge(0.1), Le(1e4)] = 25.0
 
     def __post_init__(self) -> None:
-        L, track, r = self.wheelbase_m, self.track_m, self.wheel_radius_m
+        L = self.wheelbase_m
+        track = self.track_m
+        r = self.wheel_radius_m
         if 2 * r + 0.1 > L:
             words = f"{2 * r + 0.1:.3g} m at wheel_radius_m {r:g}"
             raise ParameterError.bound(
@@ -250,8 +257,12 @@ class CarParameters:
         """What makes the buggy of the file this car; () where it is that one."""
         if self == BUGGY:
             return ()
-        L, half, r = self.wheelbase_m, self.track_m / 2, self.wheel_radius_m
-        heavier, larger, wide = self.mass_kg / 60.0, r / 0.15, self.track_m / 0.6
+        L = self.wheelbase_m
+        half = self.track_m / 2
+        r = self.wheel_radius_m
+        heavier = self.mass_kg / 60.0
+        larger = r / 0.15
+        wide = self.track_m / 0.6
         raised = 2 * (r - 0.15)
         found: list[Change] = [
             (scale, "geom", "mass", heavier),
@@ -265,7 +276,8 @@ class CarParameters:
             found.append((put, "body", name, "pos", (x * L, y * wide, 0.30 + raised)))
         for end, part, x in (("front", "fork", L), ("rear", "carrier", 0.0)):
             for side, y in (("left", half), ("right", -half)):
-                holder, wheel = f"{end}_{side}_{part}", f"{end}_{side}_wheel"
+                holder = f"{end}_{side}_{part}"
+                wheel = f"{end}_{side}_wheel"
                 found += [
                     (put, "body", holder, "pos", (x, y, r)),
                     (stretch, holder, (1.0, 1.0, larger)),
@@ -274,7 +286,8 @@ class CarParameters:
                     (scale, "geom", "size", (larger, 1.0, larger), wheel),
                     (scale, "joint", "frictionloss", heavier * larger, wheel),
                 ]
-        gain, fastest = 50 * heavier * larger**2, 22 / larger
+        gain = 50 * heavier * larger**2
+        fastest = 22 / larger
         found += [
             (put, "actuator", "drive", "gainprm", (gain,)),
             (put, "actuator", "drive", "biasprm", (0.0, 0.0, -gain)),
@@ -325,7 +338,9 @@ def ackermann(slant: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return (0.0, 1.0, a, b, c), (0.0, *q)
 
 
-_STEERING, _REAR = 0, slice(3, 5)  # indices of the steering and of the rear wheels in `Car.joints`
+# indices of the steering and of the rear wheels in `Car.joints`
+_STEERING = 0
+_REAR = slice(3, 5)
 
 
 @spec
@@ -425,7 +440,8 @@ class Car(Vehicle, Onboard):
     )
 
     def __post_init__(self) -> None:
-        body, limits = self.parameters, self.limits
+        body = self.parameters
+        limits = self.limits
         if limits.steering_rad > body.most_steering_rad:
             words = (
                 f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m"
@@ -512,7 +528,8 @@ class Car(Vehicle, Onboard):
         """(v, w): its speed and the yaw rate on its tightest circle; its servos' acceleration, and
         v / L times the rate of its steering.
         """
-        v, limits = self.limits.speed_mps, self.limits
+        v = self.limits.speed_mps
+        limits = self.limits
         speeds = np.array([v, v / self.turning_radius_m])
         accelerations = np.array(
             [limits.acceleration_mps2, v * limits.steering_rate_radps / self.parameters.wheelbase_m]
@@ -590,18 +607,22 @@ class Car(Vehicle, Onboard):
         steering angle.
         """
         v, w = (PLANE[:, [0, 2]].T @ (mount.to_flange @ twist)).tolist()
-        held, wheelbase = float(reading.q[_STEERING]), self.parameters.wheelbase_m
+        held = float(reading.q[_STEERING])
+        wheelbase = self.parameters.wheelbase_m
         speed, steering = (float(x) for x in within_limits(v, w, held, wheelbase, self.limits))
         turn = float(yaw_rate(speed, steering, wheelbase)) if abs(speed) >= STANDSTILL else 0.0
-        scale, limit = 1.0, ""
+        scale = 1.0
+        limit = ""
         if abs(v) < STANDSTILL:
             scale, limit = (1.0, "") if abs(w) < STANDSTILL else (0.0, "singular")
         elif (of_turn := turn / w if abs(w) > STANDSTILL else 1.0) < speed / v - 1e-9:
             # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met
             # the steering's stop. 1e-9 is for rounding.
-            scale, limit = of_turn, "joint_limit"
+            scale = of_turn
+            limit = "joint_limit"
         elif speed / v < 1:
-            scale, limit = speed / v, "speed"
+            scale = speed / v
+            limit = "speed"
         made = mount.to_camera @ (PLANE @ np.array([speed, 0.0, turn]))
         return Allocation(
             setpoint=np.array([speed, steering]), twist=made, scale=scale, limit=limit
@@ -625,7 +646,8 @@ class Car(Vehicle, Onboard):
         Both setpoints are approached within their rate limits. The speed loop has integral action
         on the rear wheels' mean speed.
         """
-        limits, (speed, steering, integral, drive) = self.limits, state
+        limits = self.limits
+        (speed, steering, integral, drive) = state
         v, angle = setpoint.tolist()
         speed = speed + _within(_within(v, limits.speed_mps) - speed, limits.acceleration_mps2 * dt)
         turn = _within(angle, limits.steering_rad) - steering

@@ -136,11 +136,15 @@ class JointChain:
             *(_frame(axis, anchor) for axis, anchor in zip(self.axes, self.anchors, strict=True)),
         ]
         M = np.array([inverse(before) @ now for before, now in pairwise(G)])
-        fixed, cosine, sine, along = M.copy(), np.zeros_like(M), np.zeros_like(M), np.zeros_like(M)
+        fixed = M.copy()
+        cosine = np.zeros_like(M)
+        sine = np.zeros_like(M)
+        along = np.zeros_like(M)
         turns = ~self.slides
         fixed[turns, :, :2] = 0.0
         cosine[turns, :, :2] = M[turns, :, :2]
-        sine[turns, :, 0], sine[turns, :, 1] = M[turns, :, 1], -M[turns, :, 0]
+        sine[turns, :, 0] = M[turns, :, 1]
+        sine[turns, :, 1] = -M[turns, :, 0]
         along[self.slides, :, 3] = M[self.slides, :, 2]
         return fixed, cosine, sine, along, inverse(G[-1]) @ self.T_0
 
@@ -172,7 +176,8 @@ class JointChain:
         frames = self._frames(q)
         T = frames[-1] @ self._parts[-1]
         R_t = T[:3, :3].T
-        axes, arms = R_t @ frames[:, :3, 2].T, R_t @ (T[:3, 3] - frames[:, :3, 3]).T
+        axes = R_t @ frames[:, :3, 2].T
+        arms = R_t @ (T[:3, 3] - frames[:, :3, 3]).T
         J = np.empty((6, len(q)))
         # axes x arms, row by row: np.cross takes as long as all the rest
         J[0] = axes[1] * arms[2] - axes[2] * arms[1]
@@ -180,7 +185,8 @@ class JointChain:
         J[2] = axes[0] * arms[1] - axes[1] * arms[0]
         J[3:] = axes
         if self.slides.any():
-            J[:3, self.slides], J[3:, self.slides] = axes[:, self.slides], 0.0
+            J[:3, self.slides] = axes[:, self.slides]
+            J[3:, self.slides] = 0.0
         return T, J
 
 
@@ -191,5 +197,8 @@ def _frame(axis: Array, anchor: Array) -> Array:
     G = np.eye(4)
     x = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     x /= np.linalg.norm(x)
-    G[:3, 0], G[:3, 1], G[:3, 2], G[:3, 3] = x, np.cross(axis, x), axis, anchor
+    G[:3, 0] = x
+    G[:3, 1] = np.cross(axis, x)
+    G[:3, 2] = axis
+    G[:3, 3] = anchor
     return G

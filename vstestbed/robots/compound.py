@@ -74,7 +74,8 @@ class Compound(Arm):
     @cached_property
     def chain(self) -> JointChain:
         """Platform and arm, one after the other."""
-        arm, up = self.arm.chain, np.array([0.0, 0.0, DECK_M])
+        arm = self.arm.chain
+        up = np.array([0.0, 0.0, DECK_M])
         T_0 = arm.T_0.copy()
         T_0[:3, 3] += up
         return JointChain(
@@ -130,11 +131,9 @@ class Compound(Arm):
         """Servos of the platform that hold what the ordered speeds have led to, and those of the
         arm.
         """
-        own, speeds, most = (
-            self.arm.servo_set,
-            self.joint_speeds.tolist(),
-            self.largest_torques.tolist(),
-        )
+        own = self.arm.servo_set
+        speeds = self.joint_speeds.tolist()
+        most = self.largest_torques.tolist()
         M, _ = reader().inertia_at(
             self.file, self.chain.names, tuple(self.configuration().tolist())
         )

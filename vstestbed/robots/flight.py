@@ -58,11 +58,10 @@ __all__ = [
     "fly",
 ]
 
-RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
-"""Tilted by more than the first, the craft ignores its setpoint and levels; under the second it
-takes setpoints again.
-"""
-RECOVER_COSINE, RECOVERED_COSINE = math.cos(RECOVER_RAD), math.cos(RECOVERED_RAD)
+RECOVER_RAD = math.radians(60)  # tilted by more, the craft ignores its setpoint and levels
+RECOVERED_RAD = math.radians(15)  # under it it takes setpoints again
+RECOVER_COSINE = math.cos(RECOVER_RAD)
+RECOVERED_COSINE = math.cos(RECOVERED_RAD)
 # largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops
 # it in .15 s
 MAX_TILT_RATE = 4.0
@@ -135,13 +134,18 @@ class Loops(NamedTuple):
         return -math.asin(max(-1.0, min(1.0, y))), math.atan2(x, z)
 
 
+Setpoint = tuple[float, float, float, float]
+"""Commanded velocity in the level frame [m/s], and rate of the heading [rad/s]."""
+Motion = tuple[Vector, Level, Vector]
+"""How the craft moves, as estimated: its velocity in the level frame (3,) [m/s], R_level_body, and
+body rates (3,) [rad/s].
+"""
+
+
 def fly(
     state: Loops,
-    order: Vector,
-    yaw_order: float,
-    velocity: Vector,
-    R: Level,
-    rates: Vector,
+    setpoint: Setpoint,
+    motion: Motion,
     gains: Gains,
     craft: QuadrotorParameters,
     dt: float,
@@ -150,26 +154,27 @@ def fly(
     (3,) [Nm] in body axes.
 
     A craft tilted beyond 60 degrees levels first: it ignores its setpoint until it is within 15
-    degrees.
-
-    order, velocity: commanded and estimated velocity in the level frame, (3,) [m/s]. yaw_order:
-    commanded rate of the heading [rad/s].
-    R: R_level_body, estimated. rates: body rates, (3,) [rad/s]. craft: what is flown. dt: [s].
+    degrees. craft: what is flown. dt: [s].
     """
+    velocity, R, rates = motion
+    vx, vy, vz, yaw_order = setpoint
     # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between
     # levelling and its setpoint.
     trim, model, rate_trim, yaw_rate, levelling, _, _ = state
     _, _, _, _, _, _, zx, zy, zz = R
     levelling = zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
     most = craft.yaw_slope * dt
-    yaw_rate += clip((0.0 if levelling else yaw_order) - yaw_rate, -most, most)
     if levelling:
         # Trim and model start anew: integrated upside down, or from the fall, they would throw the
         # craft off again.
-        trim, model, acceleration = STILL, (*velocity, 0.0, 0.0), STILL
+        yaw_rate += clip(0.0 - yaw_rate, -most, most)
+        trim = acceleration = STILL
+        model = (*velocity, 0.0, 0.0)
     else:
-        model = respond(model, order, gains, dt)
-        trim, acceleration = velocity_loop(trim, model, order, velocity, yaw_rate, gains, dt)
+        yaw_rate += clip(yaw_order - yaw_rate, -most, most)
+        turned = vx, vy, vz, yaw_rate
+        model = respond(model, turned, gains, dt)
+        trim, acceleration = velocity_loop(trim, model, turned, velocity, gains, dt)
     force, thrust = aim(acceleration, zz, gains, craft.mass_kg)
     wx, wy = attitude_loop(to_body(R, force), gains)
     ref_rates = wx + yaw_rate * zx, wy + yaw_rate * zy, yaw_rate * zz
@@ -177,48 +182,42 @@ def fly(
     return Loops(trim, model, rate_trim, yaw_rate, levelling, force, ref_rates), thrust, torque
 
 
-def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
-    """The reference model v_m, a_m after one step, for a setpoint (3,) [m/s]; along z, without tilt
-    in between, v_m' = k_c (v* - v_m).
+def respond(model: Model, setpoint: Setpoint, gains: Gains, dt: float) -> Model:
+    """The reference model v_m, a_m after one step, for a setpoint; along z, without tilt in
+    between, v_m' = k_c (v* - v_m).
     """
     x, y, z, ax, ay = model
-    vx, vy, vz = order
-    k, lag = gains.velocity, gains.attitude * dt
-    ax, ay = ax + lag * (k * (vx - x) - ax), ay + lag * (k * (vy - y) - ay)
+    vx, vy, vz, _ = setpoint
+    k = gains.velocity
+    lag = gains.attitude * dt
+    ax += lag * (k * (vx - x) - ax)
+    ay += lag * (k * (vy - y) - ay)
     return x + ax * dt, y + ay * dt, z + gains.climb * (vz - z) * dt, ax, ay
 
 
 def velocity_loop(
-    trim: Vector,
-    model: Model,
-    order: Vector,
-    velocity: Vector,
-    yaw_rate: float,
-    gains: Gains,
-    dt: float,
+    trim: Vector, model: Model, setpoint: Setpoint, velocity: Vector, gains: Gains, dt: float
 ) -> tuple[Vector, Vector]:
     """The integral (3,) [m/s^2] after one step, within bounds, and the commanded acceleration (3,)
     in the level frame [m/s^2].
     """
-    (x, y, z), (mx, my, mz, _, _), (ox, oy, oz), (vx, vy, vz) = trim, model, order, velocity
+    x, y, z = trim
+    mx, my, mz, _, _ = model
+    ox, oy, oz, yaw_rate = setpoint
+    vx, vy, vz = velocity
+    i = gains.velocity_integral * dt
+    j = gains.climb_integral * dt
+    k = gains.velocity
     # The level frame turns with the heading, the wind does not: its compensation must turn back by
     # as much.
-    i, j, turn, k = (
-        gains.velocity_integral * dt,
-        gains.climb_integral * dt,
-        yaw_rate * dt,
-        gains.velocity,
-    )
+    turn = yaw_rate * dt
     x, y, z = x + turn * y + i * (mx - vx), y - turn * x + i * (my - vy), z + j * (mz - vz)
+    most = MAX_TRIM
     # rare, and calls take time
-    if not (
-        -MAX_TRIM <= x <= MAX_TRIM and -MAX_TRIM <= y <= MAX_TRIM and -MAX_TRIM <= z <= MAX_TRIM
-    ):
-        x, y, z = (
-            clip(x, -MAX_TRIM, MAX_TRIM),
-            clip(y, -MAX_TRIM, MAX_TRIM),
-            clip(z, -MAX_TRIM, MAX_TRIM),
-        )
+    if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+        x = clip(x, -most, most)
+        y = clip(y, -most, most)
+        z = clip(z, -most, most)
     # The last terms are r* z x v*: to keep a velocity in a frame that turns, the craft must
     # accelerate sideways.
     acceleration = (
@@ -240,11 +239,15 @@ def aim(acceleration: Vector, upright: float, gains: Gains, mass: float) -> tupl
     ax, ay, az = acceleration
     # Upward in any dive: a thrust of 0 would have no direction, and its tilt limit would be 0, too.
     up = GRAVITY + az if GRAVITY + az > LEAST_LIFT else LEAST_LIFT
-    most, size = up * gains.slope, math.hypot(ax, ay)
+    most = up * gains.slope
+    size = math.hypot(ax, ay)
     if size > most:
-        ax, ay = ax * most / size, ay * most / size
+        ax = ax * most / size
+        ay = ay * most / size
     n = 1.0 / math.sqrt(ax * ax + ay * ay + up * up)
-    thrust = mass * up / (upright if upright > 0.5 else 0.5) if upright > 0 else 0.0
+    thrust = 0.0
+    if upright > 0:
+        thrust = mass * up / (upright if upright > 0.5 else 0.5)
     return (ax * n, ay * n, up * n), thrust
 
 
@@ -274,17 +277,23 @@ def rate_loop(
     """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]; the yaw torque stays
     within its share.
     """
-    (tx, ty), (rx, ry, rz), (wx, wy, wz), (Jx, Jy, Jz) = trim, ref_rates, rates, craft.inertia
-    ex, ey = rx - wx, ry - wy
-    k, i, most = gains.rate, gains.rate_integral * dt, craft.yaw_torque
-    tx, ty, z = tx + i * ex, ty + i * ey, Jz * gains.yaw * (rz - wz)
-    if not (
-        -MAX_RATE_TRIM <= tx <= MAX_RATE_TRIM
-        and -MAX_RATE_TRIM <= ty <= MAX_RATE_TRIM
-        and -most <= z <= most
-    ):
-        tx, ty = clip(tx, -MAX_RATE_TRIM, MAX_RATE_TRIM), clip(ty, -MAX_RATE_TRIM, MAX_RATE_TRIM)
-        z = clip(z, -most, most)
+    tx, ty = trim
+    rx, ry, rz = ref_rates
+    wx, wy, wz = rates
+    Jx, Jy, Jz = craft.inertia
+    ex = rx - wx
+    ey = ry - wy
+    k = gains.rate
+    i = gains.rate_integral * dt
+    tx += i * ex
+    ty += i * ey
+    z = Jz * gains.yaw * (rz - wz)
+    most = MAX_RATE_TRIM
+    most_z = craft.yaw_torque
+    if not (-most <= tx <= most and -most <= ty <= most and -most_z <= z <= most_z):
+        tx = clip(tx, -most, most)
+        ty = clip(ty, -most, most)
+        z = clip(z, -most_z, most_z)
     return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), z)
 
 
@@ -377,7 +386,9 @@ LIMIT_S = 1.0
 # how long the rotors must be off before the craft counts as down [s]; they spin down with a time
 # constant of .117 s
 DOWN_S = 0.5
-SINKS, OFF = 2, 3  # modes beside FOLLOWS and HOLDS, as numbered in the log's column `supervisor`
+# modes beside FOLLOWS and HOLDS, as numbered in the log's column `supervisor`
+SINKS = 2
+OFF = 3
 
 
 @dataclass
@@ -410,10 +421,11 @@ class Failsafe(Supervisor):
         """
         assert isinstance(reading, FlightReading)
         lost = self._look(t, blind, moved_m)
+        # A task whose target was lost goes on where it is seen again, unless the craft is near the
+        # ground.
+        seen_again = not blind and reading.range_m > RESUME_M
         if math.isnan(self.off_at) and not self._final:
-            # A task whose target was lost goes on where it is seen again, unless the craft is near
-            # the ground.
-            if self.aborted and not blind and reading.range_m > RESUME_M:
+            if seen_again:
                 self.aborted = None
             if cause := self._cause(lost, reading.estimate):
                 self.abort(t, *cause)
@@ -425,14 +437,11 @@ class Failsafe(Supervisor):
         if self.mode == SINKS:
             # under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)
             down = descend(0.4)
-            return Order(
-                down, basis @ down, reason=f"{self._why}the craft sinks", latched=self._final
-            )
-        return (
-            order.halted(f"{self._why}the craft holds", latched=self._final)
-            if self.aborted
-            else order
-        )
+            reason = f"{self._why}the craft sinks"
+            return Order(down, basis @ down, reason=reason, latched=self._final)
+        if self.aborted:
+            return order.halted(f"{self._why}the craft holds", latched=self._final)
+        return order
 
     @property
     def _why(self) -> str:
@@ -449,7 +458,8 @@ class Failsafe(Supervisor):
 
     def abort(self, t: float, outcome: Outcome, reason: str) -> None:
         """Give the task up at a time [s], which a reason names: the craft is down much later."""
-        self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t
+        self.aborted = outcome, f"{reason} at {t:.1f} s"
+        self._since = t
 
     def _next_mode(self, t: float, blind: str, estimate: FlightEstimate) -> int:
         if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):

@@ -85,20 +85,17 @@ AT_REST: Groundspeed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 def step(
     state: Groundspeed,
     R: Level,
-    measured: Vector,
-    force: Vector,
+    reading: Instruments,
     yaw_rate: float,
     source: Source,
     dt: float,
 ) -> Groundspeed:
     """One step of the filter.
 
-    R: R_level_body, estimated. measured: the sensor's velocity in body axes (3,) [m/s].
-    force: the accelerometer's reading in body axes (3,) [m/s^2]. yaw_rate: the level frame's rate
-    about z [rad/s]. dt: [s].
+    R: R_level_body, estimated. yaw_rate: the level frame's rate about z [rad/s]. dt: [s].
     """
     (vx, vy, vz), (dx, dy, dz), _ = state
-    mx, my, mz = to_level(R, measured)
+    mx, my, mz = to_level(R, reading.velocity)
     ix, iy, iz = mx - vx, my - vy, mz - vz
     if isinstance(source, Filtered):
         k = 1.0 / source.tau_s
@@ -107,7 +104,7 @@ def step(
         # rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
         return v, (dx, dy, dz), to_body(R, (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
-    fx, fy, fz = to_level(R, force)
+    fx, fy, fz = to_level(R, reading.force)
     w = source.bandwidth
     # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
     k, j = 2.0 * w, w * w * dt
@@ -125,9 +122,8 @@ def drawn_noise(
     # `sigma_mps` is that of a 20 ms reading; one of 1 ms has the same power spectrum with sqrt(20)
     # times as much.
     flow = velocity.sigma_mps * math.sqrt(READING_S / 0.001)
-    sigma = np.repeat(
-        [imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, range_sigma_m], [3, 3, 3, 1]
-    )
+    sigmas = [imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, range_sigma_m]
+    sigma = np.repeat(sigmas, [3, 3, 3, 1])
     bias = np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
     # drawn one by one, at 1 kHz, they would take as long as the rotors' mixer and its speed
     # controllers
@@ -142,12 +138,11 @@ def instruments(
     bias (10,) and a scale error.
     """
     gx, gy, gz, fx, fy, fz, vx, vy, vz, e = noise
-    (wx, wy, wz), (ax, ay, az), (x, y, z) = (
-        sensors["gyro"],
-        sensors["accelerometer"],
-        sensors["velocity"],
-    )
-    scale, height = 1.0 + scale_error, sensors["range"][0]
+    wx, wy, wz = sensors["gyro"]
+    ax, ay, az = sensors["accelerometer"]
+    x, y, z = sensors["velocity"]
+    scale = 1.0 + scale_error
+    height = sensors["range"][0]
     return Instruments(
         (wx + gx, wy + gy, wz + gz),
         (ax + fx, ay + fy, az + fz),

@@ -141,8 +141,11 @@ class Impedance(InnerLoop):
         return adjoint(inverse(self.at.T)), np.diag((*self.stiffness_npm, *self.stiffness_nmprad))
 
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
-        n, at, (to_frame, K) = len(q), self.at.T, self._constants
-        (T, J), T_ref = arm.chain.kinematics(q), arm.chain.flange(q_ref)
+        n = len(q)
+        at = self.at.T
+        (to_frame, K) = self._constants
+        (T, J) = arm.chain.kinematics(q)
+        T_ref = arm.chain.flange(q_ref)
         J = to_frame @ J
         M = arm.dynamics.mass(q)
         across = np.linalg.solve(M, J.T)  # M^-1 J^T
@@ -207,7 +210,8 @@ class TorqueControl:
     reading: ClassVar[type[Reading]] = Reading
 
     def __init__(self, loop: InnerLoop, n: int, model: Callable[[], ArmModel]):
-        self._loop, self._model = loop, model
+        self._loop = loop
+        self._model = model
         self.control_period_s = 1.0 / loop.rate_hz
         # it holds its start until the first command
         self.first_setpoint = np.zeros(n + (WRENCH if loop.takes_wrench else 0))
@@ -224,7 +228,8 @@ class TorqueControl:
         self, state: Reference, setpoint: Array, reading: Reading, dt: float
     ) -> tuple[Reference, Array]:
         """One step of dt [s]: the next reference, and the torques (n,)."""
-        q, n = reading.q, len(reading.q)
+        q = reading.q
+        n = len(reading.q)
         q_ref = q.copy() if state.q is None else state.q
         tau = self._loop.torque(self._arm, q, reading.qd, q_ref, setpoint)
         most = self._arm.most

@@ -21,15 +21,13 @@ from vstestbed.robots.arm import Arm, ArmStart
 from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.realism import Level
 
-STIFFNESS, RATIO_S = 4500.0, 1 / 40
-"""Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over
-that [s]. The Puma's servos have 3500 to 5800 and the same ratio: 40 ms of rise, under 5 % of
-overshoot.
-"""
-WIND_UP_RAD, WIND_UP_M = float(np.radians(0.5)), 1e-3
-"""Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a
-joint that slides [m].
-"""
+# position gain of a velocity servo over the joint's inertia [1/s^2]; the Puma's have 3500 to 5800
+STIFFNESS = 4500.0
+# its velocity gain over that [s], as the Puma's: 40 ms of rise, under 5 % of overshoot
+RATIO_S = 1 / 40
+# most that friction may wind up an added servo before its joint moves: of a hinge, of a slide
+WIND_UP_RAD = float(np.radians(0.5))
+WIND_UP_M = 1e-3
 # Cycles of the errors of a strain wave gear in a turn of the joint: two in a turn of the motor
 # (Tuttle & Seering 1996, doi:10.1109/70.499819), at a ratio of 100.
 WAVES = (200.0,)
@@ -55,6 +53,18 @@ which the catalogue of the gears CSF and CSG has for sizes from 20 on and from 1
 Drive LLC, table 40). The play of `field` is 1 arc minute, of the order of the hysteresis loss of
 such gears; new ones have no backlash. The other values are chosen.
 """
+
+
+def _check_drives(chain: JointChain) -> None:
+    """Refuse joints whose own actuators follow no speed."""
+    for name, drive in zip(chain.names, chain.drives, strict=True):
+        if drive not in ("velocity", "position"):
+            found = f"a {drive} actuator" if drive else "no actuator"
+            words = (
+                f"must not be file: {name} has {found} there, which follows no speed;"
+                " works: velocity, which adds servos"
+            )
+            raise ParameterError("actuation", words)
 
 
 @spec
@@ -116,23 +126,11 @@ class Mjcf(Arm):
                 object.__setattr__(self, field, given * n)  # frozen, as above
             elif given and len(given) != n:
                 words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
-                raise ParameterError.count(
-                    field, n, f"{words}, of {', '.join(chain.names)}, or one for all", list(given)
-                )
+                what = f"{words}, of {', '.join(chain.names)}, or one for all"
+                raise ParameterError.count(field, n, what, list(given))
         self._check()
-        unfit = [
-            pair
-            for pair in zip(chain.names, chain.drives, strict=True)
-            if pair[1] not in ("velocity", "position")
-        ]
-        if self.actuation == "file" and unfit:
-            name, drive = unfit[0]
-            found = f"a {drive} actuator" if drive else "no actuator"
-            words = (
-                f"must not be file: {name} has {found} there, which follows no speed;"
-                " works: velocity, which adds servos"
-            )
-            raise ParameterError("actuation", words)
+        if self.actuation == "file":
+            _check_drives(chain)
         if self.actuation == "velocity":
             self._fill_gains(chain)
 
@@ -145,14 +143,17 @@ class Mjcf(Arm):
             # frozen, as above
             object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))
         if not self.servo_kv:
-            object.__setattr__(
-                self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp)
-            )
+            kv = tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp)
+            object.__setattr__(self, "servo_kv", kv)
 
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
-        M, own = reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
+        q = tuple(self.configuration().tolist())
+        M, own = reader().inertia_at(self.file, chain.names, q)
+        inertia = M.diagonal()
         given = self.elastic and self.elastic.rotors
-        return tuple((M.diagonal() if given is None else M.diagonal() - own + given).tolist())
+        if given is not None:
+            inertia = inertia - own + given
+        return tuple(inertia.tolist())
 
     @property
     def chain(self) -> JointChain:
@@ -162,7 +163,8 @@ class Mjcf(Arm):
     @property
     def servo_set(self) -> Actuation:
         """The servos: added, or the file's own."""
-        chain, speeds = self.chain, self.speed_limits
+        chain = self.chain
+        speeds = self.speed_limits
         if self.actuation == "file":
             servos = [
                 Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)

@@ -188,7 +188,8 @@ class OmniParameters:
         # slides
         if planar:
             J, before = (p.spin * (p.W**2).sum(axis=0) for p in (self, PLATFORM))
-            along, turning = float((J[0] + J[1]) / (before[0] + before[1])), float(J[2] / before[2])
+            along = float((J[0] + J[1]) / (before[0] + before[1]))
+            turning = float(J[2] / before[2])
             found += [
                 (put, "joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y")
             ]

@@ -84,7 +84,8 @@ class OwnModel:
     ) -> OwnModel:
         """Of a robot whose positions along its motions, J (6, n), are unknown or without limits."""
         n = J.shape[1]
-        zero, endless = np.zeros(n), np.full(n, np.inf)
+        zero = np.zeros(n)
+        endless = np.full(n, np.inf)
         still = {"q": zero, "qd": zero, "nominal": zero, "low": -endless, "high": endless}
         values = {**still, "sums": np.zeros((0, n)), "most": np.zeros(0), **more}
         return cls(

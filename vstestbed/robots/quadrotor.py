@@ -182,7 +182,8 @@ class FlightLog(RobotLog):
         """Tilt and body twist; the velocity back from the estimate's level frame into body axes.
         The range is not in the log.
         """
-        roll, pitch = log["est_roll"], log["est_pitch"]
+        roll = log["est_roll"]
+        pitch = log["est_pitch"]
         up = zip(
             (-np.sin(pitch)).tolist(),
             (np.cos(pitch) * np.sin(roll)).tolist(),
@@ -383,7 +384,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
 
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_base (4, 4) of a level craft at (x, y, z, yaw)."""
-        c, s = math.cos(configuration[3]), math.sin(configuration[3])
+        c = math.cos(configuration[3])
+        s = math.sin(configuration[3])
         x, y, z = configuration[:3].tolist()
         return np.array([(c, -s, 0, x), (s, c, 0, y), (0, 0, 1, z), (0, 0, 0, 1.0)])
 
@@ -398,15 +400,14 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         Accelerations are those of its largest tilt, g tan(tilt), and of its rotors: down it has its
         weight alone.
         """
-        level, climb = (
-            GRAVITY * self.gains.slope,
-            GRAVITY * min(1.0, self.parameters.limit / self.parameters.hover - 1),
-        )
+        level = GRAVITY * self.gains.slope
+        climb = GRAVITY * min(1.0, self.parameters.limit / self.parameters.hover - 1)
         speeds = np.array(
             [self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps]
         )
         accelerations = np.array([level, level, climb, np.inf])
-        J, most = self.motion_basis(mount, reading.q), math.radians(self.gains.tilt_deg)
+        J = self.motion_basis(mount, reading.q)
+        most = math.radians(self.gains.tilt_deg)
         return OwnModel.of_motions(
             ("vx", "vy", "vz", "wz"),
             J,
@@ -438,10 +439,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         """MuJoCo's perfect sensors with noise and bias (10,) of gyro, accelerometer, velocity and
         range, and the velocity's scale error.
         """
-        noise, scale_error = (
-            drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng),
-            self.velocity.scale_error,
-        )
+        noise = drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng)
+        scale_error = self.velocity.scale_error
         return lambda q, qd, sensors: instruments(sensors, next(noise), scale_error)
 
     def measured_twist(
@@ -502,7 +501,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         craft for good: its rotors run out.
         """
         attitude, ground, loops, W, _, armed, limited_s = state
-        (gyro, force, speed, _, _), gains, craft = reading, self.gains, self.parameters
+        gains = self.gains
+        craft = self.parameters
         vx, vy, vz, wz = setpoint.tolist()
         armed = armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
@@ -510,22 +510,22 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the
         # new attitude the new velocity.
         known = STILL if self.attitude.acceleration == "imu" else ground[2]
-        attitude = attitude_step(attitude, gyro, force, known, self.attitude, dt)
+        attitude = attitude_step(attitude, reading.gyro, reading.force, known, self.attitude, dt)
         R = level(attitude.up)
-        (gx, gy, gz), (bx, by, bz) = gyro, attitude.bias
+        gx, gy, gz = reading.gyro
+        bx, by, bz = attitude.bias
         rates = gx - bx, gy - by, gz - bz
-        ground = flight_sensors.step(
-            ground, R, speed, force, heading_rate(R, rates), self.velocity, dt
-        )
+        yaw_rate = heading_rate(R, rates)
+        ground = flight_sensors.step(ground, R, reading, yaw_rate, self.velocity, dt)
         if not armed:  # for good: nothing sets `armed` again
             W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt, craft)
             return Flight(attitude, ground, Loops(), W, rates, False), orders
-        loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground[0], R, rates, gains, craft, dt)
+        motion = ground[0], R, rates
+        loops, thrust, torque = fly(loops, (vx, vy, vz, wz), motion, gains, craft, dt)
         reference, cut = mix(thrust, torque, craft)
         W, orders = speed_control(W, reference, gains.rotor_s, dt, craft)
-        return Flight(
-            attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0
-        ), orders
+        limited_s = limited_s + dt if cut else 0.0
+        return Flight(attitude, ground, loops, W, rates, True, limited_s), orders
 
     def stands(self, state: Flight, reading: Instruments) -> bool:
         """Whether the ground carries the craft, by its own sensors: upright, near the ground, and

@@ -68,30 +68,31 @@ class Realistic(Robot):
         level: Level = values.get("realism", "none")
         if isinstance(level, str) and level.lower().endswith((".yaml", ".yml")):
             own = {**_preset_in(level), **values, "realism": "none"}
-            return ArgsKwargs((), own) if isinstance(given, ArgsKwargs) else own
-        if level not in LEVELS:
+        elif level not in LEVELS:
             return given  # which is refused
+        else:
+            if isinstance(given, ArgsKwargs):
+                cls._refuse_another_level(level, values)
+            own = cls._completed(level, values)
+        return ArgsKwargs((), own) if isinstance(given, ArgsKwargs) else own
+
+    @classmethod
+    def _completed(cls, level: Level, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The values with a level's preset for the rest. ParameterError: it has none."""
         if level != "none" and level not in cls.presets:
-            raise ParameterError(
-                "realism",
-                (
-                    f"fills nothing: {cls.__name__} has no preset of that name;"
-                    " works: none, and single effects"
-                ),
-                level,
+            words = (
+                f"fills nothing: {cls.__name__} has no preset of that name;"
+                " works: none, and single effects"
             )
-        if isinstance(given, ArgsKwargs):
-            cls._refuse_another_level(level, values)
-        own: dict[str, Any] = dict(values)
+            raise ParameterError("realism", words, level)
+        own = dict(values)
         for name, preset in cls.presets.get(level, {}).items():
             value = own.setdefault(name, preset)
             # some fields of a block: the others are the preset's
             if isinstance(value, Mapping) and dataclasses.is_dataclass(preset):
-                own[name] = {
-                    **{f.name: getattr(preset, f.name) for f in dataclasses.fields(preset)},
-                    **value,
-                }
-        return ArgsKwargs((), own) if isinstance(given, ArgsKwargs) else own
+                whole = {f.name: getattr(preset, f.name) for f in dataclasses.fields(preset)}
+                own[name] = {**whole, **value}
+        return own
 
     @classmethod
     def _refuse_another_level(cls, level: Level, values: Mapping[str, Any]) -> None:
@@ -100,9 +101,8 @@ class Realistic(Robot):
         """
         for other in LEVELS:
             filled = cls._filled(other)
-            if filled != cls._filled(level) and all(
-                name in values and values[name] == value for name, value in filled.items()
-            ):
+            given = all(name in values and values[name] == filled[name] for name in filled)
+            if given and filled != cls._filled(level):
                 words = (
                     f"fills nothing here, where every effect is given as at {other};"
                     f" works: robot.at_level({level!r})"
@@ -112,7 +112,9 @@ class Realistic(Robot):
     @classmethod
     def _filled(cls, level: Level) -> dict[str, object]:
         """The values at a level of all fields that some level fills."""
-        every = dict.fromkeys(name for preset in cls.presets.values() for name in preset)
+        every: dict[str, object] = {}
+        for preset in cls.presets.values():
+            every |= dict.fromkeys(preset)
         return {**every, **cls.presets.get(level, {})}
 
     @property

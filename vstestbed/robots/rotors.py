@@ -178,8 +178,10 @@ class QuadrotorParameters:
         """What makes the craft of the file, the X-4, this one; body_share: of its air drag, where a
         model of the rotors has the rest.
         """
-        b, k = self.thrust_coefficient, self.drag_coefficient
-        wide, d = self.arm_m / X4.arm_m, self.arm_m
+        b = self.thrust_coefficient
+        k = self.drag_coefficient
+        wide = self.arm_m / X4.arm_m
+        d = self.arm_m
         found: list[Change] = [
             (put, "body", "base", "mass", self.mass_kg),
             (put, "body", "base", "inertia", self.inertia),
@@ -199,7 +201,8 @@ class QuadrotorParameters:
             ("back", -1, 0, -1),
             ("left", 0, 1, 1),
         ):
-            along, half = (d + HUB_M) / 2, (d - HUB_M) / 2
+            along = (d + HUB_M) / 2
+            half = (d - HUB_M) / 2
             found += [
                 (put, "actuator", f"rotor_{name}", "gear", (0, 0, b, 0, 0, turn * k)),
                 (put, "actuator", f"rotor_{name}", "dynprm", (self.rotor_lag_s,)),
@@ -247,18 +250,27 @@ def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four
     half = 0.5 * limit
     x, y, z = torque
     per_pair, per_four, per_yaw = craft.units
-    r, p, t, y = x / per_pair, y / per_pair, thrust / per_four, z / per_yaw
+    r = x / per_pair
+    p = y / per_pair
+    t = thrust / per_four
+    y = z / per_yaw
     cut = False
     # here and below: such a case is rare, and calls take time
     if not (-half <= r <= half and -half <= p <= half):
-        r, p, cut = clip(r, -half, half), clip(p, -half, half), True
-    ar, ap = abs(r), abs(p)
+        r = clip(r, -half, half)
+        p = clip(p, -half, half)
+        cut = True
+    ar = abs(r)
+    ap = abs(p)
     widest = ar if ar > ap else ap
     if not widest <= t <= limit - widest:
-        t, cut = clip(t, widest, limit - widest), True
-    above, below = limit - t, t
+        t = clip(t, widest, limit - widest)
+        cut = True
+    above = limit - t
+    below = t
     if not (ap - above <= y <= above - ar and ar - below <= y <= below - ap):
-        y, cut = clip(y, max(ap - above, ar - below), min(above - ar, below - ap)), True
+        y = clip(y, max(ap - above, ar - below), min(above - ar, below - ap))
+        cut = True
     return (t - p - y, t - r + y, t + p - y, t + r + y), cut
 
 
@@ -277,22 +289,25 @@ def speed_control(
     dt: [s] until the next command. craft: whose rotors these are. Returns W after dt, and the
     commands u (4,).
     """
-    lag, limit = craft.rotor_lag_s, craft.limit
+    lag = craft.rotor_lag_s
+    limit = craft.limit
     # (1, 1) Pade of 1 - exp(-dt / lag): 1e-7 at 1 ms
-    lead, ahead = lag / response_s, dt / (lag + 0.5 * dt)
+    lead = lag / response_s
+    ahead = dt / (lag + 0.5 * dt)
     a, b, c, d = turning
     A, B, C, D = reference
-    ua, ub, uc, ud = a + lead * (A - a), b + lead * (B - b), c + lead * (C - c), d + lead * (D - d)
+    ua = a + lead * (A - a)
+    ub = b + lead * (B - b)
+    uc = c + lead * (C - c)
+    ud = d + lead * (D - d)
     # as in `mix`
     if not (
         0.0 <= ua <= limit and 0.0 <= ub <= limit and 0.0 <= uc <= limit and 0.0 <= ud <= limit
     ):
-        ua, ub, uc, ud = (
-            clip(ua, 0.0, limit),
-            clip(ub, 0.0, limit),
-            clip(uc, 0.0, limit),
-            clip(ud, 0.0, limit),
-        )
+        ua = clip(ua, 0.0, limit)
+        ub = clip(ub, 0.0, limit)
+        uc = clip(uc, 0.0, limit)
+        ud = clip(ud, 0.0, limit)
     return (
         a + ahead * (ua - a),
         b + ahead * (ub - b),

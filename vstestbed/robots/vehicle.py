@@ -64,7 +64,8 @@ class GroundStart:
         """A start whose nominal pose is drawn from the box, uniformly. Raises ParameterError: there
         is no box.
         """
-        at, box = self.nominal, random_of(self, "{x: .5, y: .5, heading_deg: 20}")
+        at = self.nominal
+        box = random_of(self, "{x: .5, y: .5, heading_deg: 20}")
         x, y, heading = (
             rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)
         ).tolist()
@@ -90,7 +91,8 @@ class VehicleLog(RobotLog):
 
     def __init__(self, supervisor: Supervisor, start: Array):
         super().__init__(supervisor)
-        self._start, self._turn = start, (np.cos(start[2]), np.sin(start[2]))
+        self._start = start
+        self._turn = (np.cos(start[2]), np.sin(start[2]))
         self._before: RobotState | None = None
 
     def row(self, state: RobotState) -> Array:
@@ -192,7 +194,8 @@ class Vehicle(Realistic):
     @property
     def draws(self) -> bool:
         """Wheels whose errors are not listed, a floor whose seed is not given."""
-        wheels, floor = self.wheel_spread, self.uneven_floor
+        wheels = self.wheel_spread
+        floor = self.uneven_floor
         return (wheels is not None and wheels.sigma > 0) or (
             floor is not None and floor.seed is None
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
 from vstestbed.camera.intrinsics import read_calibration
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, within
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.quantity import PositiveGain
 from vstestbed.core.spec import FromFile, spec
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["OWN", "FurtherCamera", "OtherCamera", "check_cameras", "eyes_of"]
 
+# least distance between the lenses of a pair [m]: nearer they are in one place but for rounding
+LEAST_BASELINE_M = 1e-6
 OWN = "camera"  # name of the law's own camera where several are listed
 RESERVED = (OWN, "eye", "overview", "robot", "target", "leader", "scenery", "floor", "truth")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
@@ -97,7 +99,12 @@ class OtherCamera:
     @cached_property
     def believed_camera(self) -> Camera:
         """The camera as calibrated."""
-        return self.block.calibration.believed(self.camera)
+        return self.calibration.believed(self.camera)
+
+    @property
+    def calibration(self) -> Calibration:
+        """Its calibration."""
+        return self.block.calibration
 
     @property
     def detector(self) -> Detector[Any]:
@@ -129,20 +136,14 @@ class OtherCamera:
     @property
     def draws(self) -> bool:
         """Whether the seed makes a difference to what it tells."""
-        sensed = self.needs_image and self.camera.sensor is not None
-        return (
-            sensed
-            or self.block.calibration.draws
-            or self.detector.draws
-            or self.noise.draws(self.needs_image, True)
-        )
+        return measured_draws(self)
 
     @cached_property
     def depth_scale(self) -> Array | None:
         """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for
         exact depths.
         """
-        return self.block.calibration.depth_scale(len(self.target.points), self.rng(DEPTH_STREAM))
+        return self.calibration.depth_scale(len(self.target.points), self.rng(DEPTH_STREAM))
 
     @property
     def reads_depth(self) -> bool:
@@ -178,26 +179,27 @@ class OtherCamera:
     def depth(self) -> DepthSource:
         """The law's source of depth, where this camera has it; else the pose."""
         own: DepthSource = self.scenario.law.depth
-        lacks = own.measured and self.camera.depth_sensor is None
-        return (
-            PnP()
-            if lacks or own.camera or own.on_floor or (own.true and not self.detector.needs_truth)
-            else own
-        )
+        unmeasured = own.measured and self.camera.depth_sensor is None
+        unknown = own.true and not self.detector.needs_truth
+        if unmeasured or unknown or own.camera or own.on_floor:
+            return PnP()
+        return own
 
     @property
     def required_fields(self) -> tuple[str, ...]:
         """The fields of an Observation of it that are used: those of the law, the pose where poses
         are fused, rays where depths are.
         """
-        of_law = tuple(
+        used = tuple(
             name
             for name in inputs_of(self.scenario.law)
             if name in ("xy", "xyw", "depth", "ray", "range", "T_camera_target")
         )
-        pose = ("T_camera_target",) if self.scenario.fusion == "pose" else ()
-        rays = ("ray",) if self.scenario.law.depth.camera == self.name else ()
-        return (*of_law, *pose, *rays)
+        if self.scenario.fusion == "pose":
+            used += ("T_camera_target",)
+        if self.scenario.law.depth.camera == self.name:
+            used += ("ray",)
+        return used
 
     def rng(self, stream: int) -> np.random.Generator:
         """The generator of one of the independent streams, another one than that of the law's
@@ -207,9 +209,8 @@ class OtherCamera:
 
     def perturbed(self) -> Perturbed | None:
         """The perturbations of a run, with what is drawn for it; None where there are none."""
-        return (
-            Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
-        )
+        kinds = self.noise.perturb
+        return Perturbed(kinds, self.rng(PERTURB_STREAM)) if kinds else None
 
     def T_camera_eye(self, q: Array, mount: Array) -> Array:
         """Pose (4, 4) of this camera in the frame of the law's camera by what the robot knows: its
@@ -218,10 +219,9 @@ class OtherCamera:
         mount: of the law's camera as calibrated (4, 4); eye to hand its pose in the world. Of a
         camera in the room the robot must be an arm.
         """
-        own = self.believed_camera.mount.T
-        return (
-            inverse(mount) @ own if self.rigid else inverse(self.robot.flange_pose(q) @ mount) @ own
-        )
+        if not self.rigid:
+            mount = self.robot.flange_pose(q) @ mount
+        return inverse(mount) @ self.believed_camera.mount.T
 
     def goal(self, goal: Goal, T_camera_eye: Array) -> Goal:
         """What it sees at a goal view of the law's camera, for T_camera_eye (4, 4) there, with the
@@ -229,24 +229,23 @@ class OtherCamera:
 
         Of a calibration whose goal is `shown`, that is what the true camera records there.
         """
-        T, believed, target = (
-            inverse(T_camera_eye) @ goal.T_camera_target,
-            self.believed_camera,
-            self.target,
-        )
-        shown = (
-            self.block.calibration.goal == "shown"
-            and not self.block.calibration.camera_exact
-            and self.rigid
-        )
-        if shown:
+        believed = self.believed_camera
+        wrong = self.calibration
+        if wrong.goal == "shown" and not wrong.camera_exact and self.rigid:
             rig = inverse(self.scenario.camera.mount.T) @ self.camera.mount.T
-            made = shown_goal(
-                self.camera, believed, target, inverse(rig) @ self.scenario.goal_poses[goal.view]
-            )
+            T = inverse(rig) @ self.scenario.goal_poses[goal.view]
+            made = shown_goal(self.camera, believed, self.target, T)
         else:
-            made = Goal.of_points(believed, target.points_at(T), T)
+            T = inverse(T_camera_eye) @ goal.T_camera_target
+            made = Goal.of_points(believed, self.target.points_at(T), T)
         return replace(made, counted=goal.counted, view=goal.view, moves=goal.moves)
+
+
+def measured_draws(view: Scenario | OtherCamera) -> bool:
+    """Whether the seed makes a difference to what is measured in a camera's pictures."""
+    sensed = view.needs_image and view.camera.sensor is not None
+    noise = view.noise.draws(view.needs_image, view.detector.rows != 0)
+    return sensed or noise or view.calibration.draws or view.detector.draws
 
 
 def eyes_of(scenario: Scenario) -> dict[str, OtherCamera]:
@@ -261,19 +260,30 @@ def check_cameras(scenario: Scenario) -> None:
     """Refuse further cameras with names or rates that do not fit, and uses of cameras that there
     are not. Raises ParameterError.
     """
-    eyes, law = scenario.eyes, scenario.law
+    eyes = scenario.eyes
     for name, eye in eyes.items():
-        try:
+        with within(f"cameras.{name}"):
             _check_camera(scenario, eye)
-        except ParameterError as error:
-            raise ParameterError(
-                f"cameras.{name}.{error.field}".removesuffix("."), error.problem, error.found
-            ) from None
+    _check_uses(scenario.law, eyes)
+    pair = scenario.law.depth.camera
+    if pair:
+        _check_pair(scenario, eyes[pair])
+    if scenario.fusion == "none":
+        return
+    if not eyes:
+        raise ParameterError.needs("fusion", "further cameras (`cameras`)")
+    if scenario.detector.rows is not None:
+        what = f"pose with detector {scenario.detector.kind}"
+        why = "fuses poses of the target by its markers"
+        raise ParameterError.excluded("fusion", what, why=why)
+
+
+def _check_uses(law: Any, eyes: dict[str, OtherCamera]) -> None:
+    """Refuse cameras that a law names and that there are not, or that do not move as its own."""
     for field, name in _uses(law):
         if name not in eyes:
-            raise ParameterError.choice(
-                field, list(eyes) or ["none: there are no further cameras"], name
-            )
+            valid = list(eyes) or ["none: there are no further cameras"]
+            raise ParameterError.choice(field, valid, name)
         if not eyes[name].rigid:
             words = (
                 f"must name a camera that moves as the law's own does, and {name} does not;"
@@ -281,18 +291,8 @@ def check_cameras(scenario: Scenario) -> None:
             )
             raise ParameterError(field, words, name)
     if law.cameras and not getattr(law, "law", law).stacks:
-        raise ParameterError.only_for(
-            "law.cameras", "laws of an error and its Jacobian, such as ibvs and pbvs", law.kind
-        )
-    if law.depth.camera:
-        _check_pair(scenario, eyes[law.depth.camera])
-    if scenario.fusion == "pose" and not eyes:
-        raise ParameterError.needs("fusion", "further cameras (`cameras`)")
-    if scenario.fusion == "pose" and scenario.detector.rows is not None:
-        words = "fuses poses of the target by its markers"
-        raise ParameterError.excluded(
-            "fusion", f"pose with detector {scenario.detector.kind}", why=words
-        )
+        able = "laws of an error and its Jacobian, such as ibvs and pbvs"
+        raise ParameterError.only_for("law.cameras", able, law.kind)
 
 
 def _uses(law: Any) -> Iterator[tuple[str, str]]:
@@ -305,10 +305,12 @@ def _uses(law: Any) -> Iterator[tuple[str, str]]:
 
 
 def _check_camera(scenario: Scenario, eye: OtherCamera) -> None:
-    name, camera, detector, step = eye.name, eye.camera, eye.detector, scenario.clock[0]
-    if not _NAME.fullmatch(name) or name in RESERVED:
+    if not _NAME.fullmatch(eye.name) or eye.name in RESERVED:
         words = f"must have a name of small letters, digits and _ other than {', '.join(RESERVED)}"
-        raise ParameterError("", words, name)
+        raise ParameterError("", words, eye.name)
+    camera = eye.camera
+    detector = eye.detector
+    step = scenario.clock[0]
     frames = camera.period / step
     if abs(round(frames) - frames) > 1e-6 * frames:
         words = (
@@ -318,20 +320,14 @@ def _check_camera(scenario: Scenario, eye: OtherCamera) -> None:
         raise ParameterError("camera.rate_hz", words, camera.rate_hz)
     eye.timing.check(camera, step)
     if detector.rows is not None:
-        raise ParameterError.excluded(
-            "detector",
-            detector.kind,
-            why="further cameras see the target's markers; works: blobs, tags or raw",
-        )
+        why = "further cameras see the target's markers; works: blobs, tags or raw"
+        raise ParameterError.excluded("detector", detector.kind, why=why)
     check_detected(eye.target, detector, scenario.law)
-    check_length("camera.mount", camera.mount.T, MOST_MOUNT_M if eye.rigid else MOST_PLACE_M)
+    most_m = MOST_MOUNT_M if eye.rigid else MOST_PLACE_M
+    check_length("camera.mount", camera.mount.T, most_m)
     if not eye.stands and eye.target.on_gripper:
-        raise ParameterError.fixed(
-            "on",
-            "world",
-            "flange",
-            why="on the flange it sees a target in the gripper always alike",
-        )
+        why = "on the flange it sees a target in the gripper always alike"
+        raise ParameterError.fixed("on", "world", "flange", why=why)
     if not eye.rigid and not isinstance(eye.robot, Arm):
         words = (
             f"must be flange for robot {eye.robot.kind},"
@@ -344,19 +340,17 @@ def _check_pair(scenario: Scenario, eye: OtherCamera) -> None:
     """Refuse a pair whose pictures are not taken at the same times, or whose lenses lie in one
     place, for depths by triangulation.
     """
-    own, other = scenario.camera, eye.camera
+    own = scenario.camera
     for name in ("rate_hz", "latency_s"):
-        if getattr(own, name) != getattr(other, name):
+        wanted = getattr(own, name)
+        found = getattr(eye.camera, name)
+        if found != wanted:
+            field = f"cameras.{eye.name}.camera.{name}"
             words = (
-                f"{getattr(own, name):g}, as camera.{name} is:"
+                f"{wanted:g}, as camera.{name} is:"
                 " depths are triangulated from pictures of the same time"
             )
-            raise ParameterError.bound(
-                f"cameras.{eye.name}.camera.{name}", "equal to", words, getattr(other, name)
-            )
-    if float(np.linalg.norm(own.mount.T[:3, 3] - other.mount.T[:3, 3])) < LEAST_BASELINE_M:
+            raise ParameterError.bound(field, "equal to", words, found)
+    baseline = own.mount.T[:3, 3] - eye.camera.mount.T[:3, 3]
+    if np.linalg.norm(baseline) < LEAST_BASELINE_M:
         raise ParameterError("law.depth.camera", "must name a camera at another place", eye.name)
-
-
-# least distance between the lenses of a pair [m]: nearer they are in one place but for rounding
-LEAST_BASELINE_M = 1e-6

@@ -40,28 +40,32 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     of `scenario` go without that name.
     """
     found = {name: Entry(name, cls, None, name) for name, cls in roots.items()}
-    waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
+    # the entry of a block, or of the list of kinds to which it belongs, and its class
+    waiting = deque(roots.items())
     while waiting:
         owner, cls = waiting.popleft()
-        kinds = _kinds_of(found[owner]) if owner in found else [cls]
-        blocks = (
-            (each.name, each.node.type is tuple, *block)
-            for each in fields(cls).values()
-            for block in each.node.blocks()
-        )
-        for at, listed, union, inner in blocks:
-            place = f"{at}[]" if listed else at
+        for at, place, union, inner in _blocks_in(cls):
             if union is None:
-                name = _field_name(
-                    owner if _alike(kinds, at) else kind_of(cls), at, cls, inner, found
-                )
+                holder = owner if _alike(_kinds_of(found[owner]), at) else kind_of(cls)
+                entry = name = _field_name(holder, at, cls, inner, found)
             else:
-                name = f"{union.what}.{kind_of(inner)}"
-                found.setdefault(union.what, Entry(union.what, None, union, place))
+                entry = union.what
+                name = f"{entry}.{kind_of(inner)}"
+                found.setdefault(entry, Entry(entry, None, union, place))
             if name not in found:
                 found[name] = Entry(name, inner, union, place)
-                waiting.append((name if union is None else union.what, inner))
+                waiting.append((entry, inner))
     return found
+
+
+def _blocks_in(cls: type) -> Iterator[tuple[str, str, Registry | None, type]]:
+    """Field, place (`NAME[]` for one of a list), registry and class of each block that a block of
+    the class may have in it.
+    """
+    for each in fields(cls).values():
+        place = f"{each.name}[]" if each.node.type is tuple else each.name
+        for union, inner in each.node.blocks():
+            yield each.name, place, union, inner
 
 
 def _alike(classes: Iterable[type], field: str) -> bool:
@@ -76,7 +80,7 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
     """The name of a block in a field: `stop.converged`; with its kind where the owner's is the name
     of another block.
     """
-    name = f"{owner}.{field}".removeprefix(".")
+    name = f"{owner}.{field}".removeprefix("scenario.")
     if name not in found or found[name].cls is inner:
         return name
     return f"{kind_of(cls)}.{field}" if hasattr(cls, "kind") else f"{name}.{inner.__name__}"
@@ -101,13 +105,9 @@ def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
     holders = _kinds_of(entries[owner]) if owner in entries else []
     if not _alike(holders, field):
         return []
-    registries = {
-        registry.what
-        for cls in holders
-        for registry, _ in _blocks_at(cls, field)
-        if registry is not None
-    }
-    return [entry for entry in entries.values() if entry.cls is None and entry.name in registries]
+    blocks = [block for cls in holders for block in _blocks_at(cls, field)]
+    held = {registry.what for registry, _ in blocks if registry is not None}
+    return [entry for entry in entries.values() if entry.cls is None and entry.name in held]
 
 
 def _kinds_of(entry: Entry) -> list[type]:
@@ -141,23 +141,32 @@ def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     """
     if word in entries:
         return entries[word]
-    if "." in word:
-        # a field, or the kind that the field before it may hold: `pnp` of `law.depth.pnp`
-        field, _, kind = word.rpartition(".")
-        inner = (f"{registry.name}.{kind}" for registry in _held_in(field, entries))
-        held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]
-        return held[0] if len(held) == 1 else _at(word, entries)
+    found = _by_path(word, entries) if "." in word else _by_last_part(word, entries)
+    return found[0] if len(found) == 1 else _at(word, entries)
+
+
+def _by_path(path: str, entries: dict[str, Entry]) -> list[Entry]:
+    """The lists of kinds of a field, else the kind that the field before it may hold: `pnp` of
+    `law.depth.pnp`.
+    """
+    if held := _held_in(path, entries):
+        return held
+    field, _, kind = path.rpartition(".")
+    names = [f"{registry.name}.{kind}" for registry in _held_in(field, entries)]
+    return [entries[name] for name in names if name in entries]
+
+
+def _by_last_part(word: str, entries: dict[str, Entry]) -> list[Entry]:
+    """The entry whose name ends with a word, or none. Raises ParameterError: there are several."""
     by_name = [entry for entry in entries.values() if named(entry) == word]
     # a kind that its field alone may hold, such as the marker `stripe` of target `lines`, has the
     # field's name
     by_kind = [entry for entry in entries.values() if getattr(entry.cls, "kind", None) == word]
     things = list({entry.cls: entry for entry in reversed(by_name or by_kind)}.values())
     if len(things) > 1:
-        names = sorted(entry.name for entry in things)
-        raise ParameterError(
-            word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names"
-        )
-    return things[0] if things else _at(word, entries)
+        *names, last = sorted(entry.name for entry in things)
+        raise ParameterError(word, f"is {', '.join(names)} and {last}; give one of these names")
+    return things
 
 
 def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
@@ -165,29 +174,36 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     *before, name = (part.removesuffix("[]") for part in path.split(".") if not part.isdecimal())
     if not before:
         return _top_or_only(name, entries)
-    # the classes of the blocks to which the parts of the path so far lead
+    holders = _led_to(path, before, entries)
+    by_class = {entry.cls: entry for entry in reversed(entries.values())}
+    owners = {by_class[cls].name: cls for cls in holders if name in fields(cls)}
+    if owners:
+        return FieldPlace(path, name, owners, _settable(before, entries))
+    for cls in holders:
+        if getattr(cls, "kind", "") == name:
+            return by_class[cls]
+    raise _none_in(path, name, before, holders)
+
+
+def _led_to(path: str, before: Sequence[str], entries: dict[str, Entry]) -> list[type]:
+    """The classes of the blocks to which the first parts of a path lead. Raises ParameterError: one
+    of them leads nowhere.
+    """
     holders = [_scenario(entries)]
     for i, part in enumerate(before):
-        within = list(_within(holders, part)) if i else _begun(part, entries)
-        if not within:
+        inner = list(_within(holders, part)) if i else _begun(part, entries)
+        if not inner:
             raise _none_in(path, part, before[:i], holders)
-        holders = within
-    by_name = {
-        next(entry.name for entry in entries.values() if entry.cls is cls): cls for cls in holders
-    }
-    if owners := {named_so: cls for named_so, cls in by_name.items() if name in fields(cls)}:
-        return FieldPlace(path, name, owners, _settable(before, entries))
-    for named_so, cls in by_name.items():
-        if _kind(cls) == name:
-            return entries[named_so]
-    raise _none_in(path, name, before, holders)
+        holders = inner
+    return holders
 
 
 def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:
     """A field of the scenario itself, else the one of this name in all of it."""
-    scenario, held = _scenario(entries), dict[str, dict[str, type]]()
+    scenario = _scenario(entries)
     if name in fields(scenario):
         return FieldPlace(name, name, {"scenario": scenario}, True)
+    held: dict[str, dict[str, type]] = {}
     for entry in entries.values():
         if entry.cls is not None and name in fields(entry.cls):
             place = entry.name if entry.registry is None else entry.registry.what
@@ -236,11 +252,8 @@ def _within(holders: Sequence[type], part: str) -> Iterator[type]:
     holds, and the kind of this name.
     """
     inner = [inner for cls in holders for _, inner in _blocks_at(cls, part)]
-    yield from dict.fromkeys([*inner, *(cls for cls in holders if _kind(cls) == part)])
-
-
-def _kind(cls: type) -> str:
-    return str(fields(cls)["kind"].default) if "kind" in fields(cls) else ""
+    inner += [cls for cls in holders if getattr(cls, "kind", "") == part]
+    yield from dict.fromkeys(inner)
 
 
 def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
@@ -258,28 +271,25 @@ def _none_in(
     path: str, name: str, before: Sequence[str], holders: Iterable[type]
 ) -> ParameterError:
     inside = {inner for cls in holders for inner in fields(cls) if inner != "kind"}
+    what = "field of a scenario"
     if name in inside:
-        return ParameterError.unknown(
-            path,
-            "field of a scenario",
-            f"{'.'.join((*before, name))} is no block, and has no fields",
-        )
-    return ParameterError.unknown(
-        path, f"field of a scenario: {'.'.join(before)} has no {name}", nearest(name, inside)
-    )
+        hint = f"{'.'.join((*before, name))} is no block, and has no fields"
+        return ParameterError.unknown(path, what, hint)
+    what += f": {'.'.join(before)} has no {name}"
+    return ParameterError.unknown(path, what, nearest(name, inside))
 
 
 def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:
     """The nearest name, or where to begin: a list of all names would fill a screen."""
-    inside = {
-        name for entry in entries.values() if entry.cls is not None for name in fields(entry.cls)
-    }
-    hint = nearest(word, {named(entry) for entry in entries.values()} | set(entries) | inside)
-    return (
-        hint
-        if hint.startswith("did you mean")
-        else f"a scenario has {', '.join(fields(_scenario(entries)))}"
-    )
+    names = set(entries)
+    for entry in entries.values():
+        names.add(named(entry))
+        if entry.cls is not None:
+            names.update(fields(entry.cls))
+    hint = nearest(word, names)
+    if hint.startswith("did you mean"):
+        return hint
+    return f"a scenario has {', '.join(fields(_scenario(entries)))}"
 
 
 @dataclass
@@ -305,8 +315,9 @@ class Uses:
 
     def add_fields(self, name: str, written: Any) -> None:
         """Take in the fields of a block of the class of this name; a shorthand has none."""
-        for inner, value in written.items() if isinstance(written, Mapping) else ():
-            self.values.setdefault((name, inner), []).append(value)
+        if isinstance(written, Mapping):
+            for inner, value in written.items():
+                self.values.setdefault((name, inner), []).append(value)
 
 
 @functools.cache
@@ -329,30 +340,30 @@ def bundled_uses() -> Uses:
 def _in_block(cls: type, key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
     """Class, field and text of a block that is written in a scenario, and of the blocks in it."""
     yield cls, key, written
-    for name, value in written.items() if isinstance(written, Mapping) else ():
-        if name in fields(cls):
-            yield from _in_field(fields(cls)[name].node, name, value)
+    if isinstance(written, Mapping):
+        for name, value in written.items():
+            if name in fields(cls):
+                yield from _in_field(fields(cls)[name].node, name, value)
 
 
 def _in_field(node: Node, key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
+    items: Iterable[Any] = ()
     if isinstance(written, list):
-        for item in written if node.type is tuple else ():
-            yield from _in_field(node.parts[0], f"{key}[]", item)
+        items = written if node.type is tuple else ()
     elif node.type is dict and isinstance(written, Mapping):
-        for item in written.values():
-            yield from _in_field(node.parts[0], f"{key}[]", item)
-    elif (block := node.block_of(written)) is not None:
+        items = written.values()
+    elif block := node.block_of(written):
         yield from _in_block(block[0], key, written)
+    for item in items:
+        yield from _in_field(node.parts[0], f"{key}[]", item)
 
 
 def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
     """The same of a comparison, whose blocks with a `kind` stand anywhere: under a dotted path, or
     in a list of values.
     """
-    what, kind = (
-        key.rpartition(".")[2],
-        written.get("kind") if isinstance(written, Mapping) else written,
-    )
+    what = key.rpartition(".")[2]
+    kind = written.get("kind") if isinstance(written, Mapping) else written
     members = registry(f"{what}s").members if f"{what}s" in HOMES else {}
     if isinstance(kind, str) and kind in members:
         yield members[kind], what, written
@@ -389,38 +400,23 @@ class _Described(GenerateJsonSchema):
 
     def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
         """The block of a class."""
-        block, cls = super().dataclass_schema(schema), schema["cls"]
-        words, uses = class_text(cls), bundled_uses()
-        block["description"] = "\n\n".join(
-            [words.summary, *filter(None, [words.text]), *(f"Source: {s}" for s in words.sources)]
-        )
+        block = super().dataclass_schema(schema)
+        cls = schema["cls"]
+        words = class_text(cls)
+        sources = [f"Source: {source}" for source in words.sources]
+        block["description"] = "\n\n".join(filter(None, [words.summary, words.text, *sources]))
         # Pydantic has fields here, too, that no constructor takes.
-        block["properties"] = {
-            name: p for name, p in block["properties"].items() if name in words.fields
-        }
-        for name, rule in block["properties"].items():
+        taken = {name: rule for name, rule in block["properties"].items() if name in words.fields}
+        for name, rule in taken.items():
             rule.pop("title", None)  # the name of the field once more
             if not fields(cls)[name].needed:
                 rule.setdefault("default", fields(cls)[name].default)  # one that a function makes
             if name == "kind":
-                rule |= {
-                    "description": words.summary or f"The kind of {cls.__name__}.",
-                    "examples": [kind_of(cls)],
-                }
-                continue
-            field = words.fields[name]
-            has_unit = (
-                field.unit in ("", DIMENSIONLESS)
-                or "[" in field.description
-                or not field.description
-            )
-            described = field.description if has_unit else f"{field.description} [{field.unit}]"
-            found = (
-                ("description", described),
-                ("unit", field.unit),
-                ("examples", list(examples_of(cls, name, uses))),
-            )
-            rule |= {word: value for word, value in found if value}
+                rule["description"] = words.summary or f"The kind of {cls.__name__}."
+                rule["examples"] = [kind_of(cls)]
+            else:
+                rule |= _described(cls, name)
+        block["properties"] = taken
         return block
 
     def sort(self, value: JsonSchemaValue, parent_key: str | None = None) -> JsonSchemaValue:
@@ -428,14 +424,24 @@ class _Described(GenerateJsonSchema):
         return value
 
 
+def _described(cls: type, name: str) -> dict[str, Any]:
+    """What the schema says of a field in words: its description, its unit, an example."""
+    text = class_text(cls).fields[name]
+    description = text.description
+    if description and text.unit not in ("", DIMENSIONLESS) and "[" not in description:
+        description += f" [{text.unit}]"
+    examples = list(examples_of(cls, name, bundled_uses()))
+    found = {"description": description, "unit": text.unit, "examples": examples}
+    return {word: value for word, value in found.items() if value}
+
+
 def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
     """One example of a field, if there is any: one in a bundled file that is not its default; the
     docstring's; the default.
     """
     default = fields(cls)[name].default
-    written = [
-        v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in _NOTHING
-    ]
+    dull = (default, *_NOTHING)
+    written = [v for v in uses.values.get((cls.__name__, name), []) if v not in dull]
     if written:
         # the first that is short enough, else the shortest
         yield min(written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE))
@@ -452,18 +458,19 @@ def example_block(cls: type, uses: Uses) -> dict[str, Any]:
     """A block of a class, which need not be used anywhere: its kind and the fields that it needs,
     else its first field.
     """
-    names = [name for name in fields(cls) if name != "kind"]
-    kind = {"kind": kind_of(cls)} if "kind" in fields(cls) else {}
-    return kind | {
-        name: next(examples_of(cls, name, uses), None)
-        for name in needed(cls) or ([] if kind else names[:1])
-    }
+    block: dict[str, Any] = {}
+    names = needed(cls)
+    if "kind" in fields(cls):
+        block["kind"] = kind_of(cls)
+    elif not names:
+        names = list(fields(cls))[:1]
+    for name in names:
+        block[name] = next(examples_of(cls, name, uses), None)
+    return block
 
 
 def _filled(value: Any) -> Any:
     """Plain values without the fields that are None, which say nothing in an example."""
-    return (
-        {name: _filled(inner) for name, inner in value.items() if inner is not None}
-        if isinstance(value, dict)
-        else value
-    )
+    if isinstance(value, dict):
+        return {name: _filled(inner) for name, inner in value.items() if inner is not None}
+    return value

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.camera import DEPTH_SENSORS, Camera
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, within
 from vstestbed.core.geometry import Array, exp, lengths
 from vstestbed.core.registry import kind_of
 from vstestbed.features.depth import OnFloor, PnP
@@ -27,12 +27,15 @@ from vstestbed.timing.plan import Timing
 from vstestbed.vision import DETECTORS, Detector
 from vstestbed.vision.blobs import Blobs
 
-MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
+MOST_FRAMES = 10_000_000
+MOST_BYTES = 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures
 in transit.
 """
 
-MOST_MOUNT_M, MOST_VIEW_M, MOST_PLACE_M = 10.0, 100.0, 100.0
+MOST_MOUNT_M = 10.0
+MOST_VIEW_M = 100.0
+MOST_PLACE_M = 100.0
 """Farthest that a camera is from its flange, a goal view from the target, and the target and the
 ideal camera from the origin: several times what any experiment here needs [m]. What lies beyond was
 meant in millimetres.
@@ -80,7 +83,8 @@ def check_times(
             " errors of the pictures' stamps: timing.camera_clock"
         )
         raise ParameterError("timing.robot_clock", words)
-    if step_s > (1 + 1e-9) * (most_s := needed_step(robot)):
+    most_s = needed_step(robot)
+    if step_s > (1 + 1e-9) * most_s:
         words = (
             f"{most_s:.4g} s with these gears and drives;"
             " without step_s the longest that works is taken"
@@ -90,13 +94,8 @@ def check_times(
         most = (
             f"{MOST_FRAMES / camera.rate_hz:g} s, {MOST_FRAMES} pictures at {camera.rate_hz:g} Hz"
         )
-        raise ParameterError.bound(
-            "stop.duration_s",
-            "at most",
-            most,
-            stop.duration_s,
-            why="a longer log is a table of more than 10 GB",
-        )
+        why = "a longer log is a table of more than 10 GB"
+        raise ParameterError.bound("stop.duration_s", "at most", most, stop.duration_s, why=why)
     if not pictures:
         return
     each = 3 if camera.depth_sensor is None else 7  # bytes of a pixel
@@ -110,44 +109,45 @@ def check_times(
         raise ParameterError("camera.latency_s", words, camera.latency_s)
 
 
-def check_robot(
-    robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float
-) -> None:
-    """Refuse effects, derotation, wind, friction and a target in the gripper for robots to which
-    they do not apply.
-    """
+def check_robot(robot: Robot) -> None:
+    """Refuse effects that do not fit the robot's joints, and joints without a body."""
     for i, effect in enumerate(getattr(robot, "effects", ())):
-        try:
+        with within(f"robot.effects.{i}"):
             effect.check(robot.joints)
-        except ParameterError as error:
-            raise ParameterError(
-                f"robot.effects.{i}.{error.field}", error.problem, error.found
-            ) from None
     if robot.body is None and robot.joints:
         words = f"{robot.kind} has joints and no body; let its `body` name an MJCF file"
         raise ParameterError("robot.kind", words)
+
+
+def check_flight(
+    robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float
+) -> None:
+    """Refuse derotation and wind for robots that do not fly, and a correction of the tilt by a
+    target from which it cannot be seen.
+    """
     flies = robot.base == "floating"
     if not flies and derotation != "none":
-        raise ParameterError.only_for(
-            "derotation", "a craft that tilts (robot quadrotor); here it must be none", derotation
-        )
+        able = "a craft that tilts (robot quadrotor); here it must be none"
+        raise ParameterError.only_for("derotation", able, derotation)
     if not (flies or world.wind.still):
-        raise ParameterError.only_for(
-            "world.wind", "a craft that flies (robot quadrotor)", robot.kind
-        )
+        able = "a craft that flies (robot quadrotor)"
+        raise ParameterError.only_for("world.wind", able, robot.kind)
     # the target's own motion would be taken for a tilt
     if level_trim_s and (derotation == "none" or target.moves):
         words = (
             "corrects the tilt for a derotation by a target that stands still; here it must be 0"
         )
         raise ParameterError("level_trim_s", words, level_trim_s)
+
+
+def check_contact(robot: Robot, target: Target, world: World) -> None:
+    """Refuse friction for wheels that never slip, and a target in a hand that is not there."""
     if world.floor_friction is not None and robot.body is not None and not robot.body.slips:
         words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
         raise ParameterError("world.floor_friction", words, world.floor_friction)
     if target.on_gripper and not (robot.body and robot.body.gripper):
-        raise ParameterError.excluded(
-            "target.motion", f"held with robot {robot.kind}", why="it has no hand; use puma560"
-        )
+        what = f"held with robot {robot.kind}"
+        raise ParameterError.excluded("target.motion", what, why="it has no hand; use puma560")
 
 
 def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any]) -> None:
@@ -161,15 +161,15 @@ def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[
         )
         raise ParameterError("law.depth", words)
     if law.depth.measured and camera.depth_sensor is None:
-        words = "may be sensor only with a depth camera: add camera.depth_sensor"
         others = "goal or constant" if "image" in law.inputs else "pnp, constant, goal or estimate"
-        raise ParameterError(
-            "law.depth", f"{words} ({', '.join(DEPTH_SENSORS.members)}), or use {others}"
+        words = (
+            "may be sensor only with a depth camera: add camera.depth_sensor"
+            f" ({', '.join(DEPTH_SENSORS.members)}), or use {others}"
         )
+        raise ParameterError("law.depth", words)
     if "wrench" in law.inputs and getattr(robot, "wrist", None) is None:
-        raise ParameterError.needs(
-            "law", "robot.wrist, a sensor of the wrench that it reads", law.kind
-        )
+        what = "robot.wrist, a sensor of the wrench that it reads"
+        raise ParameterError.needs("law", what, law.kind)
     if law.depth.on_floor and robot.base != "planar":
         words = (
             f"may be floor only for a vehicle, and robot {robot.kind} is none;"
@@ -182,21 +182,21 @@ def check_carrier(target: Target) -> None:
     """Refuse a route that the vehicle which carries the target cannot drive: a bend too tight, or a
     speed too high.
     """
-    if target.carrier is None:
+    carrier = target.carrier
+    if carrier is None:
         return
-    by, route, speed = target.carrier.by, target.carrier.route, target.carrier.speed_mps
-    leader = VEHICLES[by]()
-    if route.least_radius_m < leader.turning_radius_m:
+    leader = VEHICLES[carrier.by]()
+    radius = carrier.route.least_radius_m
+    if radius < leader.turning_radius_m:
         words = (
-            f"has a bend of {route.least_radius_m:.3g} m,"
-            " and the car that carries the target turns no tighter than"
+            f"has a bend of {radius:.3g} m, and the car that carries the target turns no tighter"
+            f" than {leader.turning_radius_m:.3g} m; make it wider, or use by: omni"
         )
-        raise ParameterError(
-            "target.motion.route",
-            f"{words} {leader.turning_radius_m:.3g} m; make it wider, or use by: omni",
-        )
+        raise ParameterError("target.motion.route", words)
+    speed = carrier.speed_mps
     if speed > leader.top_speed_mps:
-        words = f"{leader.top_speed_mps:g} m/s, the top speed of the {by} that carries the target"
+        most = f"{leader.top_speed_mps:g} m/s"
+        words = f"{most}, the top speed of the {carrier.by} that carries the target"
         raise ParameterError.bound("target.motion.speed_mps", "at most", words, speed)
 
 
@@ -296,29 +296,35 @@ def check_markers(
     """
     check_detected(target, detector, law)
     _check_marker_count(robot, camera, target, detector, law)
-    sized = is_sized(target)
-    if law.depth.needs_size and not sized:
+    depth = law.depth
+    if depth.needs_size and not is_sized(target):
         raise ParameterError.excluded(
             "law.depth",
             "size without target ball",
             why="its outline tells its distance",
             works="pnp, goal or estimate",
         )
-    if runs_along(target) and (law.depth.needs_pose or needs_pose):
+    if runs_along(target) and (depth.needs_pose or needs_pose):
         words = (
-            f"may not be {law.depth.kind}:"
+            f"may not be {depth.kind}:"
             f" the outline of {called(target)} does not tell how it is turned, and so has no pose"
         )
-        remedy = (
-            f"; use {'size or ' if sized else ''}goal"
-            if _has_depth(law)
-            else f", which law {law.kind} needs"
-        )
-        raise ParameterError("law.depth", words + remedy)
-    if not law.depth.needs_pose or law.depth.on_floor:
-        return
+        if not _has_depth(law):
+            words += f", which law {law.kind} needs"
+        elif is_sized(target):
+            words += "; use size or goal"
+        else:
+            words += "; use goal"
+        raise ParameterError("law.depth", words)
+    if depth.needs_pose and not depth.on_floor:
+        _check_spread(robot, target, law, needs_pose)
+
+
+def _check_spread(robot: Robot, target: Target, law: Law[Any], needs_pose: bool) -> None:
+    """Refuse markers on one line: a rotation about it is not observable, since their scatter round
+    the centroid has rank one.
+    """
     points = target.points
-    # Rotation about a common line is not observable: the scatter round the centroid has rank one.
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if len(points) >= 3 and spread[1] >= ON_ONE_LINE * spread[0]:
         return
@@ -330,17 +336,14 @@ def check_markers(
         raise ParameterError("target", words)
     # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs
     # a source that estimates one.
-    depths = (
-        "floor"
-        if needs_pose
-        else "floor, goal or estimate"
-        if robot.base == "planar"
-        else "goal or estimate"
-    )
+    depths = "goal or estimate"
+    if needs_pose:
+        depths = "floor"
+    elif robot.base == "planar":
+        depths = "floor, goal or estimate"
     which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
-    raise ParameterError.excluded(
-        "law.depth", "pnp", why=f"{which}, which leaves the pose open; use {depths}"
-    )
+    why = f"{which}, which leaves the pose open; use {depths}"
+    raise ParameterError.excluded("law.depth", "pnp", why=why)
 
 
 def check_own_points(
@@ -352,82 +355,79 @@ def check_own_points(
     if not detector.needs_goal:
         return
     if len(camera.panels) > 1:
+        what = f"{detector.kind} with a camera that sees all round"
         why = "it compares single pictures; use perspective or fisheye"
-        raise ParameterError.excluded(
-            "detector", f"{detector.kind} with a camera that sees all round", why=why
-        )
+        raise ParameterError.excluded("detector", what, why=why)
     if len(views) > 1:
-        words = f"{detector.kind} with {len(views)} goal views in turn"
-        raise ParameterError.excluded(
-            "detector", words, why="it compares with the picture of one; use goal: view"
-        )
+        what = f"{detector.kind} with {len(views)} goal views in turn"
+        why = "it compares with the picture of one; use goal: view"
+        raise ParameterError.excluded("detector", what, why=why)
     if detector.fleeting and law.depth.estimator is not None:
         words = (
             "estimates each point's depth from its motion,"
-            f" and detector {detector.kind} shows other points in every picture"
+            f" and detector {detector.kind} shows other points in every picture;"
+            " use pnp or goal, or let it follow its points (track: klt)"
         )
-        raise ParameterError(
-            "law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)"
-        )
+        raise ParameterError("law.depth", words)
     # one of the up to four poses from three points has the base upright on the floor
-    upright = robot.base == "planar"
-    needs_pose = law.depth.needs_pose or "T_camera_target" in law.inputs
-    if needs_pose and not upright and detector.rows is not None and detector.rows < FIRST_POSE:
-        words = (
-            f"must be at least {FIRST_POSE} where the target's pose is needed,"
-            " since three points have up to four poses"
-        )
-        depths = (
-            ", or law.depth goal or sensor"
-            if _has_depth(law) and "T_camera_target" not in law.inputs
-            else ""
-        )
-        field = "detector.best" if hasattr(detector, "best") else "detector"
-        raise ParameterError(field, f"{words}; works: {FIRST_POSE}{depths}", detector.rows)
+    if robot.base != "planar" and detector.rows is not None and detector.rows < FIRST_POSE:
+        _check_poseless(detector, law)
     if detector.changing:
-        _check_changing(law, detector.kind)
+        _check_same_markers(law, detector.kind)
+        _check_kept_points(law, detector.kind)
 
 
-def _check_changing(law: Any, detector: str) -> None:
-    """Refuse what a detector that has other points in every picture, all over it, cannot serve:
-    laws and features of the same markers, and laws that keep points from the border or a plane.
-    """
+def _check_poseless(detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse a law that needs the target's pose, for a detector of too few points."""
+    reads_pose = "T_camera_target" in law.inputs
+    if not (reads_pose or law.depth.needs_pose):
+        return
+    words = (
+        f"must be at least {FIRST_POSE} where the target's pose is needed,"
+        f" since three points have up to four poses; works: {FIRST_POSE}"
+    )
+    if _has_depth(law) and not reads_pose:
+        words += ", or law.depth goal or sensor"
+    field = "detector.best" if hasattr(detector, "best") else "detector"
+    raise ParameterError(field, words, detector.rows)
+
+
+def _check_same_markers(law: Any, detector: str) -> None:
+    """Refuse a law, or the feature in it, that needs the same markers in every picture."""
+    if not law.needs_same_markers:
+        return
     wanted = f"the same markers in every picture, and detector {detector} shows other points"
     for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
         feature = getattr(part, "feature", None)
-        if (
-            law.needs_same_markers
-            and part is not None
-            and feature is not None
-            and part.needs_same_markers
-        ):
+        if part is not None and feature is not None and part.needs_same_markers:
             why = (
                 f"it is made of several markers together, which takes {wanted};"
                 " use point, polar or spherical"
             )
             raise ParameterError.excluded(f"{place}.feature", feature.kind, why=why)
-    if law.needs_same_markers:
-        raise ParameterError.excluded(
-            "law", law.kind, why=f"it needs {wanted}; use ibvs, pbvs or hybrid"
-        )
+    why = f"it needs {wanted}; use ibvs, pbvs or hybrid"
+    raise ParameterError.excluded("law", law.kind, why=why)
+
+
+def _check_kept_points(law: Any, detector: str) -> None:
+    """Refuse a law that keeps points from the border or a plane, where they are all over the
+    picture.
+    """
     if "radius_px" not in inputs_of(law):
         return
-    given = {
-        name: "null" for name in ("margin_px", "plane_m") if getattr(law, name, None) is not None
-    }
+    given = {}
+    for name in ("margin_px", "plane_m"):
+        if getattr(law, name, None) is not None:
+            given[f"law.{name}"] = "null"
     if getattr(getattr(law, "visibility", None), "margin_px", 0) > 0:
-        given["visibility.margin_px"] = "0"
+        given["law.visibility.margin_px"] = "0"
+    remedy = " and ".join(f"{name}: {off}" for name, off in given.items())
     words = (
         "keeps points from the border or a plane,"
-        f" and those of detector {detector} are all over the picture"
+        f" and those of detector {detector} are all over the picture;"
+        f" works: {remedy or 'a law, or a condition, that does not'}"
     )
-    remedy = (
-        " and ".join(f"law.{name}: {off}" for name, off in given.items())
-        or "a law, or a condition, that does not"
-    )
-    raise ParameterError(
-        f"law.{next(iter(given))}" if given else "law", f"{words}; works: {remedy}"
-    )
+    raise ParameterError(next(iter(given), "law"), words)
 
 
 def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
@@ -435,26 +435,24 @@ def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[A
     levels with a law of markers, a pose that an outline does not tell or the law does not take from
     it.
     """
-    goal, in_grey = stop.converged, "image" in law.inputs
-    if goal.error_grey is not None and not in_grey:
+    goal = stop.converged
+    if goal.error_grey is not None and "image" not in law.inputs:
         words = (
             "is of a law that works on grey levels (photometric),"
             f" and law {law.kind} does not; use error_px"
         )
         raise ParameterError("stop.converged.error_grey", words)
-    field = next(
-        (name for name in ("error_px", *BY_ESTIMATE) if getattr(goal, name) is not None), None
-    )
-    if detector.rows == 0 and field:
-        words = f"markers, and detector {detector.kind} finds none"
-        raise ParameterError.needs(
-            f"stop.converged.{field}", words, works="stop: {converged: {error_grey: 1}}"
-        )
-    for name in BY_ESTIMATE:
-        if getattr(goal, name) is not None and (words := _untold_pose(target, law)):
-            raise ParameterError.needs(
-                f"stop.converged.{name}", f"the target's pose, {words}", getattr(goal, name)
-            )
+    for name in ("error_px", *BY_ESTIMATE):
+        limit = getattr(goal, name)
+        if limit is None:
+            continue
+        field = f"stop.converged.{name}"
+        if detector.rows == 0:
+            words = f"markers, and detector {detector.kind} finds none"
+            works = "stop: {converged: {error_grey: 1}}"
+            raise ParameterError.needs(field, words, works=works)
+        if name in BY_ESTIMATE and (words := _untold_pose(target, law)):
+            raise ParameterError.needs(field, f"the target's pose, {words}", limit)
 
 
 def _untold_pose(target: Target, law: Law[Any]) -> str:
@@ -464,57 +462,62 @@ def _untold_pose(target: Target, law: Law[Any]) -> str:
         return f"which the outline of {called(target)} does not tell; works: error_px alone"
     if law.depth.needs_pose or {"T_camera_target", "place"} & set(law.inputs):
         return ""
-    return (
-        f"which law.depth {law.depth.kind} does not estimate;"
-        f" works: {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
-    )
+    works = "law.depth pnp, or error_px alone" if _has_depth(law) else "error_px alone"
+    return f"which law.depth {law.depth.kind} does not estimate; works: {works}"
 
 
 def check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
     """Refuse a detector that does not see this kind of markers, that nobody reads, or for which the
     target shows nothing.
     """
-    of_markers = {
-        kind: member
-        for kind, member in DETECTORS.members.items()
-        if member.rows is None and not member.needs_sheet
-    }
-    marker, shown = target.marker.kind, kind_of(type(target))
+    marker = target.marker.kind
     if detector.markers and marker not in detector.markers:
-        able = [
-            kind
-            for kind, member in of_markers.items()
-            if not member.markers or marker in member.markers
-        ]
         why = (
             f"detector {detector.kind} sees {', '.join(detector.markers)};"
-            f" with {marker} use detector {' or '.join(able)}"
+            f" with {marker} use detector {_detectors_of(marker)}"
         )
         raise ParameterError.excluded("target.marker", marker, why=why)
-    if set(law.inputs) == {"image"} and detector.needs_goal:
+    if set(law.inputs) == {"image"}:
+        _check_unread(target, detector, law)
+    shown = kind_of(type(target))
+    if detector.needs_sheet and target.sheet is None:
+        words = (
+            f"must be a picture for detector {detector.kind}, which tracks it:"
+            " `target: {kind: picture, file: poster.png, width: 0.6}`"
+        )
+        raise ParameterError("target", words, shown)
+    if detector.markers and not target.draw_markers and target.sheet is None:
+        what = f"false with detector {detector.kind}"
+        why = (
+            f"a {shown} without markers shows it nothing to detect;"
+            f" use true, or detector {_detectors_of()}"
+        )
+        raise ParameterError.excluded("target.draw_markers", what, False, why=why)
+    _check_told_apart(target, detector)
+
+
+def _detectors_of(marker: str = "") -> str:
+    """The detectors that see markers of a kind, in words; by default those that see any."""
+    able = []
+    for kind, member in DETECTORS.members.items():
+        of_markers = member.rows is None and not member.needs_sheet
+        if of_markers and (not member.markers or marker in member.markers):
+            able.append(kind)
+    return " or ".join(able)
+
+
+def _check_unread(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse a detector beside a law that works on the whole picture, and reads no points of it."""
+    if detector.needs_goal:
         why = f"law {law.kind} works on the whole picture, and reads no points of it; use none"
-        raise ParameterError.excluded("detector", detector.kind, why=why)
-    if set(law.inputs) == {"image"} and detector.markers and not target.draw_markers:
+    elif detector.markers and not target.draw_markers:
         why = (
             "no markers are drawn (target.draw_markers: false),"
             f" and law {law.kind} needs none; use none"
         )
-        raise ParameterError.excluded("detector", detector.kind, why=why)
-    if detector.needs_sheet and target.sheet is None:
-        words = f"must be a picture for detector {detector.kind}, which tracks it"
-        raise ParameterError(
-            "target", f"{words}: `target: {{kind: picture, file: poster.png, width: 0.6}}`", shown
-        )
-    if detector.markers and not target.draw_markers and target.sheet is None:
-        able = [kind for kind, member in of_markers.items() if not member.markers]
-        why = (
-            f"a {shown} without markers shows it nothing to detect;"
-            f" use true, or detector {' or '.join(able)}"
-        )
-        raise ParameterError.excluded(
-            "target.draw_markers", f"false with detector {detector.kind}", False, why=why
-        )
-    _check_told_apart(target, detector)
+    else:
+        return
+    raise ParameterError.excluded("detector", detector.kind, why=why)
 
 
 def _check_told_apart(target: Target, detector: Detector[Any]) -> None:
@@ -532,12 +535,11 @@ def _check_told_apart(target: Target, detector: Detector[Any]) -> None:
         ]
         if exchanged:
             seen = "turned" if target.one_sided else "turned, or from behind"
-            words = f"leave it open which marker is which: {seen}, the target shows"
-            works = (
-                "other hues of these, none (all are then different), marker tag,"
-                " an arrangement without symmetry"
+            words = (
+                f"leave it open which marker is which: {seen}, the target shows"
+                f" {', '.join(exchanged)}; works: other hues of these, none (all are then"
+                " different), marker tag, an arrangement without symmetry"
             )
-            words += f" {', '.join(exchanged)}; works: {works}"
             raise ParameterError("target.marker.hues", words, list(target.marker.hues))
 
 
@@ -546,15 +548,17 @@ def _alike(points: Array, hues: Sequence[float], order: list[int]) -> Iterator[l
     the largest, the same distances, and so follow from a motion of the target. Of a flat one a
     mirror image, too, is seen: from behind.
     """
-    i, n = len(order), len(points)
-    if i == n:
+    i = len(order)
+    if i == len(points):
         centred = points - points.mean(axis=0)
         # a negative one is of a mirror image of a solid
         if np.linalg.det(centred.T @ centred[order]) > -ON_ONE_LINE * np.ptp(points) ** 6:
             yield order
         return
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    for j in [k for k in range(n) if k not in order and hues[k] == hues[i]]:
+    for j, hue in enumerate(hues):
+        if j in order or hue != hues[i]:
+            continue
         off = np.abs(apart[i, :i] - apart[j, order]).max(initial=0.0)
         if off <= ALIKE * apart.max():
             yield from _alike(points, hues, [*order, j])
@@ -571,10 +575,8 @@ def _mirrors(points: Array, order: list[int]) -> bool:
 def _check_marker_count(
     robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]
 ) -> None:
-    points, basis = (
-        target.points,
-        robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()),
-    )
+    count = len(target.points)
+    basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
     if detector.rows is not None and detector.rows < law.markers_needed(basis):
@@ -583,16 +585,14 @@ def _check_marker_count(
             " use another one, or law photometric"
         )
         raise ParameterError.excluded("detector", detector.kind, why=why)
-    if detector.rows is None and len(points) < needed:
-        markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
+    if detector.rows is None and count < needed:
+        markers = "1 marker" if count == 1 else f"{count} markers"
         words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
-        less = None  # with depth `floor`, where that is an alternative to `pnp`
         if robot.base == "planar" and isinstance(law.depth, PnP) and _has_depth(law):
             less = replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field
-        enough = less is not None and len(points) >= less
-        raise ParameterError(
-            "target", words + (f"; with law.depth floor {less} will do" if enough else "")
-        )
+            if count >= less:
+                words += f"; with law.depth floor {less} will do"
+        raise ParameterError("target", words)
 
 
 def check_determined(
@@ -603,31 +603,30 @@ def check_determined(
     alike from other places.
     """
     for servo, own, seen, all_motions in _told(robot, camera, target, law, goal):
-        told, alike, each = min(own, seen), seen < all_motions, servo.feature.rows_per_marker
+        feature = servo.feature
+        told = min(own, seen)
+        alike = seen < all_motions
+        each = feature.rows_per_marker
         if servo.redundant or told == all_motions or (each and not alike):
             continue
-        words = (
-            f"{servo.feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
-        )
-        words += f", since {called(target)} looks alike from other places" if alike else ""
+        words = f"{feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
+        if alike:
+            words += f", since {called(target)} looks alike from other places"
         words += f"; use law.redundant: true, which leaves the others {'open' if each else 'alone'}"
-        more = (
-            ", or more rows (law.feature.rows)"
-            if hasattr(servo.feature, "rows") and own < seen
-            else ""
-        )
-        raise ParameterError("law.feature", words + more)
+        if hasattr(feature, "rows") and own < seen:
+            words += ", or more rows (law.feature.rows)"
+        raise ParameterError("law.feature", words)
 
 
 def free_motions(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> int:
     """How many of the robot's motions a law with `redundant` leaves free at a goal view, where its
     pose is not determined; 0 for none.
     """
-    told = _told(robot, camera, target, law, goal)
-    return max(
-        (motions - min(own, seen) for servo, own, seen, motions in told if servo.redundant),
-        default=0,
-    )
+    most = 0
+    for servo, own, seen, motions in _told(robot, camera, target, law, goal):
+        if servo.redundant:
+            most = max(most, motions - min(own, seen))
+    return most
 
 
 def _told(
@@ -639,28 +638,24 @@ def _told(
     """
     basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     seen = motions_told(target, goal.T_camera_target, basis)
-    views = ((servo, at_goal(servo.feature, goal)) for servo in _image_based(law))
-    return [
-        (
-            servo,
-            int(
-                np.linalg.matrix_rank(
-                    servo.feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff
-                )
-            ),
-            seen,
-            basis.shape[1],
-        )
-        for servo, inputs in views
-        if inputs is not None
-    ]
+    told = []
+    for servo in _image_based(law):
+        inputs = at_goal(servo.feature, goal)
+        if inputs is not None:
+            L = servo.feature.interaction(*inputs) @ basis
+            own = int(np.linalg.matrix_rank(L, rtol=servo.solve.cutoff))
+            told.append((servo, own, seen, basis.shape[1]))
+    return told
 
 
-def _image_based(law: Any) -> list[Any]:
+def _image_based(law: Any) -> Iterator[Any]:
     """The laws with a feature that may leave motions open: this law, or those within it."""
-    within = [law.law] if hasattr(law, "law") else [part.law for part in getattr(law, "laws", ())]
-    own = [law] if law.feature is not None and hasattr(law, "redundant") else []
-    return own + [servo for part in within for servo in _image_based(part)]
+    if law.feature is not None and hasattr(law, "redundant"):
+        yield law
+    if hasattr(law, "law"):
+        yield from _image_based(law.law)
+    for part in getattr(law, "laws", ()):
+        yield from _image_based(part.law)
 
 
 def _has_depth(law: Law[Any]) -> bool:

@@ -17,7 +17,7 @@ from vstestbed.core.errors import ParameterError, ScenarioError, short
 from vstestbed.core.quantity import check_range
 from vstestbed.core.registry import Contract, Registry, brief_mapping, to_mapping
 from vstestbed.core.spec import spec
-from vstestbed.scenario.yaml_marks import build, put_over
+from vstestbed.scenario.yaml_marks import build, overlap, put_over
 
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
@@ -123,23 +123,26 @@ class Gaussian(Distribution):
         super().__post_init__()
         mean, sigma = self.normal
         if sigma < 0:
-            raise ParameterError.form(
-                "normal", "[mean, standard deviation of 0 or more]", list(self.normal)
-            )
-        if self.within is not None and not (
-            self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma
-        ):
+            form = "[mean, standard deviation of 0 or more]"
+            raise ParameterError.form("normal", form, list(self.normal))
+        if self.within is None:
+            return
+        low, high = self.within
+        least = mean - 3 * sigma
+        most = mean + 3 * sigma
+        if low > most or high < least:
             words = (
-                "must reach into three standard deviations about the mean,"
-                f" {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
+                f"must reach into three standard deviations about the mean, {least:g} to {most:g}"
             )
-            raise ParameterError("within", words, list(self.within))
+            raise ParameterError("within", words, [low, high])
 
     def draw(self, rng: np.random.Generator) -> float:
-        (mean, sigma), (low, high) = self.normal, self.within or (-math.inf, math.inf)
+        mean, sigma = self.normal
+        low, high = self.within or (-math.inf, math.inf)
         for _ in range(TRIES):
             # `normal` refuses a sigma of -0.0
-            if low <= (x := mean + sigma * float(rng.standard_normal())) <= high:
+            x = mean + sigma * float(rng.standard_normal())
+            if low <= x <= high:
                 return x
         raise ParameterError("within", f"held none of {TRIES} draws; make it wider", [low, high])
 
@@ -211,6 +214,11 @@ DISTRIBUTIONS = Registry(
 # Domain randomisation: the block `randomise`, and clutter, drawn from a scenario's seed.
 # Independent random streams of one seed. Their numbers enter the seed: a new one comes last, or all
 # recorded runs change.
+# In groups: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of
+# timing, of the calibration of depths, the target's random walk, perturbations;
+# the depth camera, the goal's picture, what differs from one robot to the next of its kind, losses
+# of the link, time stamps, the image sensor, the block `randomise`, clutter;
+# changes of the target's own picture.
 (
     START_STREAM,
     NOISE_STREAM,
@@ -220,11 +228,6 @@ DISTRIBUTIONS = Registry(
     DEPTH_STREAM,
     MOTION_STREAM,
     PERTURB_STREAM,
-) = range(8)
-"""The start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing, of
-the calibration of depths, the target's random walk, perturbations.
-"""
-(
     RGBD_STREAM,
     GOAL_STREAM,
     BODY_STREAM,
@@ -233,11 +236,8 @@ the calibration of depths, the target's random walk, perturbations.
     IMAGING_STREAM,
     RANDOMISE_STREAM,
     CLUTTER_STREAM,
-) = range(8, 16)
-"""The depth camera, the goal's picture, what differs from one robot to the next of its kind, losses
-of the link, time stamps, the image sensor, the block `randomise`, clutter.
-"""
-TARGET_STREAM = 16  # changes of the target's own picture
+    TARGET_STREAM,
+) = range(17)
 
 
 def drawn(scenario: Scenario) -> Scenario:
@@ -247,55 +247,48 @@ def drawn(scenario: Scenario) -> Scenario:
     value and why.
     """
     if scenario.randomise:
-        plain, found = to_mapping(scenario) | {"randomise": []}, values_of(scenario)
-        fields, values = list(found), list(found.values())
-        if "robot.realism" in fields:  # it fills what is not given
-            plain["robot"] = brief_mapping(scenario.robot)
-        try:
-            put_over(plain, found, {}, {})
-            scenario = build(type(scenario), plain, {}, "")
-        except ScenarioError as error:
-            mistake = error.mistakes[0]
-            wrong, places = f"{mistake.field}.", [f"{field}." for field in fields]
-            # It is of the drawn field, of one in it, or of its block.
-            i = next(
-                (
-                    i
-                    for i, at in enumerate(places)
-                    if wrong.startswith(at) or (wrong != "." and at.startswith(wrong))
-                ),
-                0,
-            )
-            words = (
-                f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}:"
-                f" {mistake.field} {mistake.sentence}"
-            )
-            raise ParameterError(f"randomise.{i}", words) from None
+        scenario = _with_values(scenario)
     clutter = scenario.world.clutter
     if clutter is None or clutter.placed or not clutter.count:
         return scenario
-    placed = clutter.draw(
-        np.random.default_rng([scenario.seed, CLUTTER_STREAM]), scenario.target.hues_deg
-    )
+    rng = np.random.default_rng([scenario.seed, CLUTTER_STREAM])
+    placed = clutter.draw(rng, scenario.target.hues_deg)
     return replace(scenario, world=replace(scenario.world, clutter=replace(clutter, placed=placed)))
+
+
+def _with_values(scenario: Scenario) -> Scenario:
+    """The scenario with what is drawn for the fields of `randomise`. Errors: see `drawn`."""
+    plain = to_mapping(scenario) | {"randomise": []}
+    found = values_of(scenario)
+    if "robot.realism" in found:  # it fills what is not given
+        plain["robot"] = brief_mapping(scenario.robot)
+    try:
+        put_over(plain, found, {}, {})
+        return build(type(scenario), plain, {}, "")
+    except ScenarioError as error:
+        mistake = error.mistakes[0]
+        fields = list(found)
+        i = next((i for i, field in enumerate(fields) if overlap(field, mistake.field)), 0)
+        words = (
+            f"drew {short(found[fields[i]])} for {fields[i]} with seed {scenario.seed}:"
+            f" {mistake.field} {mistake.sentence}"
+        )
+        raise ParameterError(f"randomise.{i}", words) from None
 
 
 def values_of(scenario: Scenario) -> dict[str, Any]:
     """What the seed draws for the fields of `randomise`, by their paths."""
-    of_field = [
-        (one, np.random.default_rng([scenario.seed, RANDOMISE_STREAM, *one.field.encode()]))
-        for one in scenario.randomise
-    ]
-    return {one.field: one.draw(rng) for one, rng in of_field}
+    values = {}
+    for one in scenario.randomise:
+        stream = [scenario.seed, RANDOMISE_STREAM, *one.field.encode()]
+        values[one.field] = one.draw(np.random.default_rng(stream))
+    return values
 
 
 def check_randomise(randomise: Sequence[Distribution]) -> None:
     """Refuse two distributions of one field, or of a block and a field in it."""
     for i, one in enumerate(randomise):
         for j, other in enumerate(randomise[:i]):
-            if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(
-                f"{one.field}."
-            ):
-                raise ParameterError.conflict(
-                    f"randomise.{i}.field", f"randomise.{j}.field: {other.field}", one.field
-                )
+            if overlap(one.field, other.field):
+                what = f"randomise.{j}.field: {other.field}"
+                raise ParameterError.conflict(f"randomise.{i}.field", what, one.field)

@@ -8,8 +8,9 @@ import dataclasses
 import importlib.metadata
 import io
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import yaml
@@ -44,7 +45,9 @@ __all__ = [
     "load_run",
 ]
 
-WIDTH, ON_ONE_LINE = 120, 110  # columns of a line, and of a block that stands on one line
+LIBYAML: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+WIDTH = 120  # columns of a line
+ON_ONE_LINE = 110  # columns of a block that stands on one line
 
 
 def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool = False) -> str:
@@ -93,10 +96,8 @@ def documents(scenario: Scenario) -> dict[str, str]:
     """
     copies = {file: place for file, _, place in _kept(scenario) if file}
     copies |= {absolute_file(file, Path.cwd()): place for file, place in copies.items()}
-    given, resolved = (
-        scenario.given.made_of or _brief(scenario.given),
-        to_mapping(scenario.resolved),
-    )
+    given = scenario.given.made_of or _brief(scenario.given)
+    resolved = to_mapping(scenario.resolved)
     return {
         GIVEN: as_yaml(_renamed(given, copies), brief=True),
         RESOLVED: as_yaml(_renamed(resolved, copies)),
@@ -106,11 +107,8 @@ def documents(scenario: Scenario) -> dict[str, str]:
 def _renamed(value: Any, names: Mapping[str, str], without: Sequence[str] = ()) -> Any:
     """Plain values with texts in place of others, and without some fields."""
     if isinstance(value, dict):
-        return {
-            key: _renamed(inner, names, without)
-            for key, inner in value.items()
-            if key not in without
-        }
+        kept = [key for key in value if key not in without]
+        return {key: _renamed(value[key], names, without) for key in kept}
     if isinstance(value, list | tuple):
         return [_renamed(inner, names, without) for inner in value]
     return names.get(value, value) if isinstance(value, str) else value
@@ -127,34 +125,34 @@ def _kept(scenario: Scenario) -> list[tuple[str | None, Path, str]]:
     """Name in the scenario, file, and place of the copy in a run's folder: of the target's file, of
     each of the goal's pictures, and of calibrations, whose numbers alone the record has.
     """
-    parts = {"target": scenario.target} | {
-        f"goal_{i}": said for i, said in enumerate(scenario.goal.pictures)
-    }
-    sources = [(what, part, part.source) for what, part in parts.items()]
-    kept = [
-        (getattr(part, "file", None), source, kept_at(source, what))
-        for what, part, source in sources
-        if source
-    ]
-    given: Any = scenario.given.made_of or {}
-    blocks = [(f"{name}_", given.get(name)) for name in ("robot", "camera", "calibration")] + [
-        ("", given)
-    ]
-    for name, further in (given.get("cameras") or {}).items():
-        blocks += [
-            (f"{name}_", further),
-            (f"{name}_camera_", further.get("camera")),
-            (f"{name}_calibration_", further.get("calibration")),
-        ]
-    for what, block in blocks:
-        named = {name: block.get(name) for name in CALIBRATED} if isinstance(block, Mapping) else {}
-        files = {
-            what + name: file
-            for name, file in named.items()
-            if isinstance(file, str) and is_there(Path(file))
-        }
-        kept += [(file, Path(file), kept_at(Path(file), name)) for name, file in files.items()]
+    parts: dict[str, Any] = {"target": scenario.target}
+    parts |= {f"goal_{i}": said for i, said in enumerate(scenario.goal.pictures)}
+    kept = []
+    for what, part in parts.items():
+        source = part.source
+        if source:
+            kept.append((getattr(part, "file", None), source, kept_at(source, what)))
+    for what, block in _calibrated(scenario.given.made_of or {}):
+        if not isinstance(block, Mapping):
+            continue
+        for name in CALIBRATED:
+            file = block.get(name)
+            if isinstance(file, str) and is_there(Path(file)):
+                kept.append((file, Path(file), kept_at(Path(file), what + name)))
     return kept
+
+
+def _calibrated(given: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The blocks of a scenario that may name a calibration, after the beginning of the name of its
+    copy.
+    """
+    for name in ("robot", "camera", "calibration"):
+        yield f"{name}_", given.get(name)
+    yield "", given
+    for name, further in (given.get("cameras") or {}).items():
+        yield f"{name}_", further
+        for part in ("camera", "calibration"):
+            yield f"{name}_{part}_", further.get(part)
 
 
 FORMER = ("filled", "drawn_about", "drawn_offsets", "drawn_errors", "drawn_seed")
@@ -167,7 +165,8 @@ def load_run(folder: Path, plugins: Sequence[str] = ()) -> Scenario:
     """The scenario of a run's folder as it ran; its `given` is what was given. Folders of before
     have one file that is both.
     """
-    path, record = folder / GIVEN, folder / RESOLVED
+    path = folder / GIVEN
+    record = folder / RESOLVED
     text = text_of(path)
     if record.is_file():
         given = parse(text, str(path), plugins=plugins)
@@ -183,9 +182,8 @@ def as_yaml(plain: Any, brief: bool = False) -> str:
     """Plain mappings, lists and scalars as YAML. brief: each block that fits on one line stands on
     one; else the innermost alone do.
     """
-    libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
-    class Dumper(libyaml):
+    class Dumper(LIBYAML):
         """PyYAML writes YAML 1.1, where `1e3` is text; it is read as YAML 1.2, where it is a
         number.
         """
@@ -197,23 +195,12 @@ def as_yaml(plain: Any, brief: bool = False) -> str:
             return node
 
     def plain_or_quoted(dumper: Any, text: str) -> Any:
-        return dumper.represent_scalar(
-            "tag:yaml.org,2002:str", text, "'" if text[:1] in "+-.0123456789" else None
-        )
+        quote = "'" if text[:1] in "+-.0123456789" else None
+        return dumper.represent_scalar("tag:yaml.org,2002:str", text, quote)
 
     Dumper.add_representer(str, plain_or_quoted)
     # nested blocks on lines of their own, the innermost mappings and lists on one line
-    out = io.StringIO()
-    yaml.dump(
-        plain,
-        out,
-        Dumper=Dumper,
-        default_flow_style=None,
-        width=WIDTH,
-        sort_keys=False,
-        allow_unicode=True,
-    )
-    return out.getvalue()
+    return _yaml_text(plain, Dumper=Dumper, default_flow_style=None, width=WIDTH)
 
 
 def flow_text(value: object) -> str:
@@ -230,8 +217,9 @@ def block_text(value: object, width: int) -> str:
 
 
 def _yaml_text(value: object, **style: Any) -> str:
-    libyaml, out = getattr(yaml, "CSafeDumper", yaml.SafeDumper), io.StringIO()
-    yaml.dump(value, out, Dumper=libyaml, sort_keys=False, allow_unicode=True, **style)
+    style.setdefault("Dumper", LIBYAML)
+    out = io.StringIO()
+    yaml.dump(value, out, sort_keys=False, allow_unicode=True, **style)
     return out.getvalue()
 
 
@@ -248,62 +236,71 @@ def check_plugins(scenario: Scenario) -> None:
     foreign = {
         type(part): field
         for field, part in _parts(scenario)
-        if type(part).__module__.partition(".")[0] != "vstestbed"
+        if _package(type(part).__module__) != "vstestbed"
     }
     if not foreign:
         return
-    offered: Any = importlib.metadata.entry_points()
-    installed = [
-        entry.module for name in HOMES for entry in offered.select(group=f"vstestbed.{name}")
-    ]
-    packages = {
-        name.partition(".")[0]
-        for name in (*installed, *(p for p in scenario.plugins if not is_file_name(p)))
-    }
+    packages = _packages(scenario.plugins)
+    here = Path.cwd()
     loaded = [
-        module_of(Path(absolute(name, Path.cwd())))
-        for name in scenario.plugins
-        if is_file_name(name)
+        module_of(Path(absolute(name, here))) for name in scenario.plugins if is_file_name(name)
     ]
     for cls, field in foreign.items():
-        home = sys.modules.get(cls.__module__)
-        in_file = any(
-            m is home or any(value is cls or value is home for value in vars(m).values())
-            for m in loaded
-            if m is not None
+        in_file = any(_has(module, cls) for module in loaded)
+        if not in_file and _package(cls.__module__) not in packages:
+            raise ParameterError(field, _unnamed(cls))
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _packages(plugins: Iterable[str]) -> set[str]:
+    """The packages of the plugins that are named as modules, and of those that are installed."""
+    packages = {_package(name) for name in plugins if not is_file_name(name)}
+    offered: Any = importlib.metadata.entry_points()
+    for name in HOMES:
+        packages.update(_package(e.module) for e in offered.select(group=f"vstestbed.{name}"))
+    return packages
+
+
+def _has(module: ModuleType | None, cls: type) -> bool:
+    """Whether a module is the one of a class, or imports it or its module."""
+    home = sys.modules.get(cls.__module__)
+    if module is None or module is home:
+        return module is not None
+    return any(value is cls or value is home for value in vars(module).values())
+
+
+def _unnamed(cls: type) -> str:
+    """The sentence for a class of the user's own that no scenario file finds."""
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    if file is None or cls.__module__ == "__main__":
+        return (
+            f"is {cls.__name__}, which is defined in the program that runs"
+            " (a script, a notebook), where no scenario file finds it;"
+            " put the class into a file mine.py, import it from there,"
+            " and give the scenario plugins=('mine.py',)"
         )
-        if in_file or cls.__module__.partition(".")[0] in packages:
-            continue
-        file = getattr(home, "__file__", None)
-        if file is None or cls.__module__ == "__main__":
-            words = (
-                f"is {cls.__name__}, which is defined in the program that runs"
-                " (a script, a notebook), where no scenario file finds it"
-            )
-            remedy = (
-                "put the class into a file mine.py, import it from there,"
-                " and give the scenario plugins=('mine.py',)"
-            )
-            raise ParameterError(field, f"{words}; {remedy}")
-        file = str(Path(file).resolve())
-        words = (
-            f"is {cls.__name__} of {file}, which the file would not name;"
-            f" give the scenario plugins=({file!r},)"
-        )
-        raise ParameterError(field, words)
+    file = str(Path(file).resolve())
+    return (
+        f"is {cls.__name__} of {file}, which the file would not name;"
+        f" give the scenario plugins=({file!r},)"
+    )
 
 
 def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
-    if isinstance(part, tuple | dict):
-        for name, item in part.items() if isinstance(part, dict) else enumerate(part):
+    if isinstance(part, tuple):
+        part = dict(enumerate(part))
+    if isinstance(part, dict):
+        for name, item in part.items():
             yield from _parts(item, f"{field}.{name}")
     elif dataclasses.is_dataclass(part) and not isinstance(part, type):
         yield field, part
         for f in dataclasses.fields(part):
             if f.init:
-                yield from _parts(
-                    getattr(part, f.name), f.name if field == "scenario" else f"{field}.{f.name}"
-                )
+                name = f"{field}.{f.name}".removeprefix("scenario.")
+                yield from _parts(getattr(part, f.name), name)
 
 
 OF_THE_RUN = ("name", "description", "plugins", "seed", "draw_start")
@@ -316,7 +313,8 @@ def changes(scenario: Scenario) -> tuple[str, ...]:
     """
     if scenario.name not in bundled_scenarios():
         return ()
-    given, original = scenario.given, load(scenario.name)
+    given = scenario.given
+    original = load(scenario.name)
     bundled = to_mapping(original) | {"robot": _own(original.robot)}
     mine = {key: value for key, value in to_mapping(given).items() if key not in OF_THE_RUN}
     own = _own(given.robot)
@@ -332,14 +330,16 @@ def _own(robot: Robot) -> dict[str, Any]:
     """A robot's fields without what its preset has filled; of a block that it has filled in part
     the rest.
     """
-    brief, preset = brief_mapping(robot), getattr(robot, "preset_values", {})
+    brief = brief_mapping(robot)
+    preset = getattr(robot, "preset_values", {})
     own = brief if isinstance(brief, Mapping) else {}
-    kept = {
-        name: value
-        for name, value in to_mapping(robot).items()
-        if name in own or name not in preset
-    }
-    return kept | {name: own[name] for name in kept.keys() & preset.keys()}
+    kept = {}
+    for name, value in to_mapping(robot).items():
+        if name not in preset:
+            kept[name] = value
+        elif name in own:
+            kept[name] = own[name]
+    return kept
 
 
 def _different(
@@ -364,7 +364,5 @@ def _is_copy(value: Any, other: Any) -> bool:
     if not (isinstance(value, str) and isinstance(other, str)):
         return False
     path = Path(value)
-    return (
-        path.as_posix().endswith(kept_at(Path(other), path.parent.name))
-        and path.parent.parent.name == "assets"
-    )
+    copy = kept_at(Path(other), path.parent.name)
+    return path.as_posix().endswith(copy) and path.parent.parent.name == "assets"

@@ -7,12 +7,12 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
 from vstestbed.core.fields import needed
-from vstestbed.core.messages import UNKNOWN
+from vstestbed.core.messages import UNKNOWN, key_of
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
@@ -20,6 +20,7 @@ from vstestbed.scenario.yaml_marks import (
     FROM_PYTHON,
     Marks,
     build,
+    overlap,
     place_of,
     plain_mapping,
     put_over,
@@ -29,7 +30,8 @@ from vstestbed.scenario.yaml_marks import (
 
 __all__ = ["GIVEN", "RESOLVED", "find", "for_another_folder", "load", "parse", "seeded"]
 
-GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
+GIVEN = "scenario.yaml"
+RESOLVED = "resolved.yaml"
 """In a run's folder: the scenario as it was given, and as it ran, with every default, preset and
 draw written out.
 """
@@ -41,22 +43,20 @@ def find(name: str | Path) -> Path:
     """The file of a scenario given by path or by the name of a bundled one, which no file of the
     current folder takes: that is `./NAME`. ScenarioError names the nearest where neither exists.
     """
-    path, bundled = Path(name), bundled_scenarios()
+    path = Path(name)
+    bundled = bundled_scenarios()
     try:
         if isinstance(name, str) and name in bundled:
             return bundled[name]
         if path.is_file():
             return path
         if str(name) and path.is_dir():
-            raise ScenarioError(
-                [Mistake(str(name), "", "is a folder; give a scenario's YAML file")]
-            )
+            raise ScenarioError.at(str(name), "", "is a folder; give a scenario's YAML file")
     except OSError as error:
-        raise ScenarioError(
-            [Mistake(short(str(name)), "", f"cannot be read ({error.strerror})")]
-        ) from None
+        words = f"cannot be read ({error.strerror})"
+        raise ScenarioError.at(short(str(name)), "", words) from None
     words = f"no such file, and no bundled scenario of that name; {nearest(path.stem, bundled)}"
-    raise ScenarioError([Mistake(str(name) or "SCENARIO", "", words)])
+    raise ScenarioError.at(str(name) or "SCENARIO", "", words)
 
 
 def load(
@@ -82,22 +82,15 @@ def load(
     imported.
     """
     if not isinstance(overrides or {}, Mapping):
-        raise ScenarioError(
-            [
-                Mistake(
-                    "overrides",
-                    "",
-                    f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}",
-                )
-            ]
-        )
+        words = f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}"
+        raise ScenarioError.at("overrides", "", words)
     path = find(name)
     if path.name == RESOLVED and (overrides or seed is not None):
         words = (
             "is the record of a run, with every preset and draw written out;"
             f" put other values and seeds over {GIVEN} beside it"
         )
-        raise ScenarioError([Mistake(str(path), "", words)])
+        raise ScenarioError.at(str(path), "", words)
     scenario = parse(text_of(path), str(path), overrides, seed, places, plugins)
     return scenario if scenario.name else scenario.but(name=path.stem)
 
@@ -114,43 +107,34 @@ def parse(
     *others, last = needed(Scenario)
     plain, marks = plain_mapping(text, file, f"a scenario needs {', '.join(others)} and {last}")
     plain = absolute_files(plain, Path(file).absolute().parent)
-    overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
+    overrides = dict[str, object](absolute_files(overrides or {}, Path.cwd()))
+    places = places or {}
     put_over(plain, _part(overrides, of_plugins=True), marks, places)
     # before the other settings, which may use the words that plugins add
     load_named(plain, marks, file, plugins)
     put_over(plain, _part(overrides, of_plugins=False), marks, places)
-    start = "robot.start.nominal."
-    gives_start = any(
-        start.startswith(f"{dotted}.") or dotted.startswith(start) for dotted in overrides
-    )
-    if gives_start and "draw_start" in plain and "draw_start" not in overrides:
+    if "draw_start" in plain and "draw_start" not in overrides and _gives_start(overrides):
         plain["draw_start"] = False
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
-        raise (
-            _other_kinds(_blame_settings(error, text, file, overrides, places), overrides, places)
-            if overrides
-            else error
-        ) from None
+        blamed = _blame_settings(error, text, file, overrides, places)
+        raise _other_kinds(blamed, overrides, places) from None
     _refuse_drawn(scenario, overrides, places)
     if _is_plain(plain):
         scenario.loaded_from(plain)
     try:
-        scenario = scenario if seed is None else seeded(scenario, seed)
+        if seed is not None:
+            scenario = seeded(scenario, seed)
         scenario.resolved  # noqa: B018 - refuses what its seed draws
         return scenario
     except ParameterError as error:
-        key = tuple(int(part) if part.isdecimal() else part for part in error.field.split("."))
-        where = place_of(key, marks, file)
-        raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+        where = place_of(key_of(error.field), marks, file)
+        raise ScenarioError.at(where, error.field, error.problem) from None
 
 
-def _is_plain(value: object) -> bool:
-    """Whether values can be written as YAML: overrides in Python may be objects."""
-    if isinstance(value, dict | list | tuple):
-        return all(map(_is_plain, value.values() if isinstance(value, dict) else value))
-    return value is None or type(value) in (bool, int, float, str)
+def _gives_start(overrides: Iterable[str]) -> bool:
+    return any(overlap(dotted, "robot.start.nominal") for dotted in overrides)
 
 
 def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object]:
@@ -159,6 +143,15 @@ def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object
         for path, value in overrides.items()
         if (path.split(".")[0] == "plugins") == of_plugins
     }
+
+
+def _is_plain(value: object) -> bool:
+    """Whether values can be written as YAML: overrides in Python may be objects."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        return all(map(_is_plain, value))
+    return value is None or type(value) in (bool, int, float, str)
 
 
 def _refuse_drawn(
@@ -171,7 +164,7 @@ def _refuse_drawn(
                     f"is drawn from the seed by randomise.{i};"
                     " set randomise=[], or leave that distribution out, to give it a value"
                 )
-                raise ScenarioError([Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words)])
+                raise ScenarioError.at(places.get(dotted, FROM_PYTHON)[()], dotted, words)
 
 
 def _blame_settings(
@@ -186,23 +179,19 @@ def _blame_settings(
     the file's: so the file is read again with one more override at a time.
     """
     known = {place for dotted in overrides for place in places.get(dotted, FROM_PYTHON).values()}
-    if all(m.where in known for m in error.mistakes):
+    if not overrides or all(m.where in known for m in error.mistakes):
         return error
     # the position of the first override with which a mistake is there
     origins = dict.fromkeys(_mistakes(text, file, {}), "")
     for number, dotted in enumerate(overrides, start=1):
         found = _mistakes(text, file, dict(itertools.islice(overrides.items(), number)))
         origins = dict.fromkeys(found, places.get(dotted, FROM_PYTHON)[()]) | origins
-    places_found = [
-        m.where if m.where in known else origins[m.field, m.sentence] or m.where
-        for m in error.mistakes
-    ]
-    return ScenarioError(
-        [
-            dataclasses.replace(m, where=where)
-            for m, where in zip(error.mistakes, places_found, strict=True)
-        ]
-    )
+    mistakes = []
+    for m in error.mistakes:
+        if m.where not in known:
+            m = dataclasses.replace(m, where=origins[m.field, m.sentence] or m.where)
+        mistakes.append(m)
+    return ScenarioError(mistakes)
 
 
 def _other_kinds(
@@ -215,14 +204,8 @@ def _other_kinds(
     for dotted, kind in overrides.items():
         block, _, last = dotted.rpartition(".")
         given = tuple(f"{other}." for other in overrides if other != dotted)
-        kept = [
-            m
-            for m in mistakes
-            if m.field.startswith(f"{block}.")
-            and UNKNOWN in m.sentence
-            and not f"{m.field}.".startswith(given)
-        ]
-        if last != "kind" or not kept:
+        kept = [*_unknown_in(block, given, mistakes)] if last == "kind" else []
+        if not kept:
             continue
         names = ", ".join(dict.fromkeys(m.field.removeprefix(f"{block}.") for m in kept))
         words = (
@@ -232,6 +215,18 @@ def _other_kinds(
         mistakes = [m for m in mistakes if m not in kept]
         mistakes.append(Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words))
     return ScenarioError(mistakes)
+
+
+def _unknown_in(
+    block: str, given: tuple[str, ...], mistakes: Iterable[Mistake]
+) -> Iterator[Mistake]:
+    """The mistakes of unknown fields of a block which none of the paths `given` (with a dot at
+    their end) brings.
+    """
+    for m in mistakes:
+        own = m.field.startswith(f"{block}.") and not f"{m.field}.".startswith(given)
+        if own and UNKNOWN in m.sentence:
+            yield m
 
 
 def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tuple[str, str]]:
@@ -261,9 +256,11 @@ def for_another_folder(path: Path) -> str:
     """The text of a scenario file for a copy elsewhere. Its plugins and the files that it names are
     named absolutely; it names no schema, which an editor would not find there.
     """
-    text, folder = SCHEMA_LINE.sub("", text_of(path)), path.absolute().parent
-    plain = plain_mapping(text, str(path), "")[0]
-    named, moved = plain.get("plugins"), absolute_files(plain, folder)
+    text = SCHEMA_LINE.sub("", text_of(path))
+    folder = path.absolute().parent
+    plain, _ = plain_mapping(text, str(path), "")
+    named = plain.get("plugins")
+    moved = absolute_files(plain, folder)
     if isinstance(named, list):
         moved["plugins"] = [absolute(str(name), folder) for name in named]
     if moved == plain:

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import PluginError
@@ -105,17 +106,16 @@ def load_named(plain: dict[str, Any], marks: Marks, file: str, given: Sequence[s
     """
     if len(_installed) < len(HOMES):
         _load_installed()
-    beside, named = _load_given(given), plain.get("plugins") or []
+    beside = _load_given(given)
+    named = plain.get("plugins") or []
     if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
         return  # the validation of the field says so
     found = []
     for i, name in enumerate(named):
         where = place_of(("plugins", i), marks, file)
-        folder = (
-            Path.cwd()
-            if where in (FROM_OPTION[()], FROM_PYTHON[()])
-            else Path(file).absolute().parent
-        )
+        folder = Path(file).absolute().parent
+        if where in (FROM_OPTION[()], FROM_PYTHON[()]):
+            folder = Path.cwd()
         found.append(_loaded(name, folder, where, beside, f"plugins.{i}"))
     if found or beside:
         plain["plugins"] = list(dict.fromkeys([*found, *beside]))
@@ -139,10 +139,9 @@ def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
         return {name: absolute_files(inner, folder, str(name)) for name, inner in value.items()}
     if isinstance(value, list | tuple):
         return type(value)(absolute_files(inner, folder, key) for inner in value)
-    names_file = (
-        isinstance(value, str) and key.rpartition(".")[2] in FILE_FIELDS and ENDINGS.search(value)
-    )
-    return absolute_file(value, folder) if names_file else value
+    if key.rpartition(".")[2] in FILE_FIELDS and isinstance(value, str) and ENDINGS.search(value):
+        return absolute_file(value, folder)
+    return value
 
 
 def relative_files(value: Any, folder: Path, key: str = "") -> Any:
@@ -153,9 +152,11 @@ def relative_files(value: Any, folder: Path, key: str = "") -> Any:
         return {name: relative_files(inner, folder, name) for name, inner in value.items()}
     if isinstance(value, list):
         return [relative_files(inner, folder, key) for inner in value]
-    names_file = key in ("file", "texture", "plugins") and isinstance(value, str)
-    inside = names_file and Path(value).is_absolute() and Path(value).is_relative_to(folder)
-    return Path(value).relative_to(folder).as_posix() if inside else value
+    if key in ("file", "texture", "plugins") and isinstance(value, str):
+        path = Path(value)
+        if path.is_absolute() and path.is_relative_to(folder):
+            return path.relative_to(folder).as_posix()
+    return value
 
 
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:
@@ -171,27 +172,25 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
             return _load_module(name, where, beside, field)
     if not is_there(path):
         return _moved(path.stem, beside, where, f"{path} is not there", f"PLACE/{path.name}", field)
-    known, before = module_of(path), _members()
+    known = module_of(path)
+    before = _members()
     with _loading(str(path), path), undone_on_error():
         module = load_file(path)
     if known is None and _members() == before:
         del sys.modules[module.__name__]  # to be read again when it is corrected
-        own = [
-            cls.__name__
-            for cls in vars(module).values()
-            if isinstance(cls, type) and cls.__module__ == module.__name__
-        ]
-        above = f"its class {own[0]}" if own else "a class in it"
-        raise PluginError(
-            str(path),
-            "adds no kind",
-            f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {above}",
-            field,
-        )
+        remedy = f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {_class_in(module)}"
+        raise PluginError(str(path), "adds no kind", remedy, field)
     # by its own name, too, so that an import of it does not load the file again
     if not is_file_name(name):
         sys.modules.setdefault(name, module)
     return str(path)
+
+
+def _class_in(module: ModuleType) -> str:
+    for value in vars(module).values():
+        if isinstance(value, type) and value.__module__ == module.__name__:
+            return f"its class {value.__name__}"
+    return "a class in it"
 
 
 def _members() -> int:
@@ -200,7 +199,8 @@ def _members() -> int:
 
 def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> str:
     origin = _origin(name)
-    if origin is None and name not in sys.modules and (here := str(Path.cwd())) not in sys.path:
+    here = str(Path.cwd())
+    if origin is None and name not in sys.modules and here not in sys.path:
         # at the end: a file here named like an installed package must not replace it
         sys.path.append(here)
         importlib.invalidate_caches()
@@ -221,11 +221,9 @@ def _origin(name: str) -> Path | None:
     except (ImportError, ValueError, TypeError, AttributeError):
         # its package is not there, or it is no name of a module
         return None
-    return (
-        Path(spec.origin).resolve()
-        if spec is not None and spec.origin and spec.has_location
-        else None
-    )
+    if spec is not None and spec.origin and spec.has_location:
+        return Path(spec.origin).resolve()
+    return None
 
 
 def _moved(
@@ -235,11 +233,11 @@ def _moved(
     PluginError: there is none.
     """
     for name in beside:
-        if (Path(name).stem if is_file_name(name) else name.rpartition(".")[2]) == stem:
+        own = Path(name).stem if is_file_name(name) else name.rpartition(".")[2]
+        if own == stem:
             return name
-    raise PluginError(
-        where, found, f"put it there, or give its place with --plugin {remedy}", field
-    )
+    remedy = f"put it there, or give its place with --plugin {remedy}"
+    raise PluginError(where, found, remedy, field)
 
 
 def _load_installed() -> None:
@@ -259,14 +257,9 @@ def _loading(name: str, path: Path | None) -> Iterator[None]:
     """
     try:
         yield
-    except KeyboardInterrupt:
-        raise
     except SystemExit as error:
-        raise PluginError(
-            line_of(error, name, path),
-            f"ends Python with sys.exit({error.code!r}) when it is imported",
-        ) from error
+        words = f"ends Python with sys.exit({error.code!r}) when it is imported"
+        raise PluginError(line_of(error, name, path), words) from error
     except Exception as error:
-        raise PluginError(
-            line_of(error, name, path), f"cannot be imported ({type(error).__name__}: {error})"
-        ) from error
+        words = f"cannot be imported ({type(error).__name__}: {error})"
+        raise PluginError(line_of(error, name, path), words) from error

@@ -20,7 +20,13 @@ from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot, Vehicle
 from vstestbed.robots.base import longest_step
 from vstestbed.scenario import checks
-from vstestbed.scenario.cameras import FurtherCamera, OtherCamera, check_cameras, eyes_of
+from vstestbed.scenario.cameras import (
+    FurtherCamera,
+    OtherCamera,
+    check_cameras,
+    eyes_of,
+    measured_draws,
+)
 from vstestbed.scenario.distributions import (
     BODY_STREAM,
     DEPTH_STREAM,
@@ -72,7 +78,9 @@ def in_view(
     if world.scenery is not None and whole.any():
         names = world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
         whole &= np.array([not name for name in names])
-    return bool(faces and (whole if goal.counted is None else whole[goal.counted]).all())
+    if goal.counted is not None:
+        whole = whole[goal.counted]
+    return bool(faces and whole.all())
 
 
 TRIES = 1000  # largest number of random starts drawn until the target is in view
@@ -85,9 +93,8 @@ which Newton's steps keep a posture.
 def check_scenario(given: object) -> None:
     """Refuse what is no Scenario, such as the name of one."""
     if not isinstance(given, Scenario):
-        raise ParameterError.fixed(
-            "scenario", "a Scenario", given, why="vstestbed.load('arm_ibvs') returns one"
-        )
+        why = "vstestbed.load('arm_ibvs') returns one"
+        raise ParameterError.fixed("scenario", "a Scenario", given, why=why)
 
 
 @spec
@@ -172,15 +179,14 @@ class Scenario:
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         check_cameras(self)
         self.goal.check(self.setup)
-        checks.check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
+        checks.check_robot(self.robot)
+        checks.check_flight(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
+        checks.check_contact(self.robot, self.target, self.world)
         checks.check_carrier(self.target)
         if self.world.floor.mirror and self.camera.renderer == "rays":
-            raise ParameterError.fixed(
-                "camera.renderer",
-                "gl or auto",
-                self.camera.renderer,
-                why="a floor that mirrors needs OpenGL",
-            )
+            why = "a floor that mirrors needs OpenGL"
+            renderer = self.camera.renderer
+            raise ParameterError.fixed("camera.renderer", "gl or auto", renderer, why=why)
         self.noise.target.check(self.target)
         if self.stop.duration_s < self.camera.period:
             words = f"one camera period, {self.camera.period:g} s"
@@ -210,24 +216,21 @@ class Scenario:
         """Whether another seed gives another run: some part of the experiment says that it draws
         from a stream of the seed.
         """
-        depth = self.camera.depth_sensor if self.law.depth.measured else None
-        pictured = self.needs_image and self.camera.sensor is not None
-        taught = self.needs_goal_image and any(picture.draws for picture in self.goal.pictures)
-        parts = (
-            self.robot,
-            self.target.motion,
-            self.detector,
-            self.world,
-            self.timing,
-            self.calibration,
-            depth,
-        )
-        seen = pictured or taught or self.noise.draws(self.needs_image, self.detector.rows != 0)
+        if self.randomise or self.robot.start.random is not None or self._draws_heading:
+            return True
+        parts: list[Any] = [self.robot, self.target.motion, self.world, self.timing]
+        parts += self.eyes.values()
+        if self.reads_depth:
+            parts.append(self.camera.depth_sensor)
+        if self.needs_goal_image:
+            parts += self.goal.pictures
+        return measured_draws(self) or any(part is not None and part.draws for part in parts)
+
+    @property
+    def _draws_heading(self) -> bool:
+        """Whether the seed draws the error of the compass by which a vehicle knows landmarks."""
         landmarks = not self.target.moves and self.target.painted_route is None
-        by_compass = landmarks and isinstance(self.robot, Vehicle) and self.robot.draws_heading
-        started = self.robot.start.random is not None or bool(self.randomise) or by_compass
-        others = any(eye.draws for eye in self.eyes.values())
-        return started or seen or others or any(part is not None and part.draws for part in parts)
+        return landmarks and isinstance(self.robot, Vehicle) and self.robot.draws_heading
 
     @cached_property
     def eyes(self) -> dict[str, OtherCamera]:
@@ -244,7 +247,7 @@ class Scenario:
         """The parts that the task uses."""
         wrong = self.calibration
         shown = wrong.goal == "shown" and not (wrong.camera_exact and wrong.depth_exact)
-        parts = (
+        return Setup(
             self.robot,
             self.camera,
             self.believed_camera,
@@ -253,8 +256,9 @@ class Scenario:
             self.detector,
             self.stop,
             self.world,
+            depth_scale=self.depth_scale,
+            goal_shown=shown,
         )
-        return Setup(*parts, depth_scale=self.depth_scale, goal_shown=shown)
 
     @cached_property
     def goal_views(self) -> tuple[Goal, ...]:
@@ -336,32 +340,23 @@ class Scenario:
     def own_columns(self) -> tuple[str, ...]:
         """The robot's, its effects' and the task's own columns of the log."""
         supervisor = self.robot.supervisor(self.goal.lands, *self.stop.lost_after)
-        of_effects = tuple(name for effect in self.robot.acting for name in effect.columns)
-        return (
-            self.robot.log(supervisor).columns
-            + of_effects
-            + self.goal.monitor(self.setup, supervisor).columns
-        )
+        columns = self.robot.log(supervisor).columns
+        for effect in self.robot.acting:
+            columns += tuple(effect.columns)
+        return columns + self.goal.monitor(self.setup, supervisor).columns
 
     @property
     def sights(self) -> tuple[tuple[float, float, float], ...]:
         """Points that the outside view must show besides the start and the target: goals, and
         routes every 50 cm [m].
         """
-        low = [
-            (p[0], p[1], 0.0)
-            for p in (
-                *(g.place for g in self.goal_views if g.place is not None),
-                *self.target.floor_path[::50],
-            )
-        ]
-        if self.robot.base != "floating":
-            return tuple((float(x), float(y), z) for x, y, z in low)
-        high = [
-            (self.target.T_world_start @ inverse(goal.T_camera_target))[:3, 3]
-            for goal in self.goal_views
-        ]
-        return tuple((float(x), float(y), float(z)) for x, y, z in (*low, *high))
+        places = [goal.place for goal in self.goal_views if goal.place is not None]
+        shown = [(p[0], p[1], 0.0) for p in (*places, *self.target.floor_path[::50])]
+        if self.robot.base == "floating":
+            for goal in self.goal_views:
+                T_world_goal = self.target.T_world_start @ inverse(goal.T_camera_target)
+                shown.append(tuple(T_world_goal[:3, 3]))
+        return tuple((float(x), float(y), float(z)) for x, y, z in shown)
 
     @property
     def scene(self) -> SceneDescription:
@@ -384,9 +379,8 @@ class Scenario:
 
     def perturbed(self) -> Perturbed | None:
         """The perturbations of a run, with what is drawn for it; None where there are none."""
-        return (
-            Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
-        )
+        kinds = self.noise.perturb
+        return Perturbed(kinds, self.rng(PERTURB_STREAM)) if kinds else None
 
     def rng(self, stream: int) -> np.random.Generator:
         """The generator of one of the independent streams (START_STREAM, ...)."""
@@ -404,11 +398,12 @@ class Scenario:
         in it sees the target.
         """
         made = drawn(self)
-        robot = (
-            made.start(made.seed) if made.draw_start else made.robot.drawn(made.rng(BODY_STREAM))
-        )
-        if robot is not made.robot or made.draw_start:
-            made = replace(made, robot=robot, draw_start=False)
+        if made.draw_start:
+            made = replace(made, robot=made.start(made.seed), draw_start=False)
+        else:
+            robot = made.robot.drawn(made.rng(BODY_STREAM))
+            if robot is not made.robot:
+                made = replace(made, robot=robot)
         if made is not self:
             made.__dict__["given"] = self  # no field either: a changed copy is given as it is
         return made
@@ -417,21 +412,15 @@ class Scenario:
         """The robot that a seed draws, at the start that it draws, of a scenario with nothing else
         to be drawn. Errors: see `resolved`.
         """
-        body, rng = (
-            np.random.default_rng([seed, stream]) for stream in (BODY_STREAM, START_STREAM)
-        )
-        drawn_body, parts = (
-            self.robot.drawn(body),
-            (self.camera, self.target, self.detector, self.goal_views[0], self.world),
-        )
-        started = (drawn_body.randomised(rng) for _ in range(TRIES))
-        robot = next((start for start in started if in_view(start, *parts)), None)
-        if robot is None:
-            words = (
-                f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
-            )
-            raise ParameterError("robot.start.random", words)
-        return robot
+        rng = np.random.default_rng([seed, START_STREAM])
+        body = self.robot.drawn(np.random.default_rng([seed, BODY_STREAM]))
+        parts = (self.camera, self.target, self.detector, self.goal_views[0], self.world)
+        for _ in range(TRIES):
+            robot = body.randomised(rng)
+            if in_view(robot, *parts):
+                return robot
+        words = f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
+        raise ParameterError("robot.start.random", words)
 
     @cached_property
     def given(self) -> Scenario:
@@ -456,9 +445,11 @@ class Scenario:
         """A copy with other plain values, such as another name, which remembers what it was loaded
         from with them.
         """
-        made, known = replace(self, **values), self.made_of
-        # what is new stands first
-        return made if known is None else made.loaded_from({**values, **known, **values})
+        made = replace(self, **values)
+        if self.made_of is not None:
+            # what is new stands first
+            made.loaded_from({**values, **self.made_of, **values})
+        return made
 
     def with_seed(self, seed: int) -> Scenario:
         """The same experiment with another seed; its start is the given one, unless `draw_start`
@@ -488,10 +479,9 @@ class Scenario:
         q = posture_at(self.robot, flange_for(self.camera, self.target, T))
         # in small steps: the arm keeps its posture at the goal
         for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):
-            xyz, rpy_deg = (
-                tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg)
-            )
-            D = Pose(xyz=xyz, rpy_deg=rpy_deg).T
+            xyz = (share * np.array(by.xyz)).tolist()
+            rpy_deg = (share * np.array(by.rpy_deg)).tolist()
+            D = Pose(xyz=tuple(xyz), rpy_deg=tuple(rpy_deg)).T
             seen = inverse(D) @ T if of == "camera" else T @ D
             q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)
         return replace(self, robot=self.robot.started_at(q), draw_start=False)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -47,7 +48,8 @@ Marks = dict[Key, str]
 # position of a value that comes from the command line
 FROM_OPTION: Mapping[Key, str] = {(): "--set"}
 FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
-DEEPEST, MOST_VALUES = 32, 20_000
+DEEPEST = 32
+MOST_VALUES = 20_000
 """Limits on nesting and on the number of values: far above any scenario, and low enough that a file
 of aliases of aliases (a "billion laughs") cannot fill the memory.
 """
@@ -60,32 +62,25 @@ MOST_BYTES = 100_000
 def text_of(path: Path) -> str:
     """The text of a UTF-8 file; ScenarioError where it cannot be read."""
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise ScenarioError(
-            [
-                Mistake(
-                    str(path), "", "is not a regular file, and would be waited for; save it as one"
-                )
-            ]
-        )
+        words = "is not a regular file, and would be waited for; save it as one"
+        raise ScenarioError.at(str(path), "", words)
     try:
         # Bytes first: the position of a bad byte is its line and column only while nothing is
         # decoded.
         with path.open("rb") as stream:
             raw = stream.read(MOST_BYTES + 1)
     except OSError as error:
-        raise ScenarioError(
-            [Mistake(str(path), "", f"cannot be read ({error.strerror})")]
-        ) from None
+        raise ScenarioError.at(str(path), "", f"cannot be read ({error.strerror})") from None
     if len(raw) > MOST_BYTES:
         words = f"has more than {MOST_BYTES // 1000} kB; a scenario needs far less"
-        raise ScenarioError([Mistake(f"{path}:1:1", "", words)])
+        raise ScenarioError.at(f"{path}:1:1", "", words)
     try:
         return raw.decode("utf-8-sig")  # editors on Windows begin a file with a byte order mark
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         col = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
         words = f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save the file as UTF-8"
-        raise ScenarioError([Mistake(f"{path}:{line}:{col}", "", words)]) from None
+        raise ScenarioError.at(f"{path}:{line}:{col}", "", words) from None
 
 
 def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
@@ -96,12 +91,10 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
     with foreign(file, needs):
         found = _mapping(text, file)
     if found is None:
-        raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])
+        raise ScenarioError.at(f"{file}:1:1", "", f"is empty; {needs}")
     plain, marks = found
     if plain is None:
-        raise ScenarioError(
-            [Mistake(f"{file}:1:1", "", f"must be a mapping (name: value); {needs}")]
-        )
+        raise ScenarioError.at(f"{file}:1:1", "", f"must be a mapping (name: value); {needs}")
     return copy.deepcopy(plain), dict(marks)  # the caller changes them
 
 
@@ -109,18 +102,16 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
 def _mapping(text: str, file: str) -> tuple[dict[str, Any] | None, Marks] | None:
     # Kept: a comparison reads one file for each of its controllers.
     tree = _tree(text, file)
-    if tree is None or tree.kind != "mapping":
-        return (
-            None
-            if tree is None or (tree.kind == "scalar" and _scalar(tree, file) is None)
-            else (None, {})
-        )
+    if tree is None or (tree.kind == "scalar" and _scalar(tree) is None):
+        return None
+    if tree.kind != "mapping":
+        return None, {}
     marks: Marks = {}
-    _mark(tree, (), marks, file)
-    return _value(tree, file), marks
+    _mark(tree, (), marks)
+    return _value(tree), marks
 
 
-@dataclass(slots=True)
+@dataclass(eq=False)
 class _Node:
     """A node of YAML text. parts: of a list its items, of a mapping keys and values in turn. start,
     end: the parser's marks.
@@ -134,16 +125,50 @@ class _Node:
     text: str = ""
     quoted: bool = False
     parts: list[_Node] = field(default_factory=list)
-    fields: Fields | None = None
 
     @property
     def place(self) -> str:
         """Its position, FILE:LINE:COL."""
         return _place(self.start, self.file)
 
-    def pairs(self) -> Iterator[tuple[_Node, _Node]]:
-        """Key and value of each field of a mapping."""
-        return zip(self.parts[::2], self.parts[1::2], strict=True)
+    @cached_property
+    def fields(self) -> Fields:
+        """Of a mapping its fields.
+
+        They are found once: a mapping of merges of merges would be gone through as often as there
+        are ways to it.
+        """
+        merged: Fields = {}
+        own: Fields = {}
+        for name, value in zip(self.parts[::2], self.parts[1::2], strict=True):
+            if name.kind != "scalar":
+                raise _not_plain(name)
+            if name.text == "<<":
+                merged = _merged(name, value) | merged
+            elif name.text in own:
+                words = "stands here for the second time in its block; keep one of the two"
+                raise ScenarioError.at(name.place, name.text, words)
+            else:
+                own[name.text] = name.place, value
+        return own | {name: field for name, field in merged.items() if name not in own}
+
+
+# of a mapping, by name: the position of the key, "" of one from a merge key, and the value's node
+Fields = dict[str, tuple[str, _Node]]
+
+
+def _merged(name: _Node, value: _Node) -> Fields:
+    """The fields of the mapping, or of the list of mappings, at a merge key (`<<`)."""
+    merged: Fields = {}
+    for source in value.parts if value.kind == "list" else [value]:
+        if source.kind != "mapping":
+            raise _not_plain(name)
+        merged = {inner: ("", held) for inner, (_, held) in source.fields.items()} | merged
+    return merged
+
+
+def _not_plain(node: _Node) -> ScenarioError:
+    return ScenarioError.at(node.place, "", "holds YAML beyond plain mappings, lists and values")
 
 
 def _tree(text: str, file: str) -> _Node | None:
@@ -151,19 +176,18 @@ def _tree(text: str, file: str) -> _Node | None:
     own tree of a deep document overflows the stack.
     """
     try:
-        return _node_of(
-            yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)), file
-        )
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+        return _node_of(yaml.parse(text, Loader=loader), file)
     except yaml.MarkedYAMLError as error:
-        mark, words = error.problem_mark, error.problem or error.context or ""
+        mark = error.problem_mark
+        words = error.problem or error.context or ""
         got = f", got {text[mark.index]!r}" if mark and mark.index < len(text) else ""
         raise _not_yaml(_place(mark, file), f"{words}{got}") from None
     except yaml.reader.ReaderError as error:
         before = text[: error.position]
         where = f"{file}:{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
-        raise _not_yaml(
-            where, f"unacceptable character #x{error.character:04x}; delete it"
-        ) from None
+        words = f"unacceptable character #x{error.character:04x}; delete it"
+        raise _not_yaml(where, words) from None
     except UnicodeEncodeError as error:
         raise _not_yaml(f"{file}:1:1", error.reason) from None
 
@@ -174,59 +198,49 @@ def _place(mark: Any, file: str) -> str:
 
 def _node_of(events: Iterable[Any], file: str) -> _Node | None:
     whole = _Node("list", file)
-    open_nodes, anchors = [whole], dict[str, _Node]()
+    open_nodes = [whole]
+    anchors: dict[str, _Node] = {}
     for event in events:
-        if isinstance(event, yaml.ScalarEvent):
-            node = _Node(
-                "scalar",
-                file,
-                event.start_mark,
-                event.end_mark,
-                event.tag or "",
-                event.value,
-                not event.implicit[0],
-            )
-        elif isinstance(event, yaml.CollectionStartEvent):
-            kind = "mapping" if isinstance(event, yaml.MappingStartEvent) else "list"
-            node = _Node(kind, file, event.start_mark, event.end_mark, event.tag or "")
-        elif isinstance(event, yaml.AliasEvent):
-            if event.anchor not in anchors:
-                raise _not_yaml(
-                    _place(event.start_mark, file), f"found undefined alias {event.anchor!r}"
-                )
-            node = anchors[event.anchor]
-        else:
-            if isinstance(event, yaml.CollectionEndEvent):
-                open_nodes.pop()
-            elif isinstance(event, yaml.DocumentStartEvent) and whole.parts:
-                raise _not_yaml(_place(event.start_mark, file), "but found another document")
+        if isinstance(event, yaml.CollectionEndEvent):
+            open_nodes.pop()
+        elif isinstance(event, yaml.DocumentStartEvent) and whole.parts:
+            raise _not_yaml(_place(event.start_mark, file), "but found another document")
+        if not isinstance(event, yaml.NodeEvent):
             continue
+        node = _begun(event, anchors, file)
         open_nodes[-1].parts.append(node)
+        if event.anchor:
+            anchors[event.anchor] = node
         if isinstance(event, yaml.CollectionStartEvent):
             open_nodes.append(node)
             if len(open_nodes) > DEEPEST + 1:
-                raise ScenarioError(
-                    [
-                        Mistake(
-                            node.place,
-                            "",
-                            f"is nested more than {DEEPEST} deep; a scenario needs far less",
-                        )
-                    ]
-                )
-        if event.anchor:
-            anchors[event.anchor] = node
+                words = f"is nested more than {DEEPEST} deep; a scenario needs far less"
+                raise ScenarioError.at(node.place, "", words)
     return whole.parts[0] if whole.parts else None
 
 
+def _begun(event: Any, anchors: Mapping[str, _Node], file: str) -> _Node:
+    """The node that an event of the parser begins, or the one that its alias stands for."""
+    if isinstance(event, yaml.AliasEvent):
+        if event.anchor not in anchors:
+            words = f"found undefined alias {event.anchor!r}"
+            raise _not_yaml(_place(event.start_mark, file), words)
+        return anchors[event.anchor]
+    node = _Node("list", file, event.start_mark, event.end_mark, event.tag or "")
+    if isinstance(event, yaml.ScalarEvent):
+        node.kind = "scalar"
+        node.text = event.value
+        node.quoted = not event.implicit[0]
+    elif isinstance(event, yaml.MappingStartEvent):
+        node.kind = "mapping"
+    return node
+
+
 def _not_yaml(where: str, words: str) -> ScenarioError:
-    return ScenarioError([Mistake(where, "", f"is not YAML: {words}")])
+    return ScenarioError.at(where, "", f"is not YAML: {words}")
 
 
-Fields = dict[str, tuple[_Node | None, _Node]]  # of a mapping, by name: the nodes of key and value
-
-
-def _scalar(node: _Node, file: str) -> Any:
+def _scalar(node: _Node) -> Any:
     """The value of a scalar by YAML 1.2; PyYAML's own are those of 1.1, where `on` is a truth value
     and `1e3` a text.
     """
@@ -246,60 +260,53 @@ def _scalar(node: _Node, file: str) -> Any:
 _INTEGER = re.compile(r"[-+]?[0-9][0-9_]*|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _CORE = "tag:yaml.org,2002:"
-_WORDS = {"": None, "~": None, "null": None, "Null": None, "NULL": None}
-_WORDS |= {
-    word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")
-}
-_WORDS |= {
-    sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")
-}
-_WORDS |= dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan"))
+_PLAIN = {f"{_CORE}{kind}" for kind in ("str", "int", "float", "bool", "null", "seq", "map")}
+_WORDS: dict[str, Any] = dict.fromkeys(("", "~", "null", "Null", "NULL"))
+_WORDS |= dict.fromkeys(("true", "True", "TRUE"), True)
+_WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
+_WORDS |= dict.fromkeys((".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"), math.inf)
+_WORDS |= dict.fromkeys(("-.inf", "-.Inf", "-.INF"), -math.inf)
+_WORDS |= dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan)
 
 
-def _mark(node: _Node, key: Key, marks: Marks, file: str) -> None:
+def _mark(node: _Node, key: Key, marks: Marks) -> None:
     """Add the positions of a node and of all in it to `marks`. Raises ScenarioError: it is larger
     than any scenario, or has a tag.
     """
-    if len(key) > DEEPEST or len(marks) > MOST_VALUES:
-        words = (
-            f"is nested more than {DEEPEST} deep"
-            if len(key) > DEEPEST
-            else f"brings the file to more than {MOST_VALUES} values"
-        )
-        raise ScenarioError(
-            [
-                Mistake(
-                    place_of(key, marks, file),
-                    ".".join(map(str, key[:3])),
-                    f"{words}; a scenario needs far less",
-                )
-            ]
-        )
-    if node.tag and node.tag not in (
-        _CORE + kind for kind in ("str", "int", "float", "bool", "null", "seq", "map")
-    ):
-        words = f"has the tag {node.tag}; a scenario holds plain values only"
-        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)])
+    _check_node(node, key, marks)
     if node.kind == "scalar":
         return
-    marks.setdefault(key, node.place)
-    inner = (
-        _fields(node, file)
-        if node.kind == "mapping"
-        else {i: (item, item) for i, item in enumerate(node.parts)}
-    )
-    marks.update({(*key, name): at.place if at else marks[key] for name, (at, _) in inner.items()})
+    here = marks.setdefault(key, node.place)
+    inner: Mapping[Any, tuple[str, _Node]] = {i: (n.place, n) for i, n in enumerate(node.parts)}
+    if node.kind == "mapping":
+        inner = node.fields
+    for name, (place, _) in inner.items():
+        marks[*key, name] = place or here
     for name, (_, item) in inner.items():
-        _mark(item, (*key, name), marks, file)
+        _mark(item, (*key, name), marks)
 
 
-def _value(node: _Node, file: str) -> Any:
+def _check_node(node: _Node, key: Key, marks: Marks) -> None:
+    shown = key[:3]
+    if len(key) > DEEPEST:
+        words = f"is nested more than {DEEPEST} deep; a scenario needs far less"
+    elif len(marks) > MOST_VALUES:
+        words = f"brings the file to more than {MOST_VALUES} values; a scenario needs far less"
+    elif node.tag and node.tag not in _PLAIN:
+        shown = key
+        words = f"has the tag {node.tag}; a scenario holds plain values only"
+    else:
+        return
+    raise ScenarioError.at(place_of(key, marks, node.file), ".".join(map(str, shown)), words)
+
+
+def _value(node: _Node) -> Any:
     """A node as plain dicts, lists and scalars."""
     if node.kind == "scalar":
-        return _scalar(node, file)
+        return _scalar(node)
     if node.kind == "list":
-        return [_value(item, file) for item in node.parts]
-    return {name: _value(value, file) for name, (_, value) in _fields(node, file).items()}
+        return [_value(item) for item in node.parts]
+    return {name: _value(value) for name, (_, value) in node.fields.items()}
 
 
 def bundled_mapping(path: Path) -> dict[str, Any]:
@@ -307,47 +314,7 @@ def bundled_mapping(path: Path) -> dict[str, Any]:
     of an empty file.
     """
     tree = _tree(path.read_text(encoding="utf-8"), str(path))
-    return {} if tree is None else _value(tree, str(path))
-
-
-def _fields(node: _Node, file: str) -> Fields:
-    """The nodes of key and value of a mapping's fields, by their names; those from a merge key
-    (`<<`) have no key here.
-
-    They are found once: a mapping of merges of merges would be gone through as often as there are
-    ways to it.
-    """
-    if node.fields is None:
-        node.fields = _found_fields(node, file)
-    return node.fields
-
-
-def _found_fields(node: _Node, file: str) -> Fields:
-    merged, own = dict[str, tuple[_Node | None, _Node]](), dict[str, tuple[_Node | None, _Node]]()
-    for name, value in node.pairs():
-        sources = (value.parts if value.kind == "list" else [value]) if name.text == "<<" else []
-        if name.kind != "scalar" or any(source.kind != "mapping" for source in sources):
-            raise ScenarioError(
-                [Mistake(name.place, "", "holds YAML beyond plain mappings, lists and values")]
-            )
-        if name.text == "<<":
-            for source in sources:
-                merged = {
-                    inner: (None, held) for inner, (_, held) in _fields(source, file).items()
-                } | merged
-        elif name.text in own:
-            raise ScenarioError(
-                [
-                    Mistake(
-                        name.place,
-                        name.text,
-                        "stands here for the second time in its block; keep one of the two",
-                    )
-                ]
-            )
-        else:
-            own[name.text] = name, value
-    return own | {name: field for name, field in merged.items() if name not in own}
+    return {} if tree is None else _value(tree)
 
 
 def respelled(text: str, file: str, values: Any) -> str:
@@ -355,22 +322,21 @@ def respelled(text: str, file: str, values: Any) -> str:
     comments and layout stay.
     """
     tree = _tree(text, file)
-    changed = {} if tree is None else dict(_changed(tree, values, file))
+    changed = {} if tree is None else dict(_changed(tree, values))
     for (start, end), value in sorted(changed.items(), reverse=True):
-        plain = re.fullmatch(r"[A-Za-z_./\\][\w./\\+-]*", value)
-        text = (
-            text[:start] + (value if plain else json.dumps(value, ensure_ascii=False)) + text[end:]
-        )
+        if not re.fullmatch(r"[A-Za-z_./\\][\w./\\+-]*", value):
+            value = json.dumps(value, ensure_ascii=False)
+        text = text[:start] + value + text[end:]
     return text
 
 
-def _changed(node: _Node, value: Any, file: str) -> Iterator[tuple[tuple[int, int], str]]:
+def _changed(node: _Node, value: Any) -> Iterator[tuple[tuple[int, int], str]]:
     if node.kind == "mapping" and isinstance(value, dict):
-        for name, (_, inner) in _fields(node, file).items():
-            yield from _changed(inner, value.get(name), file)
+        for name, (_, inner) in node.fields.items():
+            yield from _changed(inner, value.get(name))
     elif node.kind == "list" and isinstance(value, list):
         for inner, one in zip(node.parts, value, strict=False):
-            yield from _changed(inner, one, file)
+            yield from _changed(inner, one)
     elif isinstance(value, str) and value != node.text:
         yield (node.start.index, node.end.index), value
 
@@ -382,8 +348,8 @@ def read_value(text: str) -> object:
             tree = _tree(text, "")
             if tree is None:
                 return None
-            _mark(tree, (), {}, "")
-            return _value(tree, "")
+            _mark(tree, (), {})
+            return _value(tree)
     except ScenarioError as error:
         raise ParameterError("--set", f"value {error.mistakes[0].sentence}", text) from None
 
@@ -400,40 +366,40 @@ def override(
     and of the keys in it relative to it.
     Raises ScenarioError: the path goes through a value, or to an item that a list does not have.
     """
-    parts, where = dotted.split("."), own[()]
-    if not all(parts):
-        raise ScenarioError([Mistake(where, dotted, "is no path to a field, such as law.gain")])
+    where = own[()]
+    *before, name = parts = dotted.split(".")
+    if "" in parts:
+        raise ScenarioError.at(where, dotted, "is no path to a field, such as law.gain")
     here: Any = plain
     key: Key = ()
-    for part in parts[:-1]:
+    for part in before:
         step = _step(here, part, dotted, where)
         key += (step,)
         child = here.get(step) if isinstance(here, dict) else here[step]
         if child is None:
             marks[key] = where
-        is_kind = isinstance(child, str) and any(
-            child in registry.members for registry in REGISTRIES
-        )
-        block = {} if child is None else {"kind": child} if is_kind else child
+        here[step] = block = _as_block(child)
         if not isinstance(block, dict | list):
-            raise ScenarioError(
-                [
-                    Mistake(
-                        where,
-                        dotted,
-                        f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}",
-                    )
-                ]
-            )
-        here[step] = block
+            words = f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}"
+            raise ScenarioError.at(where, dotted, words)
         here = block
-    last = _step(here, parts[-1], dotted, where)
+    last = _step(here, name, dotted, where)
+    key += (last,)
     # a later override may go inside it, and must not change the caller's
     here[last] = copy.deepcopy(value)
     # The positions under the old value are gone with it.
-    for old in [k for k in marks if k[: len(key) + 1] == (*key, last)]:
+    for old in [k for k in marks if k[: len(key)] == key]:
         del marks[old]
-    marks.update({(*key, last, *inner): place for inner, place in own.items()})
+    marks.update({(*key, *inner): place for inner, place in own.items()})
+
+
+def _as_block(value: Any) -> Any:
+    """The block that a bare kind stands for, an empty one of nothing; another value as it is."""
+    if value is None:
+        return {}
+    if isinstance(value, str) and any(value in registry.members for registry in REGISTRIES):
+        return {"kind": value}
+    return value
 
 
 def _step(here: Any, part: str, dotted: str, where: str) -> str | int:
@@ -442,8 +408,13 @@ def _step(here: Any, part: str, dotted: str, where: str) -> str | int:
         return part
     if not (part.isdecimal() and int(part) < len(here)):
         words = f"there is no item {part} in a list of {len(here)} (the first is item 0)"
-        raise ScenarioError([Mistake(where, dotted, words)])
+        raise ScenarioError.at(where, dotted, words)
     return int(part)
+
+
+def overlap(one: str, other: str) -> bool:
+    """Whether two dotted paths are of one field, or of a block and a field in it."""
+    return f"{one}.".startswith(f"{other}.") or f"{other}.".startswith(f"{one}.")
 
 
 def from_option(paths: Iterable[str]) -> dict[str, Marks]:
@@ -453,10 +424,10 @@ def from_option(paths: Iterable[str]) -> dict[str, Marks]:
 
 def place_of(key: Key, marks: Mapping[Key, str], file: str, otherwise: str = "") -> str:
     """The position of a key, or of the nearest block above it, else the file's first line."""
-    return next(
-        (marks[key[:n]] for n in range(len(key), -1, -1) if key[:n] in marks),
-        otherwise or f"{file}:1:1",
-    )
+    for n in range(len(key), -1, -1):
+        if key[:n] in marks:
+            return marks[key[:n]]
+    return otherwise or f"{file}:1:1"
 
 
 def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:

@@ -196,7 +196,8 @@ class Target:
         stands still.
         """
         # Displacements are in the target's own axes at rest: a motion turns with `pose`.
-        rest, displacement = self.pose.T, self.motion.path(rng)
+        rest = self.pose.T
+        displacement = self.motion.path(rng)
         return lambda t: rest @ displacement(t)
 
     @property
@@ -254,13 +255,9 @@ class Target:
         """The number of a marker, given by its number or its name; -1 for a name that no marker
         has.
         """
-        return (
-            marker
-            if isinstance(marker, int)
-            else self.names.index(marker)
-            if marker in self.names
-            else -1
-        )
+        if isinstance(marker, int):
+            return marker
+        return self.names.index(marker) if marker in self.names else -1
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:

@@ -108,7 +108,8 @@ class GroundLines(Target):
     @property
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
         """Left and right edge of each line in the target frame, each (K, 2) [m]."""
-        half, (_, xy, heading, _) = self.marker.width_m / 2, self.route.samples
+        half = self.marker.width_m / 2
+        (_, xy, heading, _) = self.route.samples
         return tuple(
             (_beside(xy, heading, offset + half), _beside(xy, heading, offset - half))
             for offset in self.offsets_m
@@ -172,7 +173,9 @@ def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:
     """(ahead, left) where a line (K, 2) crosses distances ahead of a ground frame (x, y, heading)
     [m], (n, 2); NaN where it does not.
     """
-    d, c, s = line - foot[:2], math.cos(foot[2]), math.sin(foot[2])
+    d = line - foot[:2]
+    c = math.cos(foot[2])
+    s = math.sin(foot[2])
     x, y = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
     out = np.full((len(aheads), 2), np.nan)
     for point, ahead in zip(out, aheads, strict=True):

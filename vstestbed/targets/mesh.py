@@ -205,7 +205,8 @@ class MeshTarget(Target):
             self._check_flat()
 
     def _check_flat(self) -> None:
-        angle, normals = np.arange(12) * (2 * np.pi / 12), self.normals
+        angle = np.arange(12) * (2 * np.pi / 12)
+        normals = self.normals
         for i, (p, n) in enumerate(zip(self.points, normals, strict=True)):
             across = np.cross(n, [1.0, 0, 0] if abs(n[0]) < 0.7 else [0, 1.0, 0])
             across /= np.linalg.norm(across)
@@ -262,7 +263,8 @@ class MeshTarget(Target):
         Reference: Moeller & Trumbore 1997, Fast, minimum storage ray/triangle intersection,
             doi:10.1080/10867651.1997.10487468.
         """
-        triangles, eye = self._triangles, T_target_camera[:3, 3]
+        triangles = self._triangles
+        eye = T_target_camera[:3, 3]
         slack = self.marker.clearance_m(self.points - eye)
         a, e1, e2 = (
             triangles[:, 0],

@@ -125,7 +125,9 @@ class Circle(MotionBase):
     phase_deg: Angle = 0.0
 
     def path(self, rng: np.random.Generator) -> Path:
-        r, w, start = self.radius_m, 2 * math.pi * self.frequency_hz, math.radians(self.phase_deg)
+        r = self.radius_m
+        w = 2 * math.pi * self.frequency_hz
+        start = math.radians(self.phase_deg)
         return lambda t: _shift(r * math.cos(w * t + start), r * math.sin(w * t + start), 0.0)
 
 
@@ -144,7 +146,8 @@ class Sinusoid(MotionBase):
     frequency_hz: Frequency
 
     def path(self, rng: np.random.Generator) -> Path:
-        xyz, rpy = np.array(self.amplitude.xyz), np.array(self.amplitude.rpy_deg)
+        xyz = np.array(self.amplitude.xyz)
+        rpy = np.array(self.amplitude.rpy_deg)
         w = 2 * math.pi * self.frequency_hz
 
         def at(t: float) -> Array:
@@ -175,11 +178,9 @@ class Lissajous(MotionBase):
     phase_deg: Angles = (0.0, 0.0, 0.0)
 
     def path(self, rng: np.random.Generator) -> Path:
-        a, w, start = (
-            np.array(self.amplitude_m),
-            2 * math.pi * np.array(self.frequency_hz),
-            np.radians(self.phase_deg),
-        )
+        a = np.array(self.amplitude_m)
+        w = 2 * math.pi * np.array(self.frequency_hz)
+        start = np.radians(self.phase_deg)
         return lambda t: _shift(*(a * np.sin(w * t + start)))
 
 
@@ -214,7 +215,8 @@ class RandomWalk(MotionBase):
 
     def path(self, rng: np.random.Generator) -> Path:
         F, chol = self.exact_step(DRAW_S)
-        states, rms = [np.zeros((2, 3))], np.array(self.rms_m)
+        states = [np.zeros((2, 3))]
+        rms = np.array(self.rms_m)
 
         def at(t: float) -> Array:
             k = int(t / DRAW_S + 1e-9)
@@ -223,7 +225,8 @@ class RandomWalk(MotionBase):
             while len(states) < k + 2:
                 states.append(F @ states[-1] + chol @ rng.standard_normal((2, 3)))
             (x0, v0), (x1, v1) = states[k], states[k + 1]
-            s, h = t / DRAW_S - k, DRAW_S
+            s = t / DRAW_S - k
+            h = DRAW_S
             x = (
                 x0 * (1 + 2 * s) * (1 - s) ** 2
                 + v0 * h * s * (1 - s) ** 2

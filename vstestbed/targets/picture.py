@@ -187,7 +187,9 @@ def decoded(path: Path) -> NDArray[np.uint8]:
             )  # of PNG, which alone has transparency
         why = "it is damaged, or another kind of file"
     except cv2.error as error:  # empty, or more pixels than OpenCV reads
-        plain, full, why = None, None, " ".join(str(error.err).split())
+        plain = None
+        full = None
+        why = " ".join(str(error.err).split())
     if plain is None:
         raise ParameterError.unreadable("file", why, "a PNG or JPEG file", str(path))
     image = np.asarray(plain, np.uint8)

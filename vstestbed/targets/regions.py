@@ -40,7 +40,8 @@ def fitted_conic(xy: Array) -> Array:
     """The conic (3, 3) that fits points xy (K, 2) on an ellipse, by linear least squares about
     their mean, in units of their spread.
     """
-    middle, spread = xy.mean(axis=0), float(xy.std())
+    middle = xy.mean(axis=0)
+    spread = float(xy.std())
     x, y = ((xy - middle) / spread).T
     a, b, c, d, e = np.linalg.lstsq(
         np.column_stack([x * x, x * y, y * y, x, y]), np.ones(len(x)), rcond=None
@@ -63,7 +64,8 @@ def ellipse_points(C: Array, count: int) -> Array:
     an affine image of the regular one, so that its moments are those of the
     ellipse times constants.
     """
-    A, b = C[..., :2, :2], C[..., :2, 2]
+    A = C[..., :2, :2]
+    b = C[..., :2, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
         det = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
         adjugate = np.stack(
@@ -178,7 +180,8 @@ def triangulated(xy: Array) -> list[tuple[int, int, int]]:
 
     Reference: Meisters 1975, Polygons have ears, doi:10.1080/00029890.1975.11993898.
     """
-    left, out = list(range(len(xy))), []
+    left = list(range(len(xy)))
+    out = []
     while len(left) > 3:
         k = next((k for k in range(len(left)) if _is_ear(xy, left, k)), 0)
         out.append((left[k - 1], left[k], left[(k + 1) % len(left)]))
@@ -447,7 +450,8 @@ class Shape(OneRegion):
         """
         if not self.figure.round:
             return super().points_at(T_camera_target)
-        T, radius = T_camera_target, float(self.points[0, 0])
+        T = T_camera_target
+        radius = float(self.points[0, 0])
         xy = ellipse_points(circle_conic(T, radius), len(self.points))
         ray = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
         normal, centre = T[..., :3, 2], T[..., :3, 3]

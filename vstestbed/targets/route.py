@@ -44,7 +44,8 @@ class Route(ABC):
     @cached_property
     def samples(self) -> Samples:
         """The table in the world."""
-        (s, xy, heading, curvature), h = self._local(), self.start.heading
+        (s, xy, heading, curvature) = self._local()
+        h = self.start.heading
         R = np.array([[np.cos(h), -np.sin(h)], [np.sin(h), np.cos(h)]])
         return s, xy @ R.T + [self.start.x, self.start.y], heading + h, curvature
 
@@ -64,7 +65,8 @@ class Route(ABC):
 
         A closed route is periodic; an open one continues straight beyond both ends.
         """
-        (way, xy, turned, bent), s = self.samples, np.asarray(s, dtype=float)
+        (way, xy, turned, bent) = self.samples
+        s = np.asarray(s, dtype=float)
         # Not np.mod: the number of laps is needed for the heading, too.
         rounds = np.floor(s / self.length) if self.closed else np.zeros_like(s)
         along = s - rounds * self.length
@@ -231,7 +233,8 @@ class Piece:
         """Length [m] and curvature [1/m], positive to the left."""
         if self.length_m is not None:
             return self.length_m, 0.0
-        turn, radius = np.radians(self.turn_deg or 0.0), self.radius_m or 1.0
+        turn = np.radians(self.turn_deg or 0.0)
+        radius = self.radius_m or 1.0
         return abs(turn) * radius, float(np.sign(turn)) / radius
 
 
@@ -271,12 +274,10 @@ def _joined(pieces: list[tuple[float, float]]) -> Samples:
     """The table of arcs (length, curvature) one after another, from the origin along x; exact at
     each sample.
     """
-    s, xy, heading, curvature = (
-        [np.zeros(1)],
-        [np.zeros((1, 2))],
-        [np.zeros(1)],
-        [np.full(1, pieces[0][1])],
-    )
+    s = [np.zeros(1)]
+    xy = [np.zeros((1, 2))]
+    heading = [np.zeros(1)]
+    curvature = [np.full(1, pieces[0][1])]
     for length, k in pieces:
         u = np.linspace(0.0, length, max(1, round(length / SPACING_M)) + 1)[1:]
         # Chord u sinc(k u / 2) at half the turned angle: exact for an arc, and for a straight

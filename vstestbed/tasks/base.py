@@ -50,50 +50,63 @@ def check_visible(
     4). counted: the markers that count (N,); None: all.
     Raises ParameterError: it names the field, the markers, what hides them, and what would work.
     """
-    camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
+    camera = setup.camera
+    target = setup.target
     T_target_camera = inverse(T_camera_target)
     p = target.seen_from(T_target_camera)
-    counted = np.ones(len(p), dtype=bool) if counted is None else counted
-    lens, behind = isinstance(camera, Perspective), p[:, 2] <= 0
-    # a law of rays or poses has no image plane
-    if behind.any() and (lens or PLANE_INPUTS & set(law.inputs)):
-        where = (
-            "behind the camera"
-            if lens
-            else f"behind the camera, where law {law.kind} has no image plane to work in"
-        )
-        what = "a wider camera" if lens else "a law of rays (feature spherical) or poses"
-        raise _not_visible(
-            field, target, behind, where, f"move the goal back, or use {what} or a smaller target"
-        )
-    if detector.rows is not None:  # it finds other points than the target's markers
+    if counted is None:
+        counted = np.ones(len(p), dtype=bool)
+    _check_ahead(setup, field, p)
+    if setup.detector.rows is not None:  # it finds other points than the target's markers
         return
-    uv, limited = camera.project(p), getattr(detector, "field_of_view", "limited") == "limited"
+    uv = camera.project(p)
+    limited = getattr(setup.detector, "field_of_view", "limited") == "limited"
     # An oracle may report markers all round, and six panels have no border between them.
     inside = camera.inside(uv) if limited and len(camera.panels) == 1 else np.isfinite(uv[:, 0])
-    if (outside := ~inside & counted).any():
+    outside = ~inside & counted
+    if outside.any():
         where = f"outside the {camera.width} x {camera.height} picture"
-        raise _not_visible(
-            field,
-            target,
-            outside,
-            where,
-            "move the goal back, or use a wider camera or a smaller target",
-        )
+        remedy = "move the goal back, or use a wider camera or a smaller target"
+        raise _not_visible(field, target, outside, where, remedy)
     if not limited:
         return
-    if (hidden := target.hides(T_target_camera) & counted).any():
+    hidden = target.hides(T_target_camera) & counted
+    if hidden.any():
         remedy = "move the goal, or let goal.markers name those that are to be seen"
         raise _not_visible(field, target, hidden, "hidden by the target itself", remedy)
-    # where the goal view is in the room is not known before the run
-    if target.moves and not target.on_gripper:
+    if target.on_gripper:
+        _check_scenery(setup, field, camera.mount.T, p, counted)
+    # else where the goal view is in the room is not known before the run
+    elif not target.moves:
+        _check_scenery(setup, field, target.T_world_start @ T_target_camera, p, counted)
+
+
+def _check_ahead(setup: Setup, field: str, p: Array) -> None:
+    """Refuse markers p (N, 3) [m] behind an image plane; a law of rays or poses has none."""
+    behind = p[:, 2] <= 0
+    if not behind.any():
         return
-    T_world_camera = camera.mount.T if target.on_gripper else target.T_world_start @ T_target_camera
+    where = "behind the camera"
+    if isinstance(setup.camera, Perspective):
+        what = "a wider camera"
+    elif PLANE_INPUTS & set(setup.law.inputs):
+        where += f", where law {setup.law.kind} has no image plane to work in"
+        what = "a law of rays (feature spherical) or poses"
+    else:
+        return
+    remedy = f"move the goal back, or use {what} or a smaller target"
+    raise _not_visible(field, setup.target, behind, where, remedy)
+
+
+def _check_scenery(
+    setup: Setup, field: str, T_world_camera: Array, p: Array, counted: NDArray[np.bool_]
+) -> None:
+    """Refuse markers p (N, 3) [m] that count and that scenery hides from a camera (4, 4)."""
+    target = setup.target
     names = setup.world.scenery_before(T_world_camera, p, target.marker.clearance_m(p))
-    if (hidden := np.array([bool(name) for name in names]) & counted).any():
-        what = ", ".join(
-            dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts)
-        )
+    hidden = np.array([bool(name) for name in names]) & counted
+    if hidden.any():
+        what = ", ".join(dict.fromkeys(names[i] for i in np.flatnonzero(hidden)))
         remedy = (
             "move the goal, or the scenery by world.scenery.pose,"
             " or let goal.markers name the markers that are to be seen"
@@ -155,10 +168,9 @@ class GoalPicture:
         # frozen; a run remembers where its picture is
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))
         if self.other_light:
+            changed = [name for name, value in self._changes.items() if value != PLAIN[name]]
             words = "a picture that the simulated camera takes; leave it out, or the file"
-            raise ParameterError.only_for(
-                next(name for name, value in self._changes.items() if value != PLAIN[name]), words
-            )
+            raise ParameterError.only_for(changed[0], words)
 
     @property
     def other_light(self) -> bool:
@@ -191,13 +203,10 @@ class GoalPicture:
         if (width, height) != (camera.width, camera.height):
             words = (
                 f"has {width} x {height} px,"
-                f" and the camera's pictures have {camera.width} x {camera.height}"
+                f" and the camera's pictures have {camera.width} x {camera.height};"
+                " take it with this camera, or set camera.width and camera.height"
             )
-            raise ParameterError(
-                "file",
-                f"{words}; take it with this camera, or set camera.width and camera.height",
-                self.file,
-            )
+            raise ParameterError("file", words, self.file)
         return image
 
     def under_its_light(self, image: Image, rng: np.random.Generator) -> Image:
@@ -209,9 +218,9 @@ class GoalPicture:
         made = self.contrast * (self.brightness * image.astype(np.float32) - MID_GREY) + MID_GREY
         made += rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self.image_sigma)
         kept = np.clip(made + 0.5, 0, 255).astype(np.uint8)
-        return round_trip(
-            None if self.jpeg_quality is None else JpegStream(quality=self.jpeg_quality), 1.0
-        )(kept)
+        if self.jpeg_quality is None:
+            return kept
+        return round_trip(JpegStream(quality=self.jpeg_quality), 1.0)(kept)
 
 
 Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each
@@ -282,10 +291,9 @@ class Task:
 
     def _check_law(self, law: Law[Any]) -> None:
         if self.asks not in law.tasks:
-            raise ParameterError.excluded(
-                "goal",
-                f"of kind {self.kind} with law {law.kind}, which takes {' or '.join(law.tasks)}",
-            )
+            takes = " or ".join(law.tasks)
+            what = f"of kind {self.kind} with law {law.kind}, which takes {takes}"
+            raise ParameterError.excluded("goal", what)
         if self.needs_pose and not law.depth.needs_pose:
             words = f"{law.depth.kind} with law {law.kind}, which needs the pose itself"
             raise ParameterError.excluded("law.depth", words, works="floor or pnp")
@@ -293,17 +301,12 @@ class Task:
     def _check_base(self, robot: Robot) -> None:
         if robot.base in self.bases:
             return
+        what = f"{self.kind} with robot {robot.kind}"
         if self.bases == {"floating"}:
-            raise ParameterError.excluded(
-                "goal",
-                f"{self.kind} with robot {robot.kind}",
-                why="it is for a craft that flies (robot quadrotor)",
-            )
+            why = "it is for a craft that flies (robot quadrotor)"
+            raise ParameterError.excluded("goal", what, why=why)
         raise ParameterError.excluded(
-            "goal",
-            f"{self.kind} with robot {robot.kind}",
-            why="it is for a vehicle",
-            works="T_camera_target",
+            "goal", what, why="it is for a vehicle", works="T_camera_target"
         )
 
     @property
@@ -366,9 +369,8 @@ class Task:
         """What measures the task's error and decides when it is completed or failed; by default
         reached when `stop.converged` holds.
         """
-        return TaskMonitor(
-            setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor
-        )
+        views = len(self.goal_poses(setup.target, setup.camera.mount.T))
+        return TaskMonitor(setup, views, supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
         """Summary figures of this task alone."""
@@ -397,22 +399,26 @@ def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0
     place of the base, a wrong calibration of the mount displaces the believed goal view. number: of
     the view, among several in turn.
     """
-    target, points, scale = setup.target, setup.target.points, setup.depth_scale
+    target = setup.target
+    believed = setup.believed_camera
+    scale = setup.depth_scale
     if setup.goal_shown:
-        made = shown_goal(
-            setup.camera, setup.believed_camera, target, pose_with(setup.camera.mount.T)
-        )
+        T = pose_with(setup.camera.mount.T)
+        made = shown_goal(setup.camera, believed, target, T)
     else:
-        T = pose_with(setup.believed_camera.mount.T)
-        made = Goal.of_points(setup.believed_camera, target.points_at(T), T)
+        T = pose_with(believed.mount.T)
+        made = Goal.of_points(believed, target.points_at(T), T)
     if scale is not None:
+        pose = made.T_camera_target
         # A shown goal is known by its picture alone, so that its pose is estimated with the wrong
         # depths, too.
-        pose = (
-            pose_by_depth(made.T_camera_target, points, scale)
-            if setup.goal_shown
-            else made.T_camera_target
+        if setup.goal_shown:
+            pose = pose_by_depth(pose, target.points, scale)
+        made = replace(
+            made,
+            depth=made.depth * scale,
+            range=made.range * scale,
+            middle=made.middle * scale.mean(),
+            T_camera_target=pose,
         )
-        depth, reach, middle = made.depth * scale, made.range * scale, made.middle * scale.mean()
-        made = replace(made, depth=depth, range=reach, middle=middle, T_camera_target=pose)
     return replace(made, view=number) if number else made

@@ -47,7 +47,8 @@ class SpeedMonitor:
     """
 
     def __init__(self, speeds: tuple[MinSpeed, ...], from_s: float):
-        self._speeds, self._from_s = speeds, from_s
+        self._speeds = speeds
+        self._from_s = from_s
         self._past: deque[tuple[float, tuple[float, ...]]] = deque()
         self.slow: tuple[float, str] | None = None
 
@@ -65,22 +66,16 @@ class SpeedMonitor:
         whole = t - began >= WINDOW_S - 1e-9 or (at_the_end and t > began)
         if self.slow or t < self._from_s or not whole:
             return
-        for (who, commanded_mps, least_mps), now, then in zip(
-            self._speeds, travelled, before, strict=True
-        ):
+        for speed, now, then in zip(self._speeds, travelled, before, strict=True):
+            who, commanded_mps, least_mps = speed
             mean = (now - then) / (t - began)
             if not mean >= least_mps:  # `not >=`: a mean of NaN is a violation, too
-                commanded = (
-                    f"{commanded_mps:g} m/s were commanded,"
+                words = (
+                    f"{who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s;"
+                    f" {commanded_mps:g} m/s were commanded,"
                     f" {least_mps:.2g} are the least that counts"
                 )
-                self.slow = (
-                    t,
-                    (
-                        f"{who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s;"
-                        f" {commanded}"
-                    ),
-                )
+                self.slow = t, words
                 return
 
 
@@ -114,9 +109,8 @@ class Continuing(Task):
         return 0.0
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        return ToleranceMonitor(
-            self, setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor
-        )
+        views = len(self.goal_poses(setup.target, setup.camera.mount.T))
+        return ToleranceMonitor(self, setup, views, supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
         """`worst_task_error_m`: the largest true error after `settle_s` [m]."""
@@ -145,7 +139,8 @@ class ToleranceMonitor(TaskMonitor):
         self._error_m = np.nan
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
-        T_base, T_target = frame.T_world_base(self.mount_inverse), frame.truth.T_world_target
+        T_base = frame.T_world_base(self.mount_inverse)
+        T_target = frame.truth.T_world_target
         self._error_m = self.task.error_m(self.setup, T_base, T_target, frame.t)
         return (self._error_m,)
 
@@ -155,35 +150,37 @@ class ToleranceMonitor(TaskMonitor):
 
     def missed(self, frame: Frame) -> Verdict | None:
         """At the end of the duration: completed, or the earliest violation."""
-        t, duration, settled = frame.t, self.setup.stop.duration_s, frame.t >= self.task.settle_s
+        t = frame.t
+        duration = self.setup.stop.duration_s
+        settled = t >= self.task.settle_s
         # `not <=`: an error of NaN is a violation, too.
         if settled and self._left_at is None and not abs(self._error_m) <= self.task.tolerance_m:
             self._left_at = t, self._error_m
         over = t >= duration - 1e-9  # times are sums of steps, and may miss the end by a rounding
         if self._speeds and self._odometer:
-            travelled = self._odometer(
-                frame.T_world_base(self.mount_inverse), frame.truth.T_world_target
-            )
-            self._speeds.update(t, travelled, over)
+            T_base = frame.T_world_base(self.mount_inverse)
+            self._speeds.update(t, self._odometer(T_base, frame.truth.T_world_target), over)
         if not over:
             return None
-        tolerance, settle = self.task.tolerance_m, self.task.settle_s
         if not settled:
-            return (
-                Outcome.timed_out,
-                f"{duration:g} s ended before the {settle:g} s in which it may settle",
+            words = (
+                f"{duration:g} s ended before the {self.task.settle_s:g} s in which it may settle"
             )
-        slow, left = self._speeds.slow if self._speeds else None, self._left_at
+            return Outcome.timed_out, words
+        return self._at_the_end(duration)
+
+    def _at_the_end(self, duration: float) -> Verdict:
+        task = self.task
+        slow = self._speeds.slow if self._speeds else None
+        left = self._left_at
         if slow and (left is None or slow[0] < left[0]):
             return Outcome.timed_out, slow[1]
+        band = f"{task.tolerance_m:g} m"
         if left is not None:
-            return (
-                Outcome.timed_out,
-                f"out of its band of {tolerance:g} m at {left[0]:.3g} s, {abs(left[1]):.3g} m off",
-            )
-        if duration < self.task.end_s:
-            return (
-                Outcome.timed_out,
-                f"{duration:g} s ended on the way: its end is reached at {self.task.end_s:.3g} s",
-            )
-        return Outcome.completed, f"within {tolerance:g} m from {settle:g} s on"
+            t, error_m = left
+            words = f"out of its band of {band} at {t:.3g} s, {abs(error_m):.3g} m off"
+            return Outcome.timed_out, words
+        if duration < task.end_s:
+            words = f"{duration:g} s ended on the way: its end is reached at {task.end_s:.3g} s"
+            return Outcome.timed_out, words
+        return Outcome.completed, f"within {band} from {task.settle_s:g} s on"

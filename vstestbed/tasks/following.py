@@ -63,9 +63,12 @@ class GoalGap(Continuing):
     def check(self, setup: Setup) -> None:
         """The vehicles must not touch at the gap, and the target's origin must be observable."""
         super().check(setup)
-        robot, camera, target = setup.robot, setup.camera, setup.target
+        robot = setup.robot
+        camera = setup.camera
+        target = setup.target
         if target.carrier is not None and isinstance(robot, Vehicle):
-            rear, front = VEHICLES[target.carrier.by]().ends_m[0], robot.ends_m[1]
+            rear = VEHICLES[target.carrier.by]().ends_m[0]
+            front = robot.ends_m[1]
             least = target.pose.xyz[0] - rear + front
             if self.gap_m <= least:
                 front_m = f"the front of robot {robot.kind}, {front:g} m before its origin,"
@@ -132,7 +135,9 @@ class GoalGap(Continuing):
 
 def leader_and_follower(target: Target) -> Odometer:
     """Distances that the leader's and the follower's origins have travelled."""
-    T_target_leader, before, travelled = inverse(target.pose.T), list[Array](), [0.0, 0.0]
+    T_target_leader = inverse(target.pose.T)
+    before = list[Array]()
+    travelled = [0.0, 0.0]
 
     def travel(T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
         places = [T[:2, 3] for T in (T_world_target @ T_target_leader, T_world_base)]
@@ -174,7 +179,9 @@ class GoalLine(Continuing):
         """
         self._check_law(setup.law)
         self._check_base(setup.robot)
-        robot, route, law = setup.robot, _lines(setup.target).route, setup.law
+        robot = setup.robot
+        route = _lines(setup.target).route
+        law = setup.law
         if not isinstance(robot, Vehicle):
             return
         # The parallel at an offset d to the left of a bend of curvature k has the curvature k /
@@ -229,7 +236,8 @@ class GoalLine(Continuing):
         return _lines(setup.target).route.beside(here) - self.offset_m
 
     def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
-        v, odometer = setup.law.cruise_mps, along_route(_lines(setup.target).route)
+        v = setup.law.cruise_mps
+        odometer = along_route(_lines(setup.target).route)
         return () if v is None else (("the vehicle, along its line,", v, STEADY * v),), odometer
 
 
@@ -248,7 +256,9 @@ def along_route(route: Route) -> Odometer:
     has no direction. ds (1 - curvature offset) is the vehicle's own step beside the line, which in
     a bend is longer or shorter than the line's.
     """
-    last, sense, travelled = math.nan, 1.0, 0.0
+    last = math.nan
+    sense = 1.0
+    travelled = 0.0
 
     def travel(T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
         nonlocal last, sense, travelled

@@ -106,33 +106,23 @@ class GoalInsertion(Task):
         line by.
         """
         super().check(setup)
-        socket, robot = setup.target.socket, setup.robot
-        plug = robot.tool if isinstance(robot, Arm) else None
+        socket = setup.target.socket
+        plug = setup.robot.tool if isinstance(setup.robot, Arm) else None
         if plug is None:
-            raise ParameterError.missing(
-                "robot.tool",
-                "goal of kind insertion needs a plug, e.g. {radius: 0.01, length: 0.15}",
-            )
+            why = "goal of kind insertion needs a plug, e.g. {radius: 0.01, length: 0.15}"
+            raise ParameterError.missing("robot.tool", why)
         if abs(plug.length - self.tip_m) > 1e-9:
-            raise ParameterError.fixed(
-                "goal.tip_m", f"robot.tool.length, {plug.length:g} m", self.tip_m
-            )
+            wanted = f"robot.tool.length, {plug.length:g} m"
+            raise ParameterError.fixed("goal.tip_m", wanted, self.tip_m)
         if socket is None:
-            raise ParameterError.missing(
-                "target.socket",
-                "goal of kind insertion needs one, e.g. {radius: 0.011, depth: 0.04}",
-            )
+            why = "goal of kind insertion needs one, e.g. {radius: 0.011, depth: 0.04}"
+            raise ParameterError.missing("target.socket", why)
         if socket.radius <= plug.radius:
-            raise ParameterError.bound(
-                "target.socket.radius",
-                "over",
-                f"robot.tool.radius = {plug.radius:g} m",
-                socket.radius,
-            )
+            limit = f"robot.tool.radius = {plug.radius:g} m"
+            raise ParameterError.bound("target.socket.radius", "over", limit, socket.radius)
         if self.depth_m is not None and self.depth_m > socket.depth:
-            raise ParameterError.bound(
-                "goal.depth_m", "at most", f"target.socket.depth = {socket.depth:g} m", self.depth_m
-            )
+            limit = f"target.socket.depth = {socket.depth:g} m"
+            raise ParameterError.bound("goal.depth_m", "at most", limit, self.depth_m)
         if not (setup.law.depth.needs_pose or "T_camera_target" in setup.law.inputs):
             words = f"{setup.law.depth.kind}, by which the plug cannot be seen to be in line"
             raise ParameterError.excluded("law.depth", words, works="pnp")
@@ -143,11 +133,10 @@ class GoalInsertion(Task):
         """
         socket = target.socket
         assert socket is not None
-        T_target_flange, c, s = (
-            np.eye(4),
-            math.cos(math.radians(self.roll_deg)),
-            math.sin(math.radians(self.roll_deg)),
-        )
+        roll = math.radians(self.roll_deg)
+        c = math.cos(roll)
+        s = math.sin(roll)
+        T_target_flange = np.eye(4)
         T_target_flange[:2, :2] = [[c, -s], [s, c]]
         T_target_flange[:3, 3] = [*socket.xy, -socket.depth - self.standoff_m + way_m - self.tip_m]
         return inverse(T_target_flange @ mount)
@@ -161,41 +150,49 @@ class GoalInsertion(Task):
         return (self.pose(target, mount, 0.0),)
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
-        return self.pose(
-            setup.target, setup.camera.mount.T, self.standoff_m + self.depth_in(setup.target)
-        )
+        way_m = self.standoff_m + self.depth_in(setup.target)
+        return self.pose(setup.target, setup.camera.mount.T, way_m)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Approach:
         return Approach(setup)
 
     def reference(self, state: Approach, seen: Observation) -> tuple[Approach, Goal]:
         """The view, which advances along the axis while the plug is in line and does not press."""
-        setup, way, dt = state.setup, state.way_m, seen.t - state.t
+        setup = state.setup
+        way = state.way_m
+        dt = seen.t - state.t
         goal = self._view_at(setup, way)
-        T, reference = seen.T_camera_target, goal.T_camera_target
+        T = seen.T_camera_target
+        reference = goal.T_camera_target
         if T is None or math.isnan(dt):
             return state._replace(t=seen.t), goal
         axis = reference[:3, 2]  # of the hole, into it, in the camera's frame
         # how far the camera still has to go, so that the target comes to where it is wanted
         away = reference[:3, 3] - T[:3, 3]
-        lateral, lead = float(np.linalg.norm(away - (away @ axis) * axis)), float(-away @ axis)
+        lateral = float(np.linalg.norm(away - (away @ axis) * axis))
+        lead = float(-away @ axis)
         turned = math.degrees(rotation_angle(T[:3, :3].T @ reference[:3, :3]))
         in_line = lateral < self.within_m and turned < self.within_deg and abs(lead) < LEAD_M
-        since = min(state.in_line_since, seen.t) if in_line else math.inf
+        since = held_since(state.in_line_since, in_line, seen.t)
         press = 0.0 if seen.wrench is None else float(-seen.wrench[:3] @ axis)
-        # the weight of the tool
-        rest_n = press if way == 0.0 or math.isnan(state.rest_n) else state.rest_n
-        presses = self.press_n is not None and press - rest_n > self.press_n
-        begun = way > 0.0 or seen.t - since >= self.hold_s
-        inside = way > self.standoff_m
+        rest_n = state.rest_n
+        if way == 0.0 or math.isnan(rest_n):
+            rest_n = press  # the weight of the tool
+        state = Approach(setup, way, seen.t, since, rest_n)
         last = self.standoff_m + self.depth_in(setup.target) + BEYOND_M
-        advances = (
-            begun and (in_line or inside) and abs(lead) < LEAD_M and not presses and way < last
-        )
-        if advances:
+        if way < last and self._advances(state, in_line, lead, press):
             way = min(way + self.speed_mps * dt, last)
             goal = self._view_at(setup, way, self.speed_mps)
-        return Approach(setup, way, seen.t, since, rest_n), goal
+        return state._replace(way_m=way), goal
+
+    def _advances(self, state: Approach, in_line: bool, lead: float, press: float) -> bool:
+        """Whether the reference goes on: it is not far ahead of the plug [m], which is in line and
+        does not press [N].
+        """
+        begun = state.way_m > 0.0 or state.t - state.in_line_since >= self.hold_s
+        inside = state.way_m > self.standoff_m
+        presses = self.press_n is not None and press - state.rest_n > self.press_n
+        return begun and (in_line or inside) and abs(lead) < LEAD_M and not presses
 
     def _view_at(self, setup: Setup, way_m: float, speed_mps: float = 0.0) -> Goal:
         """The view at a way along the axis, with the errors of the calibration that the first view
@@ -204,11 +201,8 @@ class GoalInsertion(Task):
         goal = view_from(setup, lambda mount: self.pose(setup.target, mount, way_m))
         if not speed_mps:
             return goal
-        return replace(
-            goal,
-            twist=np.concatenate([speed_mps * goal.T_camera_target[:3, 2], np.zeros(3)]),
-            moves=True,
-        )
+        twist = np.concatenate([speed_mps * goal.T_camera_target[:3, 2], np.zeros(3)])
+        return replace(goal, twist=twist, moves=True)
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> InsertionMonitor:
         return InsertionMonitor(self, setup, supervisor)
@@ -242,58 +236,51 @@ class InsertionMonitor(TaskMonitor):
 
     def __init__(self, goal: GoalInsertion, setup: Setup, supervisor: Supervisor):
         super().__init__(setup, 1, supervisor)
-        self._goal, socket = goal, setup.target.socket
-        assert socket is not None
-        self._socket, self._depth = socket, goal.depth_in(setup.target)
+        assert setup.target.socket is not None
+        self._goal = goal
+        self._socket = setup.target.socket
+        self._depth = goal.depth_in(setup.target)
         names = [name for effect in setup.robot.acting for name in effect.columns]
         self._force = names.index(FORCE_COLUMN)
         assert isinstance(setup.robot, Arm) and setup.robot.tool is not None
         self._tip = np.array([0.0, 0.0, setup.robot.tool.length])  # the true one
-        self._deepest, self._stuck_since, self._seated_since = -math.inf, math.inf, math.inf
+        self._deepest = -math.inf
+        self._stuck_since = self._seated_since = math.inf
         self.depth_m = self.offset_m = math.nan
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
         T = inverse(frame.truth.T_world_target) @ frame.T_world_base(self.mount_inverse)
         x, y, z = T[:3, :3] @ self._tip + T[:3, 3]
-        self.depth_m, self.offset_m = (
-            float(z + self._socket.depth),
-            math.hypot(x - self._socket.xy[0], y - self._socket.xy[1]),
-        )
+        self.depth_m = float(z + self._socket.depth)
+        self.offset_m = math.hypot(x - self._socket.xy[0], y - self._socket.xy[1])
         return self.depth_m, self.offset_m, max(0.0, self._depth - self.depth_m)
 
     def reached(self, frame: Frame) -> Verdict | None:
         """The plug touches at its depth inside of the hole."""
-        within, force = self.offset_m < self._socket.radius, frame.truth.effects[self._force]
-        seated = (
-            within
-            and force <= self._goal.limit_n
-            and self.depth_m >= self._depth - DEEP_ENOUGH_M
-            and bool(frame.truth.feet)
-        )
+        within = self.offset_m < self._socket.radius
+        deep = self.depth_m >= self._depth - DEEP_ENOUGH_M
+        force = frame.truth.effects[self._force]
+        seated = within and deep and force <= self._goal.limit_n and bool(frame.truth.feet)
         self._seated_since = held_since(self._seated_since, seated, frame.t)
-        if has_held(self._seated_since, frame.t, self._goal.seat_s):
-            return (
-                Outcome.inserted,
-                f"{1e3 * self.depth_m:.1f} mm deep, {1e3 * self.offset_m:.2f} mm beside the axis",
-            )
-        return None
+        if not has_held(self._seated_since, frame.t, self._goal.seat_s):
+            return None
+        where = f"{1e3 * self.depth_m:.1f} mm deep, {1e3 * self.offset_m:.2f} mm beside the axis"
+        return Outcome.inserted, where
 
     def missed(self, frame: Frame) -> Verdict | None:
         """Too large a force, a plug that is stuck, or the end of the duration."""
-        goal, force, t = self._goal, frame.truth.effects[self._force], frame.t
+        goal = self._goal
+        feet = frame.truth.feet
+        force = frame.truth.effects[self._force]
         where = f"{1e3 * self.depth_m:.1f} mm deep, {1e3 * self.offset_m:.1f} mm beside the axis"
         if force > goal.limit_n:
-            return (
-                Outcome.collided,
-                (
-                    f"contact of {frame.truth.feet or 'the plug'} with {force:.0f} N,"
-                    f" over {goal.limit_n:g} N, {where}"
-                ),
-            )
-        if not frame.truth.feet or self.depth_m > self._deepest + CRAWL_M:
-            self._deepest, self._stuck_since = max(self._deepest, self.depth_m), math.inf
-        stuck = bool(frame.truth.feet) and math.isinf(self._seated_since)
-        self._stuck_since = held_since(self._stuck_since, stuck, t)
-        if has_held(self._stuck_since, t, goal.jam_s):
+            what = f"contact of {feet or 'the plug'} with {force:.0f} N, over {goal.limit_n:g} N"
+            return Outcome.collided, f"{what}, {where}"
+        if not feet or self.depth_m > self._deepest + CRAWL_M:
+            self._deepest = max(self._deepest, self.depth_m)
+            self._stuck_since = math.inf
+        stuck = bool(feet) and math.isinf(self._seated_since)
+        self._stuck_since = held_since(self._stuck_since, stuck, frame.t)
+        if has_held(self._stuck_since, frame.t, goal.jam_s):
             return Outcome.jammed, f"for {goal.jam_s:g} s, {where}"
         return super().missed(frame)

@@ -46,6 +46,9 @@ def in_words_unit(value: float, unit: str) -> tuple[float, str]:
     return (math.degrees(value), "deg") if unit == "rad" else (value, unit)
 
 
+Unit = Literal["px", "grey levels", "m", "rad", "m/s"]
+
+
 class JudgedError(NamedTuple):
     """The error that decides a task.
 
@@ -56,7 +59,7 @@ class JudgedError(NamedTuple):
     """
 
     value: float
-    unit: Literal["px", "grey levels", "m", "rad", "m/s"]
+    unit: Unit
     limit: float
     by: By
 
@@ -75,33 +78,19 @@ def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedErro
     """The error that `stop.converged` tests at the end of a run; of several, the one that is
     largest compared with its limit.
     """
-    found: list[JudgedError] = []
-    if converged.error_px is not None:
-        column, by = (
-            ("level_error_px", "level pixels")
-            if "level_error_px" in log
-            else ("error_px", "pixels")
-        )
-        found.append(JudgedError(_last(log, column), "px", converged.error_px, by))
-    if converged.error_grey is not None:
-        found.append(
-            JudgedError(
-                _last(log, "error_grey"), "grey levels", converged.error_grey, "grey levels"
-            )
-        )
-    if converged.position_m is not None:
-        found.append(
-            JudgedError(_last(log, "est_position_m"), "m", converged.position_m, "estimate")
-        )
-    if converged.rotation_deg is not None:
-        found.append(
-            JudgedError(
-                _last(log, "est_rotation_rad"),
-                "rad",
-                math.radians(converged.rotation_deg),
-                "estimate",
-            )
-        )
+    conditions: list[tuple[float | None, str, Unit, By]] = [
+        (converged.error_px, "error_px", "px", "pixels"),
+        (converged.error_grey, "error_grey", "grey levels", "grey levels"),
+        (converged.position_m, "est_position_m", "m", "estimate"),
+        (converged.rotation_deg, "est_rotation_rad", "rad", "estimate"),
+    ]
+    if "level_error_px" in log:
+        conditions[0] = converged.error_px, "level_error_px", "px", "level pixels"
+    found = []
+    for limit, column, unit, by in conditions:
+        if limit is not None:
+            limit = math.radians(limit) if unit == "rad" else limit
+            found.append(JudgedError(_last(log, column), unit, limit, by))
     return largest(found)
 
 
@@ -109,9 +98,7 @@ def largest(errors: Iterable[JudgedError]) -> JudgedError:
     """The error that is largest compared with its limit; an unknown one comes first: no task is
     done with it.
     """
-    return max(
-        errors, key=lambda error: math.inf if math.isnan(error.value) else error.value / error.limit
-    )
+    return max(errors, key=lambda e: math.inf if math.isnan(e.value) else e.value / e.limit)
 
 
 def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: float) -> JudgedError:
@@ -136,10 +123,8 @@ def in_a_frame(
     and the task's own columns.
     """
     # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
-    return judged(
-        {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])},
-        stop,
-    )
+    frame = {name: np.array([value]) for name, value in values.items()}
+    return judged(frame | {"t": np.array([np.inf])}, stop)
 
 
 def _last(log: Mapping[str, Array], column: str) -> float:
@@ -218,10 +203,6 @@ class Reward:
             # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
             g = self.discount
             lost = 1.0 * left if g == 1 else g * -np.expm1(left * math.log(g)) / (1.0 - g)
-            return (
-                after
-                - 1.0
-                + bonus
-                - np.where(np.logical_and(terminated, np.logical_not(success)), lost, 0.0)
-            )
+            failed = np.logical_and(terminated, np.logical_not(success))
+            return after - 1.0 + bonus - np.where(failed, lost, 0.0)
         return np.where(terminated, 0.0, self.discount * after) - before + bonus

@@ -91,7 +91,8 @@ class GoalLanding(Task):
 
     def reference(self, state: Descent, seen: Observation) -> tuple[Descent, Goal]:
         """The view, which descends while the craft is over its pad by its own estimate."""
-        setup, share = state.setup, state.share
+        setup = state.setup
+        share = state.share
         goal = self._view_at(setup, share)
         # The first frame has no duration yet. Without an estimate the reference waits, too: `_over`
         # is False.
@@ -160,7 +161,8 @@ class LandingMonitor(TaskMonitor):
         super().__init__(setup, 1, supervisor)
         self._goal = goal
         self.offset_m = self.speed_mps = math.nan
-        self._t, self._speed = math.nan, math.nan
+        self._t = math.nan
+        self._speed = math.nan
         self._away: Array | None = None
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
@@ -179,10 +181,12 @@ class LandingMonitor(TaskMonitor):
         # The speed of the frame before: in the frame of the contact the ground has already slowed
         # the craft.
         if feet and math.isnan(self.offset_m):
-            self.offset_m, self.speed_mps = float(np.hypot(*away[:2])), self._speed
+            self.offset_m = float(np.hypot(*away[:2]))
+            self.speed_mps = self._speed
         if self._away is not None and t > self._t:
             self._speed = float(np.linalg.norm(away - self._away)) / (t - self._t)
-        self._t, self._away = t, away
+        self._t = t
+        self._away = away
         return float(np.hypot(*away[:2])) if math.isnan(self.offset_m) else self.offset_m
 
     def reached(self, frame: Frame) -> Verdict | None:
@@ -196,10 +200,8 @@ class LandingMonitor(TaskMonitor):
         """The verdict on the first contact; None before it."""
         if math.isnan(self.offset_m):
             return None
-        goal, where = (
-            self._goal,
-            f"{100 * self.offset_m:.0f} cm from the pad's centre at {self.speed_mps:.2f} m/s",
-        )
+        goal = self._goal
+        where = f"{100 * self.offset_m:.0f} cm from the pad's centre at {self.speed_mps:.2f} m/s"
         if self.offset_m <= goal.pad_m and self.speed_mps <= goal.touch_mps:
             return Outcome.landed, f"touched down {where}"
         far = [f"{100 * goal.pad_m:g} cm"] if self.offset_m > goal.pad_m else []

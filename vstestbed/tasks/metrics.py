@@ -70,7 +70,8 @@ class StartShares:
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`; undefined also where the goal is no single pose."""
         errors = np.column_stack([log[name] for name in ERRORS])
-        start, last = errors[0], errors[-1]
+        start = errors[0]
+        last = errors[-1]
         if not (start > LEAST).all():
             return {**dict.fromkeys(self.titles)}
         over = np.flatnonzero((errors >= self.share * start).any(axis=1))
@@ -79,11 +80,8 @@ class StartShares:
         cosine = np.abs(np.einsum("ij,ij->i", q[1:], q[:-1]))
         sine = np.sqrt(np.maximum(0, 1 - np.minimum(cosine, 1) ** 2))
         turned = float(2 * np.arctan2(sine, cosine).sum())
-        found = (
-            *(last / start).tolist(),
-            pictures if pictures <= len(errors) else None,
-            turned / float(start[1]),
-        )
+        within = pictures if pictures <= len(errors) else None
+        found = (*(last / start).tolist(), within, turned / float(start[1]))
         return dict(zip(self.titles, found, strict=True))
 
 
@@ -148,12 +146,10 @@ class Metric:
         return self.of == "any"
 
 
-MOVING, MODES, LINK, PLUG = (
-    "a target that moves",
-    "a law with modes",
-    "a link or a camera clock",
-    "a task of insertion",
-)
+MOVING = "a target that moves"
+MODES = "a law with modes"
+LINK = "a link or a camera clock"
+PLUG = "a task of insertion"
 EVERY_RUN = (
     Metric("sim_time_s", "Simulated time", "s", better=0),
     Metric("frames", "Frames", better=0),
@@ -279,7 +275,8 @@ OF_A_RUN = (
 are named.
 """
 KNOWN = {metric.name: metric for metric in (*EVERY_RUN, *SOME_RUNS, *OF_A_RUN)}
-FIGURES, SOME_FIGURES = tuple(m.name for m in EVERY_RUN), tuple(m.name for m in SOME_RUNS)
+FIGURES = tuple(m.name for m in EVERY_RUN)
+SOME_FIGURES = tuple(m.name for m in SOME_RUNS)
 RUN_COLUMNS = {
     "scenario": "name of the scenario",
     "outcome": "how the run ended: `converged`, `timed_out`, `target_lost`, ...",
@@ -353,8 +350,10 @@ class ErrorIntegrals:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`; undefined for a target that was never seen."""
-        t, e = np.asarray(log["t"], dtype=float), np.asarray(log["error_px"], dtype=float)
-        t, e = t[np.isfinite(e)], e[np.isfinite(e)]
+        t = np.asarray(log["t"], dtype=float)
+        e = np.asarray(log["error_px"], dtype=float)
+        t = t[np.isfinite(e)]
+        e = e[np.isfinite(e)]
         found = [float(np.trapezoid(y, t)) for y in (e, e * e, t * e)] if len(e) else [None] * 3
         return dict(zip(self.titles, found, strict=True))
 
@@ -376,12 +375,10 @@ class CommandVariation:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`."""
-        steps = np.diff(np.column_stack([log[f"cmd_{name}"] for name in TWIST]), axis=0).reshape(
-            -1, 2, 3
-        )
-        return dict(
-            zip(self.titles, np.linalg.norm(steps, axis=2).sum(axis=0).tolist(), strict=True)
-        )
+        twists = np.column_stack([log[f"cmd_{name}"] for name in TWIST])
+        steps = np.diff(twists, axis=0).reshape(-1, 2, 3)
+        found = np.linalg.norm(steps, axis=2).sum(axis=0).tolist()
+        return dict(zip(self.titles, found, strict=True))
 
 
 @spec
@@ -428,11 +425,11 @@ METRICS = Registry(
 def own_metrics() -> dict[str, Metric]:
     """The metrics of all registered kinds, by name."""
     kinds: Any = METRICS.members.values()  # of the contract
-    return {
-        name: Metric(name, *title, of="any", within=ANY)
-        for kind in kinds
-        for name, title in kind.titles.items()
-    }
+    found = {}
+    for kind in kinds:
+        for name, title in kind.titles.items():
+            found[name] = Metric(name, *title, of="any", within=ANY)
+    return found
 
 
 def comparable() -> tuple[str, ...]:
@@ -467,8 +464,8 @@ def own_figures(metrics: Sequence[MetricContract], log: Log, setup: Setup) -> Fi
         for name in metric.titles:
             value = found[name]
             if isinstance(value, bool) or not isinstance(value, Real | None):
-                raise ParameterError.returned(
-                    f"metrics: {metric.kind}", "figures", f"{name} as a number or None", str(value)
-                )
+                wanted = f"{name} as a number or None"
+                field = f"metrics: {metric.kind}"
+                raise ParameterError.returned(field, "figures", wanted, str(value))
             figures[name] = None if value is None else float(value)
     return figures

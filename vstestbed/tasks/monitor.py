@@ -89,42 +89,51 @@ class TaskMonitor:
     error_columns: tuple[str, ...] = ()
 
     def __init__(self, setup: Setup, views: int, supervisor: Supervisor):
-        self.setup, self.views, self.supervisor = setup, views, supervisor
+        self.setup = setup
+        self.views = views
+        self.supervisor = supervisor
         self.mount_inverse = inverse(setup.camera.mount.T)
-        self._by_estimate, self._leans = (
-            setup.stop.converged.by_estimate,
-            setup.robot.base == "floating",
-        )
+        self._by_estimate = setup.stop.converged.by_estimate
+        self._leans = setup.robot.base == "floating"
         self.estimate = math.nan, math.nan
         self.error_px = self.error_grey = math.nan
         self._in_grey = "image" in setup.law.inputs
-        self._near, self._held_since, self._rest_since = False, math.inf, math.inf
+        self._near = False
+        self._held_since = math.inf
+        self._rest_since = math.inf
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the task's columns in the log."""
-        return (
-            *(("view",) if self.views > 1 else ()),
-            *self.error_columns,
-            *(("est_position_m", "est_rotation_rad") if self._by_estimate else ()),
-            *(("level_error_px",) if self._leans else ()),
-            *(("error_grey",) if self._in_grey else ()),
-        )
+        names = [*self.error_columns]
+        if self.views > 1:
+            names.insert(0, "view")
+        if self._by_estimate:
+            names += ["est_position_m", "est_rotation_rad"]
+        if self._leans:
+            names.append("level_error_px")
+        if self._in_grey:
+            names.append("error_grey")
+        return tuple(names)
 
     def measure(self, frame: Frame) -> tuple[float, ...]:
         """The columns' values, by which `reached` and `missed` also decide."""
-        seen, goal = frame.observation, frame.goal
+        seen = frame.observation
+        goal = frame.goal
         self.error_px = level_error(seen, goal) if self._leans else frame.error.rms_px
         self.error_grey = frame.command.error_grey
         if self._by_estimate:
             self.estimate = estimated_error(seen, goal)
-        return (
-            *((goal.view,) if self.views > 1 else ()),
-            *self.task_error(frame),
-            *(self.estimate if self._by_estimate else ()),
-            *((self.error_px,) if self._leans else ()),
-            *((self.error_grey,) if self._in_grey else ()),
-        )
+        values = [*self.task_error(frame)]
+        if self.views > 1:
+            values.insert(0, goal.view)
+        if self._by_estimate:
+            values += self.estimate
+        if self._leans:
+            values.append(self.error_px)
+        if self._in_grey:
+            values.append(self.error_grey)
+        return tuple(values)
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
         """Values of `error_columns`."""
@@ -132,13 +141,10 @@ class TaskMonitor:
 
     def near(self, frame: Frame) -> bool:
         """Whether the conditions hold in this frame."""
-        last = frame.goal.view + 1 == self.views and not frame.goal.moves
+        if frame.goal.view + 1 < self.views or frame.goal.moves or frame.error.lost:
+            return False
         errors = self.error_px, *self.estimate, self.error_grey
-        return (
-            last
-            and not frame.error.lost
-            and self.setup.stop.converged.near(frame.error.all_seen, *errors)
-        )
+        return self.setup.stop.converged.near(frame.error.all_seen, *errors)
 
     def reached(self, frame: Frame) -> Verdict | None:
         """Converged, when the conditions have held for long enough."""
@@ -152,12 +158,15 @@ class TaskMonitor:
     def missed(self, frame: Frame) -> Verdict | None:
         """A local minimum, or the end of the duration."""
         # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
-        twist, reach = frame.command.twist.tolist(), frame.goal.reach_m
+        twist = frame.command.twist.tolist()
+        reach = frame.goal.reach_m
         rests = max(map(abs, twist[:3])) < REST * reach and max(map(abs, twist[3:])) < REST
         at_rest = rests and not frame.error.lost and not self._near
         self._rest_since = held_since(self._rest_since, at_rest, frame.t)
         if has_held(self._rest_since, frame.t, self.setup.stop.rest_after):
-            goal, (distance, angle), said = self.setup.stop.converged, self.estimate, list[str]()
+            goal = self.setup.stop.converged
+            (distance, angle) = self.estimate
+            said = list[str]()
             if goal.error_px is not None:
                 said.append(f"at an RMS error of {self.error_px:.3g} px")
             if goal.error_grey is not None:
@@ -171,9 +180,9 @@ class TaskMonitor:
         # After the local minimum: of a law that rests in the last frame, the more telling reason
         # counts.
         duration = self.setup.stop.duration_s
-        return (
-            (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None
-        )
+        if frame.t < duration - 1e-9:
+            return None
+        return Outcome.timed_out, timed_out_words(duration)
 
 
 def estimated_error(seen: Observation, goal: Goal) -> tuple[float, float]:

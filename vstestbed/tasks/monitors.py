@@ -47,10 +47,8 @@ def away_from_goal(frame: Frame) -> Away:
     """True distance [m] and angle [rad] between the camera and its goal, the law's goal view of the
     target as it truly stands.
     """
-    truth = frame.truth
-    return rigid_error(
-        truth.T_world_camera, truth.T_world_target @ inverse(frame.goal.T_camera_target)
-    )
+    T_world_goal = frame.truth.T_world_target @ inverse(frame.goal.T_camera_target)
+    return rigid_error(frame.truth.T_world_camera, T_world_goal)
 
 
 def near_in_turn(share: float | None, near: float, before: int) -> int:
@@ -111,9 +109,8 @@ class Settles:
         """Refuse half of the alternative, and an end before the beginning."""
         if (self.or_position_m is None) != (self.or_rotation_deg is None):
             lacking = "or_position_m" if self.or_position_m is None else "or_rotation_deg"
-            raise ParameterError.missing(
-                lacking, "the alternative has a distance and an angle; give both, or neither"
-            )
+            why = "the alternative has a distance and an angle; give both, or neither"
+            raise ParameterError.missing(lacking, why)
         check_ordered(self, "least", "most")
 
     def monitor(self, setup: Setup) -> _Settles:
@@ -128,77 +125,81 @@ class Settles:
         )
         if self.or_position_m is None or self.or_rotation_deg is None:
             return shares
-        return min(
-            shares, max(away[0] / self.or_position_m, math.degrees(away[1]) / self.or_rotation_deg)
-        )
+        distance, angle = away
+        other = max(distance / self.or_position_m, math.degrees(angle) / self.or_rotation_deg)
+        return min(shares, other)
 
 
 class _Settles:
     def __init__(self, rule: Settles, rest_ends: bool = True):
-        self._rule, self._rest_ends = rule, rest_ends
-        self._early, self._nearest, self._since_nearer = 0, math.inf, 0
+        self._rule = rule
+        self._rest_ends = rest_ends
+        self._early = 0
+        self._nearest = math.inf
+        self._since_nearer = 0
         self._speeds: deque[tuple[float, float]] = deque(maxlen=2 * rule.window)
         self._start: Away | None = None
         self._pictures = 0
 
     def update(self, frame: Frame) -> Verdict | None:
-        rule, away = self._rule, away_from_goal(frame)
+        rule = self._rule
+        away = away_from_goal(frame)
         start = self._start = self._start or away
         self._pictures += 1
         v = frame.command.twist
-        self._speeds.append(
-            (float(np.linalg.norm(v[:3])), math.degrees(float(np.linalg.norm(v[3:]))))
-        )
+        rate = math.degrees(float(np.linalg.norm(v[3:])))
+        self._speeds.append((float(np.linalg.norm(v[:3])), rate))
         if away[0] > rule.diverged * start[0]:
-            return (
-                Outcome.diverged,
-                f"{away[0] / max(start[0], 1e-12):.1f} times as far from the goal as at the start",
-            )
+            times = away[0] / max(start[0], 1e-12)
+            return Outcome.diverged, f"{times:.1f} times as far from the goal as at the start"
         near = rule.near(away, start)
         self._early = near_in_turn(rule.early, near, self._early)
         if self._early >= EARLY_PICTURES:
             return Outcome.converged, self._words("within", near, "before it settled")
-        nearer, stuck = near < NEARER * self._nearest, rule.stuck
-        self._nearest, self._since_nearer = (
-            (near, 0) if nearer else (self._nearest, self._since_nearer + 1)
-        )
-        if self._rest_ends and stuck is not None and self._since_nearer >= stuck and near > 1:
-            return Outcome.timed_out, self._words(
-                "not within", near, f"no nearer for {rule.stuck} pictures"
-            )
-        ended = self._pictures >= rule.most
-        if not (ended or self._settled()):
-            return None
+        if self._is_stuck(near):
+            when = f"no nearer for {rule.stuck} pictures"
+            return Outcome.timed_out, self._words("not within", near, when)
+        if self._pictures >= rule.most or self._settled():
+            return self._judged(near)
+        return None
+
+    def _is_stuck(self, near: float) -> bool:
+        if near < NEARER * self._nearest:
+            self._nearest = near
+            self._since_nearer = 0
+        else:
+            self._since_nearer += 1
+        stuck = self._rule.stuck
+        return self._rest_ends and stuck is not None and self._since_nearer >= stuck and near > 1
+
+    def _judged(self, near: float) -> Verdict | None:
+        """The verdict on a run that has settled, or that has had its pictures."""
+        ended = self._pictures >= self._rule.most
         if near < 1:
-            return Outcome.converged, self._words(
-                "within", near, "when it settled" if not ended else "at the end"
-            )
-        outcome = Outcome.timed_out if ended else Outcome.local_minimum if self._rest_ends else None
-        return (
-            None
-            if outcome is None
-            else (outcome, self._words("not within", near, "when it settled"))
-        )
+            when = "at the end" if ended else "when it settled"
+            return Outcome.converged, self._words("within", near, when)
+        if not (ended or self._rest_ends):
+            return None
+        outcome = Outcome.timed_out if ended else Outcome.local_minimum
+        return outcome, self._words("not within", near, "when it settled")
 
     def _settled(self) -> bool:
-        rule, n = self._rule, self._rule.window
+        rule = self._rule
+        n = rule.window
         if self._pictures < rule.least or len(self._speeds) < 2 * n:
             return False
         speeds = np.array(self._speeds)
-        first, second = speeds[:n].mean(axis=0), speeds[n:].mean(axis=0)
+        first = speeds[:n].mean(axis=0)
+        second = speeds[n:].mean(axis=0)
         return bool((first < (rule.speed_mps, rule.rate_degps)).all() and (second >= first).all())
 
     def _words(self, within: str, near: float, when: str) -> str:
         rule = self._rule
         limit = f"{100 * rule.share:g} % of the start's distance and angle"
-        other = (
-            f", or {rule.or_position_m:g} m and {rule.or_rotation_deg:g} deg"
-            if rule.or_position_m is not None
-            else ""
-        )
+        if rule.or_position_m is not None:
+            limit += f", or {rule.or_position_m:g} m and {rule.or_rotation_deg:g} deg"
         return (
-            f"{within} {limit}{other}, at {near:.3g} of the limit, {when},"
-            f" after {self._pictures} pictures"
+            f"{within} {limit}, at {near:.3g} of the limit, {when}, after {self._pictures} pictures"
         )
 
 
@@ -235,8 +236,11 @@ class AfterPictures:
 
 class _AfterPictures:
     def __init__(self, rule: AfterPictures):
-        self._rule, self._early, self._pictures = rule, 0, 0
-        self._least_px, self._since = math.inf, 0.0
+        self._rule = rule
+        self._early = 0
+        self._pictures = 0
+        self._least_px = math.inf
+        self._since = 0.0
 
     def _at_rest(self, t: float, error_px: float) -> bool:
         """Whether the error in the image has stayed small, and fallen no further, for `rest_s`."""
@@ -244,11 +248,13 @@ class _AfterPictures:
         if self._rule.rest_px is None or not error_px <= self._rule.rest_px:
             self._least_px = math.inf
         elif error_px < 0.9 * self._least_px or error_px > 1.1 * self._least_px + REST_PX:
-            self._least_px, self._since = min(error_px, self._least_px), t
+            self._least_px = min(error_px, self._least_px)
+            self._since = t
         return math.isfinite(self._least_px) and t - self._since > self._rule.rest_s
 
     def update(self, frame: Frame) -> Verdict | None:
-        rule, (distance, angle) = self._rule, away_from_goal(frame)
+        rule = self._rule
+        (distance, angle) = away_from_goal(frame)
         self._pictures += 1
         limit = rule.share * float(np.linalg.norm(frame.goal.T_camera_target[:3, 3]))
         near = max(distance / limit, math.degrees(angle) / rule.rotation_deg)
@@ -256,11 +262,11 @@ class _AfterPictures:
         rests = self._at_rest(frame.t, frame.error.rms_px)
         if self._early < EARLY_PICTURES and self._pictures < rule.pictures and not rests:
             return None
-        at = (
+        limits = f"{limit:.3g} m and {rule.rotation_deg:g} deg"
+        words = (
             f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal after"
-            f" {self._pictures} pictures"
+            f" {self._pictures} pictures; the limits are {limits}"
         )
-        words = f"{at}; the limits are {limit:.3g} m and {rule.rotation_deg:g} deg"
         return (Outcome.converged if near < 1 else Outcome.timed_out), words
 
 
@@ -309,9 +315,8 @@ class KeepOut:
     def __post_init__(self) -> None:
         """Refuse a box without volume."""
         if any(a == b for a, b in zip(self.corner, self.opposite, strict=True)):
-            raise ParameterError(
-                "opposite", "must differ from `corner` in x, y and z", list(self.opposite)
-            )
+            words = "must differ from `corner` in x, y and z"
+            raise ParameterError("opposite", words, list(self.opposite))
 
     def monitor(self, setup: Setup) -> Monitor:
         """The rule itself, which keeps nothing from frame to frame."""
@@ -324,10 +329,8 @@ class KeepOut:
         if not ((xyz >= low) & (xyz <= high)).all():
             return None
         x, y, z = xyz.tolist()
-        return (
-            Outcome.collided,
-            f"the camera entered the forbidden box at x {x:.3f}, y {y:.3f}, z {z:.3f} m",
-        )
+        words = f"the camera entered the forbidden box at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
+        return Outcome.collided, words
 
 
 MONITORS = Registry("monitor", KeepOut, Settles, AfterPictures, contract=Contract(MonitorContract))

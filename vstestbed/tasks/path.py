@@ -39,8 +39,40 @@ lag along the path is no error.
 """
 
 
+class _Views(Task):
+    """A task of several views, which stand in one of its fields. listed: the name of that field."""
+
+    listed: ClassVar[str]
+
+    @property
+    def _each(self) -> tuple[GoalView | GoalViewFrom, ...]:
+        return getattr(self, self.listed)
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        return tuple(pose for view in self._each for pose in view.goal_poses(target, mount))
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        goals = []
+        for i, view in enumerate(self._each):
+            goals += [replace(goal, view=i) for goal in view.goal_views(setup)]
+        return tuple(goals)
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """Field of each view."""
+        return tuple(
+            view.view_fields[0].replace("goal.", f"goal.{self.listed}.{i}.")
+            for i, view in enumerate(self._each)
+        )
+
+    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
+        for i, view in enumerate(self._each):
+            view.check_counted(setup, f"goal.{self.listed}.{i}.markers")
+        super().check_views(setup, views)
+
+
 @spec
-class GoalPath(Continuing):
+class GoalPath(_Views, Continuing):  # pyright: ignore[reportIncompatibleVariableOverride] - see `view_fields`
     """Continuing task: fly along a path through given views, and stay at the last one.
 
     Between two views the reference camera moves along a straight line, rotating about a fixed axis,
@@ -69,6 +101,7 @@ class GoalPath(Continuing):
     asks: ClassVar[str] = "path"
     bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
     by_clock: ClassVar[bool] = True
+    listed: ClassVar[str] = "way"
 
     @cached_property
     def _ways(self) -> tuple[Array, ...]:
@@ -80,17 +113,11 @@ class GoalPath(Continuing):
         """When each view is reached, for the last time (n,) [s]."""
         times = []
         for a, b in pairwise(self._ways):
-            length, angle = (
-                np.linalg.norm(b[:3, 3] - a[:3, 3]),
-                rotation_angle(a[:3, :3].T @ b[:3, :3]),
-            )
-            times.append(
-                max(
-                    JERK_PEAK * length / self.speed_mps,
-                    JERK_PEAK * angle / np.radians(self.turn_degps),
-                    LEAST_LEG_S,
-                )
-            )
+            length = np.linalg.norm(b[:3, 3] - a[:3, 3])
+            angle = rotation_angle(a[:3, :3].T @ b[:3, :3])
+            move_s = JERK_PEAK * length / self.speed_mps
+            turn_s = JERK_PEAK * angle / np.radians(self.turn_degps)
+            times.append(max(move_s, turn_s, LEAST_LEG_S))
         return np.asarray(self.settle_s + np.concatenate([[0.0], np.cumsum(times)]), dtype=float)
 
     @property
@@ -98,28 +125,8 @@ class GoalPath(Continuing):
         """When the last view is reached [s]."""
         return float(self._until[-1])
 
-    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        return tuple(view.T_camera_target.T for view in self.way)
-
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
         return self.at(t)[0]
-
-    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        return tuple(
-            replace(goal, view=i)
-            for i, view in enumerate(self.way)
-            for goal in view.goal_views(setup)
-        )
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """Field of each view."""
-        return tuple(f"goal.way.{i}.T_camera_target" for i in range(len(self.way)))
-
-    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        for i, view in enumerate(self.way):
-            view.check_counted(setup, f"goal.way.{i}.markers")
-        super().check_views(setup, views)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Setup:
         return setup
@@ -140,7 +147,8 @@ class GoalPath(Continuing):
             return inverse(self._ways[0]), 0
         if leg >= len(self._ways) - 1:
             return inverse(self._ways[-1]), len(self._ways) - 1
-        a, b = self._ways[leg], self._ways[leg + 1]
+        a = self._ways[leg]
+        b = self._ways[leg + 1]
         share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
         return inverse(between(a, b, share)), leg + 1
 
@@ -164,14 +172,17 @@ class GoalPath(Continuing):
         """
         until = self._until
         first, last = np.clip([t - LATE_S, t + LATE_S], until[0], until[-1])
-        x, nearest = T_target_camera[:3, 3], np.inf
+        x = T_target_camera[:3, 3]
+        nearest = np.inf
         for leg in range(len(until) - 1):
-            began, ended = until[leg], until[leg + 1]
+            began = until[leg]
+            ended = until[leg + 1]
             if began > last or ended < first:
                 continue
             # The part of this leg within the window, by travelled shares; a leg of pure rotation
             # has no length to divide by.
-            a, along = self._ways[leg][:3, 3], self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
+            a = self._ways[leg][:3, 3]
+            along = self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
             low, high = (
                 _smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last)
             )
@@ -214,7 +225,7 @@ class Passage(NamedTuple):
 
 
 @spec
-class GoalViews(Task):
+class GoalViews(_Views):
     """Via points: views in turn, each passed when its error falls under `threshold_px`; the last is
     the goal.
 
@@ -243,6 +254,7 @@ class GoalViews(Task):
     threshold_px: PositivePixels = 10.0
     speed_mps: PositiveSpeed | None = None
     turn_degps: PositiveRateDeg = 45.0
+    listed: ClassVar[str] = "views"
 
     def __post_init__(self) -> None:
         """Refuse a single view."""
@@ -255,11 +267,9 @@ class GoalViews(Task):
 
     def _check_base(self, robot: Robot) -> None:
         if any(robot.base not in view.bases for view in self.views):
+            what = f"{self.kind} with robot {robot.kind}"
             raise ParameterError.excluded(
-                "goal",
-                f"{self.kind} with robot {robot.kind}",
-                why="it is for a vehicle",
-                works="T_camera_target",
+                "goal", what, why="it is for a vehicle", works="T_camera_target"
             )
 
     def check(self, setup: Setup) -> None:
@@ -267,32 +277,9 @@ class GoalViews(Task):
         for view in self.views:
             view.check(setup)
 
-    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        return tuple(pose for view in self.views for pose in view.goal_poses(target, mount))
-
-    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        return tuple(
-            replace(goal, view=i)
-            for i, view in enumerate(self.views)
-            for goal in view.goal_views(setup)
-        )
-
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
         return tuple(picture for view in self.views for picture in view.pictures)
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """Field of each view."""
-        return tuple(
-            view.view_fields[0].replace("goal.", f"goal.views.{i}.")
-            for i, view in enumerate(self.views)
-        )
-
-    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        for i, view in enumerate(self.views):
-            view.check_counted(setup, f"goal.views.{i}.markers")
-        super().check_views(setup, views)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Passage:
         return Passage(setup, views)
@@ -307,9 +294,11 @@ class GoalViews(Task):
         share = (seen.t - state.left_s) / self._leg_s(state)
         if share >= 1:
             return state._replace(moves=False), goal
-        on_the_way = view_from(
-            state.setup, lambda mount: inverse(between(*self._leg(state, mount), share)), state.view
-        )
+
+        def pose_with(mount: Array) -> Array:
+            return inverse(between(*self._leg(state, mount), share))
+
+        on_the_way = view_from(state.setup, pose_with, state.view)
         return state, replace(on_the_way, counted=goal.counted, moves=True)
 
     def _leg(self, state: Passage, mount: Array) -> tuple[Array, Array]:
@@ -332,9 +321,8 @@ class GoalViews(Task):
         near = error.all_seen and error.rms_px < self.threshold_px and not state.moves
         if not (near and state.view + 1 < len(self.views)):
             return state, None
-        state = state._replace(
-            view=state.view + 1, moves=self.speed_mps is not None, left_s=math.nan
-        )
+        moves = self.speed_mps is not None
+        state = state._replace(view=state.view + 1, moves=moves, left_s=math.nan)
         # Returned as a new goal, the view makes the loop initialise the law again: its state
         # belongs to the view that is passed.
         return state, None if state.moves else state.views[state.view]
@@ -350,9 +338,8 @@ class GoalViews(Task):
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
         # Not the log's position error, which is that of the current view: the first one, at the
         # start.
-        target = (
-            np.array([log[f"tgt_{a}"][0] for a in "xyz"]),
-            np.array([log[f"tgt_q{a}"][0] for a in "wxyz"]),
-        )
-        T_goal = pose_from(*target) @ inverse(goal_poses[-1])
-        return float(np.linalg.norm(T_goal[:3, 3] - np.array([log[f"cam_{a}"][0] for a in "xyz"])))
+        position = np.array([log[f"tgt_{a}"][0] for a in "xyz"])
+        turn = np.array([log[f"tgt_q{a}"][0] for a in "wxyz"])
+        T_goal = pose_from(position, turn) @ inverse(goal_poses[-1])
+        camera = np.array([log[f"cam_{a}"][0] for a in "xyz"])
+        return float(np.linalg.norm(T_goal[:3, 3] - camera))

@@ -69,19 +69,16 @@ class Converged:
     @property
     def summary(self) -> str:
         """The conditions in words."""
-        in_picture = (
+        conditions = (
             (self.error_px, "RMS error under {:g} px"),
             (self.error_grey, "RMS error under {:g} grey levels"),
+            (self.position_m, "under {:g} m"),
+            (self.rotation_deg, "under {:g} deg"),
         )
-        by_estimate = ((self.position_m, "under {:g} m"), (self.rotation_deg, "under {:g} deg"))
-        said = ", ".join(
-            form.format(value) for value, form in (*in_picture, *by_estimate) if value is not None
-        )
-        return (
-            said
-            if self.error_px is not None or self.error_grey is not None
-            else f"by its own estimate {said} off"
-        )
+        said = ", ".join(form.format(value) for value, form in conditions if value is not None)
+        if self.error_px is None and self.error_grey is None:
+            return f"by its own estimate {said} off"
+        return said
 
 
 @spec

@@ -72,7 +72,8 @@ class GoalView(Task):
             raise ParameterError.fixed(
                 field, "left out", list(self.markers), why="the points of an outline count together"
             )
-        robot, n = setup.robot, len(setup.target.points)
+        robot = setup.robot
+        n = len(setup.target.points)
         needed = setup.law.markers_needed(
             robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints())
         )
@@ -149,7 +150,8 @@ class GoalPlace(Task):
         the law rests.
         """
         super().check(setup)
-        near, law = setup.stop.converged.position_m, setup.law
+        near = setup.stop.converged.position_m
+        law = setup.law
         if not setup.stop.converged.by_estimate:
             words = (
                 "must have position_m or rotation_deg for a goal of kind pose,"

@@ -82,7 +82,8 @@ class DelayLine(Generic[T]):
     """
 
     def __init__(self, delay_steps: int = 0, overtakes: bool = False):
-        self.delay_steps, self._overtakes = delay_steps, overtakes
+        self.delay_steps = delay_steps
+        self._overtakes = overtakes
         self._waiting: deque[tuple[int, T]] = deque()
 
     def push(self, step: int, item: T) -> None:
@@ -110,6 +111,7 @@ class DelayLine(Generic[T]):
         return self._waiting[0][0] if self._waiting else None
 
 
+Probability = Annotated[float, Ge(0), Le(1)]
 Offset = Annotated[
     float,
     Bounded(-60.0, 60.0, "s", "a minute; clocks that differ by more are not taken for one another"),
@@ -218,10 +220,10 @@ class BurstLoss:
         carries: what goes over the link.
     """
 
-    enter_probability: Annotated[float, Ge(0), Le(1)] = 0.02
+    enter_probability: Probability = 0.02
     leave_probability: Annotated[float, Gt(0), Le(1)] = 0.2
     good_loss: Annotated[float, Ge(0), Lt(1)] = 0.0
-    bad_loss: Annotated[float, Ge(0), Le(1)] = 1.0
+    bad_loss: Probability = 1.0
     carries: Literal["pictures", "commands", "both"] = "both"
 
     @property
@@ -237,8 +239,10 @@ Loses = Callable[[int], bool]
 def bursty_link(loss: BurstLoss, rng: np.random.Generator) -> Loses:
     """One direction of the link in a run. loss: its parameters. rng: of this direction alone."""
     steps, losses = rng.spawn(2)
-    p, r = loss.enter_probability, loss.leave_probability
-    bad, now = bool(steps.random() < p / (p + r)), 0
+    p = loss.enter_probability
+    r = loss.leave_probability
+    bad = bool(steps.random() < p / (p + r))
+    now = 0
 
     def loses(period: int) -> bool:
         nonlocal bad, now

@@ -25,6 +25,10 @@ LEAST_PERIODS = 3  # a command lasts this many camera periods at least
 BLURRED = 0.2
 
 
+Images = Annotated[int, Ge(3), Le(999)]  # of which a picture is composed
+Minute = Annotated[Time, TighterBounds(le=60)]
+
+
 @spec
 class Timing:
     """Timing of pictures and commands beyond the camera's rate and latency, rounded to whole
@@ -76,13 +80,13 @@ class Timing:
     """
 
     exposure_s: Time = 0.0
-    exposure_pictures: Annotated[int, Ge(3), Le(999)] = 9
-    readout_pictures: Annotated[int, Ge(3), Le(999)] = 21
+    exposure_pictures: Images = 9
+    readout_pictures: Images = 21
     jitter: Literal["uniform", "normal"] = "uniform"
     exposure_jitter_s: Time = 0.0
-    latency_jitter_s: Annotated[Time, TighterBounds(le=60)] = 0.0
+    latency_jitter_s: Minute = 0.0
     drop_probability: Annotated[float, Ge(0), Lt(1)] = 0.0
-    command_latency_s: Annotated[Time, TighterBounds(le=60)] = 0.0
+    command_latency_s: Minute = 0.0
     command_timeout_s: PositiveTime = 0.5
     out_of_order: bool = False
     camera_clock: CameraStamps | None = None
@@ -113,12 +117,9 @@ class Timing:
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns of the log that only runs with these effects have."""
-        stamp, refused = ("t_stamp",) * self.stamps, ("refused",) * self.refuses
-        return (
-            *stamp,
-            *refused,
-            *("command_lost",) * (self.link is not None and self.link.carries != "pictures"),
-        )
+        commands = self.link is not None and self.link.carries != "pictures"
+        given = {"t_stamp": self.stamps, "refused": self.refuses, "command_lost": commands}
+        return tuple(name for name, is_there in given.items() if is_there)
 
     def interpolator(self, step_s: float, steps_per_frame: int) -> Interpolator | None:
         """Leads the setpoints of a run from one command to the next; None: each command is the
@@ -137,11 +138,8 @@ class Timing:
         """The age at which a picture arrives too late to be one, from the middle of its exposure
         [s].
         """
-        return (
-            (self.longest_s(camera) + camera.readout_s) / 2
-            + camera.latency_s
-            + self.order_s(camera)
-        )
+        open_s = self.longest_s(camera) + camera.readout_s
+        return open_s / 2 + camera.latency_s + self.order_s(camera)
 
     def first_s(self, camera: _Shot) -> float:
         """Exposure time of a picture [s], as far as it is known without a picture."""
@@ -156,6 +154,19 @@ class Timing:
         rates of setpoints that the physics clock has not got, or that are too low for what they are
         to do. Raises ParameterError: with the limit.
         """
+        self._check_exposure(camera, step_s)
+        if self.out_of_order and self.latency_jitter_s == 0:
+            why = (
+                "with one and the same latency no picture overtakes another;"
+                " or set out_of_order to false"
+            )
+            raise ParameterError.needs(
+                "timing.out_of_order", "latency_jitter_s", self.out_of_order, why=why
+            )
+        if self.command_hz is not None:
+            self._check_command_rate(self.command_hz, camera, step_s)
+
+    def _check_exposure(self, camera: _Shot, step_s: float) -> None:
         if self.exposure_s and camera.blurring is not None:
             why = "with camera.exposure.blurs the camera's exposure has the time"
             raise ParameterError.fixed("timing.exposure_s", "0", self.exposure_s, why=why)
@@ -166,83 +177,61 @@ class Timing:
             )
             raise ParameterError("timing.exposure_s", words, self.exposure_s)
         if self.exposure_s > camera.period:
-            raise ParameterError.bound(
-                "timing.exposure_s",
-                "at most",
-                f"the camera's period, {camera.period:g} s",
-                self.exposure_s,
-            )
-        room = self._room(camera, step_s)
-        if self.exposure_jitter_s > room / 2:
-            words = f"{room / 2:g} s, half of what the exposure leaves of the camera's period"
-            raise ParameterError.bound(
-                "timing.exposure_jitter_s", "at most", words, self.exposure_jitter_s
-            )
-        if self.out_of_order and self.latency_jitter_s == 0:
-            why = (
-                "with one and the same latency no picture overtakes another;"
-                " or set out_of_order to false"
-            )
-            raise ParameterError.needs(
-                "timing.out_of_order", "latency_jitter_s", self.out_of_order, why=why
-            )
-        if self.command_hz is None:
-            return
-        steps = 1 / (self.command_hz * step_s)
-        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
-            whole = max(1, round(steps))
+            most = f"the camera's period, {camera.period:g} s"
+            raise ParameterError.bound("timing.exposure_s", "at most", most, self.exposure_s)
+        most_s = self._room(camera, step_s) / 2
+        if self.exposure_jitter_s > most_s:
+            most = f"{most_s:g} s, half of what the exposure leaves of the camera's period"
+            field = "timing.exposure_jitter_s"
+            raise ParameterError.bound(field, "at most", most, self.exposure_jitter_s)
+
+    def _check_command_rate(self, rate_hz: float, camera: _Shot, step_s: float) -> None:
+        steps = 1 / (rate_hz * step_s)
+        whole = max(1, round(steps))
+        if abs(steps - whole) > 1e-6 * steps:
             near = ", ".join(f"{1 / (n * step_s):.10g}" for n in (whole + 1, whole))
             words = (
                 f"must be a whole number of physics steps of {step_s:.6g} s apart:"
                 f" {near}, or give physics.step_s"
             )
-            raise ParameterError("timing.command_hz", words, self.command_hz)
-        held = self.interpolation == "hold"
-        least = 1 / self.order_s(camera) if held else 2 * camera.rate_hz
-        if self.command_hz < least * (1 - 1e-9):
-            why = (
-                "a command would end before it reaches the robot"
-                if held
-                else "two setpoints a camera period"
-            )
-            raise ParameterError.bound(
-                "timing.command_hz", "at least", f"{least:.6g} Hz here ({why})", self.command_hz
-            )
+            raise ParameterError("timing.command_hz", words, rate_hz)
+        if self.interpolation == "hold":
+            least_hz = 1 / self.order_s(camera)
+            why = "a command would end before it reaches the robot"
+        else:
+            least_hz = 2 * camera.rate_hz
+            why = "two setpoints a camera period"
+        if rate_hz < least_hz * (1 - 1e-9):
+            least = f"{least_hz:.6g} Hz here ({why})"
+            raise ParameterError.bound("timing.command_hz", "at least", least, rate_hz)
 
     def _room(self, camera: _Shot, step_s: float) -> float:
         """What the longest exposure leaves of the camera's period [s]; refuses one that does not
         fit into it.
         """
-        whole_steps = camera.readout_s > 0 or camera.blurring is not None
-        room = camera.period - (
-            2 * self.half_steps(camera, step_s) * step_s if whole_steps else self.exposure_s
-        )
+        open_s = self.exposure_s
+        if camera.readout_s > 0 or camera.blurring is not None:
+            open_s = 2 * self.half_steps(camera, step_s) * step_s
+        room = camera.period - open_s
         if room >= -1e-9:
             return room
-        most, longest = (
-            2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s,
-            self.longest_s(camera),
-        )
-        if camera.blurring is not None and longest > most - camera.readout_s:
-            less = f" less camera.readout_s = {camera.readout_s:g} s" if camera.readout_s else ""
-            words = (
-                f"{max(0.0, most - camera.readout_s):g} s,"
-                f" the camera's period in pairs of physics steps{less}"
+        most_s = 2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s
+        longest = self.longest_s(camera)
+        if camera.blurring is not None and longest > most_s - camera.readout_s:
+            most = (
+                f"{max(0.0, most_s - camera.readout_s):g} s,"
+                " the camera's period in pairs of physics steps"
             )
-            raise ParameterError.bound(
-                f"camera.{camera.blurring.most_field}", "at most", words, longest
-            )
+            if camera.readout_s:
+                most += f" less camera.readout_s = {camera.readout_s:g} s"
+            field = f"camera.{camera.blurring.most_field}"
+            raise ParameterError.bound(field, "at most", most, longest)
+        most = f"{max(most_s - longest, 0):.6g} s"
         why = (
             f"readout and timing.exposure_s, {longest:g} s, must fit into the camera's period,"
             f" {camera.period:g} s"
         )
-        raise ParameterError.bound(
-            "camera.readout_s",
-            "at most",
-            f"{max(most - longest, 0):.6g} s",
-            camera.readout_s,
-            why=why,
-        )
+        raise ParameterError.bound("camera.readout_s", "at most", most, camera.readout_s, why=why)
 
     def half_steps(self, camera: _Shot, step_s: float, exposure_s: float | None = None) -> int:
         """Half the time from the first row's exposure to the last one's end, in physics steps; 0
@@ -259,9 +248,9 @@ class Timing:
         """One random jitter of this size [s]; nothing is drawn for size 0."""
         if size_s == 0:
             return 0.0
-        return float(
-            rng.uniform(-size_s, size_s) if self.jitter == "uniform" else rng.normal(0.0, size_s)
-        )
+        if self.jitter == "uniform":
+            return float(rng.uniform(-size_s, size_s))
+        return float(rng.normal(0.0, size_s))
 
 
 class Planned(NamedTuple):
@@ -283,10 +272,9 @@ class Shutter:
     """Plans the camera's pictures; those that will be dropped are not rendered at all. opening: of
     the picture planned last.
 
-    timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's
-    period.
-    rng: draws jitters and losses. link: may lose them in bursts; None for one that loses none.
-    flicker: of the light.
+    timing, camera: as the scenario says. step_s: of the physics [s], which divides the camera's
+    period. rng: draws jitters and losses. link: may lose them in bursts; None for one that loses
+    none. flicker: of the light.
     """
 
     def __init__(
@@ -294,31 +282,31 @@ class Shutter:
         timing: Timing,
         camera: _Shot,
         step_s: float,
-        steps_per_frame: int,
         rng: np.random.Generator,
         link: Loses | None = None,
         flicker: Flicker = STEADY,
     ):
-        self._timing, self._step_s, self._per_frame, self._rng, self._link = (
-            timing,
-            step_s,
-            steps_per_frame,
-            rng,
-            link,
-        )
-        self._camera, self._flicker = camera, flicker
+        self._timing = timing
+        self._camera = camera
+        self._step_s = step_s
+        self._rng = rng
+        self._link = link
+        self._flicker = flicker
+        self._per_frame = round(camera.period / step_s)
         self._rows: Array = camera.row_delay(np.arange(float(camera.height)))
         # Jitter is clipped to it: the exposures of two frames must not overlap.
-        self._room = (steps_per_frame - 2 * timing.half_steps(camera, step_s)) // 2
+        self._room = (self._per_frame - 2 * timing.half_steps(camera, step_s)) // 2
         self._frame = -1
-        self._draws, self._late_steps = timing.draws, round(max(0.0, camera.latency_s) / step_s)
+        self._draws = timing.draws
+        self._late_steps = round(max(0.0, camera.latency_s) / step_s)
         self._open(timing.first_s(camera))
 
     def _open(self, exposure_s: float) -> None:
         """Expose for so long [s] from now on. What does not depend on the picture's time is
         computed once.
         """
-        timing, camera = self._timing, self._camera
+        timing = self._timing
+        camera = self._camera
         most = timing.readout_pictures if camera.readout_s else timing.exposure_pictures
         half = timing.half_steps(camera, self._step_s, exposure_s)
         self.opening = Opening(exposure_s, half, most, self._step_s, camera.blurring is not None)
@@ -330,15 +318,15 @@ class Shutter:
         """
         if exposure_s is not None and exposure_s != self.opening.exposure_s:
             self._open(exposure_s)
-        timing, rng = self._timing, self._rng
+        timing = self._timing
+        rng = self._rng
         while True:
             self._frame += 1
             if not self._draws:
                 return self._planned(self._frame * self._per_frame, self._late_steps)
             shift = round(timing.jittered(timing.exposure_jitter_s, rng) / self._step_s)
-            middle = max(
-                0, self._frame * self._per_frame + max(-self._room, min(self._room, shift))
-            )
+            shift = max(-self._room, min(self._room, shift))
+            middle = max(0, self._frame * self._per_frame + shift)
             late = max(0.0, self._camera.latency_s + timing.jittered(timing.latency_jitter_s, rng))
             arrives = timing.drop_probability == 0 or rng.random() >= timing.drop_probability
             if arrives and (self._link is None or not self._link(self._frame)):
@@ -347,23 +335,19 @@ class Shutter:
     def _planned(self, middle: int, late_steps: int) -> Planned:
         """The frame with the middle of its exposure at this step, `late_steps` under way."""
         opening = self.opening
-        # The usual frame first: an instant.
-        opens = (
-            (middle,)
-            if opening.half == 0
-            else tuple(max(0, middle + offset) for offset in opening.offsets)
-        )
+        opens = (middle,)  # the usual frame: an instant
+        if opening.half:
+            opens = tuple(max(0, middle + offset) for offset in opening.offsets)
         weights = self._steady or self._contributed(middle * self._step_s)
         return Planned(self._frame, middle, opens, weights, middle + opening.half + late_steps)
 
     def _contributed(self, t: float) -> tuple[float | Contribution, ...]:
         """What the images of a picture with time stamp t [s] contribute to it."""
-        opening, flicker = self.opening, self._flicker
+        opening = self.opening
+        flicker = self._flicker
         if self._camera.readout_s:
-            return contributions(
-                *of_rows(t + opening.nodes, t + self._rows, opening.exposure_s, flicker),
-                flicker.depth,
-            )
+            rows = of_rows(t + opening.nodes, t + self._rows, opening.exposure_s, flicker)
+            return contributions(*rows, flicker.depth)
         if not flicker.depth:
             return opening.weights
         # All rows are exposed at once, under the mean light of the exposure: one image each is

@@ -39,13 +39,16 @@ class Profile:
     __slots__ = ("_parts", "after", "before", "duration", "start")
 
     def __init__(self, mode: Mode, before: Array, slope: Array, after: Array, duration: float):
-        self.before, self.start, self.after = before, slope, after
+        self.before = before
+        self.start = slope
+        self.after = after
         # From or to infinity, by which a craft's rotors are switched off, there is no way.
         self.duration = (
             0.0 if mode == "hold" or not (all_finite(before) and all_finite(after)) else duration
         )
         if self.duration:
-            rise, at_first = after - before, slope * duration
+            rise = after - before
+            at_first = slope * duration
             smooth = (before, at_first, 3 * rise - 2 * at_first, at_first - 2 * rise)
             self._parts = (
                 smooth
@@ -57,21 +60,24 @@ class Profile:
         """The value (n,) at a time from the start on; `after` itself at the end."""
         if t >= self.duration:
             return self.after
-        s, (a, b, c, d) = t / self.duration, self._parts
+        s = t / self.duration
+        (a, b, c, d) = self._parts
         return a + s * (b + s * (c + s * d))
 
     def slope(self, t: float) -> Array:
         """Its derivative (n,) by time."""
         if t >= self.duration:
             return np.zeros_like(self.after)
-        s, (_, b, c, d) = t / self.duration, self._parts
+        s = t / self.duration
+        (_, b, c, d) = self._parts
         return (b + s * (2 * c + s * 3 * d)) / self.duration
 
     def way(self, t: float) -> Array:
         """Its integral (n,) from the start to a time."""
         if self.duration == 0:
             return self.after * t
-        s, (a, b, c, d) = min(t / self.duration, 1.0), self._parts
+        s = min(t / self.duration, 1.0)
+        (a, b, c, d) = self._parts
         return self.duration * s * (a + s * (b / 2 + s * (c / 3 + s * d / 4))) + self.after * max(
             t - self.duration, 0.0
         )
@@ -90,8 +96,10 @@ class Interpolator:
 
     def __init__(self, mode: Mode, every: int, over: int):
         self._mode: Mode = mode
-        self._every, self._over = every, over
-        self._begins, self._until_then = 0, np.zeros(0)
+        self._every = every
+        self._over = over
+        self._begins = 0
+        self._until_then = np.zeros(0)
         self.profile: Profile | None = None  # none before the first command
 
     def next_tick(self, step: int) -> int:
@@ -104,9 +112,11 @@ class Interpolator:
         now: the setpoint in force; None before the first command, whose profile begins at rest.
         lapsed: the setpoint in force is the robot's own way to stop, no longer that of a command.
         """
-        profile, begins = self.profile, self.next_tick(step)
+        profile = self.profile
+        begins = self.next_tick(step)
         held = np.zeros_like(setpoint) if now is None else now
-        before, slope = held, np.zeros_like(setpoint)
+        before = held
+        slope = np.zeros_like(setpoint)
         if profile is not None and not lapsed:
             t = begins - self._begins
             # Of two commands before one setpoint the later one counts: both set out from the same
@@ -116,18 +126,17 @@ class Interpolator:
                 if step >= self._begins
                 else (profile.before, profile.start)
             )
-        self.profile, self._begins, self._until_then = (
-            Profile(self._mode, before, slope, setpoint, self._over),
-            begins,
-            held,
-        )
+        self.profile = Profile(self._mode, before, slope, setpoint, self._over)
+        self._begins = begins
+        self._until_then = held
 
     def at(self, step: int) -> Array:
         """The setpoint at this step."""
         assert self.profile is not None
         if step < self._begins:
             return self._until_then
-        every, profile = self._every, self.profile
+        every = self._every
+        profile = self.profile
         t = step // every * every - self._begins
         return (
             profile.after
@@ -172,7 +181,10 @@ class SetpointBuffer:
         step_s: float,
         interpolator: Interpolator | None = None,
     ):
-        self._stopping, self._command, self._lasts, self._step_s = stopping, first, lasts, step_s
+        self._stopping = stopping
+        self._command = first
+        self._lasts = lasts
+        self._step_s = step_s
         self._interpolator = interpolator
         self._until: float = lasts  # the last step at which the command is followed
         self._refresh = max(1, round(REFRESH_S / step_s))
@@ -186,7 +198,8 @@ class SetpointBuffer:
             setpoint = np.full_like(setpoint, -np.inf)
         if self._interpolator is not None:
             self._interpolator.toward(step, setpoint, self.at(step), lapsed=step > self._until)
-        self._command, self._until = setpoint, step + self._lasts
+        self._command = setpoint
+        self._until = step + self._lasts
 
     def at(self, step: int) -> Array | None:
         """The setpoint at this step: that of the command, or of the robot's own way to stop from
@@ -194,7 +207,8 @@ class SetpointBuffer:
         """
         if self._command is None:
             return None
-        setpoint, interpolator = self._command, self._interpolator
+        setpoint = self._command
+        interpolator = self._interpolator
         if interpolator is not None and interpolator.profile is not None:
             setpoint = interpolator.at(int(min(step, self._until)))
         return (
