@@ -17,11 +17,11 @@ from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import scaled
 from vstestbed.laws.policy import MOST_PX, action_unit, observed
+from vstestbed.loop.ego_motion import start_basis
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
 from vstestbed.report.video.film import Pictures, quality_of, replay_of
 from vstestbed.report.video.overlay import FilmFrame
-from vstestbed.robots import Mount
 from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.distributions import values_of
 from vstestbed.scenario.load import load
@@ -164,7 +164,7 @@ class Rollout:
         self.scenario = self._stopped(scenario)
         self._mode = observation
         self.reward = Reward(reward, discount, success_bonus)
-        self.action_unit = action_unit(self.scenario.law.limits, self._basis(self.scenario))
+        self.action_unit = action_unit(self.scenario.law.limits, start_basis(self.scenario))
         self._session: Session | None = None
         self._frame: Frame | None = None
         self._replay: Replay | None = None
@@ -240,15 +240,11 @@ class Rollout:
             (s.rows, s.robot.kind, s.camera.width, s.camera.height, tuple(s.cameras))
             for s in (self.scenario, made)
         )
-        unit = action_unit(made.law.limits, self._basis(made))
+        unit = action_unit(made.law.limits, start_basis(made))
         if now != then or not np.array_equal(unit, self.action_unit):
             words = "must leave markers, robot, limits and size of pictures as they are"
             raise ParameterError("options.overrides", words, dict(overrides))
         return made
-
-    def _basis(self, scenario: Scenario) -> Array:
-        mount = Mount.of(scenario.believed_camera.mount.T)
-        return scenario.robot.motion_basis(mount, scenario.robot.start_joints())
 
     def step(self, action: Array) -> Step:
         """Send the robot the velocities of an action (n,), and simulate until the next picture has

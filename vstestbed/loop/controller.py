@@ -22,7 +22,13 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import LawFailedError, inputs_of
-from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
+from vstestbed.loop.ego_motion import (
+    CommandHistory,
+    Exposure,
+    OwnRates,
+    believed_mount,
+    mount_at,
+)
 from vstestbed.loop.inputs import (
     Inputs,
     OwnClock,
@@ -306,7 +312,7 @@ class Controller:
         scenario.law.prepare()  # a robot does not wait for imports between two pictures
         # The calibrated mount: what the robot does with a command follows from what it believes,
         # errors included.
-        self.mount = Mount.of(scenario.believed_camera.mount.T)
+        self.mount = believed_mount(scenario)
         self.observer = observer_of(scenario)
         self.observer.prepare(scenario.detector.needs_image)
         self.law: Law[Any] = scenario.law

@@ -84,6 +84,17 @@ def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
     return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)
 
 
+def believed_mount(scenario: Scenario) -> Mount:
+    """The mount of a scenario's camera as the robot knows it."""
+    return Mount.of(scenario.believed_camera.mount.T)
+
+
+def start_basis(scenario: Scenario) -> Array:
+    """The camera twists (6, n) of the robot's motions at its start, as the robot knows them."""
+    robot = scenario.robot
+    return robot.motion_basis(believed_mount(scenario), robot.start_joints())
+
+
 class OwnRates:
     """Makes `Observation.robot`, and keeps the velocities that were ordered,
     one each `period_s`.

@@ -121,7 +121,7 @@ class Inputs:
 
     def now(self, t: float) -> float:
         """A time [s] at which no picture has come, which is not before the last picture's."""
-        t = _seconds("t", "must be the time now in seconds", t)
+        t = seconds(t, words="must be the time now in seconds")
         if self._t is not None and t < self._t:
             raise ParameterError.bound(
                 "t", "at least", f"{self._t:g} s, when the last picture was taken", t
@@ -202,7 +202,7 @@ class Inputs:
         if arrived is None:
             return ()
         words = f"must be a time after the exposure, {t:g} s"
-        if _seconds("arrived", words, arrived) < t:
+        if seconds(arrived, "arrived", words) < t:
             raise ParameterError("arrived", words, arrived)
         if self._arrived is not None and arrived < self._arrived:
             least = f"{self._arrived:g} s, when the last picture arrived"
@@ -260,12 +260,10 @@ def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Ar
     return numbers
 
 
-def seconds(t: object) -> float:
-    """A time as a float; ParameterError: see `_seconds`."""
-    return _seconds("t", "must be the time of exposure in seconds", t)
-
-
-def _seconds(field: str, words: str, t: object) -> float:
+def seconds(
+    t: object, field: str = "t", words: str = "must be the time of exposure in seconds"
+) -> float:
+    """A time as a float; ParameterError where it is none, or of another unit."""
     if not isinstance(t, int | float | np.integer | np.floating | np.ndarray):
         raise ParameterError(field, words, t)
     found = float(_finite(field, words, t, ()))

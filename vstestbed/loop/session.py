@@ -16,9 +16,9 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.spatial import pose_matrix, twist_numbers
 from vstestbed.laws import Law
+from vstestbed.loop.ego_motion import start_basis
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Watcher
-from vstestbed.robots import Mount
 from vstestbed.scenario.load import seeded
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Frame
@@ -61,9 +61,7 @@ class Session:
         self._pictures = pictures
         self._watchers = tuple(watch)
         self.episode: Episode | None = None
-        robot = scenario.robot
-        mount = Mount.of(scenario.believed_camera.mount.T)
-        self._motions = robot.motion_basis(mount, robot.start_joints()).shape[1]
+        self._motions = start_basis(scenario).shape[1]
 
     def __reduce__(self) -> Any:
         raise SessionError(

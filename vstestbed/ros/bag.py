@@ -24,10 +24,10 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolde
 from vstestbed.core.files import whole_folder, write_whole, writing
 from vstestbed.core.foreign import foreign
 from vstestbed.core.geometry import Array
-from vstestbed.loop.ego_motion import mount_at
+from vstestbed.loop.ego_motion import believed_mount, mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun, name_with_unit, unit_of_joint
-from vstestbed.robots import Mount, Reading
+from vstestbed.robots import Reading
 from vstestbed.ros.bag_file import (
     MOST_UNPACKED,
     BagFile,
@@ -140,7 +140,6 @@ def write_rosbag2(
             run.folder, words, "vstestbed ros ... --role robot --bag DIR records while it flies"
         )
     logged = run.log.frame().select([f"cmd_{name}" for name in TWIST_NAMES]).to_numpy()
-    mount = Mount.of(s.believed_camera.mount.T)
     frames = 0
     differs = 0.0
     with whole_folder(out) as folder:
@@ -154,7 +153,7 @@ def write_rosbag2(
                 off = np.nan_to_num(np.abs(frame.command.twist - logged[frames]))
                 differs = max(differs, float(off.max()))
                 voice.frame(episode, frame)
-                v = sent(s, mount, frame.order, voice.q)
+                v = sent(s, voice.mount, frame.order, voice.q)
                 bag.publish(command_topic(s), twist(voice.now, v, command_frame(s)), voice.now)
                 tick()
                 frames += 1
@@ -530,7 +529,7 @@ def record_of(
     markers that the detector finds.
     """
     robot = scenario.robot
-    mount = Mount.of(scenario.believed_camera.mount.T)
+    mount = believed_mount(scenario)
     rows: list[dict[str, float]] = []
     steps, _ = stepped(path, scenario, remap or {})
     for one in steps:

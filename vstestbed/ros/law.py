@@ -18,7 +18,7 @@ from vstestbed.camera import DepthImage
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.loop.controller import FROZEN, Controller
-from vstestbed.loop.ego_motion import mount_at
+from vstestbed.loop.ego_motion import believed_mount, mount_at
 from vstestbed.robots import Mount, Order, Reading, Robot
 from vstestbed.ros.link import Link
 from vstestbed.ros.messages import (
@@ -236,7 +236,7 @@ class Feed:
         self._live = live
         self.controller = Controller(scenario)
         self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
-        self.mount = Mount.of(scenario.believed_camera.mount.T)
+        self.mount = believed_mount(scenario)
         self._order_s = scenario.timing.order_s(scenario.camera)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.began: float | None = None
@@ -678,7 +678,7 @@ def excite(scenario: Scenario, link: Link, motion: Array, ended: threading.Event
     its camera say, as a bag: `identify` reads it.
     """
     q = scenario.robot.start_joints()
-    mount = mount_at(scenario, Mount.of(scenario.believed_camera.mount.T), q)
+    mount = mount_at(scenario, believed_mount(scenario), q)
     basis = scenario.robot.motion_basis(mount, q)
     frame = command_frame(scenario)
     turn = np.eye(6) if frame == OPTICAL else mount.to_flange

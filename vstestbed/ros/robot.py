@@ -18,10 +18,10 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.loop.ego_motion import mount_at
+from vstestbed.loop.ego_motion import believed_mount, mount_at
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Watcher
-from vstestbed.robots import Mount, Reading
+from vstestbed.robots import Reading
 from vstestbed.ros.law import SET_CLOCKS, command_frame, command_topic, watchdog_of
 from vstestbed.ros.link import Link
 from vstestbed.ros.messages import (
@@ -66,7 +66,7 @@ class Voice:
         self._link = link
         self._truth = truth
         self._offset = offset_s
-        self._mount = Mount.of(scenario.believed_camera.mount.T)
+        self.mount = believed_mount(scenario)
         self._info = camera_info(0.0, scenario.believed_camera)
         self._readings: list[tuple[float, Reading]] = []
         self.stamp = self.now = 0.0
@@ -127,7 +127,7 @@ class Voice:
         if s.robot.base == "fixed" and s.robot.joints:
             poses[WORLD, "flange"] = s.robot.flange_pose(q)
         parent = WORLD if s.target.on_gripper else body_frame(s.robot)
-        poses[parent, OPTICAL] = self._mount.T_flange_camera
+        poses[parent, OPTICAL] = self.mount.T_flange_camera
         return poses
 
 
@@ -177,7 +177,6 @@ class RobotNode:
         self._stopped = False
         self._as_told = np.zeros(6), command_frame(scenario)
         self._heard = self._silent = False  # a command ever; none for too long
-        self._mount = Mount.of(self.scenario.believed_camera.mount.T)
         self.answered_s: list[float] = []  # from a picture's sending to its command
         self.behind_s = 0.0  # at most, of simulated behind wall time
         self.refused = ""
@@ -303,7 +302,7 @@ class RobotNode:
         """The camera's twist (6,) of one in a frame, by default in that of commands."""
         if (frame or command_frame(self.scenario)) == OPTICAL:
             return v
-        return mount_at(self.scenario, self._mount, self._voice.q).to_camera @ v
+        return mount_at(self.scenario, self._voice.mount, self._voice.q).to_camera @ v
 
     def fly(
         self,

@@ -50,7 +50,9 @@ class _Held:
     goal: Any = None
 
     def __init__(self, channel: Any):
-        self.channel, self.states, self.last = channel, dict[int, Any](), 0
+        self.channel = channel
+        self.states: dict[int, Any] = {}
+        self.last = 0
 
     def send(self, *answer: Any) -> None:
         """Answer the parent."""
@@ -123,10 +125,8 @@ class _Held:
         except BaseException as error:  # whatever a law raises; also sys.exit
             field = error.field if isinstance(error, ParameterError) else ""
             what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
-            return True, (
-                field.removeprefix("_Holder.law."),
-                what + str(error).removeprefix(f"{field} "),
-            )
+            words = what + str(error).removeprefix(f"{field} ")
+            return True, (field.removeprefix("_Holder.law."), words)
 
 
 def _laws_of(files: list[str], adds: str) -> list[str]:
@@ -214,13 +214,14 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
     rules = libc.syscall(CREATE, handled, len(handled), 0)
     own = Path.cwd()
     libraries = [path for path in sys.path if path.endswith("-packages")]
-    for path in map(
-        Path,
-        (Path(__file__).parents[1], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own),
-    ):
+    package = Path(__file__).parents[1]
+    read = package, sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own
+    for path in map(Path, read):
         if path.exists():
             place = os.open(path, os.O_PATH)
-            rights = every & ~SPECIAL if path == own else READ if path.is_dir() else READ_FILE
+            rights = READ if path.is_dir() else READ_FILE
+            if path == own:
+                rights = every & ~SPECIAL
             libc.syscall(ADD, rules, 1, struct.pack("=Qi", rights, place), 0)
             os.close(place)
     libc.syscall(RESTRICT, rules, 0)

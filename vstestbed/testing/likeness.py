@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -103,7 +104,8 @@ class Likeness:
         ordered = frame.twist
         most = float(np.linalg.norm(self.own))
         said = self.own * (float(np.linalg.norm(ordered)) / most if most > 0.0 else 0.0)
-        both, self.own = np.stack([said, ordered]), None
+        self.own = None
+        both = np.stack([said, ordered])
         squares = np.einsum("ij,ij->i", both, both)
         self.size += squares
         for kind, other in self.given.items():
@@ -112,12 +114,12 @@ class Likeness:
 
     def found(self, allowed: tuple[str, ...]) -> str:
         """The bundled kind whose commands are the law's, "" where none, or one that is allowed."""
-        alike = {
-            kind: float(np.min(apart[self.size > 0] / self.size[self.size > 0]))
-            for kind, apart in self.apart.items()
-            if self.size.any()
-        }
-        alike = {kind: share for kind, share in alike.items() if share <= ALIKE**2}
+        known = self.size > 0
+        alike: dict[str, float] = {}
+        for kind, apart in self.apart.items():
+            share = float(np.min(apart[known] / self.size[known], initial=math.inf))
+            if share <= ALIKE**2:
+                alike[kind] = share
         if not alike or set(alike) & set(allowed):
             return ""
         return min(alike, key=lambda kind: alike[kind])
