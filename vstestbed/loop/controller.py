@@ -55,9 +55,9 @@ class GuardedLaw:
     `failure` says what it did, or is "".
     """
 
-    def __init__(self, law: Law[Any]):
+    def __init__(self, law: Law[Any], failure: str = ""):
         self._law = law
-        self.failure = ""
+        self.failure = failure
         self._mode = 0  # in which it failed: to fail is no switch
 
     def step(self, state: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
@@ -316,10 +316,7 @@ class Controller:
         self.observer = observer_of(scenario)
         self.observer.prepare(scenario.detector.needs_image)
         self.law: Law[Any] = scenario.law
-        self._start = scenario.robot.start_joints()
-        self._needed = scenario.law.markers_needed(
-            scenario.robot.motion_basis(self._mount_at(self._start), self._start)
-        )
+        self._needed = self._markers_needed()
         self._views = with_images(scenario, goal_images)
         inputs = inputs_of(scenario.law)
         self._needs_motion = "motion" in inputs
@@ -577,12 +574,9 @@ class Controller:
                     )
             self.scenario = replace(self.scenario, law=law)
             self.law = law
-            failure = self.guarded.failure
-            self.guarded = GuardedLaw(law)
-            self.guarded.failure = failure  # one that has failed is not asked again
-            self._needed = law.markers_needed(
-                self.scenario.robot.motion_basis(self._mount_at(self._start), self._start)
-            )
+            # one that has failed is not asked again
+            self.guarded = GuardedLaw(law, self.guarded.failure)
+            self._needed = self._markers_needed()
 
     def regions_of_interest(self) -> Regions | None:
         """The detector's region of interest for the next picture; None for all of it."""
@@ -766,6 +760,11 @@ class Controller:
         self.ordered.add(t_cmd, order.twist)
         if self._own_rates is not None:
             self._own_rates.order(t_cmd, order)
+
+    def _markers_needed(self) -> int:
+        robot = self.scenario.robot
+        q = robot.start_joints()
+        return self.law.markers_needed(robot.motion_basis(self._mount_at(q), q))
 
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)

@@ -40,7 +40,6 @@ from vstestbed.vision.base import goal_of_points, points_of
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
 BY_HAND = "Changed by hand during the run:"  # in the description of a run that no scenario repeats
-PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a run's wall time
 
 
 class Episode:
@@ -166,8 +165,14 @@ class Episode:
         spent = self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
         plants = (self.plant, *self.plant.others.values())
-        rendered_s = sum(plant.render_s for plant in plants)
-        took = (self._physics_s, rendered_s, detect_s, spent["law"], self._record_s, 0.0)
+        took = {
+            "physics": self._physics_s,
+            "render": sum(plant.render_s for plant in plants),
+            "detect": detect_s,
+            "law": spent["law"],
+            "record": self._record_s,
+            "video": 0.0,
+        }
         scenario = self.scenario
         if self.by_hand:
             words = "; ".join(
@@ -184,7 +189,7 @@ class Episode:
             self._log.log(),
             wall_time_s=self.build_s + self.loop_s,
             loop_s=self.loop_s,
-            time_ms={part: 1e3 * seconds for part, seconds in zip(PARTS, took, strict=True)},
+            time_ms={part: 1e3 * seconds for part, seconds in took.items()},
             versions=versions() | {"renderer": self._renderer},
             ended_s=self.ended_s,
             goal_images=self._goal_images,
@@ -316,9 +321,9 @@ class Episode:
 
     def _records(self, c: Cycle) -> dict[str, CameraRecord]:
         """What the further cameras showed last."""
-        assert self.controller.others is not None
         records: dict[str, CameraRecord] = {}
-        for name, seen in self.controller.others.seen().items():
+        others = self.controller.others
+        for name, seen in others.seen().items() if others else ():
             shot, truth = self._last_of[name]
             view = (c.observation.cameras or {}).get(name)
             goal_uv = np.full_like(seen.uv, np.nan)
@@ -393,8 +398,15 @@ class Episode:
             truth = truth._replace(p_camera=transform(T_camera_target, points))
         row = np.empty(self._own_columns)
         parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
-        records = self._records(c) if self._others else {}
-        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth, cameras=records)
+        frame = Frame(
+            *parts,
+            truth,
+            image,
+            row,
+            order=c.order,
+            depth_image=depth,
+            cameras=self._records(c),
+        )
         values = self._task.measure(frame)
         if self._robot_log.columns == RobotLog.columns:
             # the state, a tenth of an ideal frame, is not needed

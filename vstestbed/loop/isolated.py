@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -67,6 +67,17 @@ def shown(said: str) -> str:
     """
     line = " ".join(said[:SHOWN].split()).translate(str.maketrans("<>|`", "()/'"))
     return "".join(letter if letter.isprintable() else "?" for letter in line)
+
+
+@spec
+class LawBlock:
+    """A law as a scenario has it.
+
+    Args:
+        law: its block.
+    """
+
+    law: Annotated[Law[Any], LAWS]
 
 
 @spec

@@ -100,12 +100,7 @@ def _camera_path(s: Scenario, log: Log) -> Figures:
 def _image_paths(s: Scenario, log: Log) -> Figures:
     """The paths of the true markers in the image: excursion, overshoot, margin to the border."""
     if s.detector.rows is not None or not s.rows:
-        # of points that are others in every picture there are no paths
-        return {
-            **dict.fromkeys(
-                ("max_feature_excursion_px", "feature_overshoot", "min_border_margin_px")
-            )
-        }
+        return {}  # of points that are others in every picture there are no paths
     names = tuple(map(str, range(s.rows)))
     uv = np.stack([side_by_side(log, "u_true", names), side_by_side(log, "v_true", names)], axis=-1)
     start = uv[0]
@@ -137,8 +132,6 @@ def _tracking(s: Scenario, log: Log) -> Figures:
     found: Figures = {}
     settled = log["t"] >= s.goal.settle_s
     if not (s.target.moves and (s.goal.continuing or not s.target.on_gripper) and settled.any()):
-        for unit in ("px", "m"):
-            found[f"tracking_rms_{unit}"] = found[f"tracking_max_{unit}"] = None
         return found
     names = [f"{axis}_{{}}_{i}" for i in range(s.rows) for axis in "uv"]
     uv = np.stack([log[name.format("true")] - log[name.format("goal")] for name in names], axis=1)
@@ -231,7 +224,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
         return _without_frames(scenario)
     limit_s = scenario.stop.duration_s
     converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
-    figures = _counts(log)
+    figures: Figures = {**dict.fromkeys(FIGURES), **_counts(log)}
     taken = figures["sim_time_s"] if converged is None else converged
     figures |= {
         "time_to_converge_s": converged,

@@ -13,6 +13,7 @@ import numpy as np
 
 from vstestbed.camera import DepthImage, Image, Regions
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
+from vstestbed.features.depth import Depth
 from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observation
 from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure
@@ -22,9 +23,8 @@ from vstestbed.scenario.distributions import NOISE_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Observer
 from vstestbed.vision.base import Detection
-from vstestbed.vision.derotate import level_from_tilt
+from vstestbed.vision.derotate import Derotation, level_from_tilt
 from vstestbed.vision.observe import CameraPixels
-from vstestbed.vision.perturb import Perturbed
 
 # an observation older than so many periods of its camera, and its latency, tells nothing of now
 FRESH_PERIODS = 2.5
@@ -33,30 +33,18 @@ STILL = np.zeros(6)
 STILL.flags.writeable = False
 
 
-def _on_pixels(of: Scenario | OtherCamera) -> Perturbed | None:
-    """The perturbations of a camera's measured points, if it has any."""
-    perturbed = of.perturbed()
-    return perturbed if perturbed and perturbed.on_pixels else None
-
-
 def observer_of(scenario: Scenario) -> Observer:
     """The observer of a scenario's own camera."""
     required = inputs_of(scenario.law)
     if scenario.fusion == "pose":
         required += ("T_camera_target",)
-    return Observer(
-        camera=scenario.believed_camera,
-        target=scenario.target,
-        goal=scenario.goal_view,
-        depth=scenario.law.depth,
-        pixel_sigma_px=scenario.noise.pixel_sigma_px,
-        dropout=scenario.noise.dropout,
-        required_fields=required,
+    observer = _observer(
+        scenario, scenario.goal_view, scenario.law.depth, required, scenario.derotation
+    )
+    return replace(
+        observer,
         grounded=scenario.robot.base == "planar",
-        derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,
-        depth_scale=scenario.depth_scale,
-        perturbed=_on_pixels(scenario),
         rows=scenario.detector.rows,
     )
 
@@ -65,19 +53,32 @@ def _observer_of(eye: OtherCamera) -> Observer:
     """The observer of a further camera: of the markers and the pose, and of nothing that the robot
     alone knows.
     """
-    mount = eye.scenario.believed_camera.mount.T
-    at_start = eye.T_camera_eye(eye.robot.start_joints(), mount)
+    scenario = eye.scenario
+    mount = scenario.believed_camera.mount.T
+    goal = eye.goal(scenario.goal_view, eye.T_camera_eye(eye.robot.start_joints(), mount))
+    return _observer(eye, goal, eye.depth, eye.required_fields, scenario.derotation)
+
+
+def _observer(
+    of: Scenario | OtherCamera,
+    goal: Goal,
+    depth: Depth,
+    required: tuple[str, ...],
+    derotation: Derotation,
+) -> Observer:
+    """What both have."""
+    perturbed = of.perturbed()
     return Observer(
-        camera=eye.believed_camera,
-        target=eye.target,
-        goal=eye.goal(eye.scenario.goal_view, at_start),
-        depth=eye.depth,
-        pixel_sigma_px=eye.noise.pixel_sigma_px,
-        dropout=eye.noise.dropout,
-        required_fields=eye.required_fields,
-        derotation=eye.scenario.derotation,
-        depth_scale=eye.depth_scale,
-        perturbed=_on_pixels(eye),
+        camera=of.believed_camera,
+        target=of.target,
+        goal=goal,
+        depth=depth,
+        pixel_sigma_px=of.noise.pixel_sigma_px,
+        dropout=of.noise.dropout,
+        required_fields=required,
+        derotation=derotation,
+        depth_scale=of.depth_scale,
+        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
     )
 
 

@@ -172,7 +172,6 @@ class CameraClock:
         self._row_views = RowViews(scenario.camera, self.shutter.opening.nodes) if rolls else None
         self.line: DelayLine[Exposed] = DelayLine(overtakes=scenario.timing.out_of_order)
         self._stamps = Stamps(scenario, plant) if scenario.timing.stamps else None
-        self._takes_whole = whole
         # An oracle's exposures do not depend on whether pictures are taken for a film.
         self._metered = scenario.needs_image and scenario.camera.blurring is not None
         self._plan()

@@ -190,15 +190,14 @@ def events(
         yield from _foxglove(path, scenario, passed)
         return
     with closing(BagFile(path, passed)) as bag:
-        roles = {topic: role for role, topic in _topics(bag.kinds, scenario, remap).items()}
-        yield from bag.messages(roles)
+        yield from bag.messages(_roles(bag.kinds, scenario, remap))
 
 
-def _topics(
+def _roles(
     there: Mapping[str, str], scenario: Scenario, remap: Mapping[str, str]
 ) -> dict[str, str]:
-    """Topics by what they are here: as they are mapped, named as ours, or the only one of their
-    kind.
+    """What topics are here, by their names: as they are mapped, named as ours, or the only one of
+    their kind.
     """
     roles = {
         "image_raw": ("/vstestbed_robot/image_raw", (IMAGE, COMPRESSED)),
@@ -214,7 +213,7 @@ def _topics(
         of_kind = [topic for topic, kind in there.items() if kind in kinds]
         topic = remap.get(role, _usual(role, ours, of_kind))
         if topic in of_kind:
-            found[role] = topic
+            found[topic] = role
         elif role in remap or role != "twist":
             raise ParameterError("--remap", _unclear(role, kinds, of_kind, there))
     return found

@@ -406,16 +406,14 @@ class LawNode:
         self.took_s: list[float] = []
         for name, kind in sensors_of(scenario.robot).items():
             link.subscribe(name, kind, lambda message, name=name: self._sensed(name, message))
-        for name, kind in (
-            ("/vstestbed_robot/image_raw", IMAGE),
-            ("/vstestbed_robot/image_raw/compressed", COMPRESSED),
-        ):
-            link.subscribe(name, kind, self._seen)
+        link.subscribe("/vstestbed_robot/image_raw", IMAGE, self._seen)
+        link.subscribe("/vstestbed_robot/image_raw/compressed", COMPRESSED, self._seen)
         link.subscribe("/clock", CLOCK, self._ticked)
         if scenario.law.depth.measured:
             link.subscribe("/vstestbed_robot/depth", IMAGE, self._deep)
-        for name, answer in (("start", self.start), ("stop", self.stop), ("reset", self.reset)):
-            link.serve(f"~/{name}", answer)
+        link.serve("~/start", self.start)
+        link.serve("~/stop", self.stop)
+        link.serve("~/reset", self.reset)
         link.publishes(command_topic(scenario), "~/status")
 
     def _sensed(self, topic: str, message: Message) -> None:

@@ -19,6 +19,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Literal, NamedTuple, Self
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
@@ -305,10 +306,8 @@ class Rclpy(Link):
         self._thread.start()
 
     def _spin(self) -> None:
-        import contextlib
-
         # the executor raises one of several errors when its context ends
-        with contextlib.suppress(Exception):
+        with suppress(Exception):
             while self._context.ok():
                 self._executor.spin_once(timeout_sec=0.01)
 

@@ -96,8 +96,7 @@ def from_cdr(data: bytes, kind: str) -> Message:
     """The message of what was received; of a range also one of Humble, which has a field less.
     ParameterError: it is none of that kind.
     """
-    works = f"the CDR of {kind}"
-    with foreign("message", works):
+    with foreign("message", f"the CDR of {kind}"):
         try:
             return types().deserialize_cdr(data, kind)
         except SerdeError:

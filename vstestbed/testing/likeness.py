@@ -6,17 +6,16 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import to_mapping
-from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LAWS, Command, Law
 from vstestbed.laws.base import inputs_of
-from vstestbed.loop.isolated import Isolated
+from vstestbed.loop.isolated import Isolated, LawBlock
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
@@ -30,11 +29,6 @@ KNOWN = (
     *("xy", "xyw", "depth", "ray", "range", "radius_px", "T_camera_target", "relative"),
     *("motion", "robot"),
 )
-
-
-@spec
-class _Beside:
-    law: Annotated[Law[Any], LAWS]
 
 
 class Likeness:
@@ -137,7 +131,7 @@ class Likeness:
                 if name in made.__dataclass_fields__
             }
             with suppress(Exception):  # of settings that it has not, or without its file
-                own = _Beside(law={"kind": kind, **known}).law  # pyright: ignore[reportArgumentType] - a block
+                own = LawBlock(law={"kind": kind, **known}).law  # pyright: ignore[reportArgumentType] - a block
                 if set(inputs_of(own)) <= {*inputs_of(law), *KNOWN}:
                     replace(scenario, law=own)  # refused where the task is not one of this kind
                     own.prepare()
