@@ -18,6 +18,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import scaled
 from vstestbed.laws.policy import MOST_PX, action_unit, observed
 from vstestbed.loop.ego_motion import start_basis
+from vstestbed.loop.inputs import numbers_of
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
 from vstestbed.report.video.film import Pictures, quality_of, replay_of
@@ -323,10 +324,7 @@ class Rollout:
         return self._session, self._frame
 
     def _checked(self, action: Array) -> Array:
-        try:
-            numbers = np.array(action, dtype=float)
-        except (TypeError, ValueError):
-            numbers = np.zeros(0)
+        numbers = numbers_of(action)
         if numbers.shape != self.action_unit.shape:
             raise ParameterError.count(
                 "action", len(self.action_unit), "numbers in [-1, 1]", action

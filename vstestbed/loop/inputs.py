@@ -250,11 +250,16 @@ def all_or_none(inputs: Iterable[Inputs]) -> Iterator[None]:
         raise
 
 
-def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
+def numbers_of(given: object) -> Array:
+    """What was given as an array of its own; NaN where it is no numbers."""
     try:
-        numbers = np.array(given, dtype=float)
+        return np.array(given, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        numbers = np.array(math.nan)
+        return np.array(math.nan)
+
+
+def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
+    numbers = numbers_of(given)
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ParameterError(field, words, repr(given) if given is None else given)
     return numbers
@@ -279,7 +284,9 @@ class OwnClock:
     """
 
     def __init__(self, clock: Callable[[], float]):
-        self._clock, self._last, self._sum = clock, clock(), 0.0
+        self._clock = clock
+        self._last = clock()
+        self._sum = 0.0
         self._stands = False
 
     def stand(self, stands: bool) -> None:
@@ -319,4 +326,5 @@ class SightClock:
 
     def seen(self) -> None:
         """The target is seen in it."""
-        self.behind_s, self._gap_seen_s = 0.0, self._gap_s
+        self.behind_s = 0.0
+        self._gap_seen_s = self._gap_s

@@ -17,6 +17,7 @@ from vstestbed.core.spatial import pose_matrix, twist_numbers
 from vstestbed.laws import Law
 from vstestbed.loop.ego_motion import start_basis
 from vstestbed.loop.episode import Episode
+from vstestbed.loop.inputs import numbers_of
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.scenario.load import seeded
 from vstestbed.scenario.scenario import Scenario, check_scenario
@@ -110,10 +111,7 @@ class Session:
     def _numbers(self, command: ArrayLike) -> Array:
         """A command as an array; ParameterError where it is none."""
         n = self._motions
-        try:
-            numbers = np.array(command, dtype=float)
-        except (TypeError, ValueError):
-            numbers = np.zeros(0)
+        numbers = numbers_of(command)
         if numbers.shape not in ((6,), (n,)):
             words = "must be a camera twist (6,)"
             if n != 6:
