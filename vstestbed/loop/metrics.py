@@ -224,7 +224,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
         return _without_frames(scenario)
     limit_s = scenario.stop.duration_s
     converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
-    figures: Figures = {**dict.fromkeys(FIGURES), **_counts(log)}
+    figures = _counts(log)
     taken = figures["sim_time_s"] if converged is None else converged
     figures |= {
         "time_to_converge_s": converged,
@@ -234,10 +234,11 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
     for part in (_camera_path, _image_paths, _tracking, _modes, _link, swing):
         figures |= part(scenario, log)
     before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
-    ordered: Figures = {name: figures[name] for name in FIGURES[:before]}
+    ordered: Figures = {name: figures.get(name) for name in FIGURES[:before]}
     ordered |= scenario.goal.metrics(log) | scenario.goal.judged(log, scenario.stop).summary()
-    following = (*FIGURES[before:], *SOME_FIGURES, "law_mode_share")
-    ordered |= {name: figures[name] for name in following if name in figures}
+    ordered |= {name: figures.get(name) for name in FIGURES[before:] if name not in ordered}
+    some = (*SOME_FIGURES, "law_mode_share")
+    ordered |= {name: figures[name] for name in some if name in figures}
     ordered |= own_figures(scenario.metrics, log, scenario.setup)
     return {name: _finite(value) for name, value in ordered.items()}
 
