@@ -233,14 +233,19 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
     }
     for part in (_camera_path, _image_paths, _tracking, _modes, _link, swing):
         figures |= part(scenario, log)
-    before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
-    ordered: Figures = {name: figures.get(name) for name in FIGURES[:before]}
-    ordered |= scenario.goal.metrics(log) | scenario.goal.judged(log, scenario.stop).summary()
-    ordered |= {name: figures.get(name) for name in FIGURES[before:] if name not in ordered}
-    some = (*SOME_FIGURES, "law_mode_share")
-    ordered |= {name: figures[name] for name in some if name in figures}
+    task = scenario.goal.metrics(log) | scenario.goal.judged(log, scenario.stop).summary()
+    ordered = _in_order(figures, task)
     ordered |= own_figures(scenario.metrics, log, scenario.setup)
     return {name: _finite(value) for name, value in ordered.items()}
+
+
+def _in_order(figures: Figures, task: Figures) -> Figures:
+    """Figures as a summary has them; None for those of every run that are unknown."""
+    before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
+    ordered = {name: figures.get(name) for name in FIGURES[:before]} | task
+    ordered |= {name: figures.get(name) for name in FIGURES[before:] if name not in ordered}
+    some = (*SOME_FIGURES, "law_mode_share")
+    return ordered | {name: figures[name] for name in some if name in figures}
 
 
 def _without_frames(scenario: Scenario) -> Figures:
