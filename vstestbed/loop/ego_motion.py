@@ -44,7 +44,7 @@ class CommandHistory:
     """
 
     def __init__(self, size: int = 6, mode: Mode = "hold", over_s: float = 0.0) -> None:
-        self._mode = mode
+        self._mode: Mode = mode
         self._over_s = over_s
         rest = np.zeros(size)
         first = 0.0, Profile(mode, rest, rest, rest, over_s), rest
@@ -103,7 +103,7 @@ class OwnRates:
     def __init__(self, robot: Robot, period_s: float, mode: Mode = "hold"):
         self._robot = robot
         self._period_s = period_s
-        self._mode = mode
+        self._mode: Mode = mode
         self._ordered: CommandHistory | None = None
         self._last = np.zeros(0)
         self._J = np.zeros((6, 0))

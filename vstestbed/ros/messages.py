@@ -187,7 +187,7 @@ def depth_image(t: float, depth: DepthImage) -> Message:
     return _image(t, depth.astype(np.float32, copy=False), "32FC1")
 
 
-def _image(t: float, pixels: Array, encoding: str) -> Message:
+def _image(t: float, pixels: Image | DepthImage, encoding: str) -> Message:
     height, width = pixels.shape[:2]
     data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
     return made(
