@@ -25,9 +25,9 @@ def termination(
     """
     supervisor = supervisor or Supervisor()
     target = SETUP.target if one_sided else vs.load("car_pbvs").target
-    return Termination(
-        TaskMonitor(replace(SETUP, stop=stop), 1, supervisor), stop, target, supervisor
-    )
+    setup = replace(SETUP, stop=stop)
+    monitor = TaskMonitor(setup, 1, supervisor)
+    return Termination(monitor, replace(setup, target=target), supervisor)
 
 
 def verdicts(ends: Termination, seconds: float, from_s: float = 0.0, **given):

@@ -24,8 +24,9 @@ def judged(seconds, supervisor=None, stop=STOP, **given):
     to go on.
     """
     supervisor = supervisor or Supervisor()
-    monitor = TaskMonitor(replace(SETUP, stop=stop), 1, supervisor)
-    ends = Termination(monitor, stop, SETUP.target, supervisor)
+    setup = replace(SETUP, stop=stop)
+    monitor = TaskMonitor(setup, 1, supervisor)
+    ends = Termination(monitor, setup, supervisor)
     found = first_verdict(monitor, ends, (frame(t, **given) for t in times(seconds)))
     return None if found is None else (*found[0], found[1])
 
@@ -128,15 +129,9 @@ class TestARobotThatGaveUp:
 
     def test_without_pictures_it_decides_by_the_clock(self):
         supervisor = Supervisor()
-        ends, truth = (
-            Termination(
-                TaskMonitor(replace(SETUP, stop=STOP), 1, supervisor),
-                STOP,
-                SETUP.target,
-                supervisor,
-            ),
-            frame().truth,
-        )
+        setup = replace(SETUP, stop=STOP)
+        ends = Termination(TaskMonitor(setup, 1, supervisor), setup, supervisor)
+        truth = frame().truth
         assert ends.without_picture(9.9, truth) is None
         assert ends.without_picture(10.0, truth) == (Outcome.timed_out, "10 s were not enough")
         assert (

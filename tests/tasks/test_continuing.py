@@ -50,7 +50,7 @@ def ended(speed, off, stop=STOP):
 
     return first_verdict(
         monitor,
-        Termination(monitor, stop, CAR.target, supervisor),
+        Termination(monitor, setup, supervisor),
         (at(t) for t in times(stop.duration_s)),
     )
 
@@ -101,8 +101,9 @@ def test_a_craft_that_left_its_path_while_it_had_given_up_did_not_keep_it():
         Stop(duration_s=scenario.goal.end_s + 1),
         Failsafe(lands=False, lost_after_s=1.0),
     )
-    monitor = scenario.goal.monitor(replace(scenario.setup, stop=stop), failsafe)
-    ends = Termination(monitor, stop, scenario.target, failsafe)
+    setup = replace(scenario.setup, stop=stop)
+    monitor = scenario.goal.monitor(setup, failsafe)
+    ends = Termination(monitor, setup, failsafe)
 
     def at(t, off_m):
         T = scenario.target.T_world_start @ inverse(scenario.goal.at(t)[0])

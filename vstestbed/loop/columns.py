@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,7 +47,9 @@ Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
 
 def kept(frame: Frame) -> Kept:
     """The numbers and arrays of a frame from which `Layout.rows` makes a row."""
-    seen, truth, goal = frame.observation, frame.truth, frame.goal
+    seen = frame.observation
+    truth = frame.truth
+    goal = frame.goal
     numbers: dict[str, Any] = {
         "t": frame.timing.t,
         "frame": frame.timing.number,
@@ -79,7 +83,9 @@ def kept(frame: Frame) -> Kept:
             [record.uv, record.p_camera, record.goal_uv, record.depth[:, None]], axis=1
         )
         numbers[f"time {name}"] = record.t
-    return numbers if frame.timing.own is None else numbers | dict(frame.timing.own)
+    if frame.timing.own:
+        numbers.update(frame.timing.own)
+    return numbers
 
 
 class Layout:
@@ -95,65 +101,67 @@ class Layout:
     """
 
     def __init__(self, scenario: Scenario):
-        robot, goal = scenario.robot, scenario.goal
-        self._camera, self._believed, self._rays = (
-            scenario.camera,
-            scenario.believed_camera,
-            len(scenario.camera.panels) > 1,
-        )
-        self._T_camera_base, self._planar = inverse(scenario.camera.mount.T), robot.base == "planar"
+        self._camera = scenario.camera
+        self._believed = scenario.believed_camera
+        self._rays = len(scenario.camera.panels) > 1
+        self._T_camera_base = inverse(scenario.camera.mount.T)
+        self._planar = scenario.robot.base == "planar"
         exact = scenario.calibration.camera_exact and scenario.calibration.depth_exact
         # With a wrong calibration the law's goal is not the true one, from which errors count;
         # along a path it is the one of its time.
-        self._goal_poses = None if exact or goal.by_clock else np.array(scenario.goal_poses)
+        by_law = exact or scenario.goal.by_clock
+        self._goal_poses = None if by_law else np.array(scenario.goal_poses)
         self._of_law: tuple[str, ...] = tuple(scenario.law.columns)
         check_own(self._of_law)
-        self._cameras = {name: len(scenario.target.points) for name in scenario.eyes}
+        self._eyes = scenario.eyes
         self._blocks = self._laid_out(scenario)
-        self.columns: tuple[str, ...] = tuple(name for names, _ in self._blocks for name in names)
-        if twice := sorted({name for name in self.columns if self.columns.count(name) > 1}):
+        self.columns: tuple[str, ...] = sum((names for names, _ in self._blocks), ())
+        self._check_unique()
+
+    def _check_unique(self) -> None:
+        """Refuse a log with two columns of one name, one of which is an effect's or the law's."""
+        twice = sorted(name for name, n in Counter(self.columns).items() if n > 1)
+        if twice:
             words = (
                 f"must have columns of their own: the log has {', '.join(twice)} twice;"
                 " works: one effect of a kind, or other names"
             )
-            raise ParameterError(
-                "law.columns" if set(twice) & set(self._of_law) else "robot.effects", words
-            )
+            field = "robot.effects" if set(twice).isdisjoint(self._of_law) else "law.columns"
+            raise ParameterError(field, words)
 
-    def _laid_out(self, scenario: Scenario) -> tuple[Block, ...]:
+    def _laid_out(self, scenario: Scenario) -> list[Block]:
         """All columns in their order, which existing logs fix."""
-        robot, columns = scenario.robot, scenario.timing.columns + scenario.camera.columns
+        robot = scenario.robot
         per_marker = PER_MARKER + (("theta", "phi") if self._rays else ())
         markers = tuple(f"{name}_{i}" for i in range(scenario.rows) for name in per_marker)
-        return (
-            (("t", "frame", "lost"), lambda k: np.column_stack([k["t"], k["frame"], k["lost"]])),
+        blocks: list[Block] = [
+            *_each("t", "frame", "lost"),
             (markers, self._markers),
-            (("error_px",), lambda k: k["error_px"][:, None]),
+            *_each("error_px"),
             (
                 _named("cam", POSE) + _named("tgt", POSE),
                 lambda k: _poses(k["T_camera"], k["T_target"]),
             ),
             (("position_error_m", "rotation_error_rad"), self._pose_errors),
-            (("t_cmd",), lambda k: k["t_cmd"][:, None]),
-            (_named("cmd", TWIST), lambda k: k["cmd"]),
-            (_named("act", TWIST), lambda k: k["act"]),
-            (_named("applied", TWIST), lambda k: k["applied"]),
-            (("scale",), lambda k: k["scale"][:, None]),
-            (scenario.own_columns, lambda k: k["own"]),
-            (_named("q", robot.joints), lambda k: k["q"]),
-            (_named("qd", robot.joints), lambda k: k["qd"]),
-            (_named("ctrl", robot.body.actuators if robot.body else ()), lambda k: k["ctrl"]),
-            (_named("tau", robot.joints if robot.body else ()), lambda k: k["tau"]),
-            *(((("law_mode",), lambda k: k["mode"][:, None]),) if scenario.law.modes else ()),
-            *(((self._of_law, lambda k: k["law"]),) if self._of_law else ()),
-            *(
-                ((columns, lambda k: np.column_stack([k[name] for name in columns])),)
-                if columns
-                else ()
-            ),
-            *(self._of_camera(eye) for eye in scenario.eyes.values()),
-            (LOSS, lambda k: k["loss"]),
-        )
+            *_each("t_cmd"),
+            (_named("cmd", TWIST), itemgetter("cmd")),
+            (_named("act", TWIST), itemgetter("act")),
+            (_named("applied", TWIST), itemgetter("applied")),
+            *_each("scale"),
+            (scenario.own_columns, itemgetter("own")),
+            (_named("q", robot.joints), itemgetter("q")),
+            (_named("qd", robot.joints), itemgetter("qd")),
+            (_named("ctrl", robot.body.actuators if robot.body else ()), itemgetter("ctrl")),
+            (_named("tau", robot.joints if robot.body else ()), itemgetter("tau")),
+        ]
+        if scenario.law.modes:
+            blocks.append((("law_mode",), itemgetter("mode")))
+        if self._of_law:
+            blocks.append((self._of_law, itemgetter("law")))
+        blocks += _each(*scenario.timing.columns, *scenario.camera.columns)
+        blocks += map(self._of_camera, self._eyes.values())
+        blocks.append((LOSS, itemgetter("loss")))
+        return blocks
 
     def _of_camera(self, eye: OtherCamera) -> Block:
         """The columns of a further camera."""
@@ -172,15 +180,16 @@ class Layout:
         """Frames as numbers, shape (len(frames), columns); the same numbers for one at a time and
         for many at once.
         """
-        unknown: dict[str, Any] = {"law": (np.nan,) * len(self._of_law)} if self._of_law else {}
-        for name, markers in self._cameras.items():  # one that has not taken a picture yet
-            unknown |= {f"camera {name}": np.full((markers, 8), np.nan), f"time {name}": np.nan}
-        names = {**frames[0], **unknown}
-        stacked = {
-            name: np.array([frame[name] if name in frame else unknown[name] for frame in frames])
-            for name in names
-        }
-        return np.concatenate([values(stacked) for _, values in self._blocks], axis=1)
+        # of a law that gave no row, and of a camera that has not taken a picture yet
+        unknown: dict[str, Any] = {"law": np.full(len(self._of_law), np.nan)}
+        for name, eye in self._eyes.items():
+            unknown[f"camera {name}"] = np.full((len(eye.target.points), 8), np.nan)
+            unknown[f"time {name}"] = np.nan
+        stacked = {}
+        for name in {**frames[0], **unknown}:
+            lacking = unknown.get(name)
+            stacked[name] = np.array([frame.get(name, lacking) for frame in frames])
+        return np.column_stack([values(stacked) for _, values in self._blocks])
 
     def _markers(self, k: Stacked) -> Array:
         markers = [
@@ -197,10 +206,11 @@ class Layout:
         """Distance [m] and angle [rad] of the camera, or of a vehicle on the floor, from the goal
         pose, (n, 2).
         """
-        T_camera_target = (
-            k["T_goal"] if self._goal_poses is None else self._goal_poses[k["view"].astype(int)]
-        )
-        T_camera, T_goal = k["T_camera"], k["T_target"] @ inverse(T_camera_target)
+        T_camera_target = k["T_goal"]
+        if self._goal_poses is not None:
+            T_camera_target = self._goal_poses[k["view"].astype(int)]
+        T_camera = k["T_camera"]
+        T_goal = k["T_target"] @ inverse(T_camera_target)
         if self._planar:
             step = relative(
                 place_of(T_goal @ self._T_camera_base), place_of(T_camera @ self._T_camera_base)
@@ -246,14 +256,18 @@ def check_own(columns: Sequence[str]) -> None:
     run reads those that are there, and names that are none in a table.
     """
     plain = re.compile(r"[a-z]\w*", re.ASCII | re.IGNORECASE)
-    if taken := [
-        name for name in columns if text_of(name) is not None or not plain.fullmatch(name)
-    ]:
-        words = (
-            "must be names that no log has, of whichever robot, of letters,"
-            " digits and _; works: law_NAME"
-        )
-        raise ParameterError("law.columns", words, taken[0])
+    for name in columns:
+        if text_of(name) is not None or not plain.fullmatch(name):
+            words = (
+                "must be names that no log has, of whichever robot, of letters,"
+                " digits and _; works: law_NAME"
+            )
+            raise ParameterError("law.columns", words, name)
+
+
+def _each(*names: str) -> list[Block]:
+    """Columns of one number a frame, which are called as they are kept."""
+    return [((name,), itemgetter(name)) for name in names]
 
 
 def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:

@@ -22,8 +22,22 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import LawFailedError, inputs_of
-from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
-from vstestbed.loop.inputs import Inputs, OwnClock, Readings, SightClock, all_or_none, seconds
+from vstestbed.loop.ego_motion import (
+    CommandHistory,
+    Exposure,
+    OwnRates,
+    believed_mount,
+    mount_at,
+)
+from vstestbed.loop.inputs import (
+    Inputs,
+    OwnClock,
+    Readings,
+    SightClock,
+    all_or_none,
+    images_of,
+    seconds,
+)
 from vstestbed.loop.perception import STILL, OtherCameras, Perception, Stillness, observer_of
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
@@ -43,8 +57,9 @@ class GuardedLaw:
     `failure` says what it did, or is "".
     """
 
-    def __init__(self, law: Law[Any]):
-        self._law, self.failure = law, ""
+    def __init__(self, law: Law[Any], failure: str = ""):
+        self._law = law
+        self.failure = failure
         self._mode = 0  # in which it failed: to fail is no switch
 
     def step(self, state: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
@@ -55,11 +70,15 @@ class GuardedLaw:
         if not self.failure:
             stepped = self._asked(self._law.step, state, seen, goal, basis)
             if not self.failure and (wrong := self._wrong(stepped, seen)):
-                self.failure = f"law {self._law.kind} {wrong}"
+                self.fail(f"law {self._law.kind} {wrong}")
             if not self.failure:
                 self._mode = stepped[1].mode
                 return stepped
         return state, replace(Command.rest(basis, self.failure), mode=self._mode)
+
+    def fail(self, words: str) -> None:
+        """It has failed; of several failures the first one counts."""
+        self.failure = self.failure or words
 
     def init(self, goal: Goal, state: Any) -> Any:
         """The state for another goal of a run; the one so far where the law fails at it."""
@@ -74,19 +93,7 @@ class GuardedLaw:
         except LawFailedError as error:
             self.failure = str(error)
         except BaseException as error:  # also sys.exit: a law must not end the program
-            # File and line where it came from: of the law's module or a file of others, else the
-            # innermost ones.
-            frames = list(traceback.walk_tb(error.__traceback__))
-            modules = [str(frame.f_globals.get("__name__")) for frame, _ in frames]
-            # with an `@`: as `load_file` names them
-            ours = [name == type(self._law).__module__ or "@" in name for name in modules]
-            # what dataclasses generate has no line
-            written = [not frame.f_code.co_filename.startswith("<string>") for frame, _ in frames]
-            own = [
-                at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there
-            ]
-            frame, line = (own or frames)[-1]
-            where = f"{Path(frame.f_code.co_filename).name}, line {line}"
+            where = _raised_at(error, type(self._law).__module__)
             self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({where})"
 
     def _wrong(self, stepped: Any, seen: Observation) -> str:
@@ -96,10 +103,7 @@ class GuardedLaw:
         if not (
             isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)
         ):
-            got = type(stepped).__name__
-            if isinstance(stepped, tuple):
-                got = f"({', '.join(type(part).__name__ for part in stepped)})"
-            return f"returned {got}; its step must return (state, Command)"
+            return f"returned {_types(stepped)}; its step must return (state, Command)"
         command = stepped[1]
         modes = len(self._law.modes)
         if modes and not 0 <= command.mode < modes:
@@ -107,35 +111,61 @@ class GuardedLaw:
                 f"gave the mode {short(command.mode)};"
                 f" the modes of its commands must be 0 to {modes - 1}"
             )
-        wrong = _wrong_numbers(command, self._law.columns) or _wrong_rates(
-            command.rates, seen.robot
+        wrong = (
+            _wrong_twist(command.twist)
+            or _wrong_beside(command, self._law.columns)
+            or _wrong_rates(command.rates, seen.robot)
         )
         if wrong:
             self._mode = command.mode
         return wrong
 
 
-def _wrong_numbers(command: Command, columns: Sequence[str]) -> str:
-    """What is wrong with the numbers of a command; "" for finite ones. columns: of the law in the
-    log.
+def _types(stepped: Any) -> str:
+    if not isinstance(stepped, tuple):
+        return type(stepped).__name__
+    return f"({', '.join(type(part).__name__ for part in stepped)})"
+
+
+def _raised_at(error: BaseException, module: str) -> str:
+    """File and line where an error came from: in the module of the law or in a file of others, else
+    the innermost ones.
     """
-    twist, rates, wrench = command.twist, command.rates, command.wrench
+    frames = list(traceback.walk_tb(error.__traceback__))
+    own = []
+    for frame, line in frames:
+        name = str(frame.f_globals.get("__name__"))
+        ours = name == module or "@" in name  # as `load_file` names them
+        # what dataclasses generate has no line
+        if ours and not frame.f_code.co_filename.startswith("<string>"):
+            own.append((frame, line))
+    frame, line = (own or frames)[-1]
+    return f"{Path(frame.f_code.co_filename).name}, line {line}"
+
+
+def _wrong_twist(twist: Array) -> str:
+    """What is wrong with the twist of a command; "" for six finite numbers."""
     if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
         return (
             f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
         )
     if not all_finite(twist):
         return f"gave a twist that is not finite, {np.round(twist, 3)}"
+    return ""
+
+
+def _wrong_beside(command: Command, columns: Sequence[str]) -> str:
+    """What is wrong with what a command may have beside velocities; "" for finite numbers. columns:
+    of the law in the log.
+    """
+    wrench = command.wrench
     if wrench is not None and not (wrench.shape == (6,) and all_finite(wrench)):
         return (
             f"gave the wrench {short(wrench)}; the wrench of a Command must be six finite numbers"
         )
-    if rates is not None and not all_finite(rates):
-        return f"gave rates that are not finite, {np.round(rates, 3)}"
-    if command.free and not all(
-        math.isfinite(share) and all_finite(twists) for share, twists in command.free
-    ):
-        return "gave free motions that are not finite"
+    for share, twists in command.free:
+        if not (math.isfinite(share) and all_finite(twists)):
+            return "gave free motions that are not finite"
     if command.row and len(command.row) != len(columns):
         return (
             f"gave {len(command.row)} numbers as the row of its Command,"
@@ -145,11 +175,15 @@ def _wrong_numbers(command: Command, columns: Sequence[str]) -> str:
 
 
 def _wrong_rates(rates: Array | None, robot: OwnModel | None) -> str:
-    """What is wrong with velocities of the robot's own that a law orders; "" for as many as the
-    robot has, which it reads.
+    """What is wrong with velocities of the robot's own that a law orders; "" for as many finite
+    ones as the robot has, which it reads.
     """
+    if rates is None:
+        return ""
+    if not all_finite(rates):
+        return f"gave rates that are not finite, {np.round(rates, 3)}"
     names = robot.names if robot else ()
-    if rates is None or rates.shape == (len(names),):
+    if rates.shape == (len(names),):
         return ""
     return (
         f"gave {rates.size} rates; those of a Command must be the velocities of `Observation.robot`"
@@ -158,11 +192,9 @@ def _wrong_rates(rates: Array | None, robot: OwnModel | None) -> str:
 
 
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.
-NONE_SEEN, FEW_SEEN, NO_PICTURE = (
-    "no marker was in sight",
-    "too few markers were in sight",
-    "no picture arrived",
-)
+NONE_SEEN = "no marker was in sight"
+FEW_SEEN = "too few markers were in sight"
+NO_PICTURE = "no picture arrived"
 GUESS = ": at the start they may be outside of it, hidden or too small"
 """What a robot may think of markers that it has never found; by the truth the reason says which it
 was (`termination.LostMarkers`).
@@ -173,8 +205,11 @@ def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str
     """Why a law that gives no reason has no measurement; "" where it has as many markers as it
     needs.
     """
-    n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
-    return "" if n >= needed else FEW_SEEN if n else NONE_SEEN
+    all_count = error.all_seen and goal.counted is None
+    n = len(seen.uv) if all_count else np.count_nonzero(seen.seen)
+    if n >= needed:
+        return ""
+    return FEW_SEEN if n else NONE_SEEN
 
 
 def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") -> str:
@@ -205,7 +240,8 @@ def _never_found(scenario: Scenario) -> str:
             f"{words}: the start may show too little of it, or from too far aside,"
             " or too few points of it are looked for"
         )
-    target, n = scenario.target, len(scenario.target.points)
+    target = scenario.target
+    n = len(target.points)
     words = (
         f"detector {scenario.detector.kind} has not found one of {n}"
         f" marker{'s' * (n != 1)} in any picture"
@@ -278,28 +314,21 @@ class Controller:
         scenario.law.prepare()  # a robot does not wait for imports between two pictures
         # The calibrated mount: what the robot does with a command follows from what it believes,
         # errors included.
-        self.mount = Mount.of(scenario.believed_camera.mount.T)
+        self.mount = believed_mount(scenario)
         self.observer = observer_of(scenario)
         self.observer.prepare(scenario.detector.needs_image)
         self.law: Law[Any] = scenario.law
-        self._start = scenario.robot.start_joints()
-        self._needed = scenario.law.markers_needed(
-            scenario.robot.motion_basis(self._mount_at(self._start), self._start)
-        )
+        self._needed = self._markers_needed()
         self._views = with_images(scenario, goal_images)
         inputs = inputs_of(scenario.law)
-        self._needs_motion, self._needs_sight, self._needs_robot = (
-            "motion" in inputs,
-            "image" in inputs,
-            "robot" in inputs,
-        )
+        self._needs_motion = "motion" in inputs
+        self._needs_sight = "image" in inputs
+        self._needs_robot = "robot" in inputs
         self._needs_own_state = "proprioception" in inputs and bool(
             scenario.robot.proprioception_names
         )
-        self._latest_s, self._order_s = (
-            scenario.timing.latest_s(scenario.camera),
-            scenario.timing.order_s(scenario.camera),
-        )
+        self._latest_s = scenario.timing.latest_s(scenario.camera)
+        self._order_s = scenario.timing.order_s(scenario.camera)
         delay_s = scenario.camera.latency_s + scenario.timing.command_latency_s
         self._until_seen = 1 + delay_s / scenario.camera.period
         self.clock: Callable[[], float] = time.monotonic
@@ -319,19 +348,20 @@ class Controller:
 
     def _begin(self) -> None:
         s = self.scenario
-        mode, period = s.timing.interpolation, s.camera.period
-        self.last_twist, self.ordered = np.zeros(6), CommandHistory(6, mode, period)
+        mode = s.timing.interpolation
+        period = s.camera.period
+        self.last_twist = np.zeros(6)
+        self.ordered = CommandHistory(6, mode, period)
         self._own_rates = OwnRates(s.robot, period, mode) if self._needs_robot else None
         self._order: Order | None = None  # in force
         self._taken_over = False
         self._at: tuple[float, Reading, Mount] | None = None
         self.guarded = GuardedLaw(self.law)
         self._perception = Perception(s, self.observer, self._views[0])
-        self.others = (
-            OtherCameras(s, self.mount.T_flange_camera, self._views[0], self._own_s)
-            if s.cameras
-            else None
-        )
+        self.others: OtherCameras | None = None
+        if s.cameras:
+            mount = self.mount.T_flange_camera
+            self.others = OtherCameras(s, mount, self._views[0], self._own_s)
         self.reference_state = s.goal.begin(s.setup, self._views)
         self.law_state = self.law.init(self._views[0])
         self.supervisor = s.robot.supervisor(s.goal.lands, *s.stop.lost_after)
@@ -341,13 +371,10 @@ class Controller:
         self.inputs = Inputs(s)
         self._other_inputs = {name: Inputs(eye) for name, eye in s.eyes.items()}
         self._cycle: Cycle | None = None
-        self._given: tuple[float, float] | None = (
-            # stamp of the newest picture given to `step`, and the own clock at its first coming
-            None
-        )
-        self._came: tuple[float, float] | None = (
-            None  # when the last picture that was used came, by stamps and by the own clock [s]
-        )
+        # stamp of the newest picture given to `step`, and the own clock at its first coming
+        self._given: tuple[float, float] | None = None
+        # when the last picture that was used came, by stamps and by the own clock [s]
+        self._came: tuple[float, float] | None = None
         # the last stamp that advanced, and the own clock then [s]
         self._advanced = -math.inf, 0.0
         self._sight = SightClock()
@@ -403,7 +430,8 @@ class Controller:
         """
         with self._alone():
             self._by_hand = True
-            t, depth = seconds(t), self.inputs.depth(depth)
+            t = seconds(t)
+            depth = self.inputs.depth(depth)
             others: dict[str, Exposure] = {}
             with all_or_none([self.inputs, *self._other_inputs.values()]):
                 if isinstance(picture, Mapping):
@@ -420,16 +448,18 @@ class Controller:
                 self._given = t, self._own.s()
             assert self._given is not None
             came = at, self._given[1]
-            notes = notes if self.others is None else (*notes, *self.others.forgotten(at))
+            if self.others is not None:
+                notes += self.others.forgotten(at)
             self._sight.tick(*came)
-            images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
-            shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
+            whole = Picture(t, images_of(picture), depth=depth)
+            shot = Exposure(self.inputs.taken, t, whole, at_exposure)
             cycle = self.arrive(shot, at, at + self.scenario.timing.command_latency_s, now)
-            self._came, self._silent = came, False
-            notes = (*notes, *self._slow(arrived is not None or came_again, now))
+            self._came = came
+            self._silent = False
+            notes += self._slow(arrived is not None or came_again, now)
+            notes += self._frozen_for(self._order_s)
             # Copies: who reads the cycle may write to its arrays.
             command, allocation = copy.deepcopy((cycle.command, cycle.allocation))
-            notes = (*notes, *self._frozen_for(self._order_s))
             self._cycle = replace(
                 cycle, command=command, allocation=allocation, order=self._in_force(), notes=notes
             )
@@ -447,14 +477,11 @@ class Controller:
                 "picture", f"{OWN}, the law's own camera; others alone go to `look`", list(pictures)
             )
         first = readings[0] if isinstance(readings, tuple) else readings
-        new = {
-            name: one
-            for name, one in pictures.items()
-            if name != OWN and not self._inputs_of(name).has(t)
-        }
-        return {
-            name: self._inputs_of(name).shot(one, t, first) for name, one in new.items()
-        }, pictures[OWN]
+        new = {}
+        for name, one in pictures.items():
+            if name != OWN and self._inputs_of(name).newest != t:
+                new[name] = self._inputs_of(name).shot(one, t, first)
+        return new, pictures[OWN]
 
     def _in_force(self) -> Order:
         """The order in force, in arrays of its own."""
@@ -468,9 +495,8 @@ class Controller:
         """
         now = self._now(t if arrived is None else arrived)
         assert self._came is not None
-        if now - self._came[0] >= self._order_s or (
-            arrived is not None and arrived - t > self._latest_s
-        ):
+        late = arrived is not None and arrived - t > self._latest_s
+        if late or now - self._came[0] >= self._order_s:
             self._without(now, reading)
 
     def _again(
@@ -486,7 +512,7 @@ class Controller:
             self.refused += t < self._cycle.t
             self._stop_if_old(t, arrived, reading)
         elif creeps := self._creeps(t):
-            notes = *notes, creeps
+            notes += (creeps,)
             self._without(self._now(t if arrived is None else arrived), reading)
         else:
             return None
@@ -498,9 +524,8 @@ class Controller:
         lasts, by the own clock; "" where it has, and where time is simulated. However slow a law
         is in lockstep, the next picture's stamp is a period later.
         """
-        if (
-            self._given is not None and t <= self._given[0]
-        ):  # after an error: `_given` knows its age
+        # after an error: `_given` knows its age
+        if self._given is not None and t <= self._given[0]:
             return ""
         own_s = self._own.s()
         before, by_clock = self._advanced
@@ -550,12 +575,10 @@ class Controller:
                         "cannot be changed during a run, since the law's state belongs to it",
                     )
             self.scenario = replace(self.scenario, law=law)
-            failure = self.guarded.failure
-            self.law, self.guarded = law, GuardedLaw(law)
-            self.guarded.failure = failure  # one that has failed is not asked again
-            self._needed = law.markers_needed(
-                self.scenario.robot.motion_basis(self._mount_at(self._start), self._start)
-            )
+            self.law = law
+            # one that has failed is not asked again
+            self.guarded = GuardedLaw(law, self.guarded.failure)
+            self._needed = self._markers_needed()
 
     def regions_of_interest(self) -> Regions | None:
         """The detector's region of interest for the next picture; None for all of it."""
@@ -616,9 +639,7 @@ class Controller:
         began = time.perf_counter()
         mount = self._mount_at(reading.q)
         seen = self._observe(shot, t, t_cmd, reading, mount)
-        self.reference_state, goal = s.goal.reference(self.reference_state, seen)
-        if self._perception.goal is not None:
-            goal = goal.of(self._perception.goal)
+        goal = self._reference(seen)
         seen = seen.only(goal.counted)
         if self.others is not None:
             seen = replace(seen, cameras=self.others.views(shot, t, goal))
@@ -628,21 +649,13 @@ class Controller:
         own = self._perception.own(seen)
         others_tell = own is not seen or bool(self.law.cameras and not command.rest_reason)
         error = ImageError.of(own, goal, command.rest_reason, others_tell)
-        why = self._unusable(shot, t)
-        blind = (
-            command.rest_reason
-            or ("" if others_tell else unseen(seen, goal, error, self._needed))
-            or why
-        )
-        blind = blind and blind + detail(s, seen, self._perception.found, self._perception.why)
+        unusable = self._unusable(shot, t)
+        blind = command.rest_reason
+        if not blind and not others_tell:
+            blind = unseen(seen, goal, error, self._needed)
+        blind = self._detailed(blind or unusable, seen)
         moved = self._moved(t, reading, blind, mount)
-        allocation = self._allocate(command, reading, mount)
-        rests = bool(why) or bool(
-            command.rest_reason and not command.twist.any() and not command.free
-        )
-        if rests:
-            allocation = replace(allocation, twist=np.zeros(6), rates=None)
-        order = Order.of(allocation).halted(blind) if rests else Order.of(allocation)
+        allocation, order = self._wanted(command, reading, mount, unusable, blind)
         # stamps that are too old to be true tell no time, either
         told = max(shot.t, t - self._latest_s)
         if not (blind or self.supervisor.aborted):
@@ -655,15 +668,33 @@ class Controller:
             self.law_state = self.guarded.init(next_goal, self.law_state)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        return Cycle(
-            FrameTiming(shot.number, shot.t, t_cmd),
-            own,
-            goal,
-            error,
-            command,
-            allocation,
-            order=order,
-        )
+        timing = FrameTiming(shot.number, shot.t, t_cmd)
+        return Cycle(timing, own, goal, error, command, allocation, order=order)
+
+    def _reference(self, seen: Observation) -> Goal:
+        """The goal in force; by a detector's own points, where it has any."""
+        self.reference_state, goal = self.scenario.goal.reference(self.reference_state, seen)
+        by_points = self._perception.goal
+        return goal if by_points is None else goal.of(by_points)
+
+    def _detailed(self, blind: str, seen: Observation) -> str:
+        """Why there is no measurement, with what the detector says of it; "" where there is one."""
+        if not blind:
+            return ""
+        return blind + detail(self.scenario, seen, self._perception.found, self._perception.why)
+
+    def _wanted(
+        self, command: Command, reading: Reading, mount: Mount, unusable: str, blind: str
+    ) -> tuple[Allocation, Order]:
+        """A command within the robot's limits, and the order for it: a stop, `blind` its reason,
+        where the law rests or the picture is unusable.
+        """
+        allocation = self._allocate(command, reading, mount)
+        law_rests = command.rest_reason and not command.twist.any() and not command.free
+        if not (unusable or law_rests):
+            return allocation, Order.of(allocation)
+        rest = replace(allocation, twist=np.zeros(6), rates=None)
+        return rest, Order.of(rest).halted(blind)
 
     def _unusable(self, shot: Exposure, t: float) -> str:
         """Why the robot must not move by a picture that has come at t [s]: it is late, or the
@@ -732,101 +763,129 @@ class Controller:
         if self._own_rates is not None:
             self._own_rates.order(t_cmd, order)
 
+    def _markers_needed(self) -> int:
+        robot = self.scenario.robot
+        q = robot.start_joints()
+        return self.law.markers_needed(robot.motion_basis(self._mount_at(q), q))
+
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
 
     def _observe(
         self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount
     ) -> Observation:
-        s, last, observer = self.scenario, self.before or shot, self.observer
-        picture, period = shot.picture, shot.t - last.t
+        s = self.scenario
+        last = self.before or shot
         detection = self._perception.detect(shot)
-        twist, own = STILL, None
-        measured = observer.uses_motion(detection)
-        # the mean of the twists commanded since the last exposure
-        if period > 0 and (measured or observer.needs_pose):
-            twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / period
-        if measured:
-            twist = s.robot.measured_twist(
-                last.reading, shot.reading, period, twist, self._mount_at(shot.reading.q)
-            )
+        twist = self._twist_since(last, shot, self.observer.uses_motion(detection))
+        own = None
         if self._needs_motion:
-            # How far the camera has gone since the exposure; integrated commands stand in for a
-            # robot without sensors of its motion.
-            moved, age = (
-                self.ordered.displacement(t) - self.ordered.displacement(shot.t),
-                t - shot.t,
-            )
-            if age > 0:
-                moved = s.robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
-            own = EgoMotion(twist, period, moved, age, self.last_twist)
-        partner, others = None, list[CameraPixels]()
+            moved, age = self._moved_since(shot, t, reading, mount)
+            own = EgoMotion(twist, shot.t - last.t, moved, age, self.last_twist)
+        partner = None
+        others: list[CameraPixels] = []
         if self.others is not None:
             partner = self.others.views(shot, t, None).get(s.law.depth.camera)
-            others = (
-                self.others.pixels(shot, t, self.ordered, mount) if s.fusion == "pose" else others
-            )
+            if s.fusion == "pose":
+                others = self.others.pixels(shot, t, self.ordered, mount)
         seen = self._perception.observe(shot, detection, twist, own, partner, others)
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, t, t_cmd, reading, mount))
         if self._needs_own_state:
             seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
         if shot.reading.wrench is not None:
-            seen = replace(
-                seen, wrench=self._mount_at(shot.reading.q).to_flange.T @ shot.reading.wrench
-            )
-        if self._needs_sight and picture is not None:
-            seen = replace(seen, image=sight_of(picture))
+            to_flange = self._mount_at(shot.reading.q).to_flange
+            seen = replace(seen, wrench=to_flange.T @ shot.reading.wrench)
+        if self._needs_sight and shot.picture is not None:
+            seen = replace(seen, image=sight_of(shot.picture))
         return seen
+
+    def _twist_since(self, last: Exposure, shot: Exposure, measured: bool) -> Array:
+        """Mean twist of the camera (6,) since the last exposure: as commanded, or `measured` by the
+        robot's sensors; STILL where nothing reads it.
+        """
+        period = shot.t - last.t
+        twist = STILL
+        if period > 0 and (measured or self.observer.needs_pose):
+            twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / period
+        if not measured:
+            return twist
+        mount = self._mount_at(shot.reading.q)
+        return self.scenario.robot.measured_twist(last.reading, shot.reading, period, twist, mount)
+
+    def _moved_since(
+        self, shot: Exposure, t: float, reading: Reading, mount: Mount
+    ) -> tuple[Array, float]:
+        """How far the camera has gone from the exposure to t [s], (6,) [m, rad], and the time
+        between; integrated commands stand in for a robot without sensors of its motion.
+        """
+        moved = self.ordered.displacement(t) - self.ordered.displacement(shot.t)
+        age = t - shot.t
+        if age > 0:
+            robot = self.scenario.robot
+            moved = robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
+        return moved, age
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not
         needed, with sight.
         """
         before, self._at = self._at, (t, reading, mount)
-        if not blind or before is None or t <= before[0]:
+        if not blind or before is None:
             return 0.0
-        v = self.scenario.robot.measured_twist(
-            before[1], reading, t - before[0], self.last_twist, mount
-        )[:3]
-        return float(np.linalg.norm(v)) * (t - before[0])
+        since, last, _ = before
+        if t <= since:
+            return 0.0
+        v = self.scenario.robot.measured_twist(last, reading, t - since, self.last_twist, mount)[:3]
+        return float(np.linalg.norm(v)) * (t - since)
 
     def _allocate(self, command: Command, reading: Reading, mount: Mount) -> Allocation:
-        robot, twist = self.scenario.robot, command.twist
+        robot = self.scenario.robot
+        twist = command.twist
         if isinstance(robot, Arm):  # the others have no secondary task
             for share, free in command.free:
                 twist = twist + share * robot.secondary_task(free, reading, mount)
-        period = self.scenario.camera.period
         # a secondary task changes the twist alone
         rates = command.rates if twist is command.twist else None
+        allocation = self._limited(twist, rates, reading, mount)
+        if command.wrench is not None:
+            allocation = self._pressed(allocation, command.wrench, mount)
+        if not (
+            all_finite(allocation.setpoint)
+            and (allocation.twist is command.twist or all_finite(allocation.twist))
+        ):
+            self.guarded.fail(
+                f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint},"
+                f" of the twist {np.round(twist, 3)}"
+            )
+            allocation = Allocation(np.zeros_like(allocation.setpoint), np.zeros(6), 0.0)
+        # The command within limits, before the supervisor: a law with feedforward predicts by it
+        # (`EgoMotion.commanded`).
+        self.last_twist = allocation.twist
+        return allocation
+
+    def _limited(
+        self, twist: Array, rates: Array | None, reading: Reading, mount: Mount
+    ) -> Allocation:
+        """A twist (6,), or the robot's own velocities that make it, within the robot's limits."""
+        robot = self.scenario.robot
+        period = self.scenario.camera.period
         if rates is not None and isinstance(robot, Arm):
             allocation = robot.allocate_rates(rates, reading, mount, period)
         else:
             made = twist if rates is None else robot.motion_basis(mount, reading.q) @ rates
             allocation = robot.allocate(made, reading, mount, period)
         # also of rates that make another one than their law says
-        allocation = allocation.told(twist)
-        if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
-            allocation = robot.pressed(allocation, command.wrench, mount)
-        elif command.wrench is not None:
-            words = (
-                f"law {self.law.kind} orders a wrench,"
-                " which needs an arm with `controller: impedance`"
-            )
-            self.guarded.failure = self.guarded.failure or words
-        if not (
-            all_finite(allocation.setpoint)
-            and (allocation.twist is command.twist or all_finite(allocation.twist))
-        ):
-            words = (
-                f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint},"
-                f" of the twist {np.round(twist, 3)}"
-            )
-            self.guarded.failure = self.guarded.failure or words
-            allocation = Allocation(np.zeros_like(allocation.setpoint), np.zeros(6), 0.0)
-        # The command within limits, before the supervisor: a law with feedforward predicts by it
-        # (`EgoMotion.commanded`).
-        self.last_twist = allocation.twist
+        return allocation.told(twist)
+
+    def _pressed(self, allocation: Allocation, wrench: Array, mount: Mount) -> Allocation:
+        """An allocation with a wrench (6,), of a robot that takes one; else the law has failed."""
+        robot = self.scenario.robot
+        if isinstance(robot, Arm) and robot.controller.takes_wrench:
+            return robot.pressed(allocation, wrench, mount)
+        self.guarded.fail(
+            f"law {self.law.kind} orders a wrench, which needs an arm with `controller: impedance`"
+        )
         return allocation
 
     def _supervised(
@@ -841,10 +900,8 @@ class Controller:
         made = self.supervisor.filter(t + self._sight.behind_s, blind, reading, order, basis, moved)
         self._taken_over = made is not order
         if made.stop == "stop" and self._order is not None:
-            # no -0
-            made = made._replace(
-                setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0
-            )
+            setpoint = self.scenario.robot.stopping(self._order.setpoint, REST_S)
+            made = made._replace(setpoint=setpoint + 0.0)  # no -0
         return made
 
     def without_picture(self, t: float, reading: Reading) -> Order:
@@ -861,24 +918,22 @@ class Controller:
         """The same of what has been checked. The silence has begun when the last order ended,
         whenever somebody asks.
         """
-        if (
-            self._came is not None
-            and not self._silent
-            and (began := self._came[0] + self._order_s) < t
-        ):
-            self.lapsed(began, reading)
+        if self._came is not None and not self._silent:
+            began = self._came[0] + self._order_s
+            if began < t:
+                self.lapsed(began, reading)
         return self.lapsed(t, reading)
 
     def lapsed(self, t: float, reading: Reading, why: str = NO_PICTURE) -> Order:
         """The same for the time loop, which asks in time."""
         self._silent = True
+        robot = self.scenario.robot
         mount = self._mount_at(reading.q)
-        basis = self.scenario.robot.motion_basis(mount, reading.q)
+        basis = robot.motion_basis(mount, reading.q)
         moved = self._moved(t, reading, why, mount)
-        rest = Order.of(
-            self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)
-        ).halted(why)
-        order = self._supervised(t, why, rest, reading, basis, moved)
+        rest = robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)
+        stop = Order.of(rest).halted(why)
+        order = self._supervised(t, why, stop, reading, basis, moved)
         self._ordered(t, order)
         return order
 

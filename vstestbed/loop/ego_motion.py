@@ -47,7 +47,8 @@ class CommandHistory:
 
     def __init__(self, size: int = 6, mode: Mode = "hold", over_s: float = 0.0) -> None:
         self._mode: Mode = mode
-        self._over_s, rest = over_s, np.zeros(size)
+        self._over_s = over_s
+        rest = np.zeros(size)
         first = 0.0, Profile(mode, rest, rest, rest, over_s), rest
         self._commands: deque[tuple[float, Profile, Array]] = deque([first], maxlen=REMEMBERED)
 
@@ -59,22 +60,14 @@ class CommandHistory:
             self._commands.pop()
         since, before, way = self._commands[-1]
         if t <= since:
-            self._commands[-1] = (
-                t,
-                Profile(self._mode, before.before, before.start, twist, self._over_s),
-                way,
-            )
+            profile = Profile(self._mode, before.before, before.start, twist, self._over_s)
+            self._commands[-1] = t, profile, way
             return
         after = t - since
         # of a command that is held it stays zero
         slope = before.slope(after) if before.duration else before.start
-        self._commands.append(
-            (
-                t,
-                Profile(self._mode, before.at(after), slope, twist, self._over_s),
-                way + before.way(after),
-            )
-        )
+        profile = Profile(self._mode, before.at(after), slope, twist, self._over_s)
+        self._commands.append((t, profile, way + before.way(after)))
 
     def displacement(self, t: float) -> Array:
         """Their integral until t, (size,) [m, rad]."""
@@ -93,13 +86,25 @@ def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
     return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)
 
 
+def believed_mount(scenario: Scenario) -> Mount:
+    """The mount of a scenario's camera as the robot knows it."""
+    return Mount.of(scenario.believed_camera.mount.T)
+
+
+def start_basis(scenario: Scenario) -> Array:
+    """The camera twists (6, n) of the robot's motions at its start, as the robot knows them."""
+    robot = scenario.robot
+    return robot.motion_basis(believed_mount(scenario), robot.start_joints())
+
+
 class OwnRates:
     """Makes `Observation.robot`, and keeps the velocities that were ordered,
     one each `period_s`.
     """
 
     def __init__(self, robot: Robot, period_s: float, mode: Mode = "hold"):
-        self._robot, self._period_s = robot, period_s
+        self._robot = robot
+        self._period_s = period_s
         self._mode: Mode = mode
         self._ordered: CommandHistory | None = None
         self._last = np.zeros(0)
@@ -113,10 +118,8 @@ class OwnRates:
         """
         model = self._robot.own_model(reading, mount)
         if self._ordered is None:
-            self._ordered, self._last = (
-                CommandHistory(n := len(model.names), self._mode, self._period_s),
-                np.zeros(n),
-            )
+            self._last = np.zeros(len(model.names))
+            self._ordered = CommandHistory(len(model.names), self._mode, self._period_s)
         self._J = model.J
         moved = self._displacement(last.t, last.reading, shot.t, shot.reading, mount)
         underway = self._displacement(shot.t, shot.reading, t, reading, mount)
@@ -139,10 +142,8 @@ class OwnRates:
         no sensors of its motion.
         """
         assert self._ordered is not None
-        ordered, duration = (
-            self._ordered.displacement(until) - self._ordered.displacement(since),
-            until - since,
-        )
+        ordered = self._ordered.displacement(until) - self._ordered.displacement(since)
+        duration = until - since
         if duration <= 0:
             return np.zeros(len(ordered))
         if isinstance(self._robot, Arm):
@@ -150,16 +151,16 @@ class OwnRates:
         twist = self._robot.measured_twist(
             before, after, duration, self._J @ ordered / duration, mount
         )
-        basis = self._robot.motion_basis(mount, after.q)
-        return np.asarray(np.linalg.lstsq(basis, twist * duration, rcond=None)[0], dtype=float)
+        return _solved(self._robot.motion_basis(mount, after.q), twist * duration)
 
     def order(self, t_cmd: float, order: Order) -> None:
         """An order takes effect at t_cmd [s]."""
         if self._ordered is not None:
-            rates = order.rates
-            if rates is None:
-                rates = np.asarray(
-                    np.linalg.lstsq(self._J, order.twist, rcond=None)[0], dtype=float
-                )
+            rates = _solved(self._J, order.twist) if order.rates is None else order.rates
             self._last = rates
             self._ordered.add(t_cmd, rates)
+
+
+def _solved(J: Array, twist: Array) -> Array:
+    """The smallest velocities along the columns of J that make a twist, by least squares."""
+    return np.asarray(np.linalg.lstsq(J, twist, rcond=None)[0], dtype=float)

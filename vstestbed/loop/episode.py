@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from vstestbed.camera import Image
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
@@ -41,7 +42,6 @@ __all__ = ["BY_HAND", "Episode"]
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
 BY_HAND = "Changed by hand during the run:"  # in the description of a run that no scenario repeats
-PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a run's wall time
 
 
 class Episode:
@@ -60,11 +60,12 @@ class Episode:
         plate_m: float = 0.0,
     ):
         began = time.perf_counter()
-        scenario = scenario.resolved
-        self.scenario, self._watchers = scenario, watchers
+        self.scenario = scenario = scenario.resolved
+        self._watchers = watchers
         self._log = LogWriter(Layout(scenario), folder)
         self.outcome: Outcome | None = None
-        self.reason, self.ended_s = "", 0.0
+        self.reason = ""
+        self.ended_s = 0.0
         self.by_hand: dict[str, tuple[float, int]] = {}
         self.frame: Frame | None = None
         self._waits = self._commanded = self.closed = False
@@ -72,58 +73,43 @@ class Episode:
         shown = shown_clean(scenario)
         self.plant, self._renderer = plant_of(scenario, pictures, plate_m)
         taken = take_goal_images(scenario, self.plant) if shown is None else shown
-        self.controller, self._goal_images = (
-            Controller(scenario, taken),
-            tuple(sight.image for sight in taken),
-        )
-        from_camera, self._to_robot = directions(scenario.timing.link, scenario.rng(LINK_STREAM))
-        self._camera = CameraClock(
-            scenario, self.plant, pictures or "image" in scenario.law.inputs, from_camera
-        )
-        self._others = {
-            name: CameraClock(
-                eye,
-                self.plant.others[name],
-                pictures,
-                directions(scenario.timing.link, eye.rng(LINK_STREAM))[0],
-            )
-            for name, eye in scenario.eyes.items()
-        }
+        self.controller = Controller(scenario, taken)
+        self._goal_images = tuple(sight.image for sight in taken)
+        link = scenario.timing.link
+        from_camera, self._to_robot = directions(link, scenario.rng(LINK_STREAM))
+        whole = pictures or "image" in scenario.law.inputs
+        self._camera = CameraClock(scenario, self.plant, whole, from_camera)
+        self._others: dict[str, CameraClock] = {}
+        for name, eye in scenario.eyes.items():
+            from_eye, _ = directions(link, eye.rng(LINK_STREAM))
+            self._others[name] = CameraClock(eye, self.plant.others[name], pictures, from_eye)
         self._last_of: dict[str, Exposed] = {}  # what the further cameras showed last
         supervisor = self.controller.supervisor
-        self._task, self._robot_log = (
-            scenario.goal.monitor(scenario.setup, supervisor),
-            scenario.robot.log(supervisor),
-        )
-        monitors = [(rule.kind, rule.monitor(scenario.setup)) for rule in scenario.monitors]
-        lost = LostMarkers(scenario, self.plant.names_before)
+        self._task = scenario.goal.monitor(scenario.setup, supervisor)
+        self._robot_log = scenario.robot.log(supervisor)
         self._termination = Termination(
             self._task,
-            scenario.stop,
-            scenario.target,
+            scenario.setup,
             supervisor,
-            monitors,
+            [(rule.kind, rule.monitor(scenario.setup)) for rule in scenario.monitors],
             Stability(scenario),
-            lost,
+            LostMarkers(scenario, self.plant.names_before),
         )
         self._interpolator = scenario.timing.interpolator(*scenario.clock)
         # Of points that are not the target's markers, by the true lens: they lie in the target's
         # plane where it saw them at the goal.
-        picked = scenario.detector.rows is not None
-        self._goal = (
-            Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1])
-            if picked
-            else None
-        )
-        self._own_columns, self._timing_columns = (
-            len(scenario.own_columns),
-            scenario.timing.columns + scenario.camera.columns,
-        )
+        self._goal: Goal | None = None
+        if scenario.detector.rows is not None:
+            last = scenario.goal_poses[-1]
+            self._goal = Goal.from_view(scenario.camera, scenario.target.points, last)
+        self._own_columns = len(scenario.own_columns)
+        self._timing_columns = scenario.timing.columns + scenario.camera.columns
         self._commands: DelayLine[Order] = DelayLine(
             round(scenario.timing.command_latency_s / self.plant.step_s)
         )
         self._frames = self._turn()
-        self.build_s, self.loop_s = time.perf_counter() - began, 0.0
+        self.build_s = time.perf_counter() - began
+        self.loop_s = 0.0
 
     def advance(self, command: Array | None = None) -> Frame | None:
         """Send a command, or the law's, for the last frame; the next frame, or None where the run
@@ -177,12 +163,18 @@ class Episode:
         """The record of what has run so far; frames that come later are not in it."""
         if not self.closed:
             self._log.flush()
-        outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
+        outcome = self.outcome or Outcome.interrupted
+        spent = self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
-        rendered_s = self.plant.render_s + sum(
-            other.render_s for other in self.plant.others.values()
-        )
-        took = (self._physics_s, rendered_s, detect_s, spent["law"], self._record_s, 0.0)
+        plants = (self.plant, *self.plant.others.values())
+        took = {
+            "physics": self._physics_s,
+            "render": sum(plant.render_s for plant in plants),
+            "detect": detect_s,
+            "law": spent["law"],
+            "record": self._record_s,
+            "video": 0.0,
+        }
         scenario = self.scenario
         if self.by_hand:
             words = "; ".join(
@@ -199,7 +191,7 @@ class Episode:
             self._log.log(),
             wall_time_s=self.build_s + self.loop_s,
             loop_s=self.loop_s,
-            time_ms={part: 1e3 * seconds for part, seconds in zip(PARTS, took, strict=True)},
+            time_ms={part: 1e3 * seconds for part, seconds in took.items()},
             versions=versions() | {"renderer": self._renderer},
             ended_s=self.ended_s,
             goal_images=self._goal_images,
@@ -229,18 +221,16 @@ class Episode:
         assert self.frame is not None
         self._commanded = command is not None
         if command is not None:
-            self._termination.stability = (
-                None  # of commands from outside neither gain nor delay is known
-            )
+            # of commands from outside neither gain nor delay is known
+            self._termination.stability = None
             wanted, allocation, order = self.controller.override(self.frame, command)
             self.frame = replace(self.frame, command=wanted, allocation=allocation, order=order)
         if self._to_robot is None or not self._to_robot(self._step // self.plant.steps_per_frame):
             self._commands.push(self._step, self.frame.order)
         else:
             timing = self.frame.timing
-            self.frame = replace(
-                self.frame, timing=timing._replace(own={**(timing.own or {}), "command_lost": 1.0})
-            )
+            timing = timing._replace(own={**(timing.own or {}), "command_lost": 1.0})
+            self.frame = replace(self.frame, timing=timing)
         self._note()
 
     def _note(self) -> None:
@@ -255,24 +245,21 @@ class Episode:
             watcher.frame(self.frame)
 
     def _end(self, verdict: Verdict, t: float) -> None:
-        (self.outcome, self.reason), self.ended_s = verdict, t
+        self.outcome, self.reason = verdict
+        self.ended_s = t
 
     def _turn(self) -> Generator[Frame]:
         """Take pictures, deliver them and their commands, each when it is due, until the verdict
         that ends the run.
         """
-        scenario, plant, controller, camera, commands = (
-            self.scenario,
-            self.plant,
-            self.controller,
-            self._camera,
-            self._commands,
-        )
+        scenario = self.scenario
+        plant = self.plant
+        camera = self._camera
         self._step = step = 0
         order_steps = round(scenario.timing.order_s(scenario.camera) / plant.step_s)
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
         while True:
-            camera.act(step, controller.regions_of_interest)
+            camera.act(step, self.controller.regions_of_interest)
             for name, other in self._others.items():
                 self._see(name, other, step)
             for made in camera.line.pop_due(step):
@@ -285,31 +272,41 @@ class Episode:
             # a camera that is dead must not leave the robot without a supervisor, nor the run
             # without an end
             if step >= silent_at:
-                order = controller.lapsed(step * plant.step_s, plant.reading())
-                plant.apply(order.setpoint, order.stop)
-                if verdict := self._termination.without_picture(step * plant.step_s, plant.truth()):
-                    return self._end(verdict, step * plant.step_s)
-                # orders still on their way must not set a robot that stops in motion again
-                if controller.supervisor.aborted:
-                    commands.clear()
+                self._stop_in_silence(step * plant.step_s)
+                if self.outcome is not None:
+                    return
                 silent_at = step + plant.steps_per_frame
             # After the pictures: without latency, a command takes effect in the step in which its
             # picture arrived.
-            for order in commands.pop_due(step):
+            for order in self._commands.pop_due(step):
                 plant.apply(order.setpoint, order.stop)
             # The physics runs to the next event in one call.
-            due = commands.next_due()
-            ahead = min(camera.next_event(), silent_at, silent_at if due is None else due) - step
-            for other in self._others.values():
-                ahead = min(ahead, other.next_event() - step)
+            ahead = min(silent_at, self._next_event()) - step
             start = time.perf_counter()
             if not plant.advance(ahead):
-                return self._end(
-                    (Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"),
-                    step * plant.step_s,
-                )
+                t = step * plant.step_s
+                words = f"{Outcome.crashed.value} at {t:.3f} s"
+                return self._end((Outcome.crashed, words), t)
             self._physics_s += time.perf_counter() - start
             self._step = step = step + ahead
+
+    def _stop_in_silence(self, t: float) -> None:
+        """Stop the robot at a time [s] at which the last picture is too old; the run may end."""
+        order = self.controller.lapsed(t, self.plant.reading())
+        self.plant.apply(order.setpoint, order.stop)
+        if verdict := self._termination.without_picture(t, self.plant.truth()):
+            self._end(verdict, t)
+        # orders still on their way must not set a robot that stops in motion again
+        if self.controller.supervisor.aborted:
+            self._commands.clear()
+
+    def _next_event(self) -> int:
+        """The step at which a camera acts next, or a command arrives."""
+        following = self._camera.next_event()
+        for other in self._others.values():
+            following = min(following, other.next_event())
+        due = self._commands.next_due()
+        return following if due is None else min(following, due)
 
     def _see(self, name: str, camera: CameraClock, step: int) -> None:
         """Take the pictures of a further camera, and deliver them."""
@@ -326,51 +323,43 @@ class Episode:
 
     def _records(self, c: Cycle) -> dict[str, CameraRecord]:
         """What the further cameras showed last."""
-        assert self.controller.others is not None
         records: dict[str, CameraRecord] = {}
-        for name, seen in self.controller.others.seen().items():
+        others = self.controller.others
+        for name, seen in others.seen().items() if others else ():
             shot, truth = self._last_of[name]
             view = (c.observation.cameras or {}).get(name)
-            goal_uv = (
-                np.full_like(seen.uv, np.nan) if view is None or view.goal is None else view.goal.uv
-            )
-            image = None if shot.picture is None else shot.picture.image
-            image = image.copy() if self._camera.whole and image is not None else image
+            goal_uv = np.full_like(seen.uv, np.nan)
+            if view is not None and view.goal is not None:
+                goal_uv = view.goal.uv
+            image = self._image(shot)
             records[name] = CameraRecord(
                 shot.t, seen.uv, seen.depth, goal_uv, truth.p_camera, truth.T_world_camera, image
             )
         return records
 
+    def _image(self, shot: Exposure) -> Image | None:
+        """The image of an exposure, which the caller may keep."""
+        image = shot.picture.image if shot.picture else None
+        return image.copy() if self._camera.whole and image is not None else image
+
     def _arrive(self, made: Exposed, step: int) -> Frame | None:
         """A picture has arrived: the frame with its command, and its outcome if it is the last;
         None for one that is refused.
         """
-        (shot, truth), plant, controller = made, self.plant, self.controller
+        shot, truth = made
+        plant = self.plant
         rendered = plant.render_s
         given, stamp = self._camera.received(shot, step)
-        if controller.refuses(given):
+        if self.controller.refuses(given):
             return None
         due = step + self._commands.delay_steps
         reaches = due if self._interpolator is None else self._interpolator.next_tick(due)
-        cycle = controller.arrive(
+        cycle = self.controller.arrive(
             given, step * plant.step_s, reaches * plant.step_s, plant.reading()
         )
         if self._timing_columns:
-            own = {"t_stamp": stamp, "refused": float(controller.refused), "command_lost": 0.0}
-            control, picture = (
-                self.scenario.camera.blurring,
-                shot.picture if self.scenario.needs_image else None,
-            )
-            if picture is not None and picture.exposed is not None:
-                own |= {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
-            elif control is not None:  # without a picture those with which the camera begins
-                own |= dict(zip(("exposure_s", "gain"), control.first, strict=True))
-            cycle = replace(
-                cycle,
-                timing=cycle.timing._replace(
-                    t=shot.t, own={name: own[name] for name in self._timing_columns}
-                ),
-            )
+            timing = cycle.timing._replace(t=shot.t, own=self._timed(shot, stamp))
+            cycle = replace(cycle, timing=timing)
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
         before = self.frame
@@ -388,35 +377,48 @@ class Episode:
             self._note()
         return self.frame
 
+    def _timed(self, shot: Exposure, stamp: float) -> dict[str, float]:
+        """The columns of an exposure's times and losses, and of how it was exposed."""
+        own = {"t_stamp": stamp, "refused": float(self.controller.refused), "command_lost": 0.0}
+        control = self.scenario.camera.blurring
+        picture = shot.picture if self.scenario.needs_image else None
+        if picture is not None and picture.exposed is not None:
+            own |= {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
+        elif control is not None:  # without a picture those with which the camera begins
+            own["exposure_s"], own["gain"] = control.first
+        return {name: own[name] for name in self._timing_columns}
+
     def _assembled(self, c: Cycle, shot: Exposure, truth: Truth) -> Frame:
         """The cycle of an exposure with the truth then, and the columns that only this robot and
         this task have.
         """
-        picture = shot.picture
-        image, depth = (None, None) if picture is None else (picture.image, picture.depth)
-        if self._camera.whole and image is not None:
-            image = image.copy()  # the caller may keep it
+        image = self._image(shot)
+        depth = shot.picture.depth if shot.picture else None
         if self._goal is not None:
             points = points_of(goal_of_points(self._goal, c.goal.uv))
-            truth = truth._replace(
-                p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points)
-            )
+            T_camera_target = inverse(truth.T_world_camera) @ truth.T_world_target
+            truth = truth._replace(p_camera=transform(T_camera_target, points))
         row = np.empty(self._own_columns)
         parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
-        records = self._records(c) if self._others else {}
-        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth, cameras=records)
+        frame = Frame(
+            *parts,
+            truth,
+            image,
+            row,
+            order=c.order,
+            depth_image=depth,
+            cameras=self._records(c),
+        )
         values = self._task.measure(frame)
         if self._robot_log.columns == RobotLog.columns:
             # the state, a tenth of an ideal frame, is not needed
             of_robot: Iterable[float] = (self.controller.supervisor.mode,)
         else:
-            place, odometry = (
-                _NOWHERE if known is None else known
-                for known in (c.observation.place, c.observation.odometry)
-            )
+            seen = c.observation
+            place = _NOWHERE if seen.place is None else seen.place
+            odometry = _NOWHERE if seen.odometry is None else seen.odometry
             T_base = frame.T_world_base(self._task.mount_inverse)
-            of_robot = self._robot_log.row(
-                RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind)
-            )
+            state = RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind)
+            of_robot = self._robot_log.row(state)
         row[:] = (*of_robot, *truth.effects, *values)
         return frame

@@ -38,15 +38,11 @@ class Inputs:
     """Checks what a controller is given, and counts the pictures (`taken`)."""
 
     def __init__(self, scenario: Scenario | OtherCamera):
-        self._camera, self._robot, self._detector = (
-            scenario.camera,
-            scenario.robot,
-            scenario.detector,
-        )
-        self._latest_s, self._refuses = (
-            scenario.timing.latest_s(scenario.camera),
-            scenario.timing.refuses,
-        )
+        self._camera = scenario.camera
+        self._robot = scenario.robot
+        self._detector = scenario.detector
+        self._latest_s = scenario.timing.latest_s(scenario.camera)
+        self._refuses = scenario.timing.refuses
         self._reading = scenario.robot.onboard.reading if scenario.robot.onboard else Reading
         self._reads_depth = scenario.reads_depth
         self._t: float | None = None
@@ -55,12 +51,8 @@ class Inputs:
 
     @property
     def newest(self) -> float:
-        """When its last picture was taken [s]."""
+        """When its last picture was taken [s]; -inf before the first one."""
         return -math.inf if self._t is None else self._t
-
-    def has(self, t: float) -> bool:
-        """Whether its last picture was taken at t [s]."""
-        return t == self._t
 
     def reading(self, reading: Reading) -> Reading:
         """A reading of this robot of float64, in arrays of its own: a driver may write the next one
@@ -75,58 +67,37 @@ class Inputs:
                 where="for this robot",
             )
         joints = f"must be {n} finite numbers: {', '.join(self._robot.joints)}"
-        q, qd = (
-            _finite(f"readings.{name}", joints, values, (n,))
-            for name, values in (("q", reading.q), ("qd", reading.qd))
-        )
-        body = self._robot.body
-        if body is not None and body.limits is not None:
-            low, high = body.limits.T
-            beyond = np.maximum(low - q, q - high)
-            if beyond.max() > OUTSIDE:  # of another unit, in another order, or of a failed encoder
-                i = int(beyond.argmax())
-                words = (
-                    f"has {self._robot.joints[i]} outside of its range of"
-                    f" {low[i]:.4g} to {high[i]:.4g}"
-                )
-                works = (
-                    "must be in radians, a slide's in metres,"
-                    f" in the order {', '.join(self._robot.joints)}"
-                )
-                raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
+        q = _finite("readings.q", joints, reading.q, (n,))
+        qd = _finite("readings.qd", joints, reading.qd, (n,))
+        self._check_ranges(q)
         if reading.heading is not None:
-            _finite(
-                "readings.heading",
-                "must be an angle in radians, or None without a compass",
-                reading.heading,
-                (),
-            )
+            words = "must be an angle in radians, or None without a compass"
+            _finite("readings.heading", words, reading.heading, ())
         if reading.tilt is not None:
-            _finite(
-                "readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,)
-            )
+            words = "must be roll and pitch in radians, or None"
+            _finite("readings.tilt", words, reading.tilt, (2,))
         if reading.wrench is not None or getattr(self._robot, "wrist", None) is not None:
-            _finite(
-                "readings.wrench",
-                "must be six finite numbers, with robot.wrist",
-                reading.wrench,
-                (6,),
-            )
-        if isinstance(reading, FlightReading):  # a craft's failsafe lives by these numbers
-            if not reading.range_m >= 0:  # infinite over nothing
-                raise ParameterError.bound(
-                    "readings.range_m", ">=", "0 m, infinite over nothing", reading.range_m
-                )
-            for name in ("velocity", "rates"):
-                _finite(
-                    f"readings.estimate.{name}",
-                    "must be three finite numbers",
-                    getattr(reading.estimate, name),
-                    (3,),
-                )
-            if reading.tilt is None:
-                raise ParameterError.missing("readings.tilt", "roll and pitch in radians")
+            words = "must be six finite numbers, with robot.wrist"
+            _finite("readings.wrench", words, reading.wrench, (6,))
+        if isinstance(reading, FlightReading):
+            _check_flight(reading)
         return replace(copy.deepcopy(reading), q=q, qd=qd)
+
+    def _check_ranges(self, q: Array) -> None:
+        """Refuse joints (n,) outside of their ranges: of another unit, in another order, or of a
+        failed encoder.
+        """
+        body = self._robot.body
+        if body is None or body.limits is None:
+            return
+        low, high = body.limits.T
+        beyond = np.maximum(low - q, q - high)
+        i = int(beyond.argmax())
+        if beyond[i] > OUTSIDE:
+            joints = self._robot.joints
+            words = f"has {joints[i]} outside of its range of {low[i]:.4g} to {high[i]:.4g}"
+            works = f"must be in radians, a slide's in metres, in the order {', '.join(joints)}"
+            raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
         """A depth picture as float32 in metres, NaN in its holes, in an array of its own;
@@ -136,14 +107,8 @@ class Inputs:
             return None
         wanted = self._camera.height, self._camera.width
         if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype.kind != "f":
-            found = (
-                f"{image.shape} {image.dtype}"
-                if isinstance(image, np.ndarray)
-                else type(image).__name__
-            )
-            raise ParameterError.count(
-                "depth", wanted, "floats, in metres, NaN or 0 where nothing was measured", found
-            )
+            words = "floats, in metres, NaN or 0 where nothing was measured"
+            raise ParameterError.count("depth", wanted, words, _kind_of(image))
         return np.where(image > 0, image, np.nan).astype(np.float32)
 
     def shot(self, picture: Image | Sequence[Image], t: float, reading: Reading) -> Exposure:
@@ -154,12 +119,11 @@ class Inputs:
             raise ParameterError.bound(
                 "t", "after", f"{self._t:g} s, when its last picture was taken", t
             )
-        images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
-        return Exposure(self.taken, t, Picture(t, images), checked)
+        return Exposure(self.taken, t, Picture(t, images_of(picture)), checked)
 
     def now(self, t: float) -> float:
         """A time [s] at which no picture has come, which is not before the last picture's."""
-        t = _seconds("t", "must be the time now in seconds", t)
+        t = seconds(t, words="must be the time now in seconds")
         if self._t is not None and t < self._t:
             raise ParameterError.bound(
                 "t", "at least", f"{self._t:g} s, when the last picture was taken", t
@@ -181,14 +145,28 @@ class Inputs:
                 "is the simulator's truth, which no real camera has; works: --set detector=blobs"
             )
             raise ParameterError("detector", words, self._detector.kind)
+        self._check_picture(picture)
+        pair = readings if isinstance(readings, tuple) else (readings, readings)
+        if len(pair) != 2:
+            raise ParameterError.count(
+                "readings", "one or two", "readings", len(pair), why="at the exposure and now"
+            )
+        at_exposure = self.reading(pair[0])
+        now = at_exposure if pair[1] is pair[0] else self.reading(pair[1])
+        t = seconds(t)
+        late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
+        notes = (*self._timed(t), *late)
+        self._arrived = self._arrived if arrived is None else arrived
+        return (at_exposure, now), notes
+
+    def _check_picture(self, picture: Image | Sequence[Image]) -> None:
+        """Refuse a picture of another size or kind than the camera's."""
         panels = self._camera.panels
         images = (picture,) if isinstance(picture, np.ndarray) else picture
-        if not isinstance(images, Sequence | tuple) or len(images) != len(panels):
-            words = (
-                "must be one image"
-                if len(panels) == 1
-                else f"must be {len(panels)} images, one for each face of the camera"
-            )
+        if not isinstance(images, Sequence) or len(images) != len(panels):
+            words = "must be one image"
+            if len(panels) > 1:
+                words = f"must be {len(panels)} images, one for each face of the camera"
             raise ParameterError("picture", words, type(picture).__name__)
         for image, panel in zip(images, panels, strict=True):
             wanted = panel.lens.height, panel.lens.width, 3
@@ -197,75 +175,69 @@ class Inputs:
                 or image.shape != wanted
                 or image.dtype != np.uint8
             ):
-                found = (
-                    f"{image.shape} {image.dtype}"
-                    if isinstance(image, np.ndarray)
-                    else type(image).__name__
-                )
-                raise ParameterError.count(
-                    "picture", wanted, "uint8, RGB, as the scenario's camera has it", found
-                )
-        pair = readings if isinstance(readings, tuple) else (readings, readings)
-        if len(pair) != 2:
-            raise ParameterError.count(
-                "readings", "one or two", "readings", len(pair), why="at the exposure and now"
-            )
-        at_exposure = self.reading(pair[0])
-        both = at_exposure, at_exposure if pair[1] is pair[0] else self.reading(pair[1])
-        t = _seconds("t", "must be the time of exposure in seconds", t)
-        late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
-        notes = (*self._timed(t), *late)
-        self._arrived = self._arrived if arrived is None else arrived
-        return both, notes
+                words = "uint8, RGB, as the scenario's camera has it"
+                raise ParameterError.count("picture", wanted, words, _kind_of(image))
 
     def _timed(self, t: float) -> tuple[str, ...]:
+        """Count a picture by its time, and say what is unusual about that."""
         before = self._t
         if before is not None and t < before:
             if not self._refuses:
                 raise ParameterError.bound(
                     "t", "at least", f"{before:g} s, when the last picture was taken", t
                 )
-            return (
-                (
-                    f"the picture of {t:g} s is older than the last one,"
-                    f" of {before:g} s: it is refused"
-                ),
-            )
-        if before is not None and t == before:
+            older = f"the picture of {t:g} s is older than the last one"
+            return (f"{older}, of {before:g} s: it is refused",)
+        if t == before:
             return (f"the picture of {t:g} s came again",)
-        periods = 1.0 if before is None else (t - before) / self._camera.period
         self._t = t
         self.taken += 1
+        periods = 1.0 if before is None else (t - before) / self._camera.period
+        if periods <= MISSING:
+            return ()
         missing = round(periods) - 1
-        return (
-            (
-                (
-                    f"{missing} {'picture is' if missing == 1 else 'pictures are'}"
-                    " missing before this one"
-                ),
-            )
-            if periods > MISSING
-            else ()
-        )
+        are = "picture is" if missing == 1 else "pictures are"
+        return (f"{missing} {are} missing before this one",)
 
     def _late(self, t: float, arrived: float | None) -> tuple[str, ...]:
+        """What is to be said of a picture that is too old when it arrives."""
         if arrived is None:
             return ()
         words = f"must be a time after the exposure, {t:g} s"
-        if _seconds("arrived", words, arrived) < t:
+        if seconds(arrived, "arrived", words) < t:
             raise ParameterError("arrived", words, arrived)
         if self._arrived is not None and arrived < self._arrived:
-            raise ParameterError.bound(
-                "arrived",
-                "at least",
-                f"{self._arrived:g} s, when the last picture arrived",
-                arrived,
-            )
-        return (
-            (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",)
-            if arrived - t > self._latest_s
-            else ()
+            least = f"{self._arrived:g} s, when the last picture arrived"
+            raise ParameterError.bound("arrived", "at least", least, arrived)
+        age = arrived - t
+        if age <= self._latest_s:
+            return ()
+        return (f"the picture is {age:.2g} s old: the robot is told to stop",)
+
+
+def _check_flight(reading: FlightReading) -> None:
+    """Refuse a reading without the numbers by which a craft's failsafe lives."""
+    if not reading.range_m >= 0:  # infinite over nothing
+        raise ParameterError.bound(
+            "readings.range_m", ">=", "0 m, infinite over nothing", reading.range_m
         )
+    words = "must be three finite numbers"
+    _finite("readings.estimate.velocity", words, reading.estimate.velocity, (3,))
+    _finite("readings.estimate.rates", words, reading.estimate.rates, (3,))
+    if reading.tilt is None:
+        raise ParameterError.missing("readings.tilt", "roll and pitch in radians")
+
+
+def images_of(picture: Image | Sequence[Image]) -> tuple[Image, ...]:
+    """The images of a picture, one for each panel of its camera."""
+    return (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
+
+
+def _kind_of(image: object) -> str:
+    """What somebody gave as an image, for the message."""
+    if isinstance(image, np.ndarray):
+        return f"{image.shape} {image.dtype}"
+    return type(image).__name__
 
 
 @contextmanager
@@ -280,22 +252,25 @@ def all_or_none(inputs: Iterable[Inputs]) -> Iterator[None]:
         raise
 
 
-def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
+def numbers_of(given: object) -> Array:
+    """What was given as an array of its own; NaN where it is no numbers."""
     try:
-        numbers = np.array(given, dtype=float)
+        return np.array(given, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        numbers = np.array(math.nan)
+        return np.array(math.nan)
+
+
+def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
+    numbers = numbers_of(given)
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ParameterError(field, words, repr(given) if given is None else given)
     return numbers
 
 
-def seconds(t: object) -> float:
-    """A time as a float; ParameterError: see `_seconds`."""
-    return _seconds("t", "must be the time of exposure in seconds", t)
-
-
-def _seconds(field: str, words: str, t: object) -> float:
+def seconds(
+    t: object, field: str = "t", words: str = "must be the time of exposure in seconds"
+) -> float:
+    """A time as a float; ParameterError where it is none, or of another unit."""
     if not isinstance(t, int | float | np.integer | np.floating | np.ndarray):
         raise ParameterError(field, words, t)
     found = float(_finite(field, words, t, ()))
@@ -311,7 +286,9 @@ class OwnClock:
     """
 
     def __init__(self, clock: Callable[[], float]):
-        self._clock, self._last, self._sum = clock, clock(), 0.0
+        self._clock = clock
+        self._last = clock()
+        self._sum = 0.0
         self._stands = False
 
     def stand(self, stands: bool) -> None:
@@ -351,4 +328,5 @@ class SightClock:
 
     def seen(self) -> None:
         """The target is seen in it."""
-        self.behind_s, self._gap_seen_s = 0.0, self._gap_s
+        self.behind_s = 0.0
+        self._gap_seen_s = self._gap_s

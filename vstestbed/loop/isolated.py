@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -69,6 +69,17 @@ def shown(said: str) -> str:
     """
     line = " ".join(said[:SHOWN].split()).translate(str.maketrans("<>|`", "()/'"))
     return "".join(letter if letter.isprintable() else "?" for letter in line)
+
+
+@spec
+class LawBlock:
+    """A law as a scenario has it.
+
+    Args:
+        law: its block.
+    """
+
+    law: Annotated[Law[Any], LAWS]
 
 
 @spec
@@ -133,21 +144,22 @@ class Child:
     watch: Any = None
 
     def __init__(self, *law: Any, load_s: float):
-        self.ended, self.spent_s = False, 0.0
+        self.ended = False
+        self.spent_s = 0.0
         self._goal: Goal | None = None
         self._jacobian: Callable[[Array], Array]
         self._place = tempfile.TemporaryDirectory(prefix="law_", ignore_cleanup_errors=True)
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115 - until the process ends
         self._channel, theirs = socket.socketpair()
         theirs.set_inheritable(True)
-        place, number = self._place.name, theirs.fileno()
+        place = self._place.name
+        number = theirs.fileno()
         passed: Any = {"pass_fds": [number]} if os.name == "posix" else {"close_fds": False}
+        inherited = {name: os.environ[name] for name in INHERITED if name in os.environ}
         self._process = subprocess.Popen(
             [sys.executable, "-Pu", "-m", "vstestbed.testing.child", str(number)],
             cwd=place,
-            env={name: os.environ[name] for name in INHERITED if name in os.environ}
-            | ONE_CORE
-            | {"HOME": place, "TMPDIR": place},
+            env=inherited | ONE_CORE | {"HOME": place, "TMPDIR": place},
             stdin=subprocess.DEVNULL,
             stdout=self._printed,
             stderr=self._printed,
@@ -184,13 +196,13 @@ class Child:
             # a process that is gone, and whatever a forged answer brings about
             self.close()
             Child.lost += 1
-            why = (
-                f"none within {seconds:.3g} s" if isinstance(error, TimeoutError) else reason(error)
-            )
+            late = isinstance(error, TimeoutError)
+            why = f"none within {seconds:.3g} s" if late else reason(error)
             raise LawFailedError(f"the law's process gave no answer ({why})") from error
         finally:
             self.spent_s += time.monotonic() - began
-        name, problem = shown(name), shown(problem)
+        name = shown(name)
+        problem = shown(problem)
         raise ParameterError(name, problem) if name else LawFailedError(problem)
 
     def _wait(self, until: float) -> None:
@@ -383,31 +395,42 @@ def command_of(plain: dict[str, Any], motions: int) -> Command:
     Raises whatever values of other types bring about; ValueError: it is not of the robot's motions,
     or the loop could not compute with it.
     """
-    arrays: dict[str, Any] = {
-        name: np.array(plain[name], float)
-        for name in ("u", "twist", "rates", "wrench")
-        if plain[name] is not None
-    }
+    arrays: dict[str, Any] = {}
+    for name in ("u", "twist", "rates", "wrench"):
+        if plain[name] is not None:
+            arrays[name] = _numbers(plain[name], 1)
     if arrays["u"].shape != (motions,):
         raise ValueError("u has another shape")
-    free = tuple((float(share), np.array(twists, float)) for share, twists in plain["free"])
-    row = tuple(map(float, plain["row"]))
-    scale, mode = float(plain["scale"]), int(plain["mode"])
+    free = []
+    for share, plain_twists in plain["free"]:
+        twists = _numbers(plain_twists, 2)
+        if len(twists) != 6:
+            raise ValueError("it has another shape")
+        free.append((float(_numbers(share, 0)), twists))
+    scale = float(plain["scale"])
+    mode = int(plain["mode"])
     if not 0.0 <= scale <= 1.0 or not 0 <= mode < MOST_MODES:
         raise ValueError("its scale is not from 0 to 1, or its mode is none")
-    if any(twists.ndim != 2 or len(twists) != 6 for _, twists in free) or any(
-        array.ndim != 1 for array in arrays.values()
-    ):
+    return Command(
+        **arrays,
+        rest_reason=shown(str(plain["rest_reason"])),
+        scale=scale,
+        free=tuple(free),
+        mode=mode,
+        row=tuple(map(float, plain["row"])),
+    )
+
+
+def _numbers(plain: Any, ndim: int) -> Array:
+    """An array of so many axes from plain values; ValueError where the loop could not compute with
+    it.
+    """
+    array = np.array(plain, float)
+    if array.ndim != ndim:
         raise ValueError("it has another shape")
-    numbers = [
-        *arrays.values(),
-        *(twists for _, twists in free),
-        np.array([share for share, _ in free]),
-    ]
-    if not all((np.abs(array) <= LARGEST).all() for array in numbers):
+    if not (np.abs(array) <= LARGEST).all():
         raise ValueError("it has numbers that are too large, or not finite")
-    why = shown(str(plain["rest_reason"]))
-    return Command(**arrays, rest_reason=why, scale=scale, free=free, mode=mode, row=row)
+    return array
 
 
 @contextmanager

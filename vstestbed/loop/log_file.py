@@ -33,9 +33,8 @@ WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into an
 # how `log.part` begins; the names of its columns follow, with commas between them, to the end of
 # the line
 HEAD = "float64: "
-ROW_GROUP = (
-    8_192  # rows of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns
-)
+# rows of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns
+ROW_GROUP = 8_192
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,8 @@ class LogWriter:
     PERIOD_S: ClassVar[float] = 0.1
 
     def __init__(self, layout: Layout, folder: Path | None = None):
-        self._layout, self._folder = layout, folder
+        self._layout = layout
+        self._folder = folder
         self._waiting: list[Kept] = []
         self._parts: list[Array] = [np.zeros((0, len(layout.columns)))]
         self._oldest = self._last = time.monotonic()
@@ -141,11 +141,9 @@ class LogWriter:
 def _shown(columns: tuple[str, ...], table: Array) -> Log:
     """A log, without the columns of a loss where there was none."""
     n = len(columns) - len(LOSS)
-    return (
-        Log(columns, table)
-        if columns[n:] != LOSS or table[:, n:].any()
-        else Log(columns[:n], table[:, :n])
-    )
+    if columns[n:] != LOSS or table[:, n:].any():
+        return Log(columns, table)
+    return Log(columns[:n], table[:, :n])
 
 
 def finish(folder: Path, log: Log) -> None:
@@ -173,9 +171,8 @@ def open_log(
         log = _of_parquet(whole, names) if whole.is_file() else _of_part(folder / "log.part", names)
         return log if scenario is None else _complete(log, whole, Layout(scenario).columns)
     except FileNotFoundError:
-        raise RunFolderError(
-            folder, "no run here" if folder.is_dir() else "no such folder"
-        ) from None
+        words = "no run here" if folder.is_dir() else "no such folder"
+        raise RunFolderError(folder, words) from None
     # A panic of polars is no Exception, and comes from damaged pages.
     except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         path = whole if whole.is_file() else folder / "log.part"
@@ -198,16 +195,11 @@ def _complete(log: Log, path: Path, columns: Sequence[str]) -> Log:
     added without values.
     """
     lacking = [name for name in columns if name not in (*log.columns, *LOSS)]
-    if lacking and all(name.startswith("tau_") for name in lacking):
-        log, lacking = (
-            Log(
-                (*log.columns, *lacking),
-                np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan),
-            ),
-            [],
-        )
-    if lacking:
+    if not all(name.startswith("tau_") for name in lacking):
         raise RunFolderError(path, f"has no column {lacking[0]}", WORKS)
+    if lacking:
+        unknown = np.full((len(log), len(lacking)), np.nan)
+        log = Log((*log.columns, *lacking), np.column_stack([log.table, unknown]))
     if not (np.isfinite(log["t"]).all() and (np.diff(log["t"]) >= 0).all()):
         raise ValueError("its times do not go on")
     if not np.isin(log["lost"], (0, 1)).all():
@@ -221,17 +213,13 @@ def _of_part(path: Path, names: Sequence[str] | None) -> Log:
     head, newline, content = path.read_bytes().partition(b"\n")
     if not newline:
         raise ValueError("log.part ends before its first line does")
-    if not (text := head.decode("ascii").strip()).startswith(HEAD):
+    text = head.decode("ascii").strip()
+    if not text.startswith(HEAD):
         raise ValueError(f"log.part does not begin with {HEAD!r}")
     columns = tuple(text.removeprefix(HEAD).split(","))
     row = 8 * len(columns)  # what follows the last whole row is not complete yet, or was cut off
-    table = (
-        np.frombuffer(content[: len(content) // row * row], "<f8")
-        .reshape(-1, len(columns))
-        .astype(float)
-    )
-    return (
-        _shown(columns, table)
-        if names is None
-        else Log(tuple(names), table[:, [columns.index(name) for name in names]])
-    )
+    numbers = np.frombuffer(content[: len(content) // row * row], "<f8").astype(float)
+    table = numbers.reshape(-1, len(columns))
+    if names is None:
+        return _shown(columns, table)
+    return Log(tuple(names), table[:, [columns.index(name) for name in names]])

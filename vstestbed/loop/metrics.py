@@ -25,10 +25,6 @@ def side_by_side(log: Log, prefix: str, names: tuple[str, ...]) -> Array:
 
 def _counts(log: Log) -> Figures:
     """Frames, the values in the last one, and the largest true speed and rate of the camera."""
-    speed, rate = (
-        float(np.linalg.norm(side_by_side(log, "act", names), axis=1).max())
-        for names in (TWIST[:3], TWIST[3:])
-    )
     found: Figures = {
         "sim_time_s": float(log["t"][-1]),
         "frames": len(log["t"]),
@@ -37,12 +33,16 @@ def _counts(log: Log) -> Figures:
         "final_position_error_m": float(log["position_error_m"][-1]),
         "final_rotation_error_deg": math.degrees(log["rotation_error_rad"][-1]),
         "saturated_fraction": int((log["scale"] < SATURATED).sum()) / len(log["t"]),
-        "peak_speed_mps": speed,
-        "peak_rate_radps": rate,
+        "peak_speed_mps": _largest_norm(log, TWIST[:3]),
+        "peak_rate_radps": _largest_norm(log, TWIST[3:]),
     }
-    return found | (
-        {"final_error_grey": float(log["error_grey"][-1])} if "error_grey" in log else {}
-    )
+    if "error_grey" in log:
+        found["final_error_grey"] = float(log["error_grey"][-1])
+    return found
+
+
+def _largest_norm(log: Log, names: tuple[str, ...]) -> float:
+    return float(np.linalg.norm(side_by_side(log, "act", names), axis=1).max())
 
 
 def _time_to_converge(scenario: Scenario, log: Log) -> float | None:
@@ -51,32 +51,20 @@ def _time_to_converge(scenario: Scenario, log: Log) -> float | None:
     """
     counted = scenario.goal_view.counted
     markers = range(scenario.rows) if counted is None else np.flatnonzero(counted)
-    # A detector of other points leaves rows empty, in the goal's columns, too.
-    whole = np.all(
-        [np.isfinite(log[f"u_{i}"]) | np.isnan(log[f"u_goal_{i}"]) for i in markers], axis=0
-    )
-    reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
-    estimate = [
-        log[name] if reached.by_estimate else none
-        for name in ("est_position_m", "est_rotation_rad")
-    ]
+    whole = np.ones(len(log["t"]), dtype=bool)
+    for i in markers:  # a detector of other points leaves rows empty, in the goal's columns, too
+        whole &= np.isfinite(log[f"u_{i}"]) | np.isnan(log[f"u_goal_{i}"])
+    reached = scenario.stop.converged
+    none = np.full(len(whole), np.nan)
+    estimate = (none, none)
+    if reached.by_estimate:
+        estimate = (log["est_position_m"], log["est_rotation_rad"])
     # of a craft that tilts, the error that decides its task
     error = log.get("level_error_px", log["error_px"])
-    rows = zip(
-        np.broadcast_to(whole, len(none)),
-        error,
-        *estimate,
-        log.get("error_grey", none),
-        strict=True,
-    )
-    last_view = (
-        log["view"] == len(scenario.goal_views) - 1
-        if len(scenario.goal_views) > 1
-        else np.ones(len(none), dtype=bool)
-    )
-    converged = (
-        np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
-    )
+    rows = zip(whole, error, *estimate, log.get("error_grey", none), strict=True)
+    converged = np.array([reached.near(*row) for row in rows]) & ~log["lost"].astype(bool)
+    if len(scenario.goal_views) > 1:
+        converged &= log["view"] == len(scenario.goal_views) - 1
     over = np.flatnonzero(~converged)
     # an error that dips under its threshold on the way there has not converged
     after = log["t"][int(over[-1]) + 1 if len(over) else 0 :]
@@ -87,24 +75,23 @@ def _camera_path(s: Scenario, log: Log) -> Figures:
     """Length of the camera's path, its retreat and its turn; of a target in the gripper, of the
     camera relative to it.
     """
-    camera, target = side_by_side(log, "cam", XYZ), side_by_side(log, "tgt", XYZ)
+    camera = side_by_side(log, "cam", XYZ)
+    target = side_by_side(log, "tgt", XYZ)
     distance = np.linalg.norm(camera - target, axis=1)
     R = rotation_from_quaternion(side_by_side(log, "cam", WXYZ))
     if s.target.on_gripper:
         R_target = rotation_from_quaternion(side_by_side(log, "tgt", WXYZ))
-        R, camera = R_target.mT @ R, np.einsum("nji,nj->ni", R_target, camera - target)
-    length, straight = (
-        float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum()),
-        s.goal.distance_to_go_m(log, s.goal_poses),
-    )
+        R = R_target.mT @ R
+        camera = np.einsum("nji,nj->ni", R_target, camera - target)
+    length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
+    straight = s.goal.distance_to_go_m(log, s.goal_poses)
     at_goal = float(np.linalg.norm(s.goal_poses[-1][:3, 3]))
+    # Under a thousandth of the goal's distance the ratio says nothing: a run that starts at its
+    # goal has no straight way to compare with. Nor has one whose goal is no single pose.
+    comparable = straight > 1e-3 * at_goal and not s.free_motions
     return {
         "path_length_m": length,
-        # Under a thousandth of the goal's distance the ratio says nothing: a run that starts at its
-        # goal has no straight way to compare with. Nor has one whose goal is no single pose.
-        "path_ratio": length / straight
-        if straight > 1e-3 * at_goal and not s.free_motions
-        else None,
+        "path_ratio": length / straight if comparable else None,
         "max_retreat_m": max(0.0, float(distance.max()) - max(float(distance[0]), at_goal)),
         "max_rotation_deg": math.degrees(max(0.0, float(rotation_angle(R[0].T @ R).max()))),
     }
@@ -112,26 +99,26 @@ def _camera_path(s: Scenario, log: Log) -> Figures:
 
 def _image_paths(s: Scenario, log: Log) -> Figures:
     """The paths of the true markers in the image: excursion, overshoot, margin to the border."""
-    nothing: Figures = {
-        **dict.fromkeys(("max_feature_excursion_px", "feature_overshoot", "min_border_margin_px"))
-    }
-    names = tuple(str(i) for i in range(s.rows)) if s.detector.rows is None else ()
-    if not names:  # of points that are others in every picture there are no paths
-        return nothing
+    if s.detector.rows is not None or not s.rows:
+        return {}  # of points that are others in every picture there are no paths
+    names = tuple(map(str, range(s.rows)))
     uv = np.stack([side_by_side(log, "u_true", names), side_by_side(log, "v_true", names)], axis=-1)
-    start, goal = uv[0], s.goal_view.uv
+    start = uv[0]
+    goal = s.goal_view.uv
     along = goal - start
     # Clipped to the segment: beyond its ends the distance counts from the end, so that an overshoot
     # is an excursion, too.
     length2 = np.maximum((along**2).sum(axis=-1), 1e-12)
     share = np.clip(((uv - start) * along).sum(axis=-1) / length2, 0, 1)
     excursion = np.linalg.norm(uv - start - share[..., None] * along, axis=-1)
-    error, first = (uv - goal).reshape(len(uv), -1), (start - goal).ravel()
+    error = (uv - goal).reshape(len(uv), -1)
+    first = (start - goal).ravel()
     beyond = -(error @ first) / max(float(first @ first), 1e-12)
+    whole = np.isfinite(beyond)
     # Pixel centres are at whole numbers: the picture reaches from -.5 to width - .5.
     margin = np.minimum(uv + 0.5, np.array([s.camera.width, s.camera.height]) - 0.5 - uv)
-    known, whole = np.isfinite(excursion), np.isfinite(beyond)
-    return nothing | {
+    known = np.isfinite(excursion)
+    return {
         "max_feature_excursion_px": float(excursion[known].max(initial=-math.inf)),
         "feature_overshoot": max(0.0, float(beyond[whole].max())) if whole.any() else None,
         "min_border_margin_px": float(margin[known].min(initial=math.inf)),
@@ -142,17 +129,17 @@ def _tracking(s: Scenario, log: Log) -> Figures:
     """True errors of a moving target once settled; a target that the robot itself moves is not
     tracked, but in a continuing task.
     """
-    names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
+    found: Figures = {}
     settled = log["t"] >= s.goal.settle_s
     if not (s.target.moves and (s.goal.continuing or not s.target.on_gripper) and settled.any()):
-        return {**dict.fromkeys(names)}
-    uv = np.stack(
-        [log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in range(s.rows) for c in "uv"], axis=1
-    )[settled]
-    found: list[float] = []
-    for error in (np.sqrt(np.nanmean(uv**2, axis=1)), log["position_error_m"][settled]):
-        found += [float(np.sqrt((error**2).sum() / len(uv))), float(error.max())]
-    return dict(zip(names, found, strict=True))
+        return found
+    names = [f"{axis}_{{}}_{i}" for i in range(s.rows) for axis in "uv"]
+    uv = np.stack([log[name.format("true")] - log[name.format("goal")] for name in names], axis=1)
+    rms_px = np.sqrt(np.nanmean(uv[settled] ** 2, axis=1))
+    for unit, error in (("px", rms_px), ("m", log["position_error_m"][settled])):
+        found[f"tracking_rms_{unit}"] = float(np.sqrt((error**2).sum() / len(error)))
+        found[f"tracking_max_{unit}"] = float(error.max())
+    return found
 
 
 def _modes(s: Scenario, log: Log) -> Figures:
@@ -176,7 +163,8 @@ def _link(s: Scenario, log: Log) -> Figures:
     """Pictures that never arrived, pictures that were refused, commands that never arrived; none of
     a run without such effects.
     """
-    columns, found = s.timing.columns, Figures()
+    columns = s.timing.columns
+    found: Figures = {}
     refused = int(log["refused"][-1]) if "refused" in columns else 0
     if s.timing.link is not None:
         found["pictures_lost"] = max(0, int(log["frame"].max()) + 1 - len(log["t"]) - refused)
@@ -233,40 +221,43 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
     outcome: how it ended. log: its columns.
     """
     if not len(log["t"]):
-        counts: Figures = {
-            "sim_time_s": 0.0,
-            "frames": 0,
-            "frames_lost": 0,
-            "limit_s": scenario.stop.duration_s,
-        }
-        return (
-            dict.fromkeys(FIGURES)
-            | counts
-            | {name: None for metric in scenario.metrics for name in metric.titles}
-        )
-    converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
-    figures = _counts(log) | {"time_to_converge_s": converged}
-    taken = figures["sim_time_s"] if converged is None else converged
+        return _without_frames(scenario)
     limit_s = scenario.stop.duration_s
-    figures |= {"time_to_goal_s": taken if outcome.success else limit_s, "limit_s": limit_s}
-    figures |= _camera_path(scenario, log) | _image_paths(scenario, log)
-    figures |= (
-        _tracking(scenario, log)
-        | _modes(scenario, log)
-        | _link(scenario, log)
-        | swing(scenario, log)
-    )
-    before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
+    converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
+    figures = _counts(log)
+    taken = figures["sim_time_s"] if converged is None else converged
+    figures |= {
+        "time_to_converge_s": converged,
+        "time_to_goal_s": taken if outcome.success else limit_s,
+        "limit_s": limit_s,
+    }
+    for part in (_camera_path, _image_paths, _tracking, _modes, _link, swing):
+        figures |= part(scenario, log)
     task = scenario.goal.metrics(log) | scenario.goal.judged(log, scenario.stop).summary()
-    ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
-    ordered |= {
-        name: figures[name]
-        for name in (*FIGURES[before:], *SOME_FIGURES, "law_mode_share")
-        if name in figures
-    }
-    # NaN and infinity as None: JSON has neither
-    figures = (ordered | own_figures(scenario.metrics, log, scenario.setup)).items()
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in figures
-    }
+    ordered = _in_order(figures, task)
+    ordered |= own_figures(scenario.metrics, log, scenario.setup)
+    return {name: _finite(value) for name, value in ordered.items()}
+
+
+def _in_order(figures: Figures, task: Figures) -> Figures:
+    """Figures as a summary has them; None for those of every run that are unknown."""
+    before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
+    ordered = {name: figures.get(name) for name in FIGURES[:before]} | task
+    ordered |= {name: figures.get(name) for name in FIGURES[before:] if name not in ordered}
+    some = (*SOME_FIGURES, "law_mode_share")
+    return ordered | {name: figures[name] for name in some if name in figures}
+
+
+def _without_frames(scenario: Scenario) -> Figures:
+    """The metrics of a run in which no picture arrived."""
+    limit_s = scenario.stop.duration_s
+    found: Figures = {**dict.fromkeys(FIGURES)}
+    found |= {"sim_time_s": 0.0, "frames": 0, "frames_lost": 0, "limit_s": limit_s}
+    for metric in scenario.metrics:
+        found |= dict.fromkeys(metric.titles)
+    return found
+
+
+def _finite(value: object) -> object:
+    """A figure; None for NaN and infinity, which JSON does not have."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

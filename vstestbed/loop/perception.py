@@ -13,6 +13,7 @@ import numpy as np
 
 from vstestbed.camera import DepthImage, Image, Regions
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
+from vstestbed.features.depth import Depth
 from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observation
 from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure
@@ -22,7 +23,7 @@ from vstestbed.scenario.distributions import NOISE_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Observer
 from vstestbed.vision.base import Detection
-from vstestbed.vision.derotate import level_from_tilt
+from vstestbed.vision.derotate import Derotation, level_from_tilt
 from vstestbed.vision.observe import CameraPixels, SensorData
 
 # an observation older than so many periods of its camera, and its latency, tells nothing of now
@@ -34,21 +35,16 @@ STILL.flags.writeable = False
 
 def observer_of(scenario: Scenario) -> Observer:
     """The observer of a scenario's own camera."""
-    perturbed = scenario.perturbed()
-    return Observer(
-        camera=scenario.believed_camera,
-        target=scenario.target,
-        goal=scenario.goal_view,
-        depth=scenario.law.depth,
-        pixel_sigma_px=scenario.noise.pixel_sigma_px,
-        dropout=scenario.noise.dropout,
-        required_fields=inputs_of(scenario.law)
-        + (("T_camera_target",) if scenario.fusion == "pose" else ()),
+    required = inputs_of(scenario.law)
+    if scenario.fusion == "pose":
+        required += ("T_camera_target",)
+    observer = _observer(
+        scenario, scenario.goal_view, scenario.law.depth, required, scenario.derotation
+    )
+    return replace(
+        observer,
         grounded=scenario.robot.base == "planar",
-        derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,
-        depth_scale=scenario.depth_scale,
-        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
         rows=scenario.detector.rows,
     )
 
@@ -57,20 +53,31 @@ def _observer_of(eye: OtherCamera) -> Observer:
     """The observer of a further camera: of the markers and the pose, and of nothing that the robot
     alone knows.
     """
-    perturbed = eye.perturbed()
+    scenario = eye.scenario
+    mount = scenario.believed_camera.mount.T
+    goal = eye.goal(scenario.goal_view, eye.T_camera_eye(eye.robot.start_joints(), mount))
+    return _observer(eye, goal, eye.depth, eye.required_fields, scenario.derotation)
+
+
+def _observer(
+    of: Scenario | OtherCamera,
+    goal: Goal,
+    depth: Depth,
+    required: tuple[str, ...],
+    derotation: Derotation,
+) -> Observer:
+    """What both have."""
+    perturbed = of.perturbed()
     return Observer(
-        camera=eye.believed_camera,
-        target=eye.target,
-        goal=eye.goal(
-            eye.scenario.goal_view,
-            eye.T_camera_eye(eye.robot.start_joints(), eye.scenario.believed_camera.mount.T),
-        ),
-        depth=eye.depth,
-        pixel_sigma_px=eye.noise.pixel_sigma_px,
-        dropout=eye.noise.dropout,
-        required_fields=eye.required_fields,
-        derotation=eye.scenario.derotation,
-        depth_scale=eye.depth_scale,
+        camera=of.believed_camera,
+        target=of.target,
+        goal=goal,
+        depth=depth,
+        pixel_sigma_px=of.noise.pixel_sigma_px,
+        dropout=of.noise.dropout,
+        required_fields=required,
+        derotation=derotation,
+        depth_scale=of.depth_scale,
         perturbed=perturbed if perturbed and perturbed.on_pixels else None,
     )
 
@@ -89,7 +96,9 @@ class Stillness:
     """
 
     def __init__(self, until_seen: float) -> None:
-        self.for_s, self._until_seen, self._moving = 0.0, until_seen, 0
+        self.for_s = 0.0
+        self._until_seen = until_seen
+        self._moving = 0
         self._checksums = deque[int](maxlen=REPEATED)
         self._last: tuple[float, float] | None = None
 
@@ -114,10 +123,9 @@ class Stillness:
         elif self._last is not None:
             self._checksums.remove(checksum)
             before, own_before = self._last
-            moved = self._moving > self._until_seen or bool(
-                (ordered.displacement(t) != ordered.displacement(before)).any()
-            )
-            self.for_s += max(t - before, own_s - own_before) if moved else 0.0
+            way = ordered.displacement(t) - ordered.displacement(before)
+            if self._moving > self._until_seen or way.any():
+                self.for_s += max(t - before, own_s - own_before)
         self._checksums.append(checksum)
         self._last = t, own_s
 
@@ -135,19 +143,16 @@ class Perception:
     """
 
     def __init__(self, of: Scenario | OtherCamera, observer: Observer, goal: Goal):
-        self.observer, self._target, self._detector, self._rng = (
-            observer,
-            of.target,
-            of.detector,
-            of.rng(NOISE_STREAM),
-        )
+        self.observer = observer
+        self._target = of.target
+        self._detector = of.detector
+        self._rng = of.rng(NOISE_STREAM)
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self._camera = of.camera if of.detector.needs_truth else of.believed_camera
-        self._state, self._observed = (
-            of.detector.begin(goal, self._camera, of.target),
-            observer.init(),
-        )
-        self.found, self.why = False, ""
+        self._state = of.detector.begin(goal, self._camera, of.target)
+        self._observed = observer.init()
+        self.found = False
+        self.why = ""
         self.goal: Goal | None = None
         self.before: Exposure | None = None
 
@@ -161,11 +166,9 @@ class Perception:
         self._state, detection = self._detector.detect(
             self._state, given, shot.view, self._camera, self._target, self._rng
         )
-        self.found, self.goal, self.why = (
-            self.found or bool(detection.seen.any()),
-            detection.goal,
-            detection.why,
-        )
+        self.found = self.found or bool(detection.seen.any())
+        self.goal = detection.goal
+        self.why = detection.why
         return detection
 
     def observe(
@@ -233,25 +236,31 @@ class OtherCameras:
     """
 
     def __init__(self, scenario: Scenario, mount: Array, goal: Goal, own_s: Callable[[], float]):
-        self._own_s, self._order_s = own_s, scenario.timing.order_s(scenario.camera)
-        self._scenario, self._mount, self.eyes = scenario, mount, scenario.eyes
-        start = scenario.robot.start_joints()
-        self.perception = {
-            name: Perception(eye, _observer_of(eye), eye.goal(goal, eye.T_camera_eye(start, mount)))
-            for name, eye in self.eyes.items()
-        }
+        self._own_s = own_s
+        self._order_s = scenario.timing.order_s(scenario.camera)
+        self._scenario = scenario
+        self._mount = mount
+        self._start = scenario.robot.start_joints()
+        self.eyes = scenario.eyes
+        self.perception: dict[str, Perception] = {}
+        for name, eye in self.eyes.items():
+            at_start = eye.goal(goal, eye.T_camera_eye(self._start, mount))
+            observer = _observer_of(eye)
+            observer.prepare(True)
+            self.perception[name] = Perception(eye, observer, at_start)
         self._latest: dict[str, _Latest] = {}
         self._goals: dict[str, tuple[Goal, Goal]] = {}
-        for perception in self.perception.values():
-            perception.observer.prepare(True)
 
     def see(self, name: str, shot: Exposure, ordered: CommandHistory, mount: Mount) -> None:
         """A picture of a further camera has arrived. ordered: the twists ordered of the law's
         camera, whose mount is `mount`.
         """
-        perception, eye = self.perception[name], self.eyes[name]
-        before, twist, came_s = perception.before, STILL, self._own_s()
+        perception = self.perception[name]
+        eye = self.eyes[name]
+        before = perception.before
+        came_s = self._own_s()
         detection = perception.detect(shot)
+        twist = STILL
         if (
             before is not None
             and shot.t > before.t
@@ -259,11 +268,8 @@ class OtherCameras:
             and perception.observer.uses_motion(detection)
         ):
             moved = moved_between(eye.robot, ordered, before, shot, mount)
-            twist = (
-                adjoint(inverse(eye.T_camera_eye(shot.reading.q, self._mount)))
-                @ moved
-                / (shot.t - before.t)
-            )
+            T_camera_eye = eye.T_camera_eye(shot.reading.q, self._mount)
+            twist = adjoint(inverse(T_camera_eye)) @ moved / (shot.t - before.t)
         self._latest[name] = _Latest(shot, perception.observe(shot, detection, twist), came_s)
 
     def seen(self) -> dict[str, Observation]:
@@ -274,7 +280,9 @@ class OtherCameras:
         """What to say of cameras whose last picture is not too old at a time [s] by its stamp, but
         by the own clock.
         """
-        fresh, own_s, notes = {name for name, _, _ in self._fresh(t)}, self._own_s(), list[str]()
+        fresh = {name for name, _, _ in self._fresh(t)}
+        own_s = self._own_s()
+        notes: list[str] = []
         for name, latest in self._latest.items():
             if t - latest.shot.t <= self._fresh_s(name) and name not in fresh:
                 notes.append(
@@ -326,10 +334,11 @@ class OtherCameras:
                 T_this_reference = T_this_reference @ exp(
                     moved_between(eye.robot, ordered, latest.shot, shot, mount)
                 )
-            alone = latest.seen.T_camera_target
+            seen = latest.seen
+            weight = eye.block.weight
             found.append(
                 CameraPixels(
-                    eye.believed_camera, latest.seen.uv, T_this_reference, eye.block.weight, alone
+                    eye.believed_camera, seen.uv, T_this_reference, weight, seen.T_camera_target
                 )
             )
         return found
@@ -351,8 +360,6 @@ class OtherCameras:
         known = self._goals.get(name)
         if known is None or known[0] is not goal:
             eye = self.eyes[name]
-            made = eye.goal(
-                goal, eye.T_camera_eye(self._scenario.robot.start_joints(), self._mount)
-            )
+            made = eye.goal(goal, eye.T_camera_eye(self._start, self._mount))
             known = self._goals[name] = goal, replace(made, twist=None)
         return known[1]

@@ -34,32 +34,28 @@ def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
     """The dotted paths of what a scenario does to its pictures alone."""
     # What changes the grey levels of a picture, and not where or when it is taken, as latency and
     # readout do.
-    given = (
-        name
-        for name in ("optics", "exposure", "sensor", "stream")
-        if getattr(scenario.camera, name) is not None
-    )
-    # With `blurs` the exposure is also a time, half of which each picture is older.
-    yield from (
-        f"camera.{name}" for name in given if name != "exposure" or scenario.camera.blurring is None
-    )
-    noise, light = scenario.noise, scenario.world.light
-    by_field = {
+    camera = scenario.camera
+    noise = scenario.noise
+    light = scenario.world.light
+    acts = {
+        "camera.optics": camera.optics is not None,
+        # With `blurs` the exposure is also a time, half of which each picture is older.
+        "camera.exposure": camera.exposure is not None and camera.blurring is None,
+        "camera.sensor": camera.sensor is not None,
+        "camera.stream": camera.stream is not None,
         "noise.image_sigma": noise.image_sigma > 0,
         "noise.drift": noise.drift != Noise().drift,
         "noise.target": not noise.target.none,
         "world.light.flicker": light is not None and light.flicker.depth > 0,
     }
-    yield from (name for name, acts in by_field.items() if acts)
+    yield from (name for name in acts if acts[name])
     yield from _perturbing(noise, "picture")
 
 
 def _perturbing(noise: Noise, what: str) -> Iterator[str]:
-    return (
-        f"noise.perturb.{i}"
-        for i, kind in enumerate(noise.perturb)
-        if tuple(kind.changes) == (what,)
-    )
+    for i, kind in enumerate(noise.perturb):
+        if tuple(kind.changes) == (what,):
+            yield f"noise.perturb.{i}"
 
 
 def warn_without_effect(scenario: Scenario) -> None:
@@ -73,19 +69,19 @@ def warn_without_effect(scenario: Scenario) -> None:
             " works: a detector of pictures, such as blobs"
         )
         _warn_once(found, why)
-    on_points = [
-        f"noise.{name}"
-        for name in ("pixel_sigma_px", "dropout")
-        if getattr(scenario.noise, name) > 0
-    ]
-    if detector.rows == 0 and (
-        found := ", ".join([*on_points, *_perturbing(scenario.noise, "pixels")])
-    ):
+    if detector.rows == 0 and (found := ", ".join(_effects_on_points(scenario.noise))):
         why = (
             f"it changes measured points and detector {detector.kind} measures none;"
             " works: noise of the picture, noise.image_sigma"
         )
         _warn_once(found, why)
+
+
+def _effects_on_points(noise: Noise) -> Iterator[str]:
+    for name in ("pixel_sigma_px", "dropout"):
+        if getattr(noise, name) > 0:
+            yield f"noise.{name}"
+    yield from _perturbing(noise, "pixels")
 
 
 @functools.cache
@@ -111,11 +107,8 @@ def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
         else:
             T_world_flange = flange_for(scenario.camera, scenario.target, T_camera_target)
             # of the target where it is at the start; an arm stands as it will at the goal
-            q = (
-                posture_at(scenario.robot, T_world_flange)
-                if scenario.robot.base == "fixed"
-                else None
-            )
+            stands = scenario.robot.base == "fixed"
+            q = posture_at(scenario.robot, T_world_flange) if stands else None
             taken = sight_of(plant.picture_from(T_world_flange, q))
             sights.append(replace(taken, image=one.under_its_light(taken.image, rng)))
     return tuple(sights)
@@ -127,13 +120,11 @@ def sight_of(picture: Picture) -> Sight:
     """
     whole = picture.completed()
     if whole.image is None:
-        raise ParameterError(
-            "camera",
-            (
-                "must have a single image, of which a law or a detector takes all;"
-                " use a perspective camera"
-            ),
+        words = (
+            "must have a single image, of which a law or a detector takes all;"
+            " use a perspective camera"
         )
+        raise ParameterError("camera", words)
     # The renderer overwrites its picture, and a law may keep one to compare the next with.
     return Sight(whole.image.copy(), whole.depth)
 
@@ -142,7 +133,8 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
     """The goal views with their pictures; ParameterError where the number, or a size, is not that
     of the goal views and the camera.
     """
-    views, camera = scenario.goal_views, scenario.camera
+    views = scenario.goal_views
+    camera = scenario.camera
     if not scenario.needs_goal_image:
         return views
     said = scenario.goal.pictures
@@ -154,11 +146,10 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
             f" {scenario.law.kind} compares with it; give them, or name their files in goal.picture"
         )
         raise ParameterError("goal_images", words, len(images))
+    wanted = camera.height, camera.width, 3
     for sight in images:
-        if sight.image.shape != (camera.height, camera.width, 3):
-            raise ParameterError.count(
-                "goal_images", "of shape", f"{(camera.height, camera.width, 3)}", sight.image.shape
-            )
+        if sight.image.shape != wanted:
+            raise ParameterError.count("goal_images", "of shape", f"{wanted}", sight.image.shape)
     return tuple(replace(view, image=sight) for view, sight in zip(views, images, strict=True))
 
 
@@ -179,7 +170,8 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
     take for markers, and of effects that it does not see.
     """
     warn_without_effect(scenario)
-    scenery, chroma = scenario.world.scenery, getattr(scenario.detector, "chroma", None)
+    scenery = scenario.world.scenery
+    chroma = getattr(scenario.detector, "chroma", None)
     if scenery is not None and chroma is not None:
         # here: MuJoCo is imported where there is any
         from vstestbed.sim.scene.scenery import warn_of_colours

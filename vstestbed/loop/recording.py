@@ -112,20 +112,18 @@ class Recording:
         room it is where that would have to stand. Raises ParameterError: the goal is no single pose
         (a gap, a line).
         """
-        s, views = (
-            self.scenario,
-            self["view"].astype(int)
-            if "view" in self.columns
-            else np.zeros(len(self.rows), dtype=int),
-        )
-        goals = [
-            s.goal_pose_at(t, view)
-            for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)
-        ]
-        known = [T for T in goals if T is not None]
-        if len(known) < len(goals):
-            raise ParameterError("goal", f"of kind {s.goal.kind} is no single pose of the camera")
-        return as_se3(self._poses("tgt") @ inverse(np.array(known).reshape(-1, 4, 4)))
+        s = self.scenario
+        views = [0] * len(self.rows)
+        if "view" in self.columns:
+            views = self["view"].astype(int).tolist()
+        goals: list[Array] = []
+        for t, view in zip(self["t"].tolist(), views, strict=True):
+            T = s.goal_pose_at(t, view)
+            if T is None:
+                words = f"of kind {s.goal.kind} is no single pose of the camera"
+                raise ParameterError("goal", words)
+            goals.append(T)
+        return as_se3(self._poses("tgt") @ inverse(np.array(goals).reshape(-1, 4, 4)))
 
     def camera_twists(self) -> Twist3:
         """The camera's true velocity in each of the n frames, in its own frame, as one spatialmath
@@ -185,31 +183,29 @@ class Recording:
         (`Actuation.gains`).
         """
         figures = summarise(self.scenario, self.outcome, self.rows.by_name())
-        last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
+        last = figures["sim_time_s"]
         assert isinstance(last, float)
         sim_time = figures["sim_time_s"] = max(last, self.ended_s)
-        ended = {
+        frames = max(len(self.rows), 1)
+        summary: dict[str, object] = {
+            "scenario": self.scenario.name,
             "outcome": self.outcome.name,
             "success": self.outcome.success,
             "reason": self.reason,
             "seed": self.scenario.seed,
         }
-        cost = {
+        if names := self.scenario.target.names:
+            summary["marker_names"] = {str(i): name for i, name in enumerate(names)}
+        summary |= figures
+        body = self.scenario.robot.body
+        if body and body.actuation:
+            summary |= body.actuation.gains()
+        return summary | {
             "wall_time_s": self.wall_time_s,
             "real_time_factor": sim_time / self.wall_time_s if self.wall_time_s > 0 else None,
-            "time_ms": {k: v / frames for k, v in self.time_ms.items()},
+            "time_ms": {part: ms / frames for part, ms in self.time_ms.items()},
             "versions": self.versions,
         }
-        body, names = self.scenario.robot.body, self.scenario.target.names
-        named = {"marker_names": {str(i): name for i, name in enumerate(names)}} if names else {}
-        return (
-            {"scenario": self.scenario.name}
-            | ended
-            | named
-            | figures
-            | (body.actuation.gains() if body and body.actuation else {})
-            | cost
-        )
 
 
 # `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have
@@ -244,27 +240,27 @@ def read_summary(folder: Path, works: str) -> dict[str, Any]:
     path = folder / "summary.json"
     content = read_file(path, works)
     try:
-        summary = _Summary.model_validate_json(content)
+        _Summary.model_validate_json(content)
         _OPEN.validate_json(content)
-        # numbers as they are written: a whole one stays whole
-        found, outcome = json.loads(content), str(getattr(summary, "outcome", ""))
-        values = [
-            item
-            for block in (found, *found.values())
-            if isinstance(block, dict)
-            for item in block.items()
-        ]
-        faults = (
-            [f"outcome: {outcome[:40]!r} is none"] if outcome not in Outcome.__members__ else []
-        )
-        faults += [
-            f"{name}: too large a number"
-            for name, v in values
-            if isinstance(v, int) and abs(v) >= LARGEST
-        ]
     except ValidationError as error:
         first = error.errors()[0]
-        found, faults = {}, [": ".join([*(str(part) for part in first["loc"][:1]), first["msg"]])]
-    if faults:
-        raise RunFolderError(path, f"is not the summary of a run ({faults[0]})", works)
-    return found
+        fault = ": ".join([*map(str, first["loc"][:1]), first["msg"]])
+    else:
+        found = json.loads(content)  # numbers as they are written: a whole one stays whole
+        fault = _fault(found)
+        if not fault:
+            return found
+    raise RunFolderError(path, f"is not the summary of a run ({fault})", works)
+
+
+def _fault(summary: dict[str, Any]) -> str:
+    """What is wrong with the values of a summary; "" where nothing is."""
+    outcome = summary["outcome"]
+    if outcome not in Outcome.__members__:
+        return f"outcome: {outcome[:40]!r} is none"
+    blocks = [summary, *(block for block in summary.values() if isinstance(block, dict))]
+    for block in blocks:
+        for name, value in block.items():
+            if isinstance(value, int) and abs(value) >= LARGEST:
+                return f"{name}: too large a number"
+    return ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,9 +15,10 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.spatial import pose_matrix, twist_numbers
 from vstestbed.laws import Law
+from vstestbed.loop.ego_motion import start_basis
 from vstestbed.loop.episode import Episode
+from vstestbed.loop.inputs import numbers_of
 from vstestbed.loop.recording import Recording, Watcher
-from vstestbed.robots import Mount
 from vstestbed.scenario.load import seeded
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Frame
@@ -59,12 +59,11 @@ class Session:
     ):
         check_scenario(scenario)
         self._plate_m = plate_m
-        self._given, self._pictures, self._watchers = scenario, pictures, tuple(watch)
+        self._given = scenario
+        self._pictures = pictures
+        self._watchers = tuple(watch)
         self.episode: Episode | None = None
-        robot = scenario.robot
-        self._motions = robot.motion_basis(
-            Mount.of(scenario.believed_camera.mount.T), robot.start_joints()
-        ).shape[1]
+        self._motions = start_basis(scenario).shape[1]
 
     def __reduce__(self) -> Any:
         raise SessionError(
@@ -107,21 +106,22 @@ class Session:
         Raises ParameterError: a command of another shape, or one that is not finite. SessionError:
         before `reset`, or after the end.
         """
-        episode, n, numbers = self._running(), self._motions, None
-        if command is not None:
-            command = twist_numbers(command)
-            try:
-                numbers = np.array(command, dtype=float)
-            except (TypeError, ValueError):
-                numbers = np.zeros(0)
-            if numbers.shape not in ((6,), (n,)):
-                words = "must be a camera twist (6,)" + (
-                    "" if n == 6 else f", or {n} velocities along the robot's motions"
-                )
-                raise ParameterError("command", words, command)
-            if not np.isfinite(numbers).all():
-                raise ParameterError.infinite("command", command)
+        episode = self._running()
+        numbers = None if command is None else self._numbers(twist_numbers(command))
         return (episode.advance(numbers) or episode.ended()).protected()
+
+    def _numbers(self, command: ArrayLike) -> Array:
+        """A command as an array; ParameterError where it is none."""
+        n = self._motions
+        numbers = numbers_of(command)
+        if numbers.shape not in ((6,), (n,)):
+            words = "must be a camera twist (6,)"
+            if n != 6:
+                words += f", or {n} velocities along the robot's motions"
+            raise ParameterError("command", words, command)
+        if not np.isfinite(numbers).all():
+            raise ParameterError.infinite("command", command)
+        return numbers
 
     def take_pictures(self, on: bool) -> None:
         """Whether the exposures from now on are whole pictures, where `pictures` was asked for:
@@ -167,9 +167,9 @@ class Session:
         Raises ParameterError: no pose, or the session has no plate (`plate_m`).
         """
         episode = self._running()
-        episode.plant.hold_plate(
-            None if T_world_plate is None else pose_matrix(T_world_plate, "T_world_plate")
-        )
+        if T_world_plate is not None:
+            T_world_plate = pose_matrix(T_world_plate, "T_world_plate")
+        episode.plant.hold_plate(T_world_plate)
         episode.changed_by_hand("plate held")
 
     def recording(self) -> Recording:
@@ -189,12 +189,7 @@ class Session:
     def __enter__(self) -> Session:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _running(self) -> Episode:

@@ -43,7 +43,8 @@ class RowViews:
     """
 
     def __init__(self, camera: Camera, times: Array):
-        self._camera, self._times = camera, times
+        self._camera = camera
+        self._times = times
         self._ends = camera.row_delay(np.array([0.0, camera.height - 1.0]))
         self._views: list[TruthView] = []
 
@@ -89,20 +90,16 @@ class Stamps:
 
     def __init__(self, scenario: Scenario | OtherCamera, plant: PlantCamera):
         timing = scenario.timing
-        self._timing, self._plant, self._rng = timing, plant, scenario.rng(STAMP_STREAM)
-        self._camera, self._robot = (
-            timing.camera_clock or CameraStamps(),
-            timing.robot_clock or RobotStamps(),
-        )
+        self._timing = timing
+        self._plant = plant
+        self._rng = scenario.rng(STAMP_STREAM)
+        self._camera = timing.camera_clock or CameraStamps()
+        self._robot = timing.robot_clock or RobotStamps()
         # At the steps at which an onboard controller reads the sensors anyway, no other noise is
         # drawn for it.
-        self._every = max(
-            1,
-            round(
-                (scenario.robot.onboard.control_period_s if scenario.robot.onboard else READING_S)
-                / plant.step_s
-            ),
-        )
+        onboard = scenario.robot.onboard
+        period_s = onboard.control_period_s if onboard else READING_S
+        self._every = max(1, round(period_s / plant.step_s))
         self._steps: deque[int] = deque(maxlen=math.ceil(KEPT_S / (self._every * plant.step_s)))
         self._readings: deque[Reading] = deque(maxlen=self._steps.maxlen)
 
@@ -152,20 +149,21 @@ class CameraClock:
         whole: bool = False,
         link: Loses | None = None,
     ):
-        self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
+        self.plant = plant
+        self.whole = whole
+        self._view = scenario.detector.needs_truth
         # A perturbation, metering or a stream may work on the picture as a whole: a part of it
         # would not be changed as the whole is.
         self._in_parts = not (scenario.noise.on_pictures or scenario.camera.imaged)
-        rng = scenario.rng(TIMING_STREAM)
         light = scenario.world.light
-        flicker = (
-            STEADY if light is None or (not scenario.needs_image and not whole) else light.flicker
-        )
+        flicker = STEADY
+        if light is not None and (scenario.needs_image or whole):
+            flicker = light.flicker
         self.shutter = Shutter(
             scenario.timing,
             scenario.camera,
             plant.step_s,
-            rng,
+            scenario.rng(TIMING_STREAM),
             link,
             flicker,
         )
@@ -173,17 +171,16 @@ class CameraClock:
         self._row_views = RowViews(scenario.camera, self.shutter.opening.nodes) if rolls else None
         self.line: DelayLine[Exposed] = DelayLine(overtakes=scenario.timing.out_of_order)
         self._stamps = Stamps(scenario, plant) if scenario.timing.stamps else None
-        self.regions: Regions | None
-        self._takes_whole = whole
         # An oracle's exposures do not depend on whether pictures are taken for a film.
         self._metered = scenario.needs_image and scenario.camera.blurring is not None
         self._plan()
 
     def _plan(self) -> None:
-        self.planned: Planned = self.shutter.following(
-            self.plant.exposure_s() if self._metered else None
-        )
-        self.opening, self.middle, self.regions = 0, None, None
+        exposure_s = self.plant.exposure_s() if self._metered else None
+        self.planned: Planned = self.shutter.following(exposure_s)
+        self.opening = 0
+        self.middle: Exposed | None = None
+        self.regions: Regions | None = None
 
     def next_event(self) -> int:
         """The step at which the shutter opens next, a picture arrives, or the robot's sensors are
@@ -204,9 +201,8 @@ class CameraClock:
             # seen them. It is decided once: all images of an exposure show the same part.
             if self.opening == 0:
                 self._takes_whole = self.whole
-                self.regions = (
-                    next_regions() if self.line.next_due() is None and self._in_parts else None
-                )
+                in_parts = self._in_parts and self.line.next_due() is None
+                self.regions = next_regions() if in_parts else None
             if planned.weights == (1.0,):
                 picture, truth = self.plant.capture(self.regions)
                 if picture is not None and planned.arrives > step:
@@ -226,37 +222,31 @@ class CameraClock:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves
         # a marker's centre there.
         is_middle = step >= planned.middle and self.middle is None
-        # an oracle behind a rolling shutter needs the truth of each image
-        rolls = self._row_views is not None
-        truth = self.plant.truth() if is_middle or rolls else None
-        if self._row_views is not None and truth is not None:
-            self._row_views.add(TruthView(truth.p_camera, truth.hidden))
-        if truth is not None and is_middle:
-            self.middle = self._shot(step, truth)
+        if is_middle or self._row_views is not None:
+            truth = self.plant.truth()
+            if self._row_views is not None:  # an oracle needs the truth of each image
+                self._row_views.add(TruthView(truth.p_camera, truth.hidden))
+            if is_middle:
+                self.middle = self._shot(step, truth)
         self.plant.expose(planned.weights[self.opening], self.regions, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
-            shot, true = self.middle
+            shot, truth = self.middle
             if self._row_views is not None:  # the truth itself stays that of the time stamp
                 shot = shot._replace(view=self._row_views.taken())
-            self._send(planned, self.plant.developed(shot.t), (shot, true))
+            self._send(planned, self.plant.developed(shot.t), (shot, truth))
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
         # Truth reaches a detector only if it says that it needs it (an oracle): the one place where
         # it passes the fence.
         view = TruthView(truth.p_camera, truth.hidden) if self._view else None
-        return Exposure(
-            self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view
-        ), truth
+        t = step * self.plant.step_s
+        return Exposure(self.planned.frame, t, None, self.plant.reading(), view), truth
 
     def _send(self, planned: Planned, picture: Picture | None, made: Exposed) -> None:
         if picture is not None:
             shot, truth = made
-            made = (
-                shot._replace(
-                    picture=self.plant.with_own(picture) if self._takes_whole else picture
-                ),
-                truth,
-            )
+            taken = self.plant.with_own(picture) if self._takes_whole else picture
+            made = shot._replace(picture=taken), truth
         self.line.push(planned.arrives, made)
         self._plan()

@@ -173,12 +173,10 @@ KEPT, KEPT_LIMITED = 0.9, 0.5
 decays; the second of a swing that the limits of law and robot hold: its size changes from one
 period to the next (measured: by 0.7 to 1.4).
 """
-# a command scaled under this is limited; a swing of whose commands so many are is held by the
-# limits
-LIMITED, LIMITED_SHARE = (
-    0.999,
-    0.05,
-)
+LIMITED, LIMITED_SHARE = 0.999, 0.05
+"""A command scaled under this is limited; a swing of whose commands so many are is held by the
+limits.
+"""
 # difference from the period of the goal's own motion up to which a swing is that motion [1]
 SAME_PERIOD = 0.2
 NEAR_LIMIT, FAR_FROM_GOAL = 0.25, 0.25
@@ -229,35 +227,41 @@ class LastPart(NamedTuple):
     def at(self, frames: Any) -> LastPart:
         """Some of the frames; `away` stays that of all."""
         return self._replace(
-            **{
-                name: getattr(self, name)[frames]
-                for name in ("t", "error", "twist", "limited", "reference")
-            }
+            t=self.t[frames],
+            error=self.error[frames],
+            twist=self.twist[frames],
+            limited=self.limited[frames],
+            reference=self.reference[frames],
         )
 
 
 def swings(part: LastPart, least: float) -> float:
     """Period of a swing that does not decay, in frames; 0 for none. least: error that counts."""
-    third, x = len(part.t) // 3, part.twist
+    third = len(part.t) // 3
+    x = part.twist
     if not _median(part.error[-third:]) >= least:
         return 0.0
     moves = bool(np.ptp(part.reference, axis=0).any())
     if moves:  # the swing is about the motion that the target, or the way, asks for
         x = x - x.mean(axis=0)
-    early, late = float(np.linalg.norm(x[:third])), float(np.linalg.norm(x[-third:]))
     held = float(np.mean(part.limited[-third:])) > LIMITED_SHARE
-    if late < (KEPT_LIMITED if held else KEPT) * early:
+    kept = KEPT_LIMITED if held else KEPT
+    if np.linalg.norm(x[-third:]) < kept * np.linalg.norm(x[:third]):
         return 0.0
     found = period(x)
-    of_goal = period(part.reference - part.reference.mean(axis=0)) if moves else 0.0
-    return 0.0 if of_goal and abs(of_goal - found) <= SAME_PERIOD * found else found
+    if moves:
+        of_goal = period(part.reference - part.reference.mean(axis=0))
+        if of_goal and abs(of_goal - found) <= SAME_PERIOD * found:
+            return 0.0
+    return found
 
 
 def turns(x: Array) -> int:
     """How often commands x (n, m) turn round:
     become OPPOSITE to what they were when they last did.
     """
-    found, before = 0, np.zeros(x.shape[1])
+    found = 0
+    before = np.zeros(x.shape[1])
     for each in x:
         size = float(np.linalg.norm(each) * np.linalg.norm(before))
         turned = size > 0 and float(each @ before) <= OPPOSITE * size
@@ -278,19 +282,15 @@ def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -
     third = len(known.t) // 3
     if share < NEAR_LIMIT or len(known.t) < FEWEST or np.ptp(part.reference, axis=0).any():
         return 0
-    early, late = (
-        float(np.linalg.norm(each)) for each in (known.twist[:third], known.twist[-third:])
-    )
-    error_early, error = _median(known.error[:third]), _median(known.error[-third:])
+    x = known.twist
     large = share > 1 or float(np.mean(known.limited)) >= HELD_SHARE
-    if (
-        not large
-        or late < KEPT_LIMITED * early
-        or error < max(least, KEPT_LIMITED * error_early, FAR_FROM_GOAL * first_error)
-    ):
+    decays = np.linalg.norm(x[-third:]) < KEPT_LIMITED * np.linalg.norm(x[:third])
+    far = max(least, KEPT_LIMITED * _median(known.error[:third]), FAR_FROM_GOAL * first_error)
+    if not large or decays or _median(known.error[-third:]) < far:
         return 0
-    net, way = np.linalg.norm(known.twist.sum(axis=0)), np.linalg.norm(known.twist, axis=1).sum()
-    found = turns(known.twist)
+    net = np.linalg.norm(x.sum(axis=0))
+    way = np.linalg.norm(x, axis=1).sum()
+    found = turns(x)
     return found if found >= TURNS and net <= NET_SHARE * way else 0
 
 
@@ -303,22 +303,16 @@ def grows(part: LastPart, least: float) -> bool:
     """Whether error and command grow all the time, and the camera truly leaves its goal, which
     stands still.
     """
-    if (
-        np.ptp(part.reference, axis=0).any()
-        or not (part.away[1] > part.away[0]).any()
-        or not np.isfinite(part.error).all()
-    ):
+    stands = not np.ptp(part.reference, axis=0).any()
+    leaves = (part.away[1] > part.away[0]).any()
+    if not (stands and leaves and np.isfinite(part.error).all()):
         return False
-    quarters = [float(np.median(each)) for each in np.array_split(part.error, 4)]
-    ordered = [
-        float(np.linalg.norm(each)) / math.sqrt(len(each)) for each in np.array_split(part.twist, 4)
-    ]
-    rises = all(b > a for a, b in pairwise(quarters))
-    return (
-        rises
-        and quarters[-1] > max(least, GREW * quarters[0])
-        and ordered[-1] > LIMITED * ordered[0]
-    )
+    errors = [float(np.median(each)) for each in np.array_split(part.error, 4)]
+    quarters = np.array_split(part.twist, 4)
+    ordered = [float(np.linalg.norm(each)) / math.sqrt(len(each)) for each in quarters]
+    rises = all(b > a for a, b in pairwise(errors))
+    error_grew = errors[-1] > max(least, GREW * errors[0])
+    return rises and error_grew and ordered[-1] > LIMITED * ordered[0]
 
 
 def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
@@ -326,45 +320,37 @@ def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
     of the last half of its run. Where that does not tell, its last quarter may: a loop that grows
     until it loses a marker begins again.
     """
-    return _how(scenario, part, first_error) or _how(
-        scenario, part.at(slice(len(part.t) // 2, None)), first_error
-    )
+    last_quarter = part.at(slice(len(part.t) // 2, None))
+    return _how(scenario, part, first_error) or _how(scenario, last_quarter, first_error)
 
 
 def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
-    least, unit = _least(scenario)
     if len(part.t) < FEWEST:
         return ""
-    frames, third = 0.0 if math.isnan(part.error[-1]) else swings(part, least), len(part.t) // 3
-    early, late = _median(part.error[:third]), _median(part.error[-third:])
+    least, unit = _least(scenario)
+    third = len(part.t) // 3
+    early = _median(part.error[:third])
+    late = _median(part.error[-third:])
     over = f"over the last {part.t[-1] - part.t[0]:.3g} s"
-    how = (
-        f"grew from {early:.3g} to {late:.3g} {unit}"
-        if late > GREW * early
-        else f"stayed at about {late:.3g} {unit}"
-    )
+    grew = f"grew from {early:.3g} to {late:.3g} {unit}"
+    how = grew if late > GREW * early else f"stayed at about {late:.3g} {unit}"
+    frames = 0.0 if math.isnan(part.error[-1]) else swings(part, least)
     if frames:
-        return (
-            f"{over} the command {reversal(frames, scenario.camera.period)},"
-            f" and the error {how}; {_cause(scenario)}"
-        )
+        reversed_ = reversal(frames, scenario.camera.period)
+        return f"{over} the command {reversed_}, and the error {how}; {_cause(scenario)}"
     if late > first_error and grows(part, least):
-        return (
-            f"{over} the error grew from {early:.3g} to {late:.3g} {unit},"
-            f" and the command with it; {_cause(scenario)}"
-        )
-    if turned := to_and_fro(part, least, _share_of_limit(scenario), first_error):
-        limited, blind = (
-            np.mean(part.limited[np.isfinite(part.error)]),
-            np.mean(~np.isfinite(part.error)),
-        )
-        held = f", at its limits in {limited:.0%} of the frames" if limited > LIMITED_SHARE else ""
-        lost = f", {blind:.0%} of the frames had no measurement" if blind else ""
-        return (
-            f"{over} the command turned round {turned} times{held}{lost},"
-            f" and the error {how}; {_cause(scenario)}".replace("%", " %")
-        )
-    return ""
+        return f"{over} the error {grew}, and the command with it; {_cause(scenario)}"
+    turned = to_and_fro(part, least, _share_of_limit(scenario), first_error)
+    if not turned:
+        return ""
+    known = np.isfinite(part.error)
+    words = f"{over} the command turned round {turned} times"
+    limited = np.mean(part.limited[known])
+    if limited > LIMITED_SHARE:
+        words += f", at its limits in {limited:.0%} of the frames"
+    if not known.all():
+        words += f", {np.mean(~known):.0%} of the frames had no measurement"
+    return f"{words}, and the error {how}; {_cause(scenario)}".replace("%", " %")
 
 
 def _least(scenario: Scenario) -> tuple[float, str]:
@@ -378,8 +364,10 @@ def reversal(frames: float, period_s: float | None = None) -> str:
     told.
     """
     half = frames / 2
+    if half == 1:
+        return "reversed in every frame"
     time = f" ({half * period_s:.2g} s)" if period_s else ""
-    return "reversed in every frame" if half == 1 else f"reversed every {half:.3g} frames{time}"
+    return f"reversed every {half:.3g} frames{time}"
 
 
 def _gain(law: Law[Any]) -> tuple[float | None, bool]:
@@ -389,30 +377,25 @@ def _gain(law: Law[Any]) -> tuple[float | None, bool]:
     while hasattr(law, "law"):  # of a program round a law
         law = law.law  # pyright: ignore[reportAttributeAccessIssue] - it has one
     gain = None if hasattr(law, "gain_z") else getattr(law, "gain", None)
-    if isinstance(gain, ConstantGain | AdaptiveGain):
-        return (
-            gain.value if isinstance(gain, ConstantGain) else gain.at_zero
-        ), law.feedforward.kind == "none"
-    return (gain, False) if isinstance(gain, float | int) else (None, False)
+    proportional = law.feedforward.kind == "none"
+    if isinstance(gain, ConstantGain):
+        return gain.value, proportional
+    if isinstance(gain, AdaptiveGain):
+        return gain.at_zero, proportional
+    return (gain if isinstance(gain, float | int) else None), False
 
 
 def _delay_s(scenario: Scenario) -> float:
-    camera, timing = scenario.camera, scenario.timing
-    return (
-        camera.latency_s
-        + timing.command_latency_s
-        + (timing.first_s(camera) + camera.readout_s) / 2
-    )
+    camera = scenario.camera
+    timing = scenario.timing
+    picture_s = (timing.first_s(camera) + camera.readout_s) / 2
+    return camera.latency_s + timing.command_latency_s + picture_s
 
 
 def _limit(scenario: Scenario) -> float:
     """The gain a frame over which a loop with the scenario's delay, without lag, is unstable."""
-    return gain_limit(
-        0,
-        loop_shares(
-            scenario.timing.interpolation != "hold", _delay_s(scenario) / scenario.camera.period
-        ),
-    )
+    led = scenario.timing.interpolation != "hold"
+    return gain_limit(0, loop_shares(led, _delay_s(scenario) / scenario.camera.period))
 
 
 def _share_of_limit(scenario: Scenario) -> float:
@@ -425,7 +408,9 @@ def _cause(scenario: Scenario) -> str:
     """Sampling, gain and delay in numbers; where the theory of the loop applies, its limit, and
     what would help.
     """
-    camera, T, delay_s = scenario.camera, scenario.camera.period, _delay_s(scenario)
+    camera = scenario.camera
+    T = camera.period
+    delay_s = _delay_s(scenario)
     delay = f"a delay of {delay_s:g} s ({delay_s / T:.3g} frames)" if delay_s else "no delay"
     gain, proportional = _gain(scenario.law)
     if gain is None:
@@ -468,7 +453,9 @@ class Stability:
     """The last half of a run under way: it is asked where the run would end as `timed_out`."""
 
     def __init__(self, scenario: Scenario):
-        self._scenario, self._first, self._frames = scenario, math.nan, 0
+        self._scenario = scenario
+        self._first = math.nan
+        self._frames = 0
         # No frames: they hold pictures.
         self._last: deque[tuple[float, float, Array, float, Array, Array, Array]] = deque(
             maxlen=window(scenario)
@@ -477,17 +464,16 @@ class Stability:
 
     def add(self, frame: Frame) -> None:
         """One more frame, whose command is the law's."""
-        error, truth = frame.command.error_grey if self._grey else frame.error.rms_px, frame.truth
-        scale, goal = frame.allocation.scale * frame.command.scale, frame.goal.T_camera_target
+        error = frame.command.error_grey if self._grey else frame.error.rms_px
         self._last.append(
             (
                 frame.t,
                 error,
                 frame.command.twist,
-                scale,
-                goal,
-                truth.T_world_target,
-                truth.T_world_camera,
+                frame.allocation.scale * frame.command.scale,
+                frame.goal.T_camera_target,
+                frame.truth.T_world_target,
+                frame.truth.T_world_camera,
             )
         )
         self._frames += 1
@@ -512,16 +498,11 @@ class Stability:
             return ""
         t, error, twist, scale, goal, target, camera = map(np.array, zip(*last, strict=True))
         at_goal = target[[0, -1]] @ inverse(goal[[0, -1]])
-        away = np.array(
-            [rigid_error(T, T_goal) for T, T_goal in zip(camera[[0, -1]], at_goal, strict=True)]
-        )
+        away = np.array([rigid_error(camera[i], at_goal[i]) for i in (0, -1)])
         # A target in the gripper moves with the robot.
         moved = goal if self._scenario.target.on_gripper else np.concatenate([goal, target], axis=1)
-        return sentence(
-            self._scenario,
-            LastPart(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away),
-            self._first,
-        )
+        part = LastPart(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away)
+        return sentence(self._scenario, part, self._first)
 
 
 LONG_SPANS = 2
@@ -533,21 +514,15 @@ def swing(scenario: Scenario, log: Columns) -> Figures:
     room for PERIODS of the swing at the gain limit, of a robot that lags by a frame.
     """
     least, unit = _least(scenario)
-    span = max(
-        FEWEST,
-        PERIODS * swing_frames(1 + math.ceil(_delay_s(scenario) / scenario.camera.period - 1e-9)),
-    )
-    rows = np.column_stack(
-        [log["error_px" if unit == "px" else "error_grey"], *(log[f"cmd_{name}"] for name in TWIST)]
-    )
+    delay_frames = math.ceil(_delay_s(scenario) / scenario.camera.period - 1e-9)
+    span = max(FEWEST, PERIODS * swing_frames(1 + delay_frames))
+    error = log["error_px" if unit == "px" else "error_grey"]
+    rows = np.column_stack([error, *(log[f"cmd_{name}"] for name in TWIST)])
     now: list[float] = []
     longest: list[float] = []
     for each in rows[: len(rows) // span * span].reshape(-1, span, 7):
-        found = (
-            period(each[:, 1:])
-            if np.isfinite(each).all() and np.median(each[:, 0]) >= least
-            else 0.0
-        )
+        counts = np.isfinite(each).all() and np.median(each[:, 0]) >= least
+        found = period(each[:, 1:]) if counts else 0.0
         now = [*now, found] if found else []
         longest = max(longest, now, key=len)
     if len(longest) < LONG_SPANS:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import mul
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,11 +22,9 @@ from vstestbed.loop.stability import Stability
 from vstestbed.robots.base import Supervisor
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
-from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.monitor import TaskMonitor, has_held, held_since, timed_out_words
+from vstestbed.tasks.monitor import Setup, TaskMonitor, has_held, held_since, timed_out_words
 from vstestbed.tasks.monitors import Monitor, checked
-from vstestbed.tasks.stop import Stop
 
 __all__ = ["FAR_M", "LostMarkers", "Termination"]
 
@@ -59,10 +57,20 @@ REMEDIES = {
 """What would help, by what happened; {law}: what `_minding` says."""
 START = ", from the start on"
 
-Loss = tuple[int, str, float, float]
-"""Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius in
-the picture [px] (NaN: not told).
-"""
+
+class Loss(NamedTuple):
+    """Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius
+    in the picture [px] (NaN: not told).
+    """
+
+    kind: int
+    words: str
+    since_s: float
+    radius_px: float = math.nan
+
+
+def _from(t: float) -> str:
+    return f"from {t:.2f} s on" if t else "from the start on"
 
 
 class LostMarkers:
@@ -71,15 +79,18 @@ class LostMarkers:
     """
 
     def __init__(self, scenario: Scenario, before: Before):
-        self._scenario, self._before = scenario, before
-        detector, target = scenario.detector, scenario.target
+        self._scenario = scenario
+        self._before = before
+        detector = scenario.detector
+        target = scenario.target
         # Others find points of the picture, a whole picture, an outline or lines: none of their
         # rows is lost by itself.
         single = detector.rows is None and not target.outlined and not target.stripes
         self._of_markers = single and not detector.needs_sheet and len(target.points) > 0
         self._limited = getattr(detector, "field_of_view", "limited") == "limited"
-        self._least_area_px: float | None = getattr(detector, "least_area_px", None)
-        self._seen, self._whole = np.ones(len(target.points), dtype=bool), True
+        self._least_area_px: float = getattr(detector, "least_area_px", None) or 0.0
+        self._seen = np.ones(len(target.points), dtype=bool)
+        self._whole = True
         self._lost: dict[int, Loss] = {}
 
     def add(self, frame: Frame) -> None:
@@ -87,22 +98,21 @@ class LostMarkers:
         # The usual frame first: nothing is lost, and nothing was.
         if not self._of_markers or (self._whole and frame.error.all_seen):
             return
-        seen, counted = frame.observation.seen, frame.goal.counted
-        if counted is not None:
-            seen = seen | ~counted
+        seen = frame.observation.seen
+        if frame.goal.counted is not None:
+            seen = seen | ~frame.goal.counted
         if (seen == self._seen).all():
             return
-        for i in np.flatnonzero(seen):
-            self._lost.pop(int(i), None)
-        new = np.flatnonzero(self._seen & ~seen)
-        if len(new):
-            names = (
-                self._before(frame.truth.T_world_camera, frame.truth.p_camera)
-                if self._limited
-                else ("",) * len(seen)
-            )
-            self._lost |= {int(i): self._loss(frame, int(i), names[i]) for i in new}
-        self._seen, self._whole = seen, bool(seen.all())
+        for i in np.flatnonzero(seen).tolist():
+            self._lost.pop(i, None)
+        new = np.flatnonzero(self._seen & ~seen).tolist()
+        if new:
+            names = ("",) * len(seen)
+            if self._limited:
+                names = self._before(frame.truth.T_world_camera, frame.truth.p_camera)
+            self._lost |= {i: self._loss(frame, i, names[i]) for i in new}
+        self._seen = seen
+        self._whole = bool(seen.all())
 
     def explained(self, reason: str) -> str:
         """A reason for which the run is over, with the sentence, which takes the place of what the
@@ -112,61 +122,56 @@ class LostMarkers:
         if not where:
             return reason
         known = reason.replace(GUESS, "")
-        return f"{known.removesuffix(START) if START.lstrip(', ') in where else known}; {where}"
+        if START.lstrip(", ") in where:
+            known = known.removesuffix(START)
+        return f"{known}; {where}"
 
     def sentence(self) -> str:
         """Which markers were lost where, when, and what would help; "" where none is lost."""
         groups: dict[tuple[int, str], list[int]] = {}
-        for i, (kind, words, *_) in sorted(self._lost.items()):
-            groups.setdefault((kind, words), []).append(i)
-        said = []
-        for (_, words), members in groups.items():
-            called = [self._scenario.target.called(i) for i in members]
-            first, last = (
-                f"from {t:.2f} s on" if t else "from the start on"
-                for t in (f(self._lost[i][2] for i in members) for f in (min, max))
-            )
-            head = (
-                f"marker {called[0]} was"
-                if len(called) == 1
-                else f"markers {', '.join(called)} were"
-            )
-            sizes = sorted({f"{self._lost[i][3]:.2g}" for i in members}, key=float)
-            words = words.format(px=" to ".join(dict.fromkeys((sizes[0], sizes[-1]))))
-            said.append(
-                f"{head} {words} {first}" + (f", the last one {last}" if last != first else "")
-            )
+        for i, loss in sorted(self._lost.items()):
+            groups.setdefault((loss.kind, loss.words), []).append(i)
+        said = [self._group(members, words) for (_, words), members in groups.items()]
         kinds = sorted({kind for kind, _ in groups})
         law = _minding(self._scenario) if BORDER in kinds else ""
-        return "; ".join([*said, *(REMEDIES[kind].format(law=law) for kind in kinds)])
+        return "; ".join(said + [REMEDIES[kind].format(law=law) for kind in kinds])
+
+    def _group(self, members: list[int], words: str) -> str:
+        """Of which markers what happened, and since when."""
+        called = ", ".join(self._scenario.target.called(i) for i in members)
+        head = f"marker {called} was" if len(members) == 1 else f"markers {called} were"
+        losses = [self._lost[i] for i in members]
+        sizes = sorted({f"{loss.radius_px:.2g}" for loss in losses}, key=float)
+        size = sizes[0] if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
+        first = _from(min(loss.since_s for loss in losses))
+        last = _from(max(loss.since_s for loss in losses))
+        said = f"{head} {words.format(px=size)} {first}"
+        return said if last == first else f"{said}, the last one {last}"
 
     def _loss(self, frame: Frame, i: int, name: str) -> Loss:
-        target, truth, t = self._scenario.target, frame.truth, frame.t
+        target = self._scenario.target
+        truth = frame.truth
         T_target_camera = inverse(truth.T_world_target) @ truth.T_world_camera
         if target.one_sided and T_target_camera[2, 3] >= 0:
-            return BACK, "seen from behind", t, math.nan
+            return Loss(BACK, "seen from behind", frame.t)
         rim = self._rim(truth.p_camera[i], T_target_camera, i)
         uv = self._scenario.camera.project(rim)
         if self._limited and (beyond := self._out_of_view(uv, truth.p_camera[i])):
-            return *beyond, t, math.nan
-        if name or truth.hidden[i] or target.hides(T_target_camera)[i]:
-            return HIDDEN, "hidden" + (f" by {name}" if name else ""), t, math.nan
+            return Loss(*beyond, frame.t)
+        if name:
+            return Loss(HIDDEN, f"hidden by {name}", frame.t)
+        if truth.hidden[i] or target.hides(T_target_camera)[i]:
+            return Loss(HIDDEN, "hidden", frame.t)
         u, v = (uv - uv.mean(axis=0)).T
         # of a circle of its area
         radius = math.sqrt(abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / (2 * math.pi))
-        if self._least_area_px is not None and radius**2 * math.pi < SMALL * self._least_area_px:
+        if radius**2 * math.pi < SMALL * self._least_area_px:
             least = math.sqrt(self._least_area_px / math.pi)
-            kind = self._scenario.detector.kind
-            return (
-                TINY,
-                (
-                    f"too small (a radius of {{px}} px;"
-                    f" {kind} finds {least:.2g} px and more, of full colour)"
-                ),
-                t,
-                radius,
-            )
-        return UNKNOWN, "not found although in the picture (with a radius of {px} px)", t, radius
+            finds = f"{self._scenario.detector.kind} finds {least:.2g} px and more"
+            words = f"too small (a radius of {{px}} px; {finds}, of full colour)"
+            return Loss(TINY, words, frame.t, radius)
+        words = "not found although in the picture (with a radius of {px} px)"
+        return Loss(UNKNOWN, words, frame.t, radius)
 
     def _rim(self, p_camera: Array, T_target_camera: Array, i: int) -> Array:
         """Points (POINTS, 3) round the rim of marker i, whose centre is at p_camera (3,): in its
@@ -176,7 +181,9 @@ class LostMarkers:
         is_ball = target.marker.height_m >= target.marker.radius  # as high as wide
         facing = p_camera if is_ball else T_target_camera[:3, :3].T @ target.normals[i]
         a = np.cross(facing, np.eye(3)[int(np.argmin(np.abs(facing)))])
-        a, b = (each / np.linalg.norm(each) for each in (a, np.cross(facing, a)))
+        b = np.cross(facing, a)
+        a /= np.linalg.norm(a)
+        b /= np.linalg.norm(b)
         angles: Array = np.linspace(0, 2 * math.pi, POINTS, endpoint=False)[:, None]
         return np.asarray(
             p_camera + target.marker.radius * (np.cos(angles) * a + np.sin(angles) * b), dtype=float
@@ -195,28 +202,26 @@ class LostMarkers:
         if len(camera.panels) > 1 or clear[:, side].min() >= 0:
             return None
         border = f"the {SIDES[side]} border" if clear.shape[1] == len(SIDES) else "the border"
-        return (
-            BORDER,
-            f"{'beyond' if clear[:, side].max() < 0 else 'cut by'} {border} of the picture",
-        )
+        how = "beyond" if clear[:, side].max() < 0 else "cut by"
+        return BORDER, f"{how} {border} of the picture"
 
 
 def _minding(scenario: Scenario) -> str:
     """What else would help at the border: a nearer start, and those fields and laws that mind it
     and that the scenario takes.
     """
-    law, found = scenario.law, list[str]()
+    law = scenario.law
+    found: list[str] = []
     if isinstance(law, IBVS | Partitioned | Hybrid) and law.visibility.margin_px == 0:
         least = replace(law, visibility=replace(law.visibility, margin_px=1.0))
-        found += ["law.visibility"] * _takes(scenario, least)
+        if _takes(scenario, least):
+            found.append("law.visibility")
     if not isinstance(law, QP) and _takes(scenario, QP()):
         found.append("law: qp")
     start = "a start nearer to the goal view"
-    return (
-        f", {start}, or a law that minds the border ({', '.join(found)})"
-        if found
-        else f" or {start}"
-    )
+    if not found:
+        return f" or {start}"
+    return f", {start}, or a law that minds the border ({', '.join(found)})"
 
 
 def _takes(scenario: Scenario, law: Law[Any]) -> bool:
@@ -246,30 +251,28 @@ class Termination:
     touches something), a task that is reached, the tests of safety in their order, the scenario's
     monitors, a task that is missed.
 
-    task: has already measured the frame. monitors: the scenario's, each with its kind. stability:
-    tells a run that would end as `timed_out`, and is unstable. markers: tells where those are lost
-    that are not seen.
+    task: has already measured the frame. setup: with the limits of the run, and the target.
+    monitors: the scenario's, each with its kind. stability: tells a run that would end as
+    `timed_out`, and is unstable. markers: tells where those are lost that are not seen.
     """
 
     def __init__(
         self,
         task: TaskMonitor,
-        stop: Stop,
-        target: Target,
+        setup: Setup,
         supervisor: Supervisor,
         monitors: Sequence[tuple[str, Monitor]] = (),
         stability: Stability | None = None,
         markers: LostMarkers | None = None,
     ):
-        self._task, self._supervisor, self._duration_s, self._monitors = (
-            task,
-            supervisor,
-            stop.duration_s,
-            monitors,
-        )
-        self.stability, self._markers = stability, markers
+        self._task = task
+        self._supervisor = supervisor
+        self._duration_s = setup.stop.duration_s
+        self._monitors = monitors
+        self.stability = stability
+        self._markers = markers
         # Where no loss ends a run, the camera may go behind its target.
-        self._one_sided = target.one_sided and stop.loss_ends
+        self._one_sided = setup.target.one_sided and setup.stop.loss_ends
         self._T_before: Array | None = None
         self._blocked_since = math.inf
 
@@ -277,14 +280,10 @@ class Termination:
         """The outcome after this frame with its reason, or None to go on."""
         # All tests see every frame, whichever decides: they measure durations, and a tolerance that
         # was violated while the task was aborted stays violated when the supervisor resumes it.
-        task = self._task
-        reached, missed = task.reached(frame), task.missed(frame)
+        reached = self._task.reached(frame)
+        missed = self._task.missed(frame)
         unsafe = self.unsafe(frame)
-        ruled = (
-            [checked(kind, monitor.update(frame)) for kind, monitor in self._monitors]
-            if self._monitors
-            else ()
-        )
+        ruled = [checked(kind, monitor.update(frame)) for kind, monitor in self._monitors]
         if self._markers is not None:
             self._markers.add(frame)
         if self.stability is not None:
@@ -298,22 +297,24 @@ class Termination:
         """The first of: a collision, divergence, the plane of the target crossed, a limit reached;
         to be asked once a frame. A target out of sight is the supervisor's matter.
         """
-        truth, T_target = frame.truth, frame.truth.T_world_target
+        truth = frame.truth
+        T_target = truth.T_world_target
         away = (truth.T_world_camera[:3, 3] - T_target[:3, 3]).tolist()
         crossed = self._crossed(truth, T_target, away) if self._one_sided else None
         # A joint limit or a singular configuration has left nearly nothing of the command. "speed"
         # is no such limit: a command that is merely too fast is carried out more slowly.
-        limit, scale = frame.allocation.limit, frame.allocation.scale
-        holds = limit in ("joint_limit", "singular") and scale < BLOCKED_SCALE
+        limit = frame.allocation.limit
+        holds = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
         self._blocked_since = held_since(self._blocked_since, holds, frame.t)
-        held = has_held(self._blocked_since, frame.t, BLOCKED_S)
-        blocked = (Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}") if held else None
-        far = (
-            (Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target")
-            if math.hypot(*away) > FAR_M
-            else None
-        )
-        return self._collision(truth) or far or crossed or blocked
+        if collided := self._collision(truth):
+            return collided
+        if math.hypot(*away) > FAR_M:
+            return Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target"
+        if crossed:
+            return crossed
+        if not has_held(self._blocked_since, frame.t, BLOCKED_S):
+            return None
+        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
 
     def _touching(self, truth: Truth) -> str:
         """What touches now, as `forearm and floor`; "" where nothing does that may not: feet may
@@ -325,11 +326,10 @@ class Termination:
         """Collided, with the reason of an earlier abort."""
         if not (touching := self._touching(truth)):
             return None
-        aborted = self._supervisor.aborted
-        return (
-            Outcome.collided,
-            f"contact of {touching}{f', after {aborted[1]}' if aborted else ''}",
-        )
+        words = f"contact of {touching}"
+        if aborted := self._supervisor.aborted:
+            words += f", after {aborted[1]}"
+        return Outcome.collided, words
 
     def _crossed(self, truth: Truth, T_target: Array, away: list[float]) -> Verdict | None:
         """Lost, where the camera, `away` [m] from the target, is behind its front: from there no
@@ -360,12 +360,13 @@ class Termination:
             return verdict
         how = self.stability.unstable(seen=outcome in DRIVEN_TO)
         if not how:
-            return outcome, "; ".join(filter(None, (reason, self.stability.over_limit())))
+            over = self.stability.over_limit()
+            return outcome, f"{reason}; {over}" if over else reason
         if outcome in DRIVEN_TO:
             return outcome, f"{reason}; before, the loop was unstable: {how}"
-        return Outcome.unstable, how if reason == timed_out_words(
-            self._duration_s
-        ) else f"{reason}; {how}"
+        if reason == timed_out_words(self._duration_s):
+            return Outcome.unstable, how
+        return Outcome.unstable, f"{reason}; {how}"
 
     def without_picture(self, t: float, truth: Truth) -> Verdict | None:
         """The outcome while no picture arrives [s]: of a collision, of an aborted task, or of the
@@ -375,19 +376,19 @@ class Termination:
             return verdict
         if self._supervisor.aborted:
             return self._after_abort(t, self._supervisor.aborted)
-        return (
-            (Outcome.timed_out, timed_out_words(self._duration_s))
-            if t >= self._duration_s - 1e-9
-            else None
-        )
+        if not self._over(t):
+            return None
+        return Outcome.timed_out, timed_out_words(self._duration_s)
+
+    def _over(self, t: float) -> bool:
+        return t >= self._duration_s - 1e-9
 
     def _after_abort(self, t: float, aborted: Verdict) -> Verdict | None:
         down = self._supervisor.down(t)
-        if not (down or t >= self._duration_s - 1e-9):
+        if not (down or self._over(t)):
             return None
         outcome, reason = aborted
         if self._markers is not None and outcome is Outcome.target_lost:
             reason = self._markers.explained(reason)
-        return self._told_apart(
-            (outcome, "; ".join(filter(None, (reason, self._supervisor.DOWN[0 if down else 1]))))
-        )
+        how = self._supervisor.DOWN[0 if down else 1]
+        return self._told_apart((outcome, f"{reason}; {how}" if how else reason))

@@ -10,6 +10,7 @@ import ctypes
 import json
 import os
 import pickle
+import re
 import signal
 import socket
 import struct
@@ -17,17 +18,16 @@ import sys
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from vstestbed.core.errors import ParameterError, PluginError, VstestbedError
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import to_mapping
-from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LAWS, Law
 from vstestbed.laws.base import LawFailedError
 from vstestbed.loop.controller import GuardedLaw
-from vstestbed.loop.isolated import JACOBIAN, Declared
+from vstestbed.loop.isolated import JACOBIAN, Declared, LawBlock
 from vstestbed.scenario.plugins import load_plugins, registries
 from vstestbed.testing.laws import unnamed_in_source
 
@@ -38,11 +38,6 @@ KEPT = 64  # states: a judge asks for one again only soon
 COMMAND = "u", "twist", "rates", "wrench", "rest_reason", "scale", "free", "mode", "row"
 
 
-@spec
-class _Holder:
-    law: Annotated[Law[Any], LAWS]
-
-
 class _Held:
     """The law, its last states by number, and the goal that was sent last."""
 
@@ -50,7 +45,9 @@ class _Held:
     goal: Any = None
 
     def __init__(self, channel: Any):
-        self.channel, self.states, self.last = channel, dict[int, Any](), 0
+        self.channel = channel
+        self.states: dict[int, Any] = {}
+        self.last = 0
 
     def send(self, *answer: Any) -> None:
         """Answer the parent."""
@@ -86,7 +83,7 @@ class _Held:
                 "must add one law; of several, name one in a YAML file with law and plugins",
                 own,
             )
-        self.law = _Holder(law=block or {"kind": own[0]}).law  # pyright: ignore[reportArgumentType] - a block
+        self.law = LawBlock(law=block or {"kind": own[0]}).law  # pyright: ignore[reportArgumentType] - a block
         self.law.prepare()
         return {name: to_mapping(getattr(self.law, name)) for name in Declared.__annotations__}
 
@@ -123,10 +120,8 @@ class _Held:
         except BaseException as error:  # whatever a law raises; also sys.exit
             field = error.field if isinstance(error, ParameterError) else ""
             what = "" if isinstance(error, VstestbedError) else f"{type(error).__name__}: "
-            return True, (
-                field.removeprefix("_Holder.law."),
-                what + str(error).removeprefix(f"{field} "),
-            )
+            words = what + str(error).removeprefix(f"{field} ")
+            return True, (field.removeprefix("LawBlock.law."), words)
 
 
 def _laws_of(files: list[str], adds: str) -> list[str]:
@@ -214,13 +209,14 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
     rules = libc.syscall(CREATE, handled, len(handled), 0)
     own = Path.cwd()
     libraries = [path for path in sys.path if path.endswith("-packages")]
-    for path in map(
-        Path,
-        (Path(__file__).parents[1], sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own),
-    ):
+    package = Path(__file__).parents[1]
+    read = package, sys.prefix, sys.base_prefix, *libraries, *SYSTEM, reads, own
+    for path in map(Path, read):
         if path.exists():
             place = os.open(path, os.O_PATH)
-            rights = every & ~SPECIAL if path == own else READ if path.is_dir() else READ_FILE
+            rights = READ if path.is_dir() else READ_FILE
+            if path == own:
+                rights = every & ~SPECIAL
             libc.syscall(ADD, rules, 1, struct.pack("=Qi", rights, place), 0)
             os.close(place)
     libc.syscall(RESTRICT, rules, 0)
@@ -229,124 +225,58 @@ def _restrict_files(libc: ctypes.CDLL, version: int, reads: str) -> None:
 # System calls that Landlock leaves open, by machine, each with its number; seccomp(2), bpf(2). A
 # connected pair of sockets of its own is none of them: it sends to no other address.
 # On all machines: io_uring, mounts, pidfd_getfd, quotactl_fd, memfd_secret, modes and attributes.
-ALSO = 425, 428, 429, 430, 431, 432, 433, 438, 442, 443, 447, 452, 463, 466, 467, 469
-CALLS: dict[str, dict[str, tuple[int, ...]]] = {
-    "x86_64": {
-        "audited as, seccomp, prlimit64, clone, fcntl, ioctl, socketpair": (
-            0xC000003E,
-            317,
-            302,
-            56,
-            72,
-            16,
-            53,
-        ),
-        "fork, vfork": (57, 58),
-        "socket, connect": (41, 42),
-        "chmod, chown, utime and their kind": (90, 91, 268, 92, 93, 94, 260, 132, 235, 261, 280),
-        "setxattr, removexattr and their kind": (188, 189, 190, 197, 198, 199),
-        "ptrace, process_vm_readv and writev, kcmp, perf_event_open": (101, 310, 311, 312, 298),
-        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (
-            142,
-            144,
-            203,
-            314,
-            141,
-            251,
-        ),
-        "unshare, setns, mount, umount2, pivot_root, chroot": (272, 308, 165, 166, 155, 161),
-        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (
-            321,
-            323,
-            248,
-            249,
-            250,
-            256,
-            279,
-        ),
-        "shmget, shmat, semget, msgget, mq_open, memfd_create": (29, 30, 64, 68, 240, 319),
-        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (
-            169,
-            246,
-            320,
-            175,
-            313,
-            176,
-        ),
-        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (
-            170,
-            171,
-            167,
-            168,
-            163,
-            179,
-            103,
-        ),
-        "settimeofday, adjtimex, clock_settime, clock_adjtime": (164, 159, 227, 305),
-        "mknod, mknodat, name_to_handle_at, open_by_handle_at, fanotify_init": (
-            133,
-            259,
-            303,
-            304,
-            300,
-        ),
-        "iopl, ioperm, modify_ldt, lookup_dcookie": (172, 173, 154, 212),
-    },
-    "aarch64": {
-        "audited as, seccomp, prlimit64, clone, fcntl, ioctl, socketpair": (
-            0xC00000B7,
-            277,
-            261,
-            220,
-            25,
-            29,
-            199,
-        ),
-        "socket, connect": (198, 203),
-        "chmod, chown, utime and their kind": (52, 53, 54, 55, 88),
-        "setxattr, removexattr and their kind": (5, 6, 7, 14, 15, 16),
-        "ptrace, process_vm_readv and writev, kcmp, perf_event_open": (117, 270, 271, 272, 241),
-        "sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set": (
-            118,
-            119,
-            122,
-            274,
-            140,
-            30,
-        ),
-        "unshare, setns, mount, umount2, pivot_root, chroot": (97, 268, 40, 39, 41, 51),
-        "bpf, userfaultfd, add_key, request_key, keyctl, migrate_pages, move_pages": (
-            280,
-            282,
-            217,
-            218,
-            219,
-            238,
-            239,
-        ),
-        "shmget, shmat, semget, msgget, mq_open, memfd_create": (194, 196, 190, 186, 180, 279),
-        "reboot, kexec_load, kexec_file_load, init_module, finit_module, delete_module": (
-            142,
-            104,
-            294,
-            105,
-            273,
-            106,
-        ),
-        "sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog": (
-            161,
-            162,
-            224,
-            225,
-            89,
-            60,
-            116,
-        ),
-        "settimeofday, adjtimex, clock_settime, clock_adjtime": (170, 171, 112, 266),
-        "mknodat, name_to_handle_at, open_by_handle_at, fanotify_init": (33, 264, 265, 262),
-        "lookup_dcookie": (18,),
-    },
+ALSO = "425 428 429 430 431 432 433 438 442 443 447 452 463 466 467 469"
+CALLS = {
+    "x86_64": """
+    fork, vfork: 57 58
+    socket, connect: 41 42
+    chmod, chown, utime and their kind: 90 91 268 92 93 94 260 132 235 261 280
+    setxattr, removexattr and their kind: 188 189 190 197 198 199
+    ptrace, process_vm_readv and writev, kcmp, perf_event_open: 101 310 311 312 298
+    sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set: 142 144 203 314 141 251
+    unshare, setns, mount, umount2, pivot_root, chroot: 272 308 165 166 155 161
+    bpf, userfaultfd, add_key, request_key, keyctl: 321 323 248 249 250
+    migrate_pages, move_pages: 256 279
+    shmget, shmat, semget, msgget, mq_open, memfd_create: 29 30 64 68 240 319
+    reboot, kexec_load, kexec_file_load: 169 246 320
+    init_module, finit_module, delete_module: 175 313 176
+    sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog: 170 171 167 168 163 179 103
+    settimeofday, adjtimex, clock_settime, clock_adjtime: 164 159 227 305
+    mknod, mknodat, name_to_handle_at, open_by_handle_at, fanotify_init: 133 259 303 304 300
+    iopl, ioperm, modify_ldt, lookup_dcookie: 172 173 154 212
+    """,
+    "aarch64": """
+    socket, connect: 198 203
+    chmod, chown, utime and their kind: 52 53 54 55 88
+    setxattr, removexattr and their kind: 5 6 7 14 15 16
+    ptrace, process_vm_readv and writev, kcmp, perf_event_open: 117 270 271 272 241
+    sched_setparam, -scheduler, -affinity, -attr, setpriority, ioprio_set: 118 119 122 274 140 30
+    unshare, setns, mount, umount2, pivot_root, chroot: 97 268 40 39 41 51
+    bpf, userfaultfd, add_key, request_key, keyctl: 280 282 217 218 219
+    migrate_pages, move_pages: 238 239
+    shmget, shmat, semget, msgget, mq_open, memfd_create: 194 196 190 186 180 279
+    reboot, kexec_load, kexec_file_load: 142 104 294
+    init_module, finit_module, delete_module: 105 273 106
+    sethostname, setdomainname, swapon, swapoff, acct, quotactl, syslog: 161 162 224 225 89 60 116
+    settimeofday, adjtimex, clock_settime, clock_adjtime: 170 171 112 266
+    mknodat, name_to_handle_at, open_by_handle_at, fanotify_init: 33 264 265 262
+    lookup_dcookie: 18
+    """,
 }
+SOME = {
+    "x86_64": (0xC000003E, 317, 302, 56, 72, 16, 53),
+    "aarch64": (0xC00000B7, 277, 261, 220, 25, 29, 199),
+}
+"""What each machine is audited as, and the calls of which some are refused: seccomp, prlimit64,
+clone, fcntl, ioctl, socketpair.
+"""
+
+
+def _numbers(table: str) -> list[int]:
+    """The numbers of calls in lines of their names and numbers."""
+    return [int(number) for number in re.findall(r"\b\d+\b", table)]
+
+
 # on all machines; told that there is none, the C library takes clone, whose flags a filter sees
 CLONE3 = 435
 LOAD, EQUAL, AT_LEAST, HAS, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06  # instructions of the filter
@@ -364,10 +294,10 @@ def _refuse_calls(libc: ctypes.CDLL) -> bool:
     """Have the kernel refuse the calls above, of all threads; other processes' limits and new
     processes, too. Whether it does.
     """
-    first, *others = CALLS.get(os.uname().machine, {"": ()}).values()
-    if not first:
+    name = os.uname().machine
+    if name not in CALLS:
         return False
-    machine, seccomp, prlimit, clone, fcntl, ioctl, socketpair = first
+    machine, seccomp, prlimit, clone, fcntl, ioctl, socketpair = SOME[name]
     refuse = RETURN, 0, 0, REFUSE
     lines = [
         (LOAD, 0, 0, 4),  # the machine: another one's calls have other numbers
@@ -376,7 +306,7 @@ def _refuse_calls(libc: ctypes.CDLL) -> bool:
         *((AT_LEAST, 0, 1, 1 << 30), refuse),  # those of x32
         *((EQUAL, 0, 1, CLONE3), (RETURN, 0, 0, NONE)),
     ]
-    for number in (number for those in (*others, ALSO) for number in those):
+    for number in _numbers(CALLS[name] + ALSO):
         lines += (EQUAL, 0, 1, number), refuse
     lines += _where(prlimit, FIRST, (EQUAL, 1, 0, 0))  # its process, 0: its own
     lines += _where(clone, FIRST, (HAS, 1, 0, A_THREAD), (HAS, 0, 1, NAMESPACES))

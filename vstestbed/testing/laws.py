@@ -17,14 +17,14 @@ from vstestbed.features import FEATURES, Feature
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, ErrorLaw, Law, Policy
 from vstestbed.laws.base import LAW_CONTRACT, OBSERVATION_FIELDS, inputs_of
+from vstestbed.loop.ego_motion import believed_mount, start_basis
 from vstestbed.loop.session import run, uninterrupted
-from vstestbed.robots import Mount
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
-from vstestbed.testing.robots import must_refuse
+from vstestbed.testing.robots import check_contract, must_refuse
 from vstestbed.timing.plan import Timing
 
 __all__ = ["check_feature", "check_law", "quick", "unnamed_in_source"]
@@ -38,9 +38,9 @@ def check_feature(feature: Feature, seed: int = 0) -> None:
     """On a circle of markers L is the derivative of the error over motions of the camera; shapes
     are right; leading axes are taken.
     """
-    assert FEATURES.contract is not None
-    FEATURES.contract.check(type(feature))
-    rng, many = np.random.default_rng(seed), []
+    check_contract(FEATURES, feature)
+    rng = np.random.default_rng(seed)
+    many = []
     markers = _on_a_circle(max(4, feature.least_markers))
     for _ in range(VIEWS):
         twist = rng.uniform(-1, 1, 6) * [0.2, 0.2, 0, 0.6, 0.6, 3.0]
@@ -74,8 +74,10 @@ def _inputs(feature: Feature, p: Array) -> tuple[Array, Array]:
 
 
 def _check_derivative(feature: Feature, p: Array) -> None:
-    kind, inputs = feature.kind, _inputs(feature, p)
-    s, L = feature.measure(inputs[0]), feature.interaction(*inputs)
+    kind = feature.kind
+    inputs = _inputs(feature, p)
+    s = feature.measure(inputs[0])
+    L = feature.interaction(*inputs)
     assert L.ndim == 2 and L.shape[1] == 6, (
         f"{kind}: interaction must have shape (rows, 6), got {L.shape}"
     )
@@ -90,15 +92,18 @@ def _check_derivative(feature: Feature, p: Array) -> None:
     assert np.abs(feature.error(s, s)).max() < 1e-9, f"{kind}: error(s, s) must be 0"
     for i, name in enumerate(("vx", "vy", "vz", "wx", "wy", "wz")):
         step = STEP * (np.arange(6) == i)
-        after, before = (
-            feature.measure(_inputs(feature, transform(inverse(exp(sign * step)), p))[0])
-            for sign in (1, -1)
-        )
+        after = _measured_after(feature, step, p)
+        before = _measured_after(feature, -step, p)
         measured = (feature.error(after, s) - feature.error(before, s)) / (2 * STEP)
         off = float(np.abs(measured - L[:, i]).max())
         assert off < 1e-5 * max(1.0, float(np.abs(L).max())), (
             f"{kind}: column {name} of L is {off:.3g} from the error's difference quotient"
         )
+
+
+def _measured_after(feature: Feature, motion: Array, p: Array) -> Array:
+    """The feature of points p (N, 3) after a motion (6,) of the camera."""
+    return feature.measure(_inputs(feature, transform(inverse(exp(motion)), p))[0])
 
 
 # A quick closed loop for each kind of task: ideal motion where the task has it, markers by the
@@ -158,38 +163,43 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
         f"{law.kind} must reach its goal in {loop.name}:"
         f" {recording.outcome.name}, {recording.reason}"
     )
-    assert recording.outcome.success, words + (
-        unnamed_in_source(law) if recording.outcome is Outcome.law_failed else ""
-    )
+    if recording.outcome is Outcome.law_failed:
+        words += unnamed_in_source(law)
+    assert recording.outcome.success, words
     _check_commands(law, loop, frames.kept)
-    # Without a marker in sight the law orders something finite, and says why if it orders rest.
-    first = frames.kept[0]
+    _check_blind(law, loop, frames.kept[0])
+    _check_refusals(law, loop)
+
+
+def _check_blind(law: Law[Any], loop: Scenario, first: Frame) -> None:
+    """Without a marker in sight the law orders something finite, and says why if it orders rest."""
     gone = {
         name: np.full_like(value, np.nan)
         for name, value in _arrays(first.observation).items()
         if name in ("uv", "xy", "depth", "ray")
     }
     blind = replace(first.observation, **gone, T_camera_target=None, relative=None)
-    _, command = law.step(law.init(loop.goal_views[0]), blind, first.goal, _basis(loop))
+    _, command = law.step(law.init(loop.goal_views[0]), blind, first.goal, start_basis(loop))
     assert np.isfinite(command.twist).all(), (
         f"{law.kind} without markers in sight: the twist must be finite, got {command.twist}"
     )
     assert command.twist.any() or command.rest_reason, (
         f"{law.kind} without markers in sight: a rest must have a rest_reason"
     )
-    # A task that it does not take and too few markers are refused before a run.
+
+
+def _check_refusals(law: Law[Any], loop: Scenario) -> None:
+    """A task that a law does not take and too few markers are refused before a run."""
     if other := next((word for word in QUICK if word not in law.tasks), None):
         must_refuse(
             lambda: replace(quick(other), law=law),
             f"{law.kind} must be refused for a {other}, which it does not take",
         )
-    needed = law.markers_needed(_basis(loop))
-    if needed > 1 and len(loop.target.places):
-        few = Points(
-            at=tuple(map(tuple, loop.target.places[: needed - 1].tolist())),
-            pose=loop.target.pose,
-            marker=loop.target.marker,
-        )
+    needed = law.markers_needed(start_basis(loop))
+    target = loop.target
+    if needed > 1 and len(target.places):
+        places = tuple(map(tuple, target.places[: needed - 1].tolist()))
+        few = Points(at=places, pose=target.pose, marker=target.marker)
         must_refuse(
             lambda: replace(loop, target=few),
             f"{law.kind} needs {needed} markers, and {needed - 1} must be refused",
@@ -200,14 +210,16 @@ def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
     """Replayed by hand the law gives the same commands: it has no state of its own, and does not
     write into what it is given.
     """
-    state, mount = law.init(loop.goal_views[0]), Mount.of(loop.believed_camera.mount.T)
+    state = law.init(loop.goal_views[0])
+    mount = believed_mount(loop)
     for frame in frames:
         if frame.goal.view and not loop.goal.by_clock:
             return  # at a via point the loop initialises the law anew
         basis = loop.robot.motion_basis(mount, frame.truth.q)
         before = {name: value.copy() for name, value in _arrays(frame.observation).items()}
         where = f"{law.kind} in frame {frame.timing.number}"
-        given, (state, command) = state, law.step(state, frame.observation, frame.goal, basis)
+        given = state
+        state, command = law.step(given, frame.observation, frame.goal, basis)
         same = np.array_equal(command.twist, frame.command.twist)
         assert same, (
             f"{where}: another command for the same state and observation;"
@@ -252,11 +264,12 @@ def _check_inputs(law: Law[Any], state: Any, frame: Frame, basis: Array, command
     if not _differs(law, state, frame, basis, command, unnamed):
         return
     read = [name for name in unnamed if _differs(law, state, frame, basis, command, [name])]
+    read = read or unnamed
     words = (
-        f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)},"
+        f"{law.kind} reads observation.{' and observation.'.join(read)},"
         " which its `inputs` do not name"
     )
-    raise AssertionError(f"{words}; write inputs = {(*law.inputs, *(read or unnamed))}")
+    raise AssertionError(f"{words}; write inputs = {(*law.inputs, *read)}")
 
 
 def _named(law: Law[Any]) -> tuple[str, ...]:
@@ -269,10 +282,9 @@ def _differs(
     law: Law[Any], state: Any, frame: Frame, basis: Array, command: Command, without: list[str]
 ) -> bool:
     """Whether the command is another one without these fields of the observation."""
+    seen = replace(frame.observation, **dict.fromkeys(without))
     try:
-        _, again = law.step(
-            state, replace(frame.observation, **dict.fromkeys(without)), frame.goal, basis
-        )
+        _, again = law.step(state, seen, frame.goal, basis)
     except Exception:  # whatever a law raises that computes with a None
         return True
     return not np.array_equal(again.twist, command.twist)
@@ -282,33 +294,18 @@ def unnamed_in_source(law: Law[Any]) -> str:
     """Which fields a law that failed reads without naming them in `inputs`, as far as its text
     tells; "" where it tells nothing.
     """
-    observation = list(inspect.signature(type(law).step).parameters)[2]
-    view = (
-        list(inspect.signature(type(law).equations).parameters)[1]
-        if isinstance(law, ErrorLaw)
-        else observation
-    )
+    called = [list(inspect.signature(type(law).step).parameters)[2]]
+    if isinstance(law, ErrorLaw):
+        called.append(list(inspect.signature(type(law).equations).parameters)[1])
     try:
-        read = re.findall(rf"\b(?:{observation}|{view})\.(\w+)", inspect.getsource(type(law)))
+        read = re.findall(rf"\b(?:{'|'.join(called)})\.(\w+)", inspect.getsource(type(law)))
     except (OSError, TypeError):  # a class that was typed in has no file
         return ""
-    unnamed = [
-        field
-        for field in OBSERVATION_FIELDS
-        if field in read and field not in (*FREE, *_named(law))
-    ]
-    return (
-        f"; its `inputs` do not name {', '.join(unnamed)}, which it reads,"
-        " and which may be None then"
-        if unnamed
-        else ""
-    )
-
-
-def _basis(loop: Scenario) -> Array:
-    return loop.robot.motion_basis(
-        Mount.of(loop.believed_camera.mount.T), loop.robot.start_joints()
-    )
+    named = (*FREE, *_named(law))
+    unnamed = ", ".join(f for f in OBSERVATION_FIELDS if f in read and f not in named)
+    if not unnamed:
+        return ""
+    return f"; its `inputs` do not name {unnamed}, which it reads, and which may be None then"
 
 
 def _arrays(seen: Observation) -> dict[str, Array]:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import to_mapping
-from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LAWS, Command, Law
 from vstestbed.laws.base import inputs_of
-from vstestbed.loop.isolated import Isolated
+from vstestbed.loop.isolated import Isolated, LawBlock
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
@@ -31,11 +31,6 @@ KNOWN = (
     *("xy", "xyw", "depth", "ray", "range", "radius_px", "T_camera_target", "relative"),
     *("motion", "robot"),
 )
-
-
-@spec
-class _Beside:
-    law: Annotated[Law[Any], LAWS]
 
 
 class Likeness:
@@ -105,7 +100,8 @@ class Likeness:
         ordered = frame.twist
         most = float(np.linalg.norm(self.own))
         said = self.own * (float(np.linalg.norm(ordered)) / most if most > 0.0 else 0.0)
-        both, self.own = np.stack([said, ordered]), None
+        self.own = None
+        both = np.stack([said, ordered])
         squares = np.einsum("ij,ij->i", both, both)
         self.size += squares
         for kind, other in self.given.items():
@@ -114,12 +110,12 @@ class Likeness:
 
     def found(self, allowed: tuple[str, ...]) -> str:
         """The bundled kind whose commands are the law's, "" where none, or one that is allowed."""
-        alike = {
-            kind: float(np.min(apart[self.size > 0] / self.size[self.size > 0]))
-            for kind, apart in self.apart.items()
-            if self.size.any()
-        }
-        alike = {kind: share for kind, share in alike.items() if share <= ALIKE**2}
+        known = self.size > 0
+        alike: dict[str, float] = {}
+        for kind, apart in self.apart.items():
+            share = float(np.min(apart[known] / self.size[known], initial=math.inf))
+            if share <= ALIKE**2:
+                alike[kind] = share
         if not alike or set(alike) & set(allowed):
             return ""
         return min(alike, key=lambda kind: alike[kind])
@@ -137,7 +133,7 @@ class Likeness:
                 if name in made.__dataclass_fields__
             }
             with suppress(Exception):  # of settings that it has not, or without its file
-                own = _Beside(law={"kind": kind, **known}).law  # pyright: ignore[reportArgumentType] - a block
+                own = LawBlock(law={"kind": kind, **known}).law  # pyright: ignore[reportArgumentType] - a block
                 if set(inputs_of(own)) <= {*inputs_of(law), *KNOWN}:
                     replace(scenario, law=own)  # refused where the task is not one of this kind
                     own.prepare()

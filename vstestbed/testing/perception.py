@@ -20,13 +20,14 @@ from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.load import load
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import Truth
 from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.targets import Square
 from vstestbed.targets.markers import Disc
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.testing.laws import quick
-from vstestbed.testing.robots import must_refuse
+from vstestbed.testing.robots import check_contract, must_refuse
 from vstestbed.vision import Blobs, Detector, TruthView
 from vstestbed.vision.local_features import extracted, matched, mutual_matches
 from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase, Perturbed
@@ -59,11 +60,22 @@ def check_detector(
     plant, _ = build_plant(s.scene, PictureSetup(detector.needs_image, detector.needs_truth))
     with closing(plant):
         picture, truth = plant.capture()
+    _check_markers(detector, s, picture, truth, within_px)
+    if detector.needs_image and picture is not None:
+        _check_nothing(detector, s, picture)
+
+
+def _check_markers(
+    detector: Detector[Any], s: Scenario, picture: Picture | None, truth: Truth, within_px: float
+) -> None:
+    """All markers are found at their places, twice, and `draws` is true."""
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
-    true, state, rng = s.camera.project(truth.p_camera), detector.init(), np.random.default_rng(0)
-    undrawn = rng.bit_generator.state
+    true = s.camera.project(truth.p_camera)
     shown = s.camera.whole(truth.p_camera, s.target.marker.radius, MARGIN_PX) & ~truth.hidden
     assert shown.any(), f"{s.name or 'the scenario'} must show markers at its start"
+    state = detector.init()
+    rng = np.random.default_rng(0)
+    undrawn = rng.bit_generator.state
     # the second time it may look in windows
     for turn in ("from the whole picture", "beside the last one"):
         state, detection = detector.detect(state, picture, view, s.camera, s.target, rng)
@@ -76,27 +88,21 @@ def check_detector(
             f" every marker must be within {within_px:g} px, off by {error.round(3)}"
         )
     drew = rng.bit_generator.state != undrawn
+    how = "draws" if drew else "does not draw"
     assert drew is detector.draws, (
-        f"{detector.kind}: `draws` is {detector.draws}, and detect()"
-        f" {'draws' if drew else 'does not draw'} from rng"
+        f"{detector.kind}: `draws` is {detector.draws}, and detect() {how} from rng"
     )
-    if detector.needs_image and picture is not None:
-        _check_nothing(detector, s, picture)
 
 
 def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: float) -> None:
     """The points of a detector of its own points are where the scene has those of the goal's
     picture, and many enough.
     """
-    s = replace(
-        scenario, detector=detector, stop=replace(scenario.stop, duration_s=scenario.camera.period)
-    )
+    stop = replace(scenario.stop, duration_s=scenario.camera.period)
+    s = replace(scenario, detector=detector, stop=stop)
     log = uninterrupted(run(s))
-    uv, true = (
-        np.stack([[log[f"{axis}{at}_{i}"] for i in range(s.rows)] for axis in "uv"], axis=-1)
-        for at in ("", "_true")
-    )
-    error = np.linalg.norm(uv - true, axis=-1)
+    off = [[log[f"{axis}_{i}"] - log[f"{axis}_true_{i}"] for i in range(s.rows)] for axis in "uv"]
+    error = np.linalg.norm(off, axis=0)
     seen = np.isfinite(error).sum(axis=0)
     assert seen.min() >= 3, (
         f"{detector.kind}: must find three points or more in every picture, found {seen.tolist()}"
@@ -120,33 +126,24 @@ def _scene(detector: Detector[Any]) -> Scenario:
 
 def _check_nothing(detector: Detector[Any], s: Scenario, picture: Picture) -> None:
     """An empty picture has no markers; no picture at all is a mistake."""
-    empty = replace(
-        picture,
-        images=tuple(
-            None if image is None else np.full_like(image, 128) for image in picture.images
-        ),
-    )
-    _, detection = detector.detect(
-        detector.init(), empty, None, s.camera, s.target, np.random.default_rng(0)
-    )
-    assert np.isnan(detection.uv).all(), (
-        f"{detector.kind}: an empty picture has no markers, it found {detection.uv}"
-    )
+    grey = [None if image is None else np.full_like(image, 128) for image in picture.images]
+
+    def detected(given: Picture | None) -> Array:
+        rng = np.random.default_rng(0)
+        _, detection = detector.detect(detector.init(), given, None, s.camera, s.target, rng)
+        return detection.uv
+
+    uv = detected(replace(picture, images=tuple(grey)))
+    assert np.isnan(uv).all(), f"{detector.kind}: an empty picture has no markers, it found {uv}"
     words = f"{detector.kind}: without a picture detect must raise ParameterError"
-    must_refuse(
-        lambda: detector.detect(
-            detector.init(), None, None, s.camera, s.target, np.random.default_rng(0)
-        ),
-        words,
-    )
+    must_refuse(lambda: detected(None), words)
 
 
 # What every lens must do.
 GRID = 25  # pixels that are tried along each side of the picture
 LEAST_SEEN = 0.2  # least share of the picture in which each pixel must have a ray
-WITHIN_PX = (
-    1e-4  # largest error of the way to a ray and back [px]: a thousandth of the best measurement
-)
+# largest error of the way to a ray and back [px]: a thousandth of the best measurement
+WITHIN_PX = 1e-4
 AT_M = 0.6  # distance of the target that is rendered [m]
 
 
@@ -179,24 +176,20 @@ def check_camera(camera: Camera, seed: int = 0) -> None:
     turn = axis / max(float(np.linalg.norm(axis)), 1e-12) * np.arccos(np.clip(ray[2], -1, 1))
     T = exp(np.concatenate([np.zeros(3), turn]))
     T[:3, 3] = AT_M * ray
-    s = load("ibvs_book", {"detector": "oracle"})
-    target = Square(side=0.16, marker=Disc(radius=0.025, lit=False), pose=Pose.of(T))
-    robot = Free(start=FreeStart(nominal=Pose()))
-    check_detector(
-        Blobs(),
-        replace(
-            s,
-            name="a square before the lens",
-            robot=robot,
-            camera=replace(camera, latency_s=0.0),
-            target=target,
-        ),
+    before_lens = replace(
+        load("ibvs_book", {"detector": "oracle"}),
+        name="a square before the lens",
+        robot=Free(start=FreeStart(nominal=Pose())),
+        camera=replace(camera, latency_s=0.0),
+        target=Square(side=0.16, marker=Disc(radius=0.025, lit=False), pose=Pose.of(T)),
     )
+    check_detector(Blobs(), before_lens)
 
 
 def _check_pixels(camera: Camera, kind: str) -> Array:
     """From pixels to rays and back, whatever the distance; returns the pixels that have a ray."""
-    across, down = np.linspace(0, camera.width - 1, GRID), np.linspace(0, camera.height - 1, GRID)
+    across = np.linspace(0, camera.width - 1, GRID)
+    down = np.linspace(0, camera.height - 1, GRID)
     uv = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     rays = camera.ray(uv)
     assert rays.shape == (len(uv), 3), (
@@ -206,7 +199,8 @@ def _check_pixels(camera: Camera, kind: str) -> Array:
     assert seen.mean() >= LEAST_SEEN, (
         f"{kind}: {seen.mean():.0%} of the picture have a ray, at least {LEAST_SEEN:.0%} must"
     )
-    uv, rays = uv[seen], rays[seen]
+    uv = uv[seen]
+    rays = rays[seen]
     length = np.abs(np.linalg.norm(rays, axis=1) - 1).max()
     assert length < 1e-9, f"{kind}: rays must be unit vectors, one is {length:.2g} off"
     for distance in (0.01, 1.0, 100.0):
@@ -241,7 +235,8 @@ def check_keypoints(features: Any, within_px: float = 2.0, least: int = 20) -> N
     """
     turn = np.radians(TURN_DEG)
     A = SIZE * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    first, second = _picture(1.0, 0.0), _picture(1 / SIZE, -turn)
+    first = _picture(1.0, 0.0)
+    second = _picture(1 / SIZE, -turn)
     uv_goal, uv = _matches(features, first, second)
     middle = np.array([WIDTH - 1, HEIGHT - 1]) / 2
     off = np.linalg.norm(uv - ((uv_goal - middle) @ A.T + middle), axis=1)
@@ -266,24 +261,22 @@ def _picture(size: float, turn: float) -> NDArray[np.uint8]:
     """Sheets over each other (HEIGHT, WIDTH, 3): a place's offset from the middle, turned [rad] and
     times `size`, is that in the first.
     """
-    c, s = size * np.cos(turn), size * np.sin(turn)
+    c = size * np.cos(turn)
+    s = size * np.sin(turn)
     rng = np.random.default_rng(5)
     u, v = np.meshgrid(
         (np.arange(FINER * WIDTH) + 0.5) / FINER - WIDTH / 2,
         (np.arange(FINER * HEIGHT) + 0.5) / FINER - HEIGHT / 2,
     )
-    x, y = c * u - s * v, s * u + c * v
+    x = c * u - s * v
+    y = s * u + c * v
     image = np.full((*x.shape, 3), 128.0, np.float32)
     for _ in range(SHEETS):
-        (px, py), (a, b), angle = (
-            rng.uniform(-0.6, 0.6, 2) * [WIDTH, HEIGHT],
-            rng.uniform(5, 25, 2),
-            rng.uniform(0, np.pi),
-        )
-        along, across = (
-            np.cos(angle) * (x - px) + np.sin(angle) * (y - py),
-            np.cos(angle) * (y - py) - np.sin(angle) * (x - px),
-        )
+        px, py = rng.uniform(-0.6, 0.6, 2) * [WIDTH, HEIGHT]
+        a, b = rng.uniform(5, 25, 2)
+        angle = rng.uniform(0, np.pi)
+        along = np.cos(angle) * (x - px) + np.sin(angle) * (y - py)
+        across = np.cos(angle) * (y - py) - np.sin(angle) * (x - px)
         image[(np.abs(along) < a) & (np.abs(across) < b)] = rng.uniform(0, 255, 3)
     return image.reshape(HEIGHT, FINER, WIDTH, FINER, 3).mean(axis=(1, 3)).astype(np.uint8)
 
@@ -294,7 +287,8 @@ def _matches(
     """Places (M, 2) of matches in both pictures [px]."""
     if hasattr(features, "match"):
         return matched(features, first, second)[:2]
-    (uv_goal, a), (uv, b) = extracted(features, first), extracted(features, second)
+    uv_goal, a = extracted(features, first)
+    uv, b = extracted(features, second)
     i, j, _ = mutual_matches(a, b)
     return uv_goal[i], uv[j]
 
@@ -309,23 +303,16 @@ def check_noise(perturbation: PerturbationBase) -> None:
     its seed alone.
     """
     kind = perturbation.kind
-    assert PERTURBATIONS.contract is not None
-    PERTURBATIONS.contract.check(type(perturbation))
+    check_contract(PERTURBATIONS, perturbation)
     assert perturbation.changes, f"{kind}: `changes` must name picture, pixels or both"
+    loop = quick("view")
     if "picture" in perturbation.changes:
-        _check_draws(
-            kind,
-            "picture",
-            _PICTURE,
-            [_perturbed_picture(perturbation, seed) for seed in (0, 0, 1)],
-        )
+        loop = load("ibvs_book", {"stop.duration_s": SHORT_S})
+        drawn = [_perturbed_picture(perturbation, seed) for seed in (0, 0, 1)]
+        _check_draws(kind, "picture", _PICTURE, drawn)
     if "pixels" in perturbation.changes:
-        _check_draws(kind, "pixels", _UV, [_pixels(perturbation, seed) for seed in (0, 0, 1)])
-    loop = (
-        load("ibvs_book", {"stop.duration_s": SHORT_S})
-        if "picture" in perturbation.changes
-        else quick("view")
-    )
+        drawn = [_pixels(perturbation, seed) for seed in (0, 0, 1)]
+        _check_draws(kind, "pixels", _UV, drawn)
     loop = replace(loop, noise=Noise(perturb=(perturbation,)))
     one, again = (uninterrupted(run(loop)).table for _ in range(2))
     assert np.array_equal(one, again, equal_nan=True), (
@@ -372,8 +359,7 @@ def check_effect(effect: Effect, scenario: Scenario | None = None) -> None:
     Raises:
         AssertionError, ParameterError: it says what was expected and what was found.
     """
-    assert EFFECTS.contract is not None
-    EFFECTS.contract.check(type(effect))
+    check_contract(EFFECTS, effect)
     name = type(effect).__name__
     plain = scenario or load("arm_ibvs", {"detector": "oracle", "stop.duration_s": SHORT_S})
     own = replace(plain, robot=replace(plain.robot, effects=(effect,)))
@@ -398,14 +384,10 @@ def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> No
     """A metric's figures are numbers under names of their own, of a scenario's run and of its first
     frame alone.
     """
-    assert METRICS.contract is not None
-    METRICS.contract.check(type(metric))
+    check_contract(METRICS, metric)
     for name, title in metric.titles.items():
-        two = (
-            isinstance(title, tuple)
-            and len(title) == 2
-            and all(isinstance(word, str) for word in title)
-        )
+        words = title if isinstance(title, tuple) else ()
+        two = len(words) == 2 and all(isinstance(word, str) for word in words)
         assert two, f"{metric.kind}: titles[{name!r}] must be (title, unit), got {title!r}"
     check_metrics((metric,))
     recording = uninterrupted(run(replace(scenario or quick("view"), metrics=(metric,))))
@@ -419,12 +401,11 @@ def check_monitor(monitor: MonitorContract, ends: Scenario | None = None) -> Non
     it may leave alone.
     """
     kind = monitor.kind
-    assert MONITORS.contract is not None
-    MONITORS.contract.check(type(monitor))
+    check_contract(MONITORS, monitor)
     loop = ends or quick("view")
-    without, one, again = (
-        uninterrupted(run(replace(loop, monitors=those))) for those in ((), (monitor,), (monitor,))
-    )
+    without = uninterrupted(run(replace(loop, monitors=())))
+    loop = replace(loop, monitors=(monitor,))
+    one, again = (uninterrupted(run(loop)) for _ in range(2))
     assert (one.outcome, one.reason) == (again.outcome, again.reason), (
         f"{kind}: {one.outcome.name} and then {again.outcome.name};"
         " what a run remembers belongs into the object that `monitor` makes"

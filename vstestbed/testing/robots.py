@@ -8,18 +8,23 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.registry import Contract
+from vstestbed.core.registry import Contract, Registry
 from vstestbed.features import ThetaU
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.allocation import differs
 from vstestbed.robots.base import Reading
 
-STEP = (
-    1e-6  # difference by which a configuration is moved [rad or m]: the quotient then has 9 digits
-)
+# difference by which a configuration is moved [rad or m]: the quotient then has 9 digits
+STEP = 1e-6
 HUGE = 1e4  # factor on a twist that no real robot can make
 # A mount with all coordinates, of a camera over the floor that looks along x.
 OVER_FLOOR = np.array([[0, 0, 1, 0.1], [-1, 0, 0, -0.05], [0, -1, 0, 0.4], [0, 0, 0, 1]])
+
+
+def check_contract(registry: Registry, member: object) -> None:
+    """Refuse a kind that lacks what each of its registry must have."""
+    assert registry.contract is not None
+    registry.contract.check(type(member))
 
 
 def must_refuse(build: Callable[[], object], words: str) -> None:
@@ -53,7 +58,8 @@ def _check_start(robot: Robot, rng: np.random.Generator) -> None:
         f"{robot.kind}: started_at(configuration()) must stand where it stood,"
         f" it is {error:.2g} off"
     )
-    n, joints = len(robot.start_joints()), len(robot.joints)
+    n = len(robot.start_joints())
+    joints = len(robot.joints)
     assert n == joints, (
         f"{robot.kind}: start_joints() must have one angle for each of its {joints} joints, got {n}"
     )
@@ -98,10 +104,12 @@ def _twists(robot: Robot, q: Array) -> Array:
     """
     if q.size == 16:  # a flat pose: what moves anywhere
         return np.eye(6)
-    T, columns = robot.flange_pose(q), []
+    T = robot.flange_pose(q)
+    columns = []
     for i in range(len(q)):
         step = STEP * (np.arange(len(q)) == i)
-        before, after = robot.flange_pose(q - step), robot.flange_pose(q + step)
+        before = robot.flange_pose(q - step)
+        after = robot.flange_pose(q + step)
         turn = ThetaU().measure(before[:3, :3].T @ after[:3, :3])
         v = T[:3, :3].T @ (after[:3, 3] - before[:3, 3])
         columns.append(np.concatenate([v, T[:3, :3].T @ before[:3, :3] @ turn]) / (2 * STEP))
@@ -115,8 +123,10 @@ def _check_joints(robot: Robot, mount: Mount, rng: np.random.Generator) -> None:
     for _ in range(5):
         q = robot.configuration() + rng.uniform(-0.2, 0.2, len(robot.joints))
         J = mount.to_camera @ _twists(robot, q)
-        dq, dt = rng.normal(0, 0.1, len(q)), 1e-4
-        before, now = (Reading(q + sign * dq * dt / 2, dq) for sign in (-1, 1))
+        dq = rng.normal(0, 0.1, len(q))
+        dt = 1e-4
+        before = Reading(q - dq * dt / 2, dq)
+        now = Reading(q + dq * dt / 2, dq)
         measured = robot.measured_twist(before, now, dt, np.zeros(6), mount)
         error = float(np.abs(measured - J @ dq).max())
         assert error < 1e-4, (
@@ -180,8 +190,7 @@ def _check_limits(robot: Robot, mount: Mount, twist: Array) -> None:
     )
     if many.limit:
         more = robot.allocate(10 * HUGE * twist, reading, mount, 0.04)
-        size, larger = (float(np.abs(m.setpoint).max()) for m in (many, more))
-        assert larger <= 1.01 * size, (
+        assert np.abs(more.setpoint).max() <= 1.01 * np.abs(many.setpoint).max(), (
             f"{robot.kind}: beyond its limits the setpoint must not grow with the command"
         )
 

@@ -11,6 +11,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.registry import Contract
+from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
@@ -29,7 +30,8 @@ def check_target(target: Target) -> None:
     scene.
     """
     Contract(Target, base=Target).check(type(target))
-    points, places = target.points, target.places
+    points = target.points
+    places = target.places
     assert points.ndim == 2 and points.shape[1] == 3, (
         f"points must have shape (N, 3), got {points.shape}"
     )
@@ -43,20 +45,25 @@ def check_target(target: Target) -> None:
     if len(places) > 1:  # a kind may forget to refuse markers that overlap
         gaps = np.linalg.norm(places[:, None] - places[None], axis=-1) + np.eye(len(places)) * 1e9
         target.marker.check_spacing(float(gaps.min()), len(places))
-    T_target_camera = inverse(Pose(xyz=(0.1, -0.2, 2.0), rpy_deg=(5, -10, 20)).T)
+    T_camera_target = Pose(xyz=(0.1, -0.2, 2.0), rpy_deg=(5, -10, 20)).T
     if len(places):
-        error = np.abs(
-            target.seen_from(T_target_camera) - transform(inverse(T_target_camera), points)
-        ).max()
+        T_target_camera = inverse(T_camera_target)
+        seen = target.seen_from(T_target_camera)
+        error = np.abs(seen - transform(inverse(T_target_camera), points)).max()
         assert error < 1e-12, (
             f"seen_from must be points in the camera's frame, it is {error:.2g} m off"
         )
+    _check_scene(target)
+
+
+def _check_scene(target: Target) -> None:
+    """The target compiles, and its markers stand where it says."""
     robot = Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -2))))
-    floor_z = -50.0 if len(places) else 0.0  # out of the way of markers; lines lie on it
-    with closing(
-        Scene(SceneDescription(robot, Perspective(), target, World(floor_z=floor_z), step=0.002))
-    ) as stage:
-        for i, place in enumerate(places):
+    # out of the way of markers; lines lie on it
+    world = World(floor_z=-50.0 if len(target.places) else 0.0)
+    description = SceneDescription(robot, Perspective(), target, world, step=0.002)
+    with closing(Scene(description)) as stage:
+        for i, place in enumerate(target.places):
             found = stage.model.site(f"target/marker_{i}").pos
             assert np.allclose(found, place, atol=1e-6), (
                 f"marker {i} stands at {found} in the scene and at {place} in the target"
@@ -91,6 +98,36 @@ def check_motion(motion: MotionBase) -> None:
         return
     times = np.arange(0.0, SPAN_S, STEP_S)
     D = _along(motion, times)
+    _check_rigid(motion, D)
+    jumps = np.abs(np.diff(D[:, :3, 3], axis=0)).max(axis=1)
+    when = times[jumps.argmax()]
+    assert jumps.max() <= FASTEST_MPS * STEP_S, (
+        f"{motion.kind}: the path jumps by {jumps.max():.3g} m within {STEP_S:g} s at {when:.3f} s"
+    )
+    backwards = _along(motion, times[::-500])[::-1]
+    assert np.array_equal(backwards, D[::-500][::-1]), (
+        f"{motion.kind}: another path when the times are asked for backwards"
+    )
+    _check_start(motion, rest, D[0])
+    _check_declared(motion, times, D)
+
+
+def _check_declared(motion: MotionBase, times: Array, D: Array) -> None:
+    """`draws` and `moves` are true of the path: displacements (n, 4, 4) at times (n,) [s]."""
+    drawn = not np.array_equal(_along(motion, times, seed=8), D)
+    another = "another" if drawn else "the same"
+    assert drawn is motion.draws, (
+        f"{motion.kind}: `draws` is {motion.draws}, and another seed gives {another} path"
+    )
+    still = bool(np.all(D[0] == D))
+    how = "stands still" if still else "moves"
+    assert still is not motion.moves, (
+        f"{motion.kind}: `moves` is {motion.moves}, and the path {how}"
+    )
+
+
+def _check_rigid(motion: MotionBase, D: Array) -> None:
+    """Displacements (n, 4, 4) are motions of a rigid body."""
     assert D.shape[1:] == (4, 4) and np.isfinite(D).all(), (
         f"{motion.kind}: a displacement must be a finite matrix (4, 4)"
     )
@@ -105,26 +142,6 @@ def check_motion(motion: MotionBase) -> None:
     last = np.tile([0.0, 0, 0, 1], (len(D), 1))
     assert np.array_equal(D[:, 3], last), (
         f"{motion.kind}: the last row of a displacement must be 0 0 0 1"
-    )
-    jump = float(np.abs(np.diff(D[:, :3, 3], axis=0)).max())
-    when = times[np.abs(np.diff(D[:, :3, 3], axis=0)).max(axis=1).argmax()]
-    assert jump <= FASTEST_MPS * STEP_S, (
-        f"{motion.kind}: the path jumps by {jump:.3g} m within {STEP_S:g} s at {when:.3f} s"
-    )
-    backwards = _along(motion, times[::-500])[::-1]
-    assert np.array_equal(backwards, D[::-500][::-1]), (
-        f"{motion.kind}: another path when the times are asked for backwards"
-    )
-    _check_start(motion, rest, D[0])
-    drawn = not np.array_equal(_along(motion, times, seed=8), D)
-    assert drawn is motion.draws, (
-        f"{motion.kind}: `draws` is {motion.draws},"
-        f" and another seed gives {'another' if drawn else 'the same'} path"
-    )
-    still = bool(np.all(D[0] == D))
-    assert still is not motion.moves, (
-        f"{motion.kind}: `moves` is {motion.moves},"
-        f" and the path {'stands still' if still else 'moves'}"
     )
 
 
@@ -157,22 +174,15 @@ def check_task(scenario: Scenario) -> None:
     """
     task = scenario.goal
     Contract(Task, base=Task).check(type(task))
-    poses, views = scenario.goal_poses, scenario.goal_views
-    assert len(poses) == len(views), (
-        f"{task.kind}: each of {len(views)} goal views needs its pose, there are {len(poses)}"
+    n = len(scenario.goal_views)
+    poses = len(scenario.goal_poses)
+    assert poses == n, f"{task.kind}: each of {n} goal views needs its pose, there are {poses}"
+    numbers = [view.view for view in scenario.goal_views]
+    assert numbers == list(range(n)), (
+        f"{task.kind}: goal views must be numbered 0 to {n - 1}, got {numbers}"
     )
-    numbers = [view.view for view in views]
-    assert numbers == list(range(len(views))), (
-        f"{task.kind}: goal views must be numbered 0 to {len(views) - 1}, got {numbers}"
-    )
-    short = uninterrupted(
-        run(
-            replace(
-                scenario,
-                stop=replace(scenario.stop, duration_s=SHORT_FRAMES * scenario.camera.period),
-            )
-        )
-    )
+    stop = replace(scenario.stop, duration_s=SHORT_FRAMES * scenario.camera.period)
+    short = uninterrupted(run(replace(scenario, stop=stop)))
     assert short.outcome is Outcome.timed_out, (
         f"{task.kind}: 3 frames must not be enough, {short.outcome.name}: {short.reason}"
     )
@@ -182,15 +192,17 @@ def check_task(scenario: Scenario) -> None:
     )
     own = [name for name in scenario.own_columns if name not in whole.columns]
     assert not own, f"{task.kind}: its log lacks the columns {', '.join(own)}"
-    # its logged error was within the tolerance, since the run counts as completed
     if task.continuing:
-        assert "task_error_m" in whole.columns, (
-            f"{task.kind}: a continuing task must log its error as task_error_m [m]"
-        )
-        assert task.tolerance_m is not None, (
-            f"{task.kind}: a continuing task must have a tolerance_m"
-        )
-        worst = float(np.abs(whole["task_error_m"][whole["t"] >= task.settle_s]).max())
-        assert worst <= task.tolerance_m, (
-            f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"
-        )
+        _check_continuing(task, whole)
+
+
+def _check_continuing(task: Task, whole: Recording) -> None:
+    """The logged error was within the tolerance, since the run counts as completed."""
+    assert "task_error_m" in whole.columns, (
+        f"{task.kind}: a continuing task must log its error as task_error_m [m]"
+    )
+    assert task.tolerance_m is not None, f"{task.kind}: a continuing task must have a tolerance_m"
+    worst = float(np.abs(whole["task_error_m"][whole["t"] >= task.settle_s]).max())
+    assert worst <= task.tolerance_m, (
+        f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"
+    )

@@ -126,11 +126,15 @@ class LabTask:
     @property
     def parts(self) -> list[LabTask]:
         """It, and its further settings as tasks of their own."""
-        others = [
-            replace(self, set=self.set | each.set, median=each.median, better_than=None)
-            for each in self.also
-        ]
+        alone = replace(self, better_than=None)
+        others = [replace(alone, set=self.set | each.set, median=each.median) for each in self.also]
         return [self, *others]
+
+    def needed(self, runs: int) -> int:
+        """From how many of these runs the goal has to be reached."""
+        if self.reached is not None:
+            return self.reached
+        return runs if self.better_than is None else 0
 
 
 def _known_metrics(names: Iterable[str], where: str) -> None:
@@ -195,9 +199,8 @@ class Mark:
     @property
     def points(self) -> tuple[float, float]:
         """Those given, and all."""
-        return sum(result.given for result in self.results), sum(
-            result.points for result in self.results
-        )
+        given = sum(result.given for result in self.results)
+        return given, sum(result.points for result in self.results)
 
     def plain(self) -> dict[str, Any]:
         """For JSON."""
@@ -208,15 +211,7 @@ class Mark:
     def markdown(self) -> str:
         """A table for people."""
         given, all_of = self.points
-        # in one line: what a student's exception says begins no row of its own
-        why = {
-            r: " ".join(" ".join(r.reasons).split()).replace("|", "/") or "passed"
-            for r in self.results
-        }
-        rows = [
-            f"| {r.title} | {r.given:g} of {r.points:g} | {words} |" for r, words in why.items()
-        ]
-        head = [
+        lines = [
             f"# {self.lab}",
             "",
             f"**{given:g} of {all_of:g} points** ({self.file})",
@@ -224,7 +219,11 @@ class Mark:
             "| task | points | why |",
             "|---|---|---|",
         ]
-        return "\n".join([*head, *rows, ""])
+        for r in self.results:
+            # in one line: what a student's exception says begins no row of its own
+            why = " ".join(" ".join(r.reasons).split()).replace("|", "/") or "passed"
+            lines.append(f"| {r.title} | {r.given:g} of {r.points:g} | {why} |")
+        return "\n".join([*lines, ""])
 
     def write(self, folder: Path) -> None:
         """`mark.json` and `mark.md`."""
@@ -238,27 +237,32 @@ def read_lab(path: Path) -> Lab:
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a lab needs title, kind and tasks")
     lab = build(Lab, plain, marks, str(path))
-    parts = [(i, part) for i, whole in enumerate(lab.tasks) for part in whole.parts]
-    for i, task in parts:
-        named = absolute_files(task.set, path.absolute().parent)
-        others = {
-            key: value
-            for key, value in named.items()
-            if key.partition(".")[0] != lab.field.partition(".")[0]
-        }
+    for i, whole in enumerate(lab.tasks):
         try:
-            scenario = load(_place(task.scenario, path.parent), others)
-            if scenario.stop.converged.error_grey is not None:
-                words = (
-                    "is told by the law itself, and gives no marks;"
-                    " works: null, with another condition"
-                )
-                raise ScenarioError([Mistake("", "stop.converged.error_grey", words)])
+            for task in whole.parts:
+                _check_scenario(task, path)
         except ScenarioError as error:
             raise ScenarioError(
                 [replace(each, where=f"{path}: tasks.{i}") for each in error.mistakes]
             ) from None
     return lab
+
+
+def _check_scenario(task: LabTask, lab: Path) -> None:
+    """Refuse a task whose scenario has mistakes, but for those of the student's law, or whose end
+    its law would tell; ScenarioError.
+    """
+    named = absolute_files(task.set, lab.absolute().parent)
+    others = {key: value for key, value in named.items() if not _of_law(key)}
+    scenario = load(_place(task.scenario, lab.parent), others)
+    if scenario.stop.converged.error_grey is not None:
+        words = "is told by the law itself, and gives no marks; works: null, with another condition"
+        raise ScenarioError([Mistake("", "stop.converged.error_grey", words)])
+
+
+def _of_law(path: str) -> bool:
+    """Whether a dotted path is of the law."""
+    return path.partition(".")[0] == "law"
 
 
 def grade(
@@ -275,29 +279,24 @@ def grade(
     starts. beside: folder of the lab's file, in which scenarios are searched first; None: they are
     bundled ones. on_task: is told the title of each task as it begins.
     """
+    place = student.absolute()
+    results: list[Result] = []
+    lost = Child.lost
     with offered():
-        place, results, lost = student.absolute(), list[Result](), Child.lost
         refused = _refused(lab, place)
+        unchecked = refused
         if lab.check:
             on_task("check")
-            results.append(
-                Result(
-                    "It passes the suite of its room.",
-                    lab.check,
-                    (refused,) if refused else tuple(_unchecked(lab, place)),
-                )
-            )
+            unchecked = refused or tuple(_unchecked(lab, place))
         for task in lab.tasks:
             on_task(task.title)
-            reasons = [refused] if refused else []
-            for part in [] if refused else task.parts:
-                reasons += _reasons(lab, part, place, first_seed, beside)
-            results.append(Result(task.title, task.points, tuple(dict.fromkeys(reasons))))
+            reasons = refused or _all_reasons(lab, task, place, first_seed, beside)
+            results.append(Result(task.title, task.points, reasons))
         missing = bool(refused) or Child.lost > lost
-    if lab.check and not any(result.given for result in results[1:]):
-        results[0] = replace(
-            results[0], reasons=results[0].reasons or ("It does none of the tasks.",)
-        )
+    if lab.check:
+        if not any(result.given for result in results):
+            unchecked = unchecked or ("It does none of the tasks.",)
+        results.insert(0, Result("It passes the suite of its room.", lab.check, unchecked))
     return Mark(lab.title, shown(student.name), tuple(results), missing)
 
 
@@ -312,13 +311,16 @@ def _apart(lab: Lab, student: Path, block: Any, run_s: float | None = None) -> d
     return {"kind": "isolated", "block": block, **place, "run_s": most if run_s is None else run_s}
 
 
-def _refused(lab: Lab, student: Path) -> str:
-    """Why the file is not marked at all; "" where it can be loaded, and adds the lab's kind."""
+def _refused(lab: Lab, student: Path) -> tuple[str, ...]:
+    """Why the file is not marked at all; nothing where it can be loaded, and adds the lab's
+    kind.
+    """
     try:
         Isolated(**_apart(lab, student, {"kind": lab.kind if lab.field == "law" else "ibvs"}))
     except ParameterError as error:
-        return f"The file {error.problem}" if error.field == "files" else ""
-    return ""
+        if error.field == "files":
+            return (f"The file {error.problem}",)
+    return ()
 
 
 def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
@@ -331,10 +333,20 @@ def _unchecked(lab: Lab, student: Path) -> Iterator[str]:
         yield str(error).replace("isolated", lab.kind)
 
 
+def _all_reasons(
+    lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path | None
+) -> tuple[str, ...]:
+    """Why the points of a task, with its further settings, are not given; each reason once."""
+    found: dict[str, None] = {}
+    for part in task.parts:
+        found |= dict.fromkeys(_reasons(lab, part, student, first_seed, beside))
+    return tuple(found)
+
+
 def _reasons(
     lab: Lab, task: LabTask, student: Path, first_seed: int, beside: Path | None
 ) -> Iterator[str]:
-    """Why the points of a task are not given."""
+    """Why the points of one of a task's parts are not given."""
     like = Likeness({path.removeprefix("law."): value for path, value in task.set.items()})
     watch = Child.watch = None if task.may_be is None else like
     try:
@@ -356,32 +368,30 @@ def _reasons(
 def _missed(task: LabTask, own: list[dict[str, Any]]) -> Iterator[str]:
     """What runs of a task are short of, by their summaries."""
     good = [row for row in own if row["success"]]
-    needed = (
-        task.reached
-        if task.reached is not None
-        else 0
-        if task.better_than is not None
-        else len(own)
-    )
+    needed = task.needed(len(own))
     if len(good) < needed:
-        ends = Counter(str(row["outcome"]) for row in own if not row["success"])
-        listed = ", ".join(f"{n} {end}" for end, n in ends.most_common())
-        yield (
-            f"{len(good)} of {counted(len(own), 'run')} reached the goal,"
-            f" {needed} are needed ({listed})."
-        )
-        failed = next((str(row["reason"]) for row in own if row["outcome"] == "law_failed"), "")
-        if failed:
-            yield f"The law failed: {failed}."
+        yield from _too_few(own, needed)
     for name, bounds in task.median.items():
         values = [float(row[name]) for row in good if row.get(name) is not None]
-        missed = (
-            bounds.missed(statistics.median(values))
-            if values
-            else "is unknown, since no run reached the goal"
-        )
+        missed = "is unknown, since no run reached the goal"
+        if values:
+            missed = bounds.missed(statistics.median(values))
         if missed:
             yield f"The median of {name} {missed}."
+
+
+def _too_few(own: list[dict[str, Any]], needed: int) -> Iterator[str]:
+    """That too few runs reached the goal, how the others ended, and why the law failed in one."""
+    failures = [row for row in own if not row["success"]]
+    ends = Counter(str(row["outcome"]) for row in failures)
+    listed = ", ".join(f"{n} {end}" for end, n in ends.most_common())
+    good = len(own) - len(failures)
+    reached = f"{good} of {counted(len(own), 'run')} reached the goal"
+    yield f"{reached}, {needed} are needed ({listed})."
+    for row in failures:
+        if row["outcome"] == "law_failed" and row["reason"]:
+            yield f"The law failed: {row['reason']}."
+            return
 
 
 def _runs(
@@ -397,21 +407,21 @@ def _runs(
     """
     place = _place(task.scenario, beside)
     seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
-    changes: dict[str, Any] = {
-        lab.field: {"kind": lab.kind} if student else task.better_than
-    } | absolute_files(task.set, beside or Path())
-    if student:  # what is said of the law goes to the one inside
-        law = _apart(lab, student, to_mapping(load(place).law), task.limit_s / len(seeds))
-        inside = {
-            path: f"law.block{path[3:]}" for path in changes if path.partition(".")[0] == "law"
-        }
-        changes = {"law": law} | {inside.get(path, path): value for path, value in changes.items()}
+    settings = absolute_files(task.set, beside or Path())
+    if student is None:
+        changes = {lab.field: task.better_than} | settings
+    else:  # what is said of the law goes to the one inside
+        law = to_mapping(load(place).law)
+        changes = {"law": _apart(lab, student, law, task.limit_s / len(seeds))}
+        for path, value in ({lab.field: {"kind": lab.kind}} | settings).items():
+            changes[f"law.block{path[3:]}" if _of_law(path) else path] = value
     found = []
     for seed in seeds:
         scenario = load(place, changes, seed=seed, plugins=[MODULE])
+        watch = []
         if like is not None:
             scenario = like.beside(scenario)
-        watch = [] if like is None else [like]
+            watch.append(like)
         found.append(uninterrupted(run(scenario, watch)).summary())
     return found
 
@@ -419,16 +429,14 @@ def _runs(
 def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str) -> Iterator[str]:
     """Why there is no verdict for the student's kind, from the same starts."""
     names = ("seed", "success", by)
-    rows = [
-        {"scenario": who} | {name: row[name] for name in names}
-        for who, runs in (("other", others), ("own", own))
-        for row in runs
-    ]
-    (pair,) = pairs(
-        ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), (), (), primary=by)
-    )
+    rows = []
+    for who, runs in (("other", others), ("own", own)):
+        rows += [{"scenario": who} | {name: row[name] for name in names} for row in runs]
+    table = pl.DataFrame(rows, infer_schema_length=None)
+    (pair,) = pairs(ComparisonResults(table, (), (), primary=by))
     if pair.better != 1:
-        count, other = (sum(bool(row["success"]) for row in runs) for runs in (own, others))
+        count = sum(bool(row["success"]) for row in own)
+        other = sum(bool(row["success"]) for row in others)
         reached = f"it reached the goal from {count} of {len(own)} starts, the other from {other}"
         verdict = "the other is better" if pair.better == 0 else "these starts show neither better"
         yield f"It is not better: {verdict} ({reached})."

@@ -29,7 +29,8 @@ class DmServo(dm_env.Environment):
     """
 
     def __init__(self, rollout: Rollout, seed: int | None = None):
-        self.rollout, self._rng = rollout, np.random.default_rng(seed)
+        self.rollout = rollout
+        self._rng = np.random.default_rng(seed)
         self.scenario = rollout.scenario
         self.info: dict[str, Any] = {}
         self._last = True
@@ -41,7 +42,8 @@ class DmServo(dm_env.Environment):
     def reset_to(self, seed: int) -> dm_env.TimeStep:
         """Begin the episode of `vstestbed run --seed`."""
         step = self.rollout.reset(seed)
-        self._last, self.info = False, step.info
+        self._last = False
+        self.info = step.info
         return dm_env.restart(step.observation)
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
@@ -51,12 +53,13 @@ class DmServo(dm_env.Environment):
         if self._last:
             return self.reset()
         step = self.rollout.step(action)
-        self._last, self.info = step.terminated or step.truncated, step.info
-        if not self._last:
-            return dm_env.transition(step.reward, step.observation)
-        return (dm_env.termination if step.terminated else dm_env.truncation)(
-            step.reward, step.observation
-        )
+        self._last = step.terminated or step.truncated
+        self.info = step.info
+        if step.terminated:
+            return dm_env.termination(step.reward, step.observation)
+        if step.truncated:
+            return dm_env.truncation(step.reward, step.observation)
+        return dm_env.transition(step.reward, step.observation)
 
     def observation_spec(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env says Any nested
         """The entries of an observation."""

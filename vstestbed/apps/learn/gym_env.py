@@ -27,9 +27,9 @@ class SpecWithLength:
         return None if env is None else env.__dict__.get("_spec")
 
     def __set__(self, env: Any, spec: Any) -> None:
-        env.__dict__["_spec"] = (
-            None if spec is None else replace(spec, max_episode_steps=env._max_episode_steps)
-        )
+        if spec is not None:
+            spec = replace(spec, max_episode_steps=env._max_episode_steps)
+        env.__dict__["_spec"] = spec
 
 
 class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
@@ -63,7 +63,8 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         self.render_mode = render_mode
         self._rollout = Rollout(scenario, **settings)
         self.scenario = self._rollout.scenario
-        self.task, self.task_description = self.scenario.name, self.scenario.description
+        self.task = self.scenario.name
+        self.task_description = self.scenario.description
         self._max_episode_steps = self._rollout.most_steps
         self.metadata = self.metadata | {"render_fps": self.scenario.camera.rate_hz}
         self.observation_space = _space(self._rollout.bounds())
@@ -78,10 +79,9 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         others have no effect.
         """
         super().reset(seed=seed)
-        step = self._rollout.reset(
-            int(self.np_random.integers(MOST_SEED)) if seed is None else seed,
-            (options or {}).get("overrides"),
-        )
+        if seed is None:
+            seed = int(self.np_random.integers(MOST_SEED))
+        step = self._rollout.reset(seed, (options or {}).get("overrides"))
         return step.observation, step.info
 
     def step(self, action: NDArray[Any]) -> Step:
@@ -109,10 +109,10 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
 
 def _space(bounds: Mapping[str, Bounds | dict[str, Bounds]]) -> gymnasium.spaces.Dict:
     """The space of an observation, or of the pictures of several cameras in it."""
-    spaces: dict[str, gymnasium.Space[Any]] = {
-        name: _space(b)
-        if isinstance(b, dict)
-        else gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype)
-        for name, b in bounds.items()
-    }
+    spaces: dict[str, gymnasium.Space[Any]] = {}
+    for name, b in bounds.items():
+        if isinstance(b, dict):
+            spaces[name] = _space(b)
+        else:
+            spaces[name] = gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype)
     return gymnasium.spaces.Dict(spaces)

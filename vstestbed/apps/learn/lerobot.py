@@ -27,19 +27,19 @@ def make_env(
     cfg: the scenario's name or path, or a configuration whose `task` is it (a mapping, or an object
     with attributes) and which may have SETTINGS; None: `arm_ibvs`. Errors: as of `GymServo`.
     """
-    given = {"task": cfg} if isinstance(cfg, str) else cfg
-    values = (
-        given
-        if isinstance(given, dict)
-        else {name: getattr(given, name, None) for name in ("task", *SETTINGS)}
-    )
-    task = values.get("task") or "arm_ibvs"
-    settings = {"observation": "pixels"} | {
-        name: value for name in SETTINGS if (value := values.get(name)) is not None
-    }
-    mode, how = ("async", {"context": "spawn"}) if use_async_envs else ("sync", {})
-    given_on: dict[str, Any] = {"scenario": task} | settings
+    values = {"task": cfg} if isinstance(cfg, str) else cfg
+    if not isinstance(values, dict):
+        values = {name: getattr(values, name, None) for name in ("task", *SETTINGS)}
+    settings: dict[str, Any] = {"scenario": values.get("task") or "arm_ibvs"}
+    settings["observation"] = "pixels"
+    for name in SETTINGS:
+        if values.get(name) is not None:
+            settings[name] = values[name]
     envs = gymnasium.make_vec(
-        ANY, num_envs=n_envs, vectorization_mode=mode, vector_kwargs=how, **given_on
+        ANY,
+        num_envs=n_envs,
+        vectorization_mode="async" if use_async_envs else "sync",
+        vector_kwargs={"context": "spawn"} if use_async_envs else {},
+        **settings,
     )
-    return {str(task): {0: envs}}
+    return {str(settings["scenario"]): {0: envs}}

@@ -17,11 +17,12 @@ from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import scaled
 from vstestbed.laws.policy import MOST_PX, action_unit, observed
+from vstestbed.loop.ego_motion import start_basis
+from vstestbed.loop.inputs import numbers_of
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
 from vstestbed.report.video.film import Pictures, quality_of, replay_of
 from vstestbed.report.video.overlay import FilmFrame
-from vstestbed.robots import Mount
 from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.distributions import values_of
 from vstestbed.scenario.load import load
@@ -61,17 +62,21 @@ def marker_bounds(scenario: Scenario, camera: Camera, detector: Detector[Any]) -
     """Of the markers (N, 2) [px] that a camera's detector finds: the picture's borders, wide ones
     where its field of view is unlimited.
     """
-    shape, wide = (
-        (scenario.rows, 2),
-        isinstance(detector, Oracle) and detector.field_of_view != "limited",
-    )
-    ends = (
-        (np.full(2, -MOST_PX), np.full(2, MOST_PX))
-        if wide
-        else (np.full(2, -0.5), np.array([camera.width, camera.height]) - 0.5)
-    )
-    low, high = (np.broadcast_to(end, shape).astype(np.float32) for end in ends)
-    return Bounds(shape, np.float32, low, high)
+    low = np.full((scenario.rows, 2), -0.5, np.float32)
+    high = (low + [camera.width, camera.height]).astype(np.float32)
+    if isinstance(detector, Oracle) and detector.field_of_view != "limited":
+        low[:] = -MOST_PX
+        high[:] = MOST_PX
+    return Bounds(low.shape, np.float32, low, high)
+
+
+def _check_size(picture_px: tuple[int, int] | None) -> None:
+    if picture_px is None:
+        return
+    if len(picture_px) != 2 or not all(isinstance(n, int) and n > 0 for n in picture_px):
+        raise ParameterError.count(
+            "picture_px", "two", "whole numbers over 0, width and height", picture_px
+        )
 
 
 class Rollout:
@@ -144,30 +149,30 @@ class Rollout:
             raise ParameterError.bound(
                 "action_repeat", "a whole number of at least", 1, action_repeat
             )
-        if picture_px is not None and (
-            len(picture_px) != 2 or not all(isinstance(n, int) and n > 0 for n in picture_px)
-        ):
-            raise ParameterError.count(
-                "picture_px", "two", "whole numbers over 0, width and height", picture_px
-            )
-        self.action_repeat, self._picture_px = action_repeat, picture_px
-        self._stop = ({} if end_on_rest else {"rest_after_s": None}) | (
-            {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
-        )
-        self._name, self._overrides = (
-            None if isinstance(scenario, Scenario) else scenario,
-            dict(overrides or {}),
-        )
-        self.scenario = self._stopped(
-            scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
-        )
-        self._mode, self.reward = observation, Reward(reward, discount, success_bonus)
-        self.action_unit = action_unit(self.scenario.law.limits, self._basis(self.scenario))
+        _check_size(picture_px)
+        self.action_repeat = action_repeat
+        self._picture_px = picture_px
+        self._stop: dict[str, None] = {}
+        if not end_on_rest:
+            self._stop["rest_after_s"] = None
+        if not end_on_loss:
+            self._stop |= {"lost_after_s": None, "lost_after_m": None}
+        self._name: str | Path | None = None
+        self._overrides = dict(overrides or {})
+        if not isinstance(scenario, Scenario):
+            self._name = scenario
+            scenario = load(scenario, overrides)
+        self.scenario = self._stopped(scenario)
+        self._mode = observation
+        self.reward = Reward(reward, discount, success_bonus)
+        self.action_unit = action_unit(self.scenario.law.limits, start_basis(self.scenario))
         self._session: Session | None = None
         self._frame: Frame | None = None
         self._replay: Replay | None = None
         self._overview: Pictures | None = None
-        self._phi, self._told, self._steps = 0.0, False, 0
+        self._phi = 0.0
+        self._told = False
+        self._steps = 0
         self._randomised: dict[str, Any] = {}
         self._bounds = self.bounds()
 
@@ -183,33 +188,27 @@ class Rollout:
 
     def bounds(self) -> dict[str, Bounds | dict[str, Bounds]]:
         """The entries of an observation."""
-        s, n = self.scenario, self.scenario.rows
+        s = self.scenario
+        n = s.rows
         found: dict[str, Bounds | dict[str, Bounds]] = {
             "goal": Bounds((n, 2), np.float32, -MOST_PX, MOST_PX)
         }
+        eyes = {OWN: s, **s.eyes}
         if self._mode != "pixels":
-            seen = {"": (s.camera, s.detector)} | {
-                f"_{name}": (eye.camera, eye.detector) for name, eye in s.eyes.items()
-            }
-            for end, by in seen.items():
-                found |= {
-                    f"markers{end}": marker_bounds(s, *by),
-                    f"seen{end}": Bounds((n,), np.float32, 0.0, 1.0),
-                }
+            for name, eye in eyes.items():
+                end = "" if name == OWN else f"_{name}"
+                found[f"markers{end}"] = marker_bounds(s, eye.camera, eye.detector)
+                found[f"seen{end}"] = Bounds((n,), np.float32, 0.0, 1.0)
         if self._mode != "markers":
-            cameras = {OWN: s.camera} | {name: eye.camera for name, eye in s.eyes.items()}
-            sizes = {
-                name: self._picture_px or (camera.width, camera.height)
-                for name, camera in cameras.items()
-            }
-            each = {
-                name: Bounds((height, width, 3), np.uint8, 0, 255)
-                for name, (width, height) in sizes.items()
-            }
+            each = {name: self._picture_bounds(eye.camera) for name, eye in eyes.items()}
             found["pixels"] = each if s.eyes else each[OWN]
         if k := len(s.robot.proprioception_names):
             found["agent_pos"] = Bounds((k,), np.float32, -MOST, MOST)
         return found
+
+    def _picture_bounds(self, camera: Camera) -> Bounds:
+        width, height = self._picture_px or (camera.width, camera.height)
+        return Bounds((height, width, 3), np.uint8, 0, 255)
 
     def reset(self, seed: int, overrides: Mapping[str, object] | None = None) -> Step:
         """Begin the episode of a seed: the start and the noise of `run --seed`; of a scenario
@@ -219,17 +218,17 @@ class Rollout:
         change what an observation holds, or the scenario was given loaded; ScenarioError: they have
         mistakes.
         """
-        # of numpy, in a vector of environments
-        given, seed = self._of_episode(overrides), int(seed)
-        scenario = (
-            given.with_seed(seed) if given.robot.start.random is None else given.randomised(seed)
-        )
+        given = self._of_episode(overrides)
+        seed = int(seed)  # of numpy, in a vector of environments
+        random = given.robot.start.random is not None
+        scenario = given.randomised(seed) if random else given.with_seed(seed)
         self.close()
         self._randomised = values_of(scenario.given)
         self._session = Session(scenario, pictures=self._mode != "markers")
         frame = self._frame = self._session.reset()
         error, self._phi = self._judged(frame)
-        self._told, self._steps = False, 0
+        self._told = False
+        self._steps = 0
         return Step(self._observation(frame), 0.0, False, False, self._info(frame, error))
 
     def _of_episode(self, overrides: Mapping[str, object] | None) -> Scenario:
@@ -238,24 +237,15 @@ class Rollout:
         if self._name is None:
             raise ParameterError.only_for("options.overrides", "a scenario given by name or path")
         made = self._stopped(load(self._name, self._overrides | dict(overrides)))
-        same = [
+        now, then = (
             (s.rows, s.robot.kind, s.camera.width, s.camera.height, tuple(s.cameras))
             for s in (self.scenario, made)
-        ]
-        if same[0] != same[1] or not np.array_equal(
-            action_unit(made.law.limits, self._basis(made)), self.action_unit
-        ):
-            raise ParameterError(
-                "options.overrides",
-                "must leave markers, robot, limits and size of pictures as they are",
-                dict(overrides),
-            )
-        return made
-
-    def _basis(self, scenario: Scenario) -> Array:
-        return scenario.robot.motion_basis(
-            Mount.of(scenario.believed_camera.mount.T), scenario.robot.start_joints()
         )
+        unit = action_unit(made.law.limits, start_basis(made))
+        if now != then or not np.array_equal(unit, self.action_unit):
+            words = "must leave markers, robot, limits and size of pictures as they are"
+            raise ParameterError("options.overrides", words, dict(overrides))
+        return made
 
     def step(self, action: Array) -> Step:
         """Send the robot the velocities of an action (n,), and simulate until the next picture has
@@ -270,21 +260,17 @@ class Rollout:
         for _ in range(self.action_repeat):
             if frame.outcome is None:
                 frame = self._frame = session.step(u)
-        outcome, before = frame.outcome, self._phi
+        outcome = frame.outcome
         # an episode may have ended with its first frame: the first step tells
         self._told = outcome is not None
+        before = self._phi
         error, self._phi = self._judged(frame)
         truncated = outcome is not None and outcome.out_of_time
         terminated = outcome is not None and not truncated
+        info = self._info(frame, error)
         left = max(0, self.most_steps - self._steps)
-        reward = float(
-            self.reward.of_step(
-                before, self._phi, terminated, outcome is not None and outcome.success, left
-            )
-        )
-        return Step(
-            self._observation(frame), reward, terminated, truncated, self._info(frame, error)
-        )
+        reward = self.reward.of_step(before, self._phi, terminated, info["is_success"], left)
+        return Step(self._observation(frame), float(reward), terminated, truncated, info)
 
     def expert(self) -> Array:
         """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a
@@ -315,16 +301,11 @@ class Rollout:
 
     def close(self) -> None:
         """Free the simulation; `reset` begins another one."""
-        session, replay, self._session, self._replay, self._overview, self._frame = (
-            self._session,
-            self._replay,
-            None,
-            None,
-            None,
-            None,
-        )
+        self._overview = self._frame = None
+        replay, self._replay = self._replay, None
         if replay is not None:
             replay.close()
+        session, self._session = self._session, None
         if session is not None:
             session.close()
 
@@ -343,10 +324,7 @@ class Rollout:
         return self._session, self._frame
 
     def _checked(self, action: Array) -> Array:
-        try:
-            numbers = np.array(action, dtype=float)
-        except (TypeError, ValueError):
-            numbers = np.zeros(0)
+        numbers = numbers_of(action)
         if numbers.shape != self.action_unit.shape:
             raise ParameterError.count(
                 "action", len(self.action_unit), "numbers in [-1, 1]", action
@@ -356,23 +334,21 @@ class Rollout:
         return numbers
 
     def _observation(self, frame: Frame) -> dict[str, Any]:
-        seen, exposure, bounds = frame.observation, self._episode.controller.before, self._bounds
-        own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
-        told = observed(
-            replace(seen, proprioception=own if len(own) else None),
-            frame.goal,
-            tuple(self.scenario.cameras),
-        )
+        seen = frame.observation
+        reading = self._episode.controller.before.reading
+        own = self.scenario.robot.proprioception(reading, seen.odometry)
+        seen = replace(seen, proprioception=own if len(own) else None)
+        told = observed(seen, frame.goal, tuple(self.scenario.cameras))
         found: dict[str, Any] = {}
         for name, value in told.items():
-            if isinstance(within := bounds.get(name), Bounds):
+            within = self._bounds.get(name)
+            if isinstance(within, Bounds):
                 found[name] = np.clip(value, within.low, within.high)
                 if name.startswith("markers"):
                     found[name][told[f"seen{name.removeprefix('markers')}"] == 0] = 0.0
         if self._mode != "markers":
-            found["pixels"] = (
-                self._picture(frame.image) if not self.scenario.cameras else self._pictures(frame)
-            )
+            pictures = self._pictures(frame)
+            found["pixels"] = pictures if self.scenario.cameras else pictures[OWN]
         return found
 
     def _picture(self, image: Image | None) -> Image:
@@ -384,24 +360,22 @@ class Rollout:
         found = {OWN: self._picture(frame.image)}
         for name, eye in self.scenario.eyes.items():
             image = frame.cameras[name].image if name in frame.cameras else None
-            found[name] = self._picture(
-                np.zeros((eye.camera.height, eye.camera.width, 3), np.uint8)
-                if image is None
-                else image
-            )
+            if image is None:
+                image = np.zeros((eye.camera.height, eye.camera.width, 3), np.uint8)
+            found[name] = self._picture(image)
         return found
 
     def _judged(self, frame: Frame) -> tuple[JudgedError, float]:
         scenario = self.scenario
-        values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {
-            "error_px": frame.error.rms_px
-        }
+        values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True))
+        values["error_px"] = frame.error.rms_px
         error = in_a_frame(scenario.goal.judged, scenario.stop, values)
         return error, potential(error, frame.goal.view, len(scenario.goal_views))
 
     def _info(self, frame: Frame, error: JudgedError) -> dict[str, Any]:
         """What a learner may look at and a policy may not."""
-        outcome, truth = frame.outcome, frame.truth
+        outcome = frame.outcome
+        truth = frame.truth
         true = {
             "T_world_camera": truth.T_world_camera,
             "T_world_target": truth.T_world_target,

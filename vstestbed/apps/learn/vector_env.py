@@ -36,15 +36,16 @@ from vstestbed.studies.batch import (
 from vstestbed.tasks.judged import in_a_frame, nearness
 from vstestbed.tasks.monitor import REST
 
-GOING, *CODES = (
-    None,
+OUTCOMES = (
+    None,  # it goes on
     Outcome.timed_out,
     Outcome.local_minimum,
     Outcome.target_lost,
     Outcome.diverged,
     Outcome.converged,
 )
-OUTCOMES: list[Outcome | None] = [GOING, *CODES]  # an outcome's code is its place
+"""An outcome's code is its place."""
+NAMES = np.array([outcome.name if outcome else "" for outcome in OUTCOMES], dtype=object)
 
 
 class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
@@ -98,36 +99,27 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
             raise ParameterError.fixed(
                 "action_repeat", "1", rollout.action_repeat, where="in a batch"
             )
-        self._given, self._unit, self._reward, self._last = (
-            rollout.scenario,
-            rollout.action_unit,
-            rollout.reward,
-            rollout.most_steps,
-        )
+        self._given = rollout.scenario
+        self._unit = rollout.action_unit
+        self._reward = rollout.reward
+        self._max_episode_steps = rollout.most_steps
         self.scenario = _ideal(rollout.scenario, ideal)
         self._setup = setup = BatchSetup(self.scenario)
-        stop, law = self.scenario.stop, self.scenario.law
+        stop = self.scenario.stop
+        law = self.scenario.law
         self._limit = in_a_frame(self.scenario.goal.judged, stop, {"error_px": 1.0}).limit
         posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
-        self._needed, self._first = (
-            setup.needed,
-            max(setup.needed, FIRST_POSE) if posed else setup.needed,
-        )
-        self._hold, self._rest, self._lost = (
-            setup.frames(s) for s in (stop.converged.hold_s, stop.rest_after, stop.lost_after[0])
-        )
-        self.num_envs, self._max_episode_steps = num_envs, rollout.most_steps
-        self.single_observation_space, self.single_action_space = (
-            self._space(),
-            Box(-1.0, 1.0, self._unit.shape, np.float32),
-        )
-        self.observation_space, self.action_space = (
-            batch_space(s, num_envs)
-            for s in (self.single_observation_space, self.single_action_space)
-        )
-        self._goal = (
-            np.nan_to_num(self.scenario.goal_view.uv).clip(-MOST_PX, MOST_PX).astype(np.float32)
-        )
+        self._first = max(setup.needed, FIRST_POSE) if posed else setup.needed
+        self._hold = setup.frames(stop.converged.hold_s)
+        self._rest = setup.frames(stop.rest_after)
+        self._lost = setup.frames(stop.lost_after[0])
+        self.num_envs = num_envs
+        self.single_observation_space = self._space()
+        self.single_action_space = Box(-1.0, 1.0, self._unit.shape, np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        goal = np.nan_to_num(self.scenario.goal_view.uv)
+        self._goal = goal.clip(-MOST_PX, MOST_PX).astype(np.float32)
         self._rngs: list[np.random.Generator] = []
         self._runs: _Episodes | None = None
 
@@ -139,36 +131,32 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode in each environment. options: `reset_mask` (n,), in these alone."""
         n = self.num_envs
-        mask = (
-            np.ones(n, dtype=bool)
-            if not options or "reset_mask" not in options
-            else np.asarray(options["reset_mask"], dtype=bool)
-        )
-        seeds = (
-            [None if seed is None else seed + i for i in range(n)]
-            if seed is None or isinstance(seed, int)
-            else list(seed)
-        )
+        mask = np.asarray((options or {}).get("reset_mask", np.ones(n)), dtype=bool)
+        seeds: Sequence[int | None] = (None,) * n
+        if isinstance(seed, int):
+            seeds = range(seed, seed + n)
+        elif seed is not None:
+            seeds = seed
         if len(seeds) != n or mask.shape != (n,):
-            raise ParameterError.count(
-                "seed and options.reset_mask",
-                n,
-                "values, one for each environment",
-                (len(seeds), mask.shape),
-            )
+            words = "values, one for each environment"
+            found = len(seeds), mask.shape
+            raise ParameterError.count("seed and options.reset_mask", n, words, found)
         if self._runs is None:
             if not mask.all():
                 raise SessionError("no episode has begun", "call reset() without a mask first")
-            self._runs, self._rngs = _Episodes(n), [seeding.np_random(None)[0] for _ in seeds]
-        for i in np.flatnonzero(mask):
-            if (own := seeds[i]) is not None:
-                self._rngs[i] = seeding.np_random(own)[0]
-            self._runs.begin(
-                int(i),
-                self._given,
-                int(self._rngs[i].integers(MOST_SEED)) if own is None else int(own),
-            )
+            self._runs = _Episodes(n)
+            self._rngs = [seeding.np_random(None)[0] for _ in seeds]
+        for i in np.flatnonzero(mask).tolist():
+            self._begin(self._runs, i, seeds[i])
         return self._look(self._runs, np.full((n, 6), np.inf), mask)
+
+    def _begin(self, runs: _Episodes, i: int, seed: int | None = None) -> None:
+        """Begin an episode in environment i, with a seed or the next one that it draws."""
+        if seed is None:
+            seed = int(self._rngs[i].integers(MOST_SEED))
+        else:
+            self._rngs[i] = seeding.np_random(seed)[0]
+        runs.begin(i, self._given, int(seed))
 
     def step(
         self, actions: NDArray[Any]
@@ -176,27 +164,29 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         """One frame of each environment; one that has ended begins anew, with the reward 0. Errors:
         as of `Rollout.step`.
         """
-        runs, action = self._runs, np.asarray(actions, dtype=float)
+        runs = self._runs
+        action = np.asarray(actions, dtype=float)
         if runs is None:
             raise SessionError("no episode has begun", "call reset() first")
-        if action.shape != (self.num_envs, len(self._unit)):
-            raise ParameterError(
-                "actions", f"must have the shape {(self.num_envs, len(self._unit))}", action.shape
-            )
+        shape = self.num_envs, len(self._unit)
+        if action.shape != shape:
+            raise ParameterError("actions", f"must have the shape {shape}", action.shape)
         if not np.isfinite(action).all():
             raise ParameterError.infinite("actions", "NaN or inf")
+        anew = runs.told.copy()
         # one may have ended with its first frame: its first step tells
-        anew, goes = runs.told.copy(), ~runs.told & (runs.code == 0)
+        goes = ~anew & (runs.code == 0)
         twist = np.where(~goes[:, None], 0.0, self._unit * np.clip(action, -1.0, 1.0))
         runs.T = exp(-self.scenario.camera.period * twist) @ runs.T
         runs.frame += goes
-        for i in np.flatnonzero(anew):
-            runs.begin(int(i), self._given, int(self._rngs[i].integers(MOST_SEED)))
+        for i in np.flatnonzero(anew).tolist():
+            self._begin(runs, i)
         before = runs.phi.copy()
         seen, info = self._look(runs, np.where(goes[:, None], twist, np.inf), goes | anew)
         truncated = runs.code == OUTCOMES.index(Outcome.timed_out)
         terminated = (runs.code != 0) & ~truncated
-        left, runs.told = np.maximum(0, self._last - runs.frame), (runs.code != 0) & ~anew
+        runs.told = (runs.code != 0) & ~anew
+        left = np.maximum(0, self._max_episode_steps - runs.frame)
         reward = self._reward.of_step(before, runs.phi, terminated, info["is_success"], left)
         return seen, np.where(anew, 0.0, reward), terminated & ~anew, truncated & ~anew, info
 
@@ -210,15 +200,12 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         """
         s = self.scenario
         uv, seen, error, all_seen = seen_by(s, s.target.points_at(runs.T))
-        blind = seen.sum(axis=1) < np.where(runs.frame == 0, self._first, self._needed)
+        blind = seen.sum(axis=1) < np.where(runs.frame == 0, self._first, self._setup.needed)
         error[blind] = np.nan
         near = ~blind & all_seen & (error < self._setup.error_px)
         still = ~blind & ~near & (np.abs(twist).max(axis=1) < REST)
-        way = np.where(
-            blind & (runs.blind > 0) & np.isfinite(twist[:, 0]),
-            np.linalg.norm(twist[:, :3], axis=1) * s.camera.period,
-            0.0,
-        )
+        goes_on = blind & (runs.blind > 0) & np.isfinite(twist[:, 0])
+        way = np.where(goes_on, np.linalg.norm(twist[:, :3], axis=1) * s.camera.period, 0.0)
         runs.blind_m = np.where(blind, runs.blind_m + way, 0.0)
         for name, holds in (("near", near), ("rest", still), ("blind", blind)):
             count = getattr(runs, name)
@@ -236,15 +223,13 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         runs.phi = nearness(error, self._limit)
         markers = np.where(seen[..., None], uv, 0.0).clip(-MOST_PX, MOST_PX).astype(np.float32)
         goal = np.broadcast_to(self._goal, markers.shape).copy()
-        return {"goal": goal, "markers": markers, "seen": seen.astype(np.float32)}, self._info(
-            runs, error
-        )
+        observation = {"goal": goal, "markers": markers, "seen": seen.astype(np.float32)}
+        return observation, self._info(runs, error)
 
     def _info(self, runs: _Episodes, error: Array) -> dict[str, Any]:
-        names = np.array(["", *(outcome.name for outcome in CODES)], dtype=object)
         told = {
             "is_success": runs.code == OUTCOMES.index(Outcome.converged),
-            "outcome": names[runs.code],
+            "outcome": NAMES[runs.code],
             "error": error,
             "t": runs.frame * self.scenario.camera.period,
             "seed": runs.seed.copy(),
@@ -254,9 +239,11 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
 
     def _space(self) -> Dict:
         """Of one environment: pixels within the picture, where the field of view is limited."""
-        s, n = self.scenario, len(self.scenario.target.points)
+        s = self.scenario
+        n = len(s.target.points)
         _, _, low, high = marker_bounds(s, s.camera, s.detector)
-        goal, seen = Box(-MOST_PX, MOST_PX, (n, 2), np.float32), Box(0.0, 1.0, (n,), np.float32)
+        goal = Box(-MOST_PX, MOST_PX, (n, 2), np.float32)
+        seen = Box(0.0, 1.0, (n,), np.float32)
         return Dict({"goal": goal, "markers": Box(low, high, dtype=np.float32), "seen": seen})
 
 
@@ -268,33 +255,25 @@ class _Episodes:
 
     def __init__(self, n: int):
         self.T = np.tile(np.eye(4), (n, 1, 1))
-        self.frame, self.near, self.rest, self.blind, self.code, self.seed = (
-            np.zeros(n, dtype=int) for _ in range(6)
-        )
-        self.blind_m, self.phi, self.told = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+        self.frame, self.near, self.rest, self.blind, self.code, self.seed = np.zeros((6, n), int)
+        self.blind_m, self.phi = np.zeros((2, n))
+        self.told = np.zeros(n, dtype=bool)
 
     def begin(self, i: int, scenario: Scenario, seed: int) -> None:
         """Episode i at the start that a seed draws."""
-        self.T[i], self.seed[i] = start_of(scenario, seed), seed
-        for counted in (
-            self.frame,
-            self.near,
-            self.rest,
-            self.blind,
-            self.code,
-            self.blind_m,
-            self.told,
-        ):
-            counted[i] = 0
+        self.T[i] = start_of(scenario, seed)
+        self.seed[i] = seed
+        counters = self.frame, self.near, self.rest, self.blind, self.code, self.blind_m, self.told
+        for counter in counters:
+            counter[i] = 0
 
 
 def _ideal(scenario: Scenario, wanted: bool) -> Scenario:
     """The ideal scenario of a batch; itself where nothing is left out."""
-    drawn = scenario.detector.needs_image and scenario.detector.rows is None
-    omitted = (
-        left_out(scenario)
-        + [f"the pictures of detector {scenario.detector.kind} (oracle needs none)"] * drawn
-    )
+    omitted = list(left_out(scenario))
+    detector = scenario.detector
+    if detector.needs_image and detector.rows is None:
+        omitted.append(f"the pictures of detector {detector.kind} (oracle needs none)")
     if omitted and not wanted:
         words = (
             "must be True for this scenario:"

@@ -11,15 +11,14 @@ import viser
 
 from vstestbed.apps.live.page import LiveView, add_gizmo
 from vstestbed.apps.live.panel import Controls, HandPanel, StatusLine, on_click, transport_panel
-from vstestbed.apps.live.run import LiveRun, Served, Settings
+from vstestbed.apps.live.run import SEED, LiveRun, Served, Settings
 from vstestbed.apps.live.server import LocalServer
 from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.geometry import Array
 from vstestbed.scenario.yaml_marks import read_value
 
-IDLE_S = (
-    0.2  # how long a view that rests waits for orders before it looks whether it has to end [s]
-)
+# how long a view that rests waits for orders before it looks whether it has to end [s]
+IDLE_S = 0.2
 
 
 class LiveApp(Served):
@@ -45,7 +44,9 @@ class LiveApp(Served):
         self._show(now=True)
 
     def _add_panel(self) -> None:
-        gui, inbox, run = self._server.gui, self._inbox, self.run
+        gui = self._server.gui
+        inbox = self._inbox
+        run = self.run
         self._status = StatusLine(gui)
         transport_panel(gui, inbox, run.transport, self.reset)
         self._controls = Controls(
@@ -55,23 +56,15 @@ class LiveApp(Served):
             inbox.waits,
         )
         with gui.add_folder("any other field", expand_by_default=False):
-            field, value = (
-                gui.add_text("field", "goal.T_camera_target.xyz"),
-                gui.add_text("value", "[0, 0, 0.8]"),
-            )
+            field = gui.add_text("field", "goal.T_camera_target.xyz")
+            value = gui.add_text("value", "[0, 0, 0.8]")
             set_ = gui.add_button("set", hint="as --set field=value")
             on_click(set_, inbox, lambda: self.change(field.value, read_value(value.value)))
         self._hand = HandPanel(gui, inbox, run, self.gizmo)
-        on_click(
-            gui.add_button("start without a seed", hint="the scenario's own start"),
-            inbox,
-            lambda: self.change("seed", None),
-        )
-        on_click(
-            gui.add_button("save as scenario", hint="what repeats these settings from the start"),
-            inbox,
-            self._save,
-        )
+        start = gui.add_button("start without a seed", hint="the scenario's own start")
+        on_click(start, inbox, lambda: self.change(SEED, None))
+        hint = "what repeats these settings from the start"
+        on_click(gui.add_button("save as scenario", hint=hint), inbox, self._save)
 
     def serve(self) -> None:
         """Turn the run and obey its pages, until `stop` or an interrupt."""
@@ -137,12 +130,11 @@ class LiveApp(Served):
         """Change a setting, and tell it on the page; by the thread that serves."""
         restarted = self.run.change(path, value)
         self._controls.show(self.run.settings.scenario)
+        how = "in force from the next frame on"
         if restarted:
             self._restarted()
-        self._status.say(
-            f"{path} = {value}: "
-            + ("a new start" if restarted else "in force from the next frame on")
-        )
+            how = "a new start"
+        self._status.say(f"{path} = {value}: {how}")
 
     def reset(self) -> None:
         """Begin the run again; by the thread that serves."""
@@ -159,12 +151,10 @@ class LiveApp(Served):
         self._show(now=True)
 
     def _save(self) -> None:
-        note = (
-            "Its run was changed by hand, which this file does not repeat:"
-            f" {', '.join(self.run.by_hand)}."
-            if self.run.by_hand
-            else ""
-        )
+        note = ""
+        if self.run.by_hand:
+            changed = ", ".join(self.run.by_hand)
+            note = f"Its run was changed by hand, which this file does not repeat: {changed}."
         path = self.run.settings.keep(note)
         self._status.say(f"saved: vstestbed run {path}. {note}")
 
@@ -173,10 +163,12 @@ class LiveApp(Served):
         serves.
         """
         self._let_go(what)
-        if what == "plate":
-            self._hold_plate(self.run.before_marker(self._hand.marker) if on else None)
-            if on:
-                self._grip(what, self.run.before_marker(self._hand.marker), self._hold_plate)
+        if what == "plate" and on:
+            T = self.run.before_marker(self._hand.marker)
+            self._hold_plate(T)
+            self._grip(what, T, self._hold_plate)
+        elif what == "plate":
+            self._hold_plate(None)
         elif on:
             self.run.check_target_free()
             self._grip(what, self.run.last.film.T_world_target, self.run.move_target)

@@ -18,7 +18,6 @@ from vstestbed.core.geometry import (
     inverse,
     pose_from,
     quaternion_wxyz,
-    rotation_from_quaternion,
     transform,
 )
 from vstestbed.imaging.chain import scaled
@@ -32,7 +31,7 @@ from vstestbed.sim.replay import Replay
 FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
 FLOOR_M, GRID_M = 400.0, 60.0  # edges of the floor, and of the part of it with lines [m]
 LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
-SHORTEST_M, LONGEST_M = 0.06, 0.6
+SHORTEST_M, LONGEST_M = 0.06, 0.6  # of the frustum
 # distance of the grid under the floor of the simulation, and of the surface under the grid [m]
 LAYER_M = 0.004
 GHOST = 0.3  # opacity of the robot, or the target in the gripper, at its goal
@@ -47,18 +46,25 @@ class SceneView:
     def __init__(
         self, server: viser.ViserServer, scenario: Scenario, replay: Replay, first: Sample
     ):
-        self._scene, self._scenario, self._replay = server.scene, scenario, replay
-        film, aside = first.film, scenario.target.on_gripper
-        ends = [film.T_world_target, *([] if first.T_world_goal is None else [first.T_world_goal])]
+        self._scene = server.scene
+        self._scenario = scenario
+        self._replay = replay
+        film = first.film
+        aside = scenario.target.on_gripper
+        ends = [film.T_world_target]
+        if first.T_world_goal is not None:
+            ends.append(first.T_world_goal)
         far = max(float(np.linalg.norm(T[:3, 3] - film.T_world_camera[:3, 3])) for T in ends)
-        # of the frustum; a camera that stands in the room may be nearer to the viewer than the
-        # robot, and must not hide it
-        self.reach_m = float(np.clip((0.05 if aside else 0.13) * far, SHORTEST_M, LONGEST_M))
+        # a camera that stands in the room may be nearer to the viewer than the robot, and must not
+        # hide it
+        share = 0.05 if aside else 0.13
+        self.reach_m = float(np.clip(share * far, SHORTEST_M, LONGEST_M))
         self._scene.reset()
         self._surroundings()
         self._bodies = self._solids()
         self._poses: Array | None = None  # of all bodies as they were put last (B, 7)
-        self._trail, self._spacing = np.zeros((0, 3)), self.reach_m / 12
+        self._trail = np.zeros((0, 3))
+        self._spacing = self.reach_m / 12
         self._trail_lines = self._scene.add_line_segments(
             "/trail", np.zeros((1, 2, 3)), OWN, thickness=2.5, thickness_units="screen"
         )
@@ -68,11 +74,9 @@ class SceneView:
         self.plate: viser.MeshHandle | None = None
         T, middle, fovy = replay.outside_view(film.t, first.T_world_goal)
         view = server.initial_camera
-        view.position, view.look_at, view.fov = (
-            tuple(T[:3, 3].tolist()),
-            tuple(middle.tolist()),
-            fovy,
-        )
+        view.position = tuple(T[:3, 3].tolist())
+        view.look_at = tuple(middle.tolist())
+        view.fov = fovy
         # a free camera's room has no upright
         view.up = (0.0, 0.0, 1.0) if scenario.robot.body else tuple((-T[:3, 1]).tolist())
         # the depth buffer must tell lines on the floor from the floor
@@ -94,19 +98,15 @@ class SceneView:
         _put(self._eye, film.T_world_camera)
         if image is not None:
             self._eye.image = image
+        at = sample.T_world_goal
         if self._goal is not None:
-            self._goal.visible = sample.T_world_goal is not None
-        if sample.T_world_goal is not None:
-            at = sample.T_world_goal
-            if self._goal is not None:
+            self._goal.visible = at is not None
+            if at is not None:
                 _put(self._goal, at)
-            if self._ghost is not None:
-                _put(
-                    self._ghost,
-                    film.T_world_camera @ inverse(at) @ film.T_world_target
-                    if self._scenario.target.on_gripper
-                    else at,
-                )
+        if self._ghost is not None and at is not None:
+            if self._scenario.target.on_gripper:
+                at = film.T_world_camera @ inverse(at) @ film.T_world_target
+            _put(self._ghost, at)
 
     def clear(self) -> None:
         """Forget the trail."""
@@ -116,9 +116,8 @@ class SceneView:
     def draw_trail(self) -> None:
         """Send the trail, which need not be done with every sample."""
         if len(self._trail) > 1:
-            self._trail_lines.points = np.stack([self._trail[:-1], self._trail[1:]], axis=1).astype(
-                np.float32
-            )
+            lines = np.stack([self._trail[:-1], self._trail[1:]], axis=1)
+            self._trail_lines.points = lines.astype(np.float32)
 
     def put_plate(self, T_world_plate: Array | None, edge_m: float) -> None:
         """Show the plate in reserve at a pose (4, 4), or not at all."""
@@ -158,17 +157,18 @@ class SceneView:
         below it.
         """
         bodies: dict[int, viser.FrameHandle] = {}
-        solids, panes = self._replay.solids, self._replay.panes
+        solids = self._replay.solids
+        panes = self._replay.panes
         for body in dict.fromkeys(part.body for part in (*solids, *panes)):
             bodies[body] = self._scene.add_frame(f"/body_{body}", show_axes=False)
         for i, solid in enumerate(solids):
-            look = {
-                "color": np.rint(255 * np.array(solid.rgb)).astype(np.uint8),
-                "side": "double",
-                "flat_shading": True,
-            }
             self._scene.add_mesh_simple(
-                f"/body_{solid.body}/{i}", solid.vertices, solid.faces, **look
+                f"/body_{solid.body}/{i}",
+                solid.vertices,
+                solid.faces,
+                color=np.rint(255 * np.array(solid.rgb)).astype(np.uint8),
+                side="double",
+                flat_shading=True,
             )
         for i, pane in enumerate(panes):
             shown = self._scene.add_image(
@@ -199,20 +199,19 @@ class SceneView:
         """What moves, at its goal: a vehicle or a craft, or the target in the gripper; None for an
         arm or a free camera.
         """
-        robot, target = self._scenario.robot, self._scenario.target
-        if first.T_world_goal is None or (robot.base == "fixed" and not target.on_gripper):
+        held = self._scenario.target.on_gripper
+        if first.T_world_goal is None or (self._scenario.robot.base == "fixed" and not held):
             return None
         film = first.film
         xpos, xquat = self._replay.body_poses(
             film.t, film.T_world_target, film.q, film.T_world_camera
         )
-        names, prefix = self._replay.body_names, "target/" if target.on_gripper else "robot/"
-        T_ref = inverse(film.T_world_target if target.on_gripper else film.T_world_camera)
+        prefix = "target/" if held else "robot/"
+        T_ref = inverse(film.T_world_target if held else film.T_world_camera)
         parts = []
         for solid in self._replay.solids:
-            if names[solid.body].startswith(prefix):
-                T = np.eye(4)
-                T[:3, :3], T[:3, 3] = rotation_from_quaternion(xquat[solid.body]), xpos[solid.body]
+            if self._replay.body_names[solid.body].startswith(prefix):
+                T = pose_from(xpos[solid.body], xquat[solid.body])
                 parts.append(transform(T_ref @ T, solid.vertices))
         if not parts:
             return None
@@ -236,18 +235,19 @@ class SceneView:
         if not len(trail) or np.linalg.norm(place - trail[-1]) >= self._spacing:
             trail = np.vstack([trail, place])
         if len(trail) > PLACES:
-            trail, self._spacing = trail[::2], 2 * self._spacing
+            trail = trail[::2]
+            self._spacing *= 2
         self._trail = trail
 
 
 def _square(edge_m: float) -> tuple[Array, Array]:
-    return edge_m / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array(
-        [[0, 1, 2], [0, 2, 3]]
-    )
+    corners = edge_m / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    return corners, np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def _put(handle: viser.SceneNodeHandle, T: Array) -> None:
-    handle.position, handle.wxyz = T[:3, 3], quaternion_wxyz(T[:3, :3])
+    handle.position = T[:3, 3]
+    handle.wxyz = quaternion_wxyz(T[:3, :3])
 
 
 WIDTH, EYE_HEIGHT = 400, 320  # the picture in the panel is at most as large [px]
@@ -261,14 +261,15 @@ class Eye:
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, replay: Replay):
         camera = scenario.camera
         share = min(WIDTH / camera.width, EYE_HEIGHT / camera.height, 1.0)
-        width, height = max(16, round(share * camera.width)), max(16, round(share * camera.height))
-        below = [
-            round(width * eye.camera.height / eye.camera.width) for eye in scenario.eyes.values()
-        ]
-        self._size, self._own_height = (width, height + sum(below)), height
-        self._scenario, self._replay = scenario, replay
+        width = max(16, round(share * camera.width))
+        self._own_height = height = max(16, round(share * camera.height))
+        for eye in scenario.eyes.values():  # below each other
+            height += round(width * eye.camera.height / eye.camera.width)
+        self._size = width, height
+        self._scenario = scenario
+        self._replay = replay
         self._pictures = Pictures(scenario, "eye", replay, self._size)
-        blank = np.full((self._size[1], self._size[0], 3), 60, np.uint8)
+        blank = np.full((height, width, 3), 60, np.uint8)
         self._shown = gui.add_image(
             blank,
             label=" \u00b7 ".join(("servo camera", *scenario.cameras)),
@@ -328,16 +329,10 @@ class Plots:
         self._v = _plot(gui, "commanded speed [m/s]", ["vx", "vy", "vz"], AXIS_COLORS)
         self._w = _plot(gui, "commanded rate [rad/s]", ["wx", "wy", "wz"], AXIS_COLORS)
         names = list(scenario.robot.joints)
-        self._q = (
-            _plot(
-                gui,
-                "joints [rad]",
-                names,
-                [LINE_COLORS[i % len(LINE_COLORS)] for i in range(joints)],
-            )
-            if joints
-            else None
-        )
+        self._q = None
+        if joints:
+            colors = [LINE_COLORS[i % len(LINE_COLORS)] for i in range(joints)]
+            self._q = _plot(gui, "joints [rad]", names, colors)
 
     def add(self, sample: Sample) -> None:
         """One more frame; only every k-th is kept once the run is long."""
@@ -350,17 +345,14 @@ class Plots:
             self._rows[: self._count] = self._rows[::2].copy()
             self._every *= 2
         positive = sample.judged if sample.judged > 0 else np.nan  # logarithmic
-        self._rows[self._count] = (
-            sample.film.t,
-            positive,
-            *sample.twist,
-            *sample.film.q[: self._joints],
-        )
+        q = sample.film.q[: self._joints]
+        self._rows[self._count] = sample.film.t, positive, *sample.twist, *q
         self._count += 1
 
     def clear(self) -> None:
         """Begin anew."""
-        self._count, self._every, self._skipped = 0, 1, 0
+        self._count = self._skipped = 0
+        self._every = 1
 
     def draw(self) -> None:
         """Send the curves, which need not be done with every frame."""
@@ -403,12 +395,10 @@ def _plot(
     )
 
 
-# Least time on the wall between two updates of the scene, of plots [s]; of picture and words:
-# `live.run`
-SCENE_S, PLOTS_S = (
-    1 / 30,
-    1 / 4,
-)
+SCENE_S, PLOTS_S = 1 / 30, 1 / 4
+"""Least time on the wall between two updates of the scene, of plots [s]; of picture and words:
+`live.run`.
+"""
 VIEW_WIDTH = 340  # of the panel beside the scene [px]
 
 
@@ -420,7 +410,8 @@ class LiveView:
     def __init__(
         self, server: viser.ViserServer, scenario: Scenario, first: Sample, recorded: bool = False
     ):
-        self._server, self._recorded = server, recorded
+        self._server = server
+        self._recorded = recorded
         panel = server.gui.add_panel()
         self._tab = panel.add_tab("camera and curves")
         panel.dock_left()
@@ -435,7 +426,8 @@ class LiveView:
             self._replay.close()
             self.eye.remove()
             self.plots.remove()
-        scenario, self._unit = self._scenario, first.unit
+        scenario = self._scenario
+        self._unit = first.unit
         # the servo camera makes pictures as large as they are shown
         share = min(1.0, WIDTH / scenario.camera.width)
         self._replay = Replay(scenario.scene, shadows=False, share=share)
@@ -448,11 +440,11 @@ class LiveView:
         """Begin anew; whether the scene is another one, so that all that others put into it is
         gone.
         """
-        parts = [
+        now, before = (
             (s.robot, s.camera, s.target, getattr(s.target_in_run.sheet, "png", None), s.world)
             for s in (scenario, self._scenario)
-        ]
-        other = parts[0] != parts[1] or first.unit != self._unit
+        )
+        other = now != before or first.unit != self._unit
         self._scenario = scenario
         if other:
             self._build(first)
@@ -477,16 +469,16 @@ class LiveView:
         """
         if not self._server.get_clients() and not now:  # nobody looks
             return
-        pictured = (
-            now
-            or sample.film.image is not None
-            or (self._recorded and self._due("picture", PICTURE_S))
-        )
-        if pictured or self._due("scene", SCENE_S):
+        pictured = now or sample.film.image is not None
+        if not pictured and self._recorded:
+            pictured = self._due("picture", PICTURE_S)
+        if pictured:
             with self._server.atomic():
-                self.scene.show(sample, self.eye.draw(sample) if pictured else None)
-                if pictured:
-                    tell()
+                self.scene.show(sample, self.eye.draw(sample))
+                tell()
+        elif self._due("scene", SCENE_S):
+            with self._server.atomic():
+                self.scene.show(sample, None)
         if now or self._due("plots", PLOTS_S):
             self.plots.draw()
             self.scene.draw_trail()

@@ -79,7 +79,9 @@ class Field:
     @property
     def label(self) -> str:
         """The path, without its block where that is written above."""
-        return self.path if self.comes_first else self.path.partition(".")[2] or self.path
+        if self.comes_first:
+            return self.path
+        return self.path.partition(".")[2] or self.path
 
 
 def fields_of(scenario: Scenario) -> list[Field]:
@@ -87,28 +89,28 @@ def fields_of(scenario: Scenario) -> list[Field]:
     found = [Field("seed", "number", scenario.seed, whole=True)]
     for block in BLOCKS:
         value = getattr(scenario, block)
-        found += (
-            []
-            if block in ("robot", "camera")
-            else _kinds(block, fields(Scenario)[block].node, value)
-        )
+        if block not in ("robot", "camera"):
+            found += _kinds(block, fields(Scenario)[block].node, value)
         found += _inside(block, value)
     if hasattr(scenario.camera, "distortion"):
         now = getattr(scenario.camera, "distortion", None) or (0.0,) * 5
-        found += [
-            Field(f"camera.distortion.{i}", "slider", now[i], -0.4, 0.4, 0.4 / STEPS)
-            for i in (0, 1)
-        ]
-    rank = {path: i for i, path in enumerate(FIRST)}
-    return sorted(found, key=lambda f: rank.get(f.path, -1) if f.comes_first else len(FIRST))
+        for i in (0, 1):
+            path = f"camera.distortion.{i}"
+            found.append(Field(path, "slider", now[i], -0.4, 0.4, 0.4 / STEPS))
+
+    def rank(field: Field) -> int:
+        if not field.comes_first:
+            return len(FIRST)
+        return FIRST.index(field.path) if field.path in FIRST else -1
+
+    return sorted(found, key=rank)
 
 
 def _kinds(path: str, node: Node, value: Any) -> list[Field]:
     if node.registry is None or len(node.registry.members) < 2:
         return []
-    return [
-        Field(path, "choice", kind_of(type(value)), choices=tuple(sorted(node.registry.members)))
-    ]
+    choices = tuple(sorted(node.registry.members))
+    return [Field(path, "choice", kind_of(type(value)), choices=choices)]
 
 
 def _inside(path: str, value: Any) -> Iterator[Field]:
@@ -143,22 +145,21 @@ GAINS = [
 
 def _number(path: str, value: float, node: Node) -> Field:
     """A slider where its useful range is known, else a number to type."""
-    is_gain, whole = node.within in GAINS, node.type is int
+    is_gain = node.within in GAINS
+    whole = node.type is int
     high = HIGH.get(path, max(4.0, 4.0 * abs(value)) if is_gain else 0.0)
     if not high or whole:
         return Field(path, "number", value, whole=whole)
-    low, top = node.limits
+    least, top = node.limits
     high = min(max(high, value), top)
     power = 10.0 ** int(f"{high / STEPS:e}".partition("e")[2])
     step = next(m * power for m in (5, 2, 1) if m * power <= high / STEPS * (1 + 1e-9))
-    left = (
-        -high
-        if low < 0
-        else min(step, value)
-        if any(isinstance(bound, Gt) and bound.gt == 0 for bound in node.bounds)
-        else 0.0
-    )
-    return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
+    low = 0.0
+    if least < 0:
+        low = -high
+    elif Gt(0) in node.bounds:
+        low = min(step, value)
+    return Field(path, "slider", value, low=low, high=high, step=step, is_gain=is_gain)
 
 
 class Controls:
@@ -174,7 +175,9 @@ class Controls:
         ask: Callable[[str, object], None],
         waits: Callable[[str], bool],
     ):
-        self._gui, self._ask, self._waits = gui, ask, waits
+        self._gui = gui
+        self._ask = ask
+        self._waits = waits
         self._parts: list[Any] = []
         self._handles: dict[str, tuple[Field, Any]] = {}
         self._holder = gui.add_folder("settings", expand_by_default=True)
@@ -189,11 +192,9 @@ class Controls:
         if before == {key: (f.control, f.choices) for key, f in fields.items()}:
             for key, field in fields.items():
                 old, handle = self._handles[key]
-                value = (
-                    min(max(field.value, old.low), old.high)
-                    if field.control == "slider"
-                    else field.value
-                )
+                value = field.value
+                if field.control == "slider":
+                    value = min(max(value, old.low), old.high)
                 # a slider that is still being drawn must not jump back
                 if not self._waits(field.path):
                     handle.value = value
@@ -215,7 +216,8 @@ class Controls:
                             self._made(field)
 
     def _made(self, field: Field) -> Any:
-        gui, hint = self._gui, f"--set {field.path}=..."
+        gui = self._gui
+        hint = f"--set {field.path}=..."
         handle: Any
         if field.control == "choice":
             # the number of a gain has a slider
@@ -228,9 +230,8 @@ class Controls:
                 field.label, field.low, field.high, field.step, float(field.value), hint=hint
             )
         else:
-            handle = gui.add_number(
-                field.label, field.value if field.whole else float(field.value), hint=hint
-            )
+            value = field.value if field.whole else float(field.value)
+            handle = gui.add_number(field.label, value, hint=hint)
 
         def asked(value: Any) -> None:
             if field.control == "choice":
@@ -297,12 +298,11 @@ class StatusLine:
     def show(self, sample: Sample, transport: Transport, by_hand: tuple[str, ...] = ()) -> None:
         """Time, error, pace, or the outcome; what was done by hand in this run."""
         if by_hand != self._done:
-            self._done, self._hand.content = by_hand, _told(by_hand)
-        error = (
-            f"{sample.judged:.3g} {sample.unit}"
-            if math.isfinite(sample.judged)
-            else "target not in sight"
-        )
+            self._done = by_hand
+            self._hand.content = _told(by_hand)
+        error = "target not in sight"
+        if math.isfinite(sample.judged):
+            error = f"{sample.judged:.3g} {sample.unit}"
         words = (
             f"**t = {sample.film.t:.2f} s** · frame {sample.number} · error {error}  \n"
             f"{_state(sample, transport)}"
@@ -312,13 +312,9 @@ class StatusLine:
 
     def say(self, message: str, refused: bool = False) -> None:
         """A sentence that stays until the next one; "" for none."""
-        content = (
-            ""
-            if not message
-            else f"**refused:** {escaped(message)}"
-            if refused
-            else escaped(message)
-        )
+        content = escaped(message)
+        if content and refused:
+            content = f"**refused:** {content}"
         if content != self.message:
             self.message = self._said.content = content
 
@@ -340,7 +336,8 @@ def _state(sample: Sample, transport: Transport) -> str:
         return f"**{outcome.value}**: {escaped(reason)} — *reset* begins again"
     if not transport.playing:
         return "paused"
-    pace, wanted = transport.pace, transport.speed
+    pace = transport.pace
+    wanted = transport.speed
     if math.isnan(pace):
         return "running"
     if math.isfinite(wanted) and pace < 0.95 * wanted:
@@ -362,11 +359,8 @@ class HandPanel:
             force = gui.add_vector3(
                 "force [N]", well, hint=f"along world axes, for {PUSH_S:g} s at the flange"
             )
-            on_click(
-                gui.add_button("push the robot"),
-                inbox,
-                lambda: run.push(np.array(force.value), PUSH_S),
-            )
+            push = gui.add_button("push the robot")
+            on_click(push, inbox, lambda: run.push(np.array(force.value), PUSH_S))
             target = gui.add_checkbox("drag the target", False)
             plate = gui.add_checkbox("hold a plate", False)
             shown = run.scenario.target

@@ -37,31 +37,20 @@ class Recorded:
             raise RunFolderError(
                 folder, "has a log without frames; there is nothing to show", NOTHING_RAN
             )
-        self._columns, self._table = log.columns, log.table
+        self._log = log
         self._ending = ending_of(folder)
-        self.t = self._table[:, self._columns.index("t")]
+        self.t = log["t"]
 
     def __len__(self) -> int:
-        return len(self._table)
+        return len(self._log)
 
     def sample(self, i: int) -> Sample:
         """Frame i."""
-        row = dict(zip(self._columns, self._table[i].tolist(), strict=True))
+        row = dict(zip(self._log.columns, self._log.table[i].tolist(), strict=True))
         film = FilmFrame.of_row(row, self.scenario)
-        values = {name: row[name] for name in self.scenario.own_columns} | {
-            "error_px": row["error_px"]
-        }
         twist = np.array([row[f"applied_{name}"] for name in TWIST])
-        view = int(row.get("view", 0))
-        return sample(
-            self.scenario,
-            film,
-            values,
-            int(row["frame"]),
-            twist,
-            view,
-            self._ending if i == len(self) - 1 else None,
-        )
+        ending = self._ending if i == len(self) - 1 else None
+        return sample(self.scenario, film, row, twist, ending)
 
     def at(self, t: float) -> int:
         """Number of the last frame that is not after a time [s]; the first one before all."""
@@ -74,7 +63,8 @@ class PlaybackApp(Served):
     """
 
     def __init__(self, folder: Path, port: int | None = None, plugins: Sequence[str] = ()):
-        self.recorded, self.i = Recorded(folder, plugins), 0
+        self.recorded = Recorded(folder, plugins)
+        self.i = 0
         super().__init__()
         self.transport = Transport()
         self._sample = self.recorded.sample(0)
@@ -117,11 +107,9 @@ class PlaybackApp(Served):
         or nobody looks.
         """
         ended = self.i + 1 >= len(self.recorded)
-        return (
-            None
-            if ended or not self._server.get_clients()
-            else self.transport.wait_s(self._sample.film.t)
-        )
+        if ended or not self._server.get_clients():
+            return None
+        return self.transport.wait_s(self._sample.film.t)
 
     def go_to(self, i: int) -> None:
         """Show another frame (by the thread that serves),
@@ -135,7 +123,8 @@ class PlaybackApp(Served):
         self._show(i, now=True)
 
     def _show(self, i: int, now: bool = False) -> None:
-        self.i, self._sample = i, self.recorded.sample(i)
+        self.i = i
+        self._sample = self.recorded.sample(i)
         self._view.add(self._sample)
         self._view.draw(self._sample, self._tell, now or i + 1 == len(self.recorded))
 

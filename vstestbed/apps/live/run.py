@@ -55,18 +55,18 @@ class Settings:
         seed: int | None = None,
         plugins: Sequence[str] = (),
     ):
-        self._name, self._plugins = name, tuple(plugins)
-        self._overrides, self.seed = dict(overrides or {}), seed
-        self.scenario = load(
-            name, self._overrides, seed, from_option(self._overrides), self._plugins
-        )
+        self._name = name
+        self._plugins = tuple(plugins)
+        self._overrides = dict(overrides or {})
+        self.seed = seed
+        self.scenario = self._loaded(self._overrides, seed)
         given: dict[str, Any] = to_mapping(self.scenario)
-        self._given = frozenset(
-            text
-            for block, value in given.items()
-            if block not in TEXTS
-            for _, text in _texts(value, block)
-        )
+        self._given: set[str] = set()
+        for block in given.keys() - TEXTS:
+            self._given.update(text for _, text in _texts(given[block], block))
+
+    def _loaded(self, overrides: Mapping[str, object], seed: int | None) -> Scenario:
+        return load(self._name, overrides, seed, from_option(overrides), self._plugins)
 
     def change(self, path: str, value: object) -> Scenario:
         """Set a field, and load the scenario again; what is refused changes nothing. value: as YAML
@@ -75,29 +75,31 @@ class Settings:
         in it that may name a file.
         """
         self._refuse_new_texts(path, value)
-        overrides, seed = self._overrides, self.seed
+        seed = self.seed
+        overrides = self._overrides
         if path == SEED:
-            if value is not None and (
-                not isinstance(value, int) or isinstance(value, bool) or value < 0
-            ):
-                raise ScenarioError(
-                    [Mistake("page", SEED, f"must be a whole number from 0 on, got {value!r}")]
-                )
-            seed = value
+            seed = _seed(value)
         else:
-            block, _, item = path.rpartition(".")
-            # all coefficients at once: a lens without distortion has no list to change
-            if block == DISTORTION and item.isdecimal():
-                now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
-                path, value = block, [value if i == int(item) else k for i, k in enumerate(now)]
-            # what was set inside the old value, or round it, is gone; the last setting is applied
-            # last
-            overrides = {
-                p: v for p, v in overrides.items() if p != path and not p.startswith(f"{path}.")
-            } | {path: value}
-        scenario = load(self._name, overrides, seed, from_option(overrides), self._plugins)
-        self._overrides, self.seed, self.scenario = overrides, seed, scenario
-        return scenario
+            overrides = self._overridden(path, value)
+        self.scenario = self._loaded(overrides, seed)
+        self._overrides = overrides
+        self.seed = seed
+        return self.scenario
+
+    def _overridden(self, path: str, value: object) -> dict[str, object]:
+        """The overrides with a new one. What was set inside the old value, or round it, is gone;
+        the last setting is applied last.
+        """
+        block, _, item = path.rpartition(".")
+        # all coefficients at once: a lens without distortion has no list to change
+        if block == DISTORTION and item.isdecimal():
+            now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
+            path = block
+            value = [value if i == int(item) else k for i, k in enumerate(now)]
+        kept = {
+            p: v for p, v in self._overrides.items() if p != path and not p.startswith(f"{path}.")
+        }
+        return kept | {path: value}
 
     def _refuse_new_texts(self, path: str, value: object) -> None:
         """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario
@@ -112,36 +114,40 @@ class Settings:
         found = absolute_files({path: value}, Path.cwd())[path]
         block = path.rpartition(".")[2]
         for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
-            known = self._given | (
-                {f"{TEXTURE}{name}" for name in textures()}
-                if key in FILE_FIELDS
-                and key != "realism"  # whose levels are words; its files end as no word does
-                else _words(sum(len(registry.members) for registry in REGISTRIES), len(SPECS))
-            )
+            # the levels of `realism` are words; its files end as no word does
+            if key in FILE_FIELDS and key != "realism":
+                known = self._given | {f"{TEXTURE}{name}" for name in textures()}
+            else:
+                kinds = sum(len(registry.members) for registry in REGISTRIES)
+                known = self._given | _words(kinds, len(SPECS))
             if text not in known:
                 hint = nearest(text, filter(str.isidentifier, known))
                 if block in TEXTS or not hint.startswith("did you mean"):
-                    hint = (
-                        "files and new names are given on the command line"
-                        f" alone (--set {path}=...)"
-                    )
-                raise ScenarioError(
-                    [Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")]
-                )
+                    where = f"on the command line alone (--set {path}=...)"
+                    hint = f"files and new names are given {where}"
+                words = f"{short(told)} is no word of this scenario; {hint}"
+                raise ScenarioError([Mistake("page", path, words)])
 
     def keep(self, note: str = "") -> Path:
         """Write the scenario that repeats these settings from the start,
         `runs/<scenario>/live/<number>/scenario.yaml`. note: joins the description, such as what was
         changed by hand meanwhile. Raises OutputError, EnvironmentLackError.
         """
-        scenario = (
-            self.scenario.but(description=f"{self.scenario.description} {note}".strip())
-            if note
-            else self.scenario
-        )
-        return write_whole(
-            numbered(Path("runs") / file_word(scenario.name) / "live") / GIVEN, given_text(scenario)
-        )
+        scenario = self.scenario
+        if note:
+            scenario = scenario.but(description=f"{scenario.description} {note}".strip())
+        folder = numbered(Path("runs") / file_word(scenario.name) / "live")
+        return write_whole(folder / GIVEN, given_text(scenario))
+
+
+def _seed(value: object) -> int | None:
+    """What a page gives as a seed; ScenarioError where it is none."""
+    if value is None:
+        return None
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        words = f"must be a whole number from 0 on, got {value!r}"
+        raise ScenarioError([Mistake("page", SEED, words)])
+    return value
 
 
 def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
@@ -163,11 +169,14 @@ def _words(kinds: int, specs: int) -> frozenset[str]:
     """The kinds, and the words between which a field has the choice, of so many kinds and specs: a
     plugin adds some.
     """
-    leaves = (
-        leaf for cls in SPECS for field in fields(cls).values() for leaf in field.node.leaves()
-    )
-    choices = {word for leaf in leaves for word in leaf.words if isinstance(word, str)}
-    return frozenset(choices | {kind for registry in REGISTRIES for kind in registry.members})
+    found: set[str] = set()
+    for registry in REGISTRIES:
+        found.update(registry.members)
+    for cls in SPECS:
+        for field in fields(cls).values():
+            for leaf in field.node.leaves():
+                found.update(word for word in leaf.words if isinstance(word, str))
+    return frozenset(found)
 
 
 # What pages ask for, handed to the thread that runs the simulation; nothing else passes between the
@@ -182,7 +191,8 @@ class Inbox:
 
     def __init__(self) -> None:
         self._orders: dict[object, Order] = {}
-        self._come, self._numbers = threading.Condition(), itertools.count()
+        self._come = threading.Condition()
+        self._numbers = itertools.count()
 
     def put(self, order: Order, key: str | None = None) -> None:
         """Add an order, from any thread. key: what it sets; None for one that counts, such as a
@@ -212,7 +222,8 @@ class Served:
     """An app whose pages, and other threads, ask for things that the thread that serves does."""
 
     def __init__(self) -> None:
-        self._inbox, self._stop = Inbox(), threading.Event()
+        self._inbox = Inbox()
+        self._stop = threading.Event()
 
     def ask(self, order: Order) -> None:
         """Let the thread that serves do something, as a page does; from any thread."""
@@ -252,15 +263,16 @@ class Transport:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
-        self.playing, self.speed = True, 1.0
+        self.playing = True
+        self.speed = 1.0
         self._steps = 0
         self._anchor: tuple[float, float] | None = None
         self._passed: deque[tuple[float, float]] = deque()
 
     def play(self, on: bool) -> None:
         """Go on, or pause; steps that wait are dropped."""
-        self.playing, self._steps = on, 0
-        self.restart_pace()
+        self.playing = on
+        self.begin()
 
     def step(self) -> None:
         """One frame more, then pause."""
@@ -274,7 +286,7 @@ class Transport:
         self.restart_pace()
 
     def begin(self) -> None:
-        """Another run begins: steps that wait belong to the one before."""
+        """Begin anew: steps that wait are dropped."""
         self._steps = 0
         self.restart_pace()
 
@@ -312,16 +324,15 @@ class Transport:
         """Simulated seconds a second over the last moments; NaN while it is not known."""
         if len(self._passed) < 2:
             return math.nan
-        (wall, t), (wall_now, t_now) = self._passed[0], self._passed[-1]
+        wall, t = self._passed[0]
+        wall_now, t_now = self._passed[-1]
         return (t_now - t) / (wall_now - wall) if wall_now > wall else math.nan
 
 
-# Least time on the wall between two whole pictures [s], and over the time that a frame with one
-# took
-PICTURE_S, REST = (
-    1 / 15,
-    2.5,
-)
+PICTURE_S, REST = 1 / 15, 2.5
+"""Least time on the wall between two whole pictures [s], and over the time that a frame with one
+took.
+"""
 
 
 class LiveRun:
@@ -330,7 +341,8 @@ class LiveRun:
     """
 
     def __init__(self, settings: Settings):
-        self.settings, self.transport = settings, Transport()
+        self.settings = settings
+        self.transport = Transport()
         self.restarts = self.frames = 0
         self._next_picture = 0.0
         self.session: Session
@@ -364,7 +376,8 @@ class LiveRun:
         frame = session.reset()
         if self.restarts:
             self.session.close()
-        self.session, self.plate_m = session, edge
+        self.session = session
+        self.plate_m = edge
         self.restarts += 1
         self.frames = 0
         self.transport.begin()
@@ -394,7 +407,8 @@ class LiveRun:
         whether there was one.
         """
         before = copy.copy(self.settings)  # `change` replaces its parts, and writes into none
-        was, now = before.scenario.resolved, self.settings.change(path, value).resolved
+        was = before.scenario.resolved
+        now = self.settings.change(path, value).resolved
         try:
             if now == was:
                 return False
@@ -434,8 +448,10 @@ class LiveRun:
         """The pose (4, 4) of a plate that hides marker i (without markers, the target's middle)
         from the camera where it is now.
         """
-        truth, target = self.frame.truth, self.scenario.target
-        places = target.places if len(target.places) else np.zeros((1, 3))
+        truth = self.frame.truth
+        places = self.scenario.target.places
+        if not len(places):
+            places = np.zeros((1, 3))
         marker = transform(truth.T_world_target, places)[min(i, len(places) - 1)]
         T = truth.T_world_camera.copy()
         T[:3, 3] += 0.75 * (marker - T[:3, 3])  # nearer to the marker than to the camera
@@ -446,16 +462,12 @@ class LiveRun:
             raise ParameterError("run", "has ended; reset it first")
 
     def _show(self, frame: Frame) -> None:
-        s, film = self.scenario, FilmFrame.of_frame(frame)
-        values = dict(zip(s.own_columns, frame.row.tolist(), strict=True)) | {
-            "error_px": frame.error.rms_px
-        }
-        self.frame, self.last = (
-            frame,
-            sample(
-                s, film, values, frame.timing.number, frame.twist, frame.goal.view, frame.verdict
-            ),
-        )
+        s = self.scenario
+        values = dict(zip(s.own_columns, frame.row.tolist(), strict=True))
+        values |= {"error_px": frame.error.rms_px, "frame": frame.timing.number}
+        values["view"] = frame.goal.view
+        self.frame = frame
+        self.last = sample(s, FilmFrame.of_frame(frame), values, frame.twist, frame.verdict)
         self.frames += 1
         self.transport.passed(frame.t)
 
@@ -467,22 +479,16 @@ class LiveRun:
 def sample(
     scenario: Scenario,
     film: FilmFrame,
-    values: dict[str, float],
-    number: int,
+    values: Mapping[str, float],
     twist: Array,
-    view: int,
-    verdict: Any,
+    verdict: Verdict | None,
 ) -> Sample:
-    """A frame as pages show it, from a session or a log; values: its `error_px` and own columns."""
+    """A frame as pages show it, from a session or a log; values: its columns `frame`, `view` (0
+    without), `error_px` and the scenario's own.
+    """
     judged = in_a_frame(scenario.goal.judged, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
-    T = scenario.goal_pose_at(film.t, view)
-    return Sample(
-        number,
-        film,
-        twist,
-        value,
-        unit,
-        None if T is None else film.T_world_target @ inverse(T),
-        verdict,
-    )
+    T_world_goal = scenario.goal_pose_at(film.t, int(values.get("view", 0)))
+    if T_world_goal is not None:
+        T_world_goal = film.T_world_target @ inverse(T_world_goal)
+    return Sample(int(values["frame"]), film, twist, value, unit, T_world_goal, verdict)

@@ -52,11 +52,14 @@ class Gate:
     """
 
     def __init__(self) -> None:
-        self.secret, self.stands = secrets.token_urlsafe(16), False
+        self.secret = secrets.token_urlsafe(16)
+        self.stands = False
 
     def message(self, request: Request) -> str | None:
         """Why a request is not served; None for one that is."""
-        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        hosts = request.headers.get_all("Host")
+        origins = request.headers.get_all("Origin")
+        opens_socket = "Upgrade" in request.headers
         if len(hosts) != 1 or not OWN_HOST.fullmatch(hosts[0]):
             return f"This server answers only to the names {HOST} and localhost."
         first, _ = _parts(request.path)
@@ -65,13 +68,10 @@ class Gate:
                 "Open the whole address that `vstestbed live` has printed:"
                 " it holds a secret, which is another one after each start."
             )
-        if origins != [f"http://{hosts[0]}"] and (origins or "Upgrade" in request.headers):
+        if origins != [f"http://{hosts[0]}"] and (origins or opens_socket):
             return "This server serves its own pages only."
-        if (
-            "Upgrade" in request.headers
-            and f"viser-v{viser.__version__}"
-            not in request.headers.get_all("Sec-WebSocket-Protocol")
-        ):
+        spoken = request.headers.get_all("Sec-WebSocket-Protocol")
+        if opens_socket and f"viser-v{viser.__version__}" not in spoken:
             # of others viser writes to standard output
             return f"This server speaks to pages of viser {viser.__version__} only."
         return None
@@ -110,9 +110,8 @@ class Gate:
             request.path = f"/{_parts(request.path)[1]}"
             response = answer(connection, request)
             if response is not None:
-                response.headers["Referrer-Policy"] = (
-                    "no-referrer"  # the address of the page is the secret
-                )
+                # the address of the page is the secret
+                response.headers["Referrer-Policy"] = "no-referrer"
                 response.headers["Cache-Control"] = "no-store"
             return response
 
@@ -190,11 +189,8 @@ def _must_be_free(port: int) -> None:
         try:
             probe.bind((HOST, port))
         except OSError as error:
-            taken = (
-                "is taken"
-                if error.errno == errno.EADDRINUSE
-                else f"cannot be used ({error.strerror})"
-            )
-            raise ParameterError(
-                "--port", f"{taken}; give another one, or none for a free one", port
-            ) from None
+            taken = f"cannot be used ({error.strerror})"
+            if error.errno == errno.EADDRINUSE:
+                taken = "is taken"
+            words = f"{taken}; give another one, or none for a free one"
+            raise ParameterError("--port", words, port) from None

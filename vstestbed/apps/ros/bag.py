@@ -35,7 +35,6 @@ from vstestbed.apps.ros.link import Answer, Heard, Link, remapped
 from vstestbed.apps.ros.messages import (
     COMPRESSED,
     IMAGE,
-    JOINTS,
     NS,
     OPTICAL,
     TWIST,
@@ -43,6 +42,7 @@ from vstestbed.apps.ros.messages import (
     PassedOver,
     depth_of,
     header,
+    joint_state,
     made,
     sensors_of,
     time_of,
@@ -56,7 +56,7 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolde
 from vstestbed.core.files import whole_folder, write_whole, writing
 from vstestbed.core.foreign import foreign
 from vstestbed.core.geometry import Array
-from vstestbed.loop.ego_motion import mount_at
+from vstestbed.loop.ego_motion import believed_mount, mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.recorded_run import (
     ExportFormat,
@@ -65,7 +65,7 @@ from vstestbed.report.recorded_run import (
     name_with_unit,
     unit_of_joint,
 )
-from vstestbed.robots import Mount, Reading
+from vstestbed.robots import Reading
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Cycle
 from vstestbed.tasks.metrics import TWIST as TWIST_NAMES
@@ -100,10 +100,12 @@ class Bag(Link):
         self._topics: dict[str, Any] = {}
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
-        name, kind = self.name(topic), message.__msgtype__
+        name = self.name(topic)
         with writing(self._named):
             if name not in self._topics:
-                self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
+                self._topics[name] = self._writer.add_connection(
+                    name, message.__msgtype__, typestore=types()
+                )
             self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
@@ -137,16 +139,15 @@ def write_rosbag2(
     start_s: what t = 0 is by the stamps [s]. tick: called after each frame.
     Raises RunFolderError: it was commanded from outside.
     """
-    s, logged = (
-        run.scenario,
-        run.log.frame().select([f"cmd_{name}" for name in TWIST_NAMES]).to_numpy(),
-    )
-    mount, frames, differs = Mount.of(s.believed_camera.mount.T), 0, 0.0
+    s = run.scenario
     if BY_HAND in s.given.description:
         words = "was commanded from outside, which cannot be flown again"
         raise RunFolderError(
             run.folder, words, "vstestbed ros ... --role robot --bag DIR records while it flies"
         )
+    logged = run.log.frame().select([f"cmd_{name}" for name in TWIST_NAMES]).to_numpy()
+    frames = 0
+    differs = 0.0
     with whole_folder(out) as folder:
         with (
             Bag(folder / out.name, named=out) as bag,
@@ -155,12 +156,10 @@ def write_rosbag2(
             voice = Voice(s, bag, truth=True, offset_s=start_s)
             frame = episode.advance()
             while frame is not None and frames < len(logged):
-                differs = max(
-                    differs,
-                    float(np.nan_to_num(np.abs(frame.command.twist - logged[frames])).max()),
-                )
+                off = np.nan_to_num(np.abs(frame.command.twist - logged[frames]))
+                differs = max(differs, float(off.max()))
                 voice.frame(episode, frame)
-                v = sent(s, mount, frame.order, voice.q)
+                v = sent(s, voice.mount, frame.order, voice.q)
                 bag.publish(command_topic(s), twist(voice.now, v, command_frame(s)), voice.now)
                 tick()
                 frames += 1
@@ -197,52 +196,51 @@ def events(
         yield from _foxglove(path, scenario, passed)
         return
     with closing(BagFile(path, passed)) as bag:
-        roles = {topic: role for role, topic in _topics(bag.kinds, scenario, remap).items()}
-        yield from bag.messages(roles)
+        yield from bag.messages(_roles(bag.kinds, scenario, remap))
 
 
-def _topics(
+def _roles(
     there: Mapping[str, str], scenario: Scenario, remap: Mapping[str, str]
 ) -> dict[str, str]:
-    """Topics by what they are here: as they are mapped, named as ours, or the only one of their
-    kind.
+    """What topics are here, by their names: as they are mapped, named as ours, or the only one of
+    their kind.
     """
-    kinds = {"image_raw": (IMAGE, COMPRESSED), "twist": (TWIST,)} | {
-        name: (kind,) for name, kind in sensors_of(scenario.robot).items()
+    roles = {
+        "image_raw": ("/vstestbed_robot/image_raw", (IMAGE, COMPRESSED)),
+        "twist": (command_topic(scenario), (TWIST,)),
     }
+    roles |= {name: (f"/{name}", (kind,)) for name, kind in sensors_of(scenario.robot).items()}
     if scenario.law.depth.measured:
-        kinds["depth"] = (IMAGE,)
-    ours = {
-        "image_raw": "/vstestbed_robot/image_raw",
-        "depth": "/vstestbed_robot/depth",
-        "twist": command_topic(scenario),
-    }
-    if unknown := sorted(set(remap) - set(kinds)):
-        raise ParameterError.choice("--remap", kinds, unknown[0])
+        roles["depth"] = ("/vstestbed_robot/depth", (IMAGE,))
+    if unknown := sorted(set(remap) - set(roles)):
+        raise ParameterError.choice("--remap", roles, unknown[0])
     found: dict[str, str] = {}
-    for role, those in kinds.items():
-        named, of_kind = (
-            remap.get(role, ours.get(role, f"/{role}")),
-            [topic for topic, kind in there.items() if kind in those],
-        )
-        if named in of_kind:
-            found[role] = named
-        elif role not in remap and len(of_kind) == 1 and role != "depth":
-            found[role] = of_kind[0]
-        elif role != "twist" or role in remap:
-            every = [f"{topic} ({kind})" for topic, kind in there.items()]
-            listed = (
-                ", ".join(of_kind[:SHOWN])
-                or f"none; the bag has {', '.join(every[:SHOWN]) or 'nothing'}"
-            )
-            raise ParameterError(
-                "--remap",
-                (
-                    f"{role}=TOPIC must say which topic it is:"
-                    f" of {' or '.join(those)} there are {listed}"
-                ),
-            )
+    for role, (ours, kinds) in roles.items():
+        of_kind = [topic for topic, kind in there.items() if kind in kinds]
+        topic = remap.get(role, _usual(role, ours, of_kind))
+        if topic in of_kind:
+            found[topic] = role
+        elif role in remap or role != "twist":
+            raise ParameterError("--remap", _unclear(role, kinds, of_kind, there))
     return found
+
+
+def _usual(role: str, ours: str, of_kind: list[str]) -> str:
+    """The only topic of its kind, else the one that is named as ours: depths, which are of the kind
+    of pictures, are known by their name alone.
+    """
+    return of_kind[0] if len(of_kind) == 1 and role != "depth" else ours
+
+
+def _unclear(
+    role: str, kinds: tuple[str, ...], of_kind: list[str], there: Mapping[str, str]
+) -> str:
+    """That a bag has no topic of these kinds, or several."""
+    listed = ", ".join(of_kind[:SHOWN])
+    if not listed:
+        every = [f"{topic} ({kind})" for topic, kind in there.items()]
+        listed = f"none; the bag has {', '.join(every[:SHOWN]) or 'nothing'}"
+    return f"{role}=TOPIC must say which topic it is: of {' or '.join(kinds)} there are {listed}"
 
 
 def _of_foxglove(path: Path) -> bool:
@@ -300,11 +298,10 @@ def _protobuf(file: BinaryIO, topics: list[str]) -> Iterator[tuple[Any, Any, Any
 
     cut = _is_cut(file)
     decoders = [DecoderFactory()]
-    reader = (
-        NonSeekingReader(file, decoder_factories=decoders, record_size_limit=MOST_UNPACKED)
-        if cut
-        else make_reader(file, decoder_factories=decoders)
-    )
+    if cut:
+        reader = NonSeekingReader(file, decoder_factories=decoders, record_size_limit=MOST_UNPACKED)
+    else:
+        reader = make_reader(file, decoder_factories=decoders)
     try:
         yield from reader.iter_decoded_messages(topics, log_time_order=not cut)
     except Exception as error:
@@ -313,60 +310,67 @@ def _protobuf(file: BinaryIO, topics: list[str]) -> Iterator[tuple[Any, Any, Any
         raise ValueError("the file ends in the middle: what came before is used") from error
 
 
+POSITIONS = "/truth/joint_positions"
+VELOCITIES = "/truth/joint_velocities"
+PICTURE = "/camera/image"
+EXPORTED = {POSITIONS: 0, VELOCITIES: 0, PICTURE: 1, "/robot/applied": 2}
+"""Topics of `export --to mcap` that are fed, with the order of those of one time."""
+
+
 def _foxglove(path: Path, scenario: Scenario, passed: PassedOver) -> Iterator[Event]:
     """The same of a file of `export --to mcap`, whose joints are the true ones."""
     _stream_reader()
-    joints = scenario.robot.joints
-    units = {name: unit_of_joint(name, scenario) for name in joints}
-    named = {"/truth/joint_positions": [name_with_unit(n, u) for n, u in units.items()]}
-    named["/truth/joint_velocities"] = [name_with_unit(n, f"{u}/s") for n, u in units.items()]
-    values = [
-        name_with_unit(name, "m/s" if name.startswith("v") else "rad/s") for name in TWIST_NAMES
-    ]
-    order = {**dict.fromkeys(named, 0), "/camera/image": 1, "/robot/applied": 2}
-    waiting: dict[str, Any] = {}
-
-    def event(topic: str, t: float, message: Any) -> Event | None:
-        if topic in named:
-            waiting[topic] = np.array([getattr(message, field) for field in named[topic]])
-            if len(waiting) < 2:
-                return None
-            q, qd = (waiting.pop(name) for name in named)
-            told = made(
-                JOINTS,
-                header=header(t, ""),
-                name=list(joints),
-                position=q,
-                velocity=qd,
-                effort=np.zeros(0),
-            )
-            return Event("joint_states", topic, t, told)
-        if topic == "/camera/image":
-            data = np.frombuffer(message.data, np.uint8)
-            picture = made(COMPRESSED, header=header(t, "camera"), format=message.format, data=data)
-            return Event("image_raw", topic, t + scenario.camera.latency_s, picture)
-        return Event(
-            "twist",
-            topic,
-            t,
-            twist(
-                t, np.array([getattr(message, name) for name in values]), command_frame(scenario)
-            ),
-        )
-
+    exported = _Exported(scenario)
     t = 0.0
     try:
         with of_bag(path), path.open("rb") as file:
-            messages = _protobuf(file, list(order))
+            messages = _protobuf(file, list(EXPORTED))
             for _, same in itertools.groupby(messages, key=lambda m: m[2].log_time):
-                for _, channel, told, content in sorted(same, key=lambda m: order[m[1].topic]):
+                for _, channel, told, content in sorted(same, key=lambda m: EXPORTED[m[1].topic]):
                     t = told.log_time / NS
                     with foreign(path, "a file of `export --to mcap`", refusal):
-                        found = event(channel.topic, t, content)
+                        found = exported.event(channel.topic, t, content)
                     if found is not None:
                         yield found
     except RunFolderError as error:
         passed.lost(path, t, error)
+
+
+class _Exported:
+    """Makes messages of ROS of those of `export --to mcap`."""
+
+    def __init__(self, scenario: Scenario):
+        self._scenario = scenario
+        units = [(name, unit_of_joint(name, scenario)) for name in scenario.robot.joints]
+        self._joints = {
+            POSITIONS: [name_with_unit(name, unit) for name, unit in units],
+            VELOCITIES: [name_with_unit(name, f"{unit}/s") for name, unit in units],
+        }
+        self._waiting: dict[str, Array] = {}
+
+    def event(self, topic: str, t: float, message: Any) -> Event | None:
+        """The event of a message of a time [s]; None of joints whose other half is to come."""
+        if topic in self._joints:
+            self._waiting[topic] = _numbers(message, self._joints[topic])
+            if len(self._waiting) < 2:
+                return None
+            q = self._waiting.pop(POSITIONS)
+            qd = self._waiting.pop(VELOCITIES)
+            told = joint_state(t, self._scenario.robot.joints, q, qd)
+            return Event("joint_states", topic, t, told)
+        if topic == PICTURE:
+            data = np.frombuffer(message.data, np.uint8)
+            picture = made(COMPRESSED, header=header(t, "camera"), format=message.format, data=data)
+            return Event("image_raw", topic, t + self._scenario.camera.latency_s, picture)
+        v = _numbers(message, APPLIED)
+        return Event("twist", topic, t, twist(t, v, command_frame(self._scenario)))
+
+
+APPLIED = [name_with_unit(n, "m/s" if n.startswith("v") else "rad/s") for n in TWIST_NAMES]
+
+
+def _numbers(message: Any, fields: list[str]) -> Array:
+    return np.array([getattr(message, field) for field in fields])
 
 
 @dataclass(frozen=True)
@@ -489,49 +493,38 @@ class _Feeding:
                 raise
             self.passed.note(event.topic, stamp, error)
             return
+        took_ms = 1e3 * (time.perf_counter() - began)
         if -RESTART_S <= passes <= 0:
-            self.passed.note(
-                event.topic,
-                stamp,
-                ParameterError("stamp", "is not later than the picture's before: it is not used"),
-            )
-        took, reading = 1e3 * (time.perf_counter() - began), servo.senses.at(stamp)
-        self.done.append(
-            Fed(
-                stamp,
-                event.arrived,
-                cycle,
-                took,
-                reading,
-                servo.sent(cycle.order),
-                np.full(6, np.nan),
-            )
-        )
+            words = "is not later than the picture's before: it is not used"
+            self.passed.note(event.topic, stamp, ParameterError("stamp", words))
+        v = servo.sent(cycle.order)
+        reading = servo.senses.at(stamp)
+        unknown = np.full(6, np.nan)
+        self.done.append(Fed(stamp, event.arrived, cycle, took_ms, reading, v, unknown))
 
 
 def replay(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None) -> Replayed:
     """What the controller of a scenario makes of a bag; errors: as of `stepped`."""
-    rows: list[dict[str, Any]] = []
     steps, passed = stepped(path, scenario, remap or {})
-    for one in steps:
-        row = {
-            "t": one.cycle.t,
-            "stopped": one.cycle.stopped,
-            "reason": one.cycle.reason,
-            "notes": "; ".join(one.cycle.notes),
+    cycles = [one.cycle for one in steps]
+    recorded = np.array([one.recorded for one in steps])
+    computed = np.array([one.computed for one in steps])
+    table = pl.DataFrame(
+        {
+            "t": [cycle.t for cycle in cycles],
+            "stopped": [cycle.stopped for cycle in cycles],
+            "reason": [cycle.reason for cycle in cycles],
+            "notes": ["; ".join(cycle.notes) for cycle in cycles],
+            **_columns("computed", computed),
+            **_columns("recorded", recorded),
+            "took_ms": [one.took_ms for one in steps],
         }
-        row |= {f"computed_{n}": v for n, v in zip(TWIST_NAMES, one.computed.tolist(), strict=True)}
-        rows.append(
-            row
-            | {f"recorded_{n}": v for n, v in zip(TWIST_NAMES, one.recorded.tolist(), strict=True)}
-            | {"took_ms": one.took_ms}
-        )
-    return Replayed(
-        pl.DataFrame(rows),
-        np.array([one.recorded for one in steps]),
-        np.array([one.computed for one in steps]),
-        passed,
     )
+    return Replayed(table, recorded, computed, passed)
+
+
+def _columns(prefix: str, twists: Array) -> dict[str, Array]:
+    return {f"{prefix}_{name}": v for name, v in zip(TWIST_NAMES, twists.T, strict=True)}
 
 
 def read_record(path: Path, scenario: Scenario, remap: Sequence[str]) -> pl.DataFrame:
@@ -545,21 +538,23 @@ def record_of(
     """A bag as a record for `identify`: the commands along the robot's own motions, joints, and the
     markers that the detector finds.
     """
-    mount, robot, rows = Mount.of(scenario.believed_camera.mount.T), scenario.robot, []
-    for one in stepped(path, scenario, remap or {})[0]:
-        at, told = mount_at(scenario, mount, one.reading.q), np.nan_to_num(one.recorded)
-        v = told if command_frame(scenario) == OPTICAL else at.to_camera @ told
-        u = np.linalg.pinv(robot.motion_basis(at, one.reading.q)) @ v
-        row: dict[str, float] = {
-            "t": one.stamp,
-            "t_q": one.stamp,
-            "arrived": one.arrived,
-            **{f"u_{i}": x for i, x in enumerate(u.tolist())},
-        }
-        for name, q, qd in zip(
-            robot.joints, one.reading.q.tolist(), one.reading.qd.tolist(), strict=True
+    robot = scenario.robot
+    mount = believed_mount(scenario)
+    rows: list[dict[str, float]] = []
+    steps, _ = stepped(path, scenario, remap or {})
+    for one in steps:
+        q = one.reading.q
+        at = mount_at(scenario, mount, q)
+        v = np.nan_to_num(one.recorded)
+        if command_frame(scenario) != OPTICAL:
+            v = at.to_camera @ v
+        u = np.linalg.pinv(robot.motion_basis(at, q)) @ v
+        row = {"t": one.stamp, "t_q": one.stamp, "arrived": one.arrived}
+        row |= {f"u_{i}": x for i, x in enumerate(u.tolist())}
+        for name, position, velocity in zip(
+            robot.joints, q.tolist(), one.reading.qd.tolist(), strict=True
         ):
-            row |= {f"q_{name}": q, f"qd_{name}": qd}
+            row |= {f"q_{name}": position, f"qd_{name}": velocity}
         for i, (a, b) in enumerate(one.cycle.observation.uv.tolist()):
             row |= {f"u_px_{i}": a, f"v_px_{i}": b}
         rows.append(row)
@@ -576,12 +571,14 @@ def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Pa
     write_whole(folder / "replay.parquet", content.getvalue())
     with style():
         plots = [("Twists", publish(_drawn(found), "twists", "Twists", None), CAPTION)]
-    differs, n = found.differs, len(found.table)
+    differs = found.differs
     took = found.table["took_ms"].median()
     sentences = [
-        f"{n} pictures went through the controller, each in {took:.2f} ms (median);"
+        f"{len(found.table)} pictures went through the controller, each in {took:.2f} ms (median);"
         f" {int(found.table['stopped'].sum())} ended in a stop."
     ]
+    head = "No twist was recorded: these are what the law would have ordered"
+    state = "open"
     if len(differs):
         same = int((differs <= SAME).sum())
         head = f"{same} of {len(differs)} recorded twists are computed again to {SAME:g}"
@@ -589,31 +586,16 @@ def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Pa
             f"The largest difference is {differs.max():.3g},"
             f" the median {np.median(differs):.3g} [m/s, rad/s]."
         )
-        state = "good" if same == len(differs) else "open"
-    else:
-        head, state = "No twist was recorded: these are what the law would have ordered", "open"
-    reasons = (
-        found.table.filter(pl.col("reason") != "")["reason"].value_counts(sort=True).head(8).rows()
-    )
-    tables = (
-        [
-            (
-                "Why it stopped, or did not follow the law",
-                ["Reason", "Pictures"],
-                [[str(r), str(c)] for r, c in reasons],
-            )
-        ]
-        if reasons
-        else []
-    )
+        if same == len(differs):
+            state = "good"
+    tables = []
+    stopped = found.table.filter(pl.col("reason") != "")["reason"].value_counts(sort=True)
+    if reasons := [[reason, str(count)] for reason, count in stopped.head(8).rows()]:
+        title = "Why it stopped, or did not follow the law"
+        tables.append((title, ["Reason", "Pictures"], reasons))
     if passed := found.passed.rows():
-        tables.append(
-            (
-                "What was passed over",
-                ["Topic", "Number", "First [s]", "Last [s]", "Why", "What helps"],
-                passed,
-            )
-        )
+        heads = ["Topic", "Number", "First [s]", "Last [s]", "Why", "What helps"]
+        tables.append(("What was passed over", heads, passed))
     return write_page(
         folder,
         "study.html",
@@ -636,14 +618,15 @@ def _drawn(found: Replayed) -> Figure:
     from vstestbed.report.canvas import new_figure
     from vstestbed.report.marks import LINE_COLORS
 
-    drawn, t = new_figure(5.2, 7.16), found.table["t"].to_numpy()
+    drawn = new_figure(5.2, 7.16)
+    t = found.table["t"].to_numpy()
     recorded = np.where(np.abs(found.recorded) < LARGEST_DRAWN, found.recorded, np.nan)
     grid = drawn.subplots(3, 1, sharex=True)
-    for k, (axes, unit) in enumerate(zip(grid, ("m/s", "rad/s"), strict=False)):
-        for i in range(3):
-            colour, name = LINE_COLORS[i], TWIST_NAMES[3 * k + i]
-            axes.plot(t, found.computed[:, 3 * k + i], color=colour, label=name)
-            axes.plot(t, recorded[:, 3 * k + i], ".", markersize=2.5, color=colour)
+    for i, name in enumerate(TWIST_NAMES):
+        colour = LINE_COLORS[i % 3]
+        grid[i // 3].plot(t, found.computed[:, i], color=colour, label=name)
+        grid[i // 3].plot(t, recorded[:, i], ".", markersize=2.5, color=colour)
+    for axes, unit in zip(grid, ("m/s", "rad/s"), strict=False):
         axes.set_ylabel(f"[{unit}]")
         axes.legend(loc="upper right", ncols=3)
     differs = np.abs(recorded - found.computed).max(axis=1)

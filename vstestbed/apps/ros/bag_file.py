@@ -30,7 +30,8 @@ WORKS = (
     " `mcap recover FILE -o OUT`, or `sqlite3 FILE.db3 .recover`, mends one that was cut off,"
     " `ros2 bag reindex` a folder, `rosbags-convert` makes one of ROS 1"
 )
-MOST_BAG, MOST_METADATA = 1 << 36, 1 << 19  # bytes of a bag's file, and of its metadata.yaml
+MOST_BAG = 1 << 36  # bytes of a bag's file
+MOST_METADATA = 1 << 19  # bytes of its metadata.yaml
 LONGEST_QOS = 1000  # characters that tell how a topic is transmitted
 MOST_UNPACKED = 1 << 27  # bytes of an unpacked chunk or message, which is in memory as a whole
 LOOKED_AT = 2000  # messages in which stamps that stand still are looked for
@@ -122,14 +123,17 @@ def _open_mcap(reader: Any) -> None:
 
 # how rosbags says that a file lacks its end, having read its beginning
 NO_END = "File end magic is invalid."
-OPCODE_CHUNK, LAST_OPCODE = 0x06, 0x0F  # of the format's records: https://mcap.dev/spec#records
-RECORD_HEAD, CHUNK_HEAD = struct.Struct("<BQ"), struct.Struct("<QQQII")
+# of the format's records: https://mcap.dev/spec#records
+OPCODE_CHUNK, LAST_OPCODE = 0x06, 0x0F
+RECORD_HEAD = struct.Struct("<BQ")
+CHUNK_HEAD = struct.Struct("<QQQII")
 
 
 def _index(reader: Any) -> None:
     """Find the whole records of a file that was cut off, and its chunks."""
     file = reader.bio
-    size, at = file.seek(0, 2), reader.data_start
+    size = file.seek(0, 2)
+    at = reader.data_start
     found: list[tuple[Any, ...]] = []
     while at + RECORD_HEAD.size <= size:
         file.seek(at)
@@ -220,14 +224,10 @@ class BagFile:
             for one in files:
                 if (cut_at := getattr(one, "cut_at", None)) is not None:
                     if not self.kinds:
-                        raise refusal(
-                            one.path,
-                            f"it was cut off at byte {cut_at}, before its first message",
-                            WORKS,
-                        )
-                    words = (
-                        f"the file ends in the middle, at byte {cut_at}: what came before is used"
-                    )
+                        words = f"it was cut off at byte {cut_at}, before its first message"
+                        raise refusal(one.path, words, WORKS)
+                    words = f"the file ends in the middle, at byte {cut_at}"
+                    words += ": what came before is used"
                     passed.lost(path, one.metadata.end_time / NS, refusal(one.path, words, WORKS))
             self._parts = [(one, part) for one in files for part in _parts(one)]
 
@@ -245,9 +245,8 @@ class BagFile:
         for one in self._decoded(roles, self._passed):
             if len(stamps[one.topic]) > 1 and len({*stamps[one.topic]}) == 1:
                 words = "are all the same: the times at which the bag received them stand in"
-                self._passed.note(
-                    one.topic, one.arrived, ParameterError("stamps", words, time_of(one.message))
-                )
+                why = ParameterError("stamps", words, time_of(one.message))
+                self._passed.note(one.topic, one.arrived, why)
                 one.message.header.stamp = stamp(one.arrived)
             yield one
 

@@ -38,7 +38,7 @@ from vstestbed.camera import DepthImage
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.loop.controller import FROZEN, Controller
-from vstestbed.loop.ego_motion import mount_at
+from vstestbed.loop.ego_motion import believed_mount, mount_at
 from vstestbed.robots import Mount, Order, Reading, Robot
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Cycle
@@ -77,11 +77,9 @@ def sent(scenario: Scenario, mount: Mount, order: Order, q: Array) -> Array:
     """The twist (6,) of an order in the frame in which twists are sent; of a robot whose joints are
     at q.
     """
-    return (
-        order.twist
-        if command_frame(scenario) == OPTICAL
-        else mount_at(scenario, mount, q).to_flange @ order.twist
-    )
+    if command_frame(scenario) == OPTICAL:
+        return order.twist
+    return mount_at(scenario, mount, q).to_flange @ order.twist
 
 
 def watchdog_of(scenario: Scenario, given: float | None) -> float:
@@ -128,8 +126,11 @@ class Senses:
     """
 
     def __init__(self, robot: Robot, near_s: float):
-        self._robot, self._near_s, self._topics = robot, near_s, sensors_of(robot)
-        self._heard: dict[str, list[tuple[float, Message]]] = {name: [] for name in self._topics}
+        self._robot = robot
+        self._near_s = near_s
+        self._heard: dict[str, list[tuple[float, Message]]] = {
+            topic: [] for topic in sensors_of(robot)
+        }
         self._joints: list[tuple[float, tuple[Array, Array]]] = []
         self._others = ""  # why joints that were heard are none of this robot's
         self.passed = PassedOver()
@@ -172,23 +173,30 @@ class Senses:
         newest. ParameterError: nothing was heard of a topic, or nothing near to that time.
         """
         with self._lock:
-            known, joints = (
-                {topic: list(messages) for topic, messages in self._heard.items()},
-                list(self._joints),
-            )
+            known = {topic: list(messages) for topic, messages in self._heard.items()}
+            joints = list(self._joints)
         if self._others and not joints:
             raise ParameterError(self._others)
         near = math.inf if stamp is None else stamp
-        found = {name: _nearest(messages, near) for name, messages in known.items() if messages}
-        reading = reading_of(self._robot, {name: message for name, (_, message) in found.items()})
-        for name, (t, _) in found.items():
-            if stamp is not None and abs(t - stamp) > self._near_s:
+        times: dict[str, float] = {}
+        nearest: dict[str, Message] = {}
+        for topic, messages in known.items():
+            if messages:
+                times[topic], nearest[topic] = _nearest(messages, near)
+        reading = reading_of(self._robot, nearest)
+        if stamp is not None:
+            self._check_near(times, stamp)
+        return reading if not joints else replace(reading, **self._between(joints, stamp))
+
+    def _check_near(self, times: dict[str, float], stamp: float) -> None:
+        """Refuse what was heard too long before or after a picture."""
+        for name, t in times.items():
+            if abs(t - stamp) > self._near_s:
                 words = (
                     f"of {name} nearest to the picture of {stamp:.3f} s is of {t:.3f} s;"
                     " are both stamped by one clock?"
                 )
                 raise ParameterError("readings", words)
-        return reading if not joints else replace(reading, **self._between(joints, stamp))
 
     @staticmethod
     def _between(
@@ -200,12 +208,17 @@ class Senses:
         times = [t for t, _ in joints]
         stamp = times[-1] if stamp is None else stamp
         after = min(max(int(np.searchsorted(times, stamp, side="left")), 1), len(joints) - 1)
-        (t0, (q0, qd0)), (t1, (q1, qd1)) = joints[after - 1], joints[after]
-        share = min(max((stamp - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
-        q, qd = q0 + share * (q1 - q0), qd0 + share * (qd1 - qd0)
+        t0, (q0, qd0) = joints[after - 1]
+        t1, (q1, qd1) = joints[after]
+        share = 1.0
+        way = np.zeros_like(q1)
+        if t1 > t0:
+            share = min(max((stamp - t0) / (t1 - t0), 0.0), 1.0)
+            way = (q1 - q0) / (t1 - t0)
+        q = q0 + share * (q1 - q0)
+        qd = qd0 + share * (qd1 - qd0)
         if share in (0.0, 1.0):  # to the last digit
             q, qd = (q1, qd1) if share else (q0, qd0)
-        way = (q1 - q0) / (t1 - t0) if t1 > t0 else np.zeros_like(q)
         return {"q": q, "qd": np.where(np.isfinite(qd), qd, way)}
 
 
@@ -219,22 +232,24 @@ class Feed:
 
     def __init__(self, scenario: Scenario, live: bool = True):
         check_single(scenario.camera)
-        self.scenario, self._live = scenario, live
+        self.scenario = scenario
+        self._live = live
         self.controller = Controller(scenario)
         self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
-        self.mount = Mount.of(scenario.believed_camera.mount.T)
-        self._order_s, self._latest_s = (
-            scenario.timing.order_s(scenario.camera),
-            scenario.timing.latest_s(scenario.camera),
-        )
+        self.mount = believed_mount(scenario)
+        self._order_s = scenario.timing.order_s(scenario.camera)
+        self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.began: float | None = None
         self.controller.simulates(not live)
         # Which clock stamps are of, and how late pictures came, outlive a reset: a queue does, too.
-        self.by_wall, self.hint = False, ""
+        self.by_wall = False
+        self.hint = ""
         # The own clock minus the stamp, of another clock: of the task's first picture, and the
         # sooner ones of two that followed each other.
         self._first_s = self._soonest_s = math.inf
-        self._last, self._newest, self._heard_s = (-math.inf, math.inf), -math.inf, 0.0
+        self._last = -math.inf, math.inf  # stamp, and the own clock minus it
+        self._newest = -math.inf
+        self._heard_s = 0.0
         self.depth: Message | None = None
 
     def reset(self) -> None:
@@ -242,7 +257,8 @@ class Feed:
         stamps begin anew.
         """
         self.controller.reset()
-        self.began, self.depth, self._first_s = None, None, math.inf
+        self.began = self.depth = None
+        self._first_s = math.inf
 
     @property
     def before(self) -> float | None:
@@ -261,24 +277,32 @@ class Feed:
         stamp = time_of(message)
         picture = picture_of(message)
         given = self.senses.at(stamp), self.senses.at()
-        depth = None if self.depth is None else self._depth_at(stamp, self.depth)
+        depth = self._depth_at(stamp)
         # Once it is the clock of this machine, a stamp far from it is wrong. One of 0, before a
         # driver has begun, tells nothing.
-        self.by_wall, self.hint = (
-            self.by_wall or (self._live and abs(time.time() - stamp) < WALL_S),
-            "",
-        )
+        self.by_wall = self.by_wall or (self._live and abs(time.time() - stamp) < WALL_S)
+        self.hint = ""
         if self._live:
             self.controller.simulates(heard is None)
-        if arrived is None and self.by_wall:
-            arrived = self._arrived(stamp)
-        elif arrived is None and heard is not None:
-            arrived = self._arrived_by(stamp, heard)
-            self.hint = CLOCK_SET if arrived - stamp > self._latest_s else ""
+        if arrived is None:
+            arrived = self._came(stamp, heard)
         if self.began is None:
             self.began = stamp
         now = None if arrived is None else max(arrived, stamp) - self.began
         return self.controller.step(picture, stamp - self.began, given, now, depth=depth)
+
+    def _came(self, stamp: float, heard: float | None) -> float | None:
+        """When a picture comes [s], by the clock of this machine where stamps are of it, or as the
+        own clock tells; None where time is simulated.
+        """
+        if self.by_wall:
+            return self._arrived(stamp)
+        if heard is None:
+            return None
+        arrived = self._arrived_by(stamp, heard)
+        if arrived - stamp > self._latest_s:
+            self.hint = CLOCK_SET
+        return arrived
 
     def _arrived(self, stamp: float) -> float:
         """When a picture comes that is stamped by this machine's clock [s]. ParameterError: its
@@ -299,9 +323,12 @@ class Feed:
         """
         if stamp == 0:  # it tells nothing
             return heard - min(self._first_s, self._soonest_s, heard)
-        behind_s, drift_s = heard - stamp, DRIFT * (heard - self._heard_s)
+        behind_s = heard - stamp
+        drift_s = DRIFT * (heard - self._heard_s)
         if self._first_s == math.inf and stamp < self._newest - RESTART_S:
-            self._soonest_s, self._last, self._newest = math.inf, (-math.inf, math.inf), -math.inf
+            self._soonest_s = math.inf
+            self._last = -math.inf, math.inf
+            self._newest = -math.inf
         self._first_s = behind_s if self._first_s == math.inf else self._first_s + drift_s
         self._soonest_s += drift_s
         if stamp != self._last[0]:
@@ -316,14 +343,17 @@ class Feed:
         ends, that goes on from there.
         """
         self._first_s = self._soonest_s = heard - now
-        self._last, self._newest, self._heard_s = (now, heard - now), now, heard
+        self._last = now, heard - now
+        self._newest = now
+        self._heard_s = heard
 
-    def _depth_at(self, stamp: float, message: Message) -> DepthImage:
-        if self._live and abs(time_of(message) - stamp) > self._order_s:
-            raise ParameterError(
-                "depth", f"is of {time_of(message):.3f} s, and the picture of {stamp:.3f} s"
-            )
-        return depth_of(message)
+    def _depth_at(self, stamp: float) -> DepthImage | None:
+        if self.depth is None:
+            return None
+        t = time_of(self.depth)
+        if self._live and abs(t - stamp) > self._order_s:
+            raise ParameterError("depth", f"is of {t:.3f} s, and the picture of {stamp:.3f} s")
+        return depth_of(self.depth)
 
     def silent(self, elapsed_s: float) -> Order:
         """The order so long after the last picture [s]."""
@@ -348,18 +378,21 @@ class LawNode:
     def __init__(
         self, scenario: Scenario, link: Link, watchdog_s: float | None = None, started: bool = False
     ):
-        self.servo, self.link, self.scenario = Feed(scenario), link, scenario
+        self.servo = Feed(scenario)
+        self.link = link
+        self.scenario = scenario
         self.watchdog_s = watchdog_of(scenario, watchdog_s)
         self._stopped = "" if started else "not started"
         self._asked_to_reset = self._moved = False  # moved: it has sent a twist since it was reset
-        self._picture: tuple[Message, float, float] | None = (
-            None  # with the times of the own clock and `/clock` at which it was heard
-        )
+        # with the times of the own clock and `/clock` at which it was heard
+        self._picture: tuple[Message, float, float] | None = None
         # when the last new picture was heard
-        self._fresh, self._fresh_clock_s = time.monotonic(), math.nan
+        self._fresh = time.monotonic()
+        self._fresh_clock_s = math.nan
         self._moves = self._spins = False  # moves: the twist in force is none of rest
         # of `/clock`, and when it last advanced, by the own clock
-        self._clock_s, self._ticked_at = math.nan, -math.inf
+        self._clock_s = math.nan
+        self._ticked_at = -math.inf
         self._clock_anew = False  # its next time counts, although it may be an earlier one
         # when the twist in force was given, by both clocks: by a picture, when that was heard
         self._order_of = -math.inf, math.nan
@@ -373,16 +406,14 @@ class LawNode:
         self.took_s: list[float] = []
         for name, kind in sensors_of(scenario.robot).items():
             link.subscribe(name, kind, lambda message, name=name: self._sensed(name, message))
-        for name, kind in (
-            ("/vstestbed_robot/image_raw", IMAGE),
-            ("/vstestbed_robot/image_raw/compressed", COMPRESSED),
-        ):
-            link.subscribe(name, kind, self._seen)
+        link.subscribe("/vstestbed_robot/image_raw", IMAGE, self._seen)
+        link.subscribe("/vstestbed_robot/image_raw/compressed", COMPRESSED, self._seen)
         link.subscribe("/clock", CLOCK, self._ticked)
         if scenario.law.depth.measured:
             link.subscribe("/vstestbed_robot/depth", IMAGE, self._deep)
-        for name, answer in (("start", self.start), ("stop", self.stop), ("reset", self.reset)):
-            link.serve(f"~/{name}", answer)
+        link.serve("~/start", self.start)
+        link.serve("~/stop", self.stop)
+        link.serve("~/reset", self.reset)
         link.publishes(command_topic(scenario), "~/status")
 
     def _sensed(self, topic: str, message: Message) -> None:
@@ -399,7 +430,9 @@ class LawNode:
     def _ticked(self, message: Message) -> None:
         told = message.clock.sec + 1e-9 * message.clock.nanosec
         if self._clock_anew or not told <= self._clock_s:  # of two clocks the later one counts
-            self._clock_s, self._ticked_at, self._clock_anew = told, time.monotonic(), False
+            self._clock_s = told
+            self._ticked_at = time.monotonic()
+            self._clock_anew = False
 
     def _by_clock(self, stamp: float) -> bool:
         """Whether a stamp is of a `/clock` that runs, and simulated; not of a dead one, or of
@@ -419,11 +452,10 @@ class LawNode:
         """
         if not self._simulated:
             return None
-        if stamp - self._clock_s > OF_CLOCK_S:
-            raise ParameterError(
-                f"the picture's stamp is {stamp - self._clock_s:.3g} s ahead of /clock"
-            )
-        return self._clock_s if self._clock_s - stamp > self._latest_s else None
+        age_s = self._clock_s - stamp
+        if age_s < -OF_CLOCK_S:
+            raise ParameterError(f"the picture's stamp is {-age_s:.3g} s ahead of /clock")
+        return self._clock_s if age_s > self._latest_s else None
 
     def _since(self, own_s: float, clock_s: float) -> float:
         """The time since two clocks told these times [s], by the one that counts: in lockstep
@@ -438,9 +470,13 @@ class LawNode:
         """Servo from the next picture on, anew after a stop."""
         with self._news:
             if self._stopped:
-                self._asked_to_reset, self._clock_anew, self._stopped = True, True, ""
-                self.servo.senses.clear()
+                self._begin_anew()
+                self._stopped = ""
         return True, "servoing"
+
+    def _begin_anew(self) -> None:
+        self._asked_to_reset = self._clock_anew = True
+        self.servo.senses.clear()
 
     def stop(self, why: str = "asked to stop") -> tuple[bool, str]:
         """Stop, until `start`."""
@@ -453,8 +489,8 @@ class LawNode:
     def reset(self) -> tuple[bool, str]:
         """Forget the task so far, and a stop with it; it stays stopped until `start`."""
         with self._news:
-            self._asked_to_reset, self._clock_anew, self._stopped = True, True, "not started"
-            self.servo.senses.clear()
+            self._begin_anew()
+            self._stopped = "not started"
             self._rest(self._stopped)
             self._moved = False
         return True, self._stopped
@@ -486,7 +522,8 @@ class LawNode:
         """Servo until `ended`; then, and whatever happens,
         send zero and say that it has stopped.
         """
-        self._fresh, self._spins = time.monotonic(), True
+        self._fresh = time.monotonic()
+        self._spins = True
         threading.Thread(target=self._watch, daemon=True).start()
         try:
             while not ended.is_set():
@@ -526,7 +563,8 @@ class LawNode:
                 self._asked_to_reset = False
                 self.servo.reset()
         if stopped:
-            self._fresh, self._fresh_clock_s = time.monotonic(), self._clock_s
+            self._fresh = time.monotonic()
+            self._fresh_clock_s = self._clock_s
             self._rest(stopped)
             return
         why = "" if heard is None else self._answered(*heard)
@@ -537,10 +575,12 @@ class LawNode:
         """Answer a picture that was heard at these times of the own clock and `/clock` [s]; why the
         robot does not move by it, or "".
         """
-        stamp, clock_s = time_of(message), min(self._clock_s, clock_s)  # it may have begun anew
+        stamp = time_of(message)
+        clock_s = min(self._clock_s, clock_s)  # it may have begun anew
         self._wait_for_reading(stamp)
         self._simulated = self._by_clock(stamp)
-        began, before = time.perf_counter(), self.servo.controller.before
+        before = self.servo.controller.before
+        began = time.perf_counter()
         try:
             cycle = self.servo.step(
                 message, self._arrived(stamp), None if self._simulated else heard
@@ -550,29 +590,36 @@ class LawNode:
             return str(error)
         took_s = time.perf_counter() - began
         if self.servo.controller.before is not before:
-            self._fresh = time.monotonic() if self._simulated else heard
-            if self._clock_s != self._fresh_clock_s and self._simulated:
-                self._ticked_at = self._fresh  # in lockstep it waited for this answer
-            self._fresh_clock_s = clock_s
-        if self._silent_s() >= self.watchdog_s and not self._is_over(cycle.order):
-            return next(
-                iter(cycle.notes),
-                f"the last one was answered after {self._since(heard, clock_s):.2g} s",
-            )
+            self._refresh(heard, clock_s)
+        over = self._is_over(cycle.order)
+        if self._silent_s() >= self.watchdog_s and not over:
+            late = f"the last one was answered after {self._since(heard, clock_s):.2g} s"
+            return cycle.notes[0] if cycle.notes else late
         # held while it is sent: a stop comes before it, and then it is not, or after it
         with self._news:
             if self._stopped:
                 return ""
-            self._moved, self._order_of = True, (self._fresh, self._fresh_clock_s)
+            self._moved = True
+            self._order_of = self._fresh, self._fresh_clock_s
             self._send(self.servo.sent(cycle.order), self._now())
         self.took_s.append(took_s)
-        if self._is_over(cycle.order):
+        if over:
             self.stop("; ".join(filter(None, (cycle.reason, *cycle.notes, self.servo.hint))))
         else:
-            doing = "rests" if cycle.stopped else "servoing"
-            frozen = next((note for note in cycle.notes if FROZEN in note), "")
-            self._tell(": ".join(filter(None, (doing, cycle.reason, frozen, self.servo.hint))))
+            self._tell_of(cycle)
         return ""
+
+    def _refresh(self, heard: float, clock_s: float) -> None:
+        """A new picture was answered, which was heard at these times [s]."""
+        self._fresh = time.monotonic() if self._simulated else heard
+        if self._clock_s != self._fresh_clock_s and self._simulated:
+            self._ticked_at = self._fresh  # in lockstep it waited for this answer
+        self._fresh_clock_s = clock_s
+
+    def _tell_of(self, cycle: Cycle) -> None:
+        doing = "rests" if cycle.stopped else "servoing"
+        frozen = next((note for note in cycle.notes if FROZEN in note), "")
+        self._tell(": ".join(filter(None, (doing, cycle.reason, frozen, self.servo.hint))))
 
     def _is_over(self, order: Order) -> bool:
         """Whether an order is a stop for good: of a craft, once it stands; until then it sinks."""
@@ -594,10 +641,8 @@ class LawNode:
         if self.servo.controller.before is None:
             self._rest(why or "waits for pictures")
             return
-        words = (
-            f"no {'new ' if why else ''}picture for over {self.watchdog_s:g}"
-            f" s{': ' if why else ''}{why}"
-        )
+        words = f"picture for over {self.watchdog_s:g} s"
+        words = f"no new {words}: {why}" if why else f"no {words}"
         try:
             order = self.servo.silent(self._silent_s())
             v = self.servo.sent(order)
@@ -630,22 +675,24 @@ def excite(scenario: Scenario, link: Link, motion: Array, ended: threading.Event
     and zero at the end, or when `ended`; how many were sent. Record them, and what the robot and
     its camera say, as a bag: `identify` reads it.
     """
-    robot, sent_ones, begun = scenario.robot, 0, time.monotonic()
-    mount = mount_at(scenario, Mount.of(scenario.believed_camera.mount.T), robot.start_joints())
-    basis = robot.motion_basis(mount, robot.start_joints())
-    turn = np.eye(6) if command_frame(scenario) == OPTICAL else mount.to_flange
+    q = scenario.robot.start_joints()
+    mount = mount_at(scenario, believed_mount(scenario), q)
+    basis = scenario.robot.motion_basis(mount, q)
+    frame = command_frame(scenario)
+    turn = np.eye(6) if frame == OPTICAL else mount.to_flange
+
+    def send(v: Array) -> None:
+        link.publish(command_topic(scenario), twist(time.time(), v, frame))
+
+    sent_ones = 0
+    begun = time.monotonic()
     try:
         for u in motion:
             if ended.wait(max(0.0, begun + sent_ones * scenario.camera.period - time.monotonic())):
                 break
-            link.publish(
-                command_topic(scenario),
-                twist(time.time(), turn @ (basis @ u), command_frame(scenario)),
-            )
+            send(turn @ (basis @ u))
             sent_ones += 1
     finally:
         for _ in range(3):
-            link.publish(
-                command_topic(scenario), twist(time.time(), np.zeros(6), command_frame(scenario))
-            )
+            send(np.zeros(6))
     return sent_ones

@@ -19,6 +19,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Literal, NamedTuple, Self
 
 from vstestbed.apps.ros.messages import TRIGGER, Message, from_cdr, made, to_cdr, types
@@ -61,13 +62,9 @@ class Rule(NamedTuple):
 
 def expanded(name: str, node: str) -> str:
     """The full name of a relative or a private one of a node."""
-    return (
-        f"/{node}/{name[2:]}"
-        if name.startswith("~/")
-        else name
-        if name.startswith("/")
-        else f"/{name}"
-    )
+    if name.startswith("~/"):
+        return f"/{node}/{name[2:]}"
+    return name if name.startswith("/") else f"/{name}"
 
 
 def rules_of(words: Iterable[str]) -> list[Rule]:
@@ -102,7 +99,9 @@ class Link(ABC):
     """
 
     def __init__(self, node: str, domain: int, rules: Iterable[Rule] = ()):
-        self.node, self.domain, self._rules = node, domain, list(rules)
+        self.node = node
+        self.domain = domain
+        self._rules = list(rules)
         self._names: dict[str, Rule | None] = {}  # by full names: what maps each
         self.passed_over: Counter[str] = Counter()  # by topics: how many messages could not be read
 
@@ -112,9 +111,8 @@ class Link(ABC):
         """
         full = expanded(topic, self.node)
         if full not in self._names:
-            self._names[full] = next(
-                (rule for rule in self._rules if rule.maps(full, self.node)), None
-            )
+            mapping = (rule for rule in self._rules if rule.maps(full, self.node))
+            self._names[full] = next(mapping, None)
         rule = self._names[full]
         return full if rule is None else expanded(rule.other, self.node)
 
@@ -224,7 +222,8 @@ class Zenoh(Link):
     def key(self, topic: str, kind: str) -> str:
         """The key of a topic's messages."""
         package, _, name = kind.split("/")
-        place, hashed = self.name(topic).strip("/"), types().hash_rihs01(kind)
+        place = self.name(topic).strip("/")
+        hashed = types().hash_rihs01(kind)
         return f"{self.domain}/{place}/{package}::msg::dds_::{name}_/{hashed}"
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
@@ -239,15 +238,15 @@ class Zenoh(Link):
         self._publishers[key].put(to_cdr(message))
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        key, read = self.key(topic, kind), self.reader(topic, kind, heard)
+        key = self.key(topic, kind)
+        read = self.reader(topic, kind, heard)
 
         def hear(sample: Any) -> None:
             if str(sample.key_expr) == key:
                 read(sample.payload.to_bytes())
             else:
-                self.pass_over(
-                    topic, f"it is none of {kind}, as this program knows it, but {sample.key_expr}"
-                )
+                none = f"it is none of {kind}, as this program knows it"
+                self.pass_over(topic, f"{none}, but {sample.key_expr}")
 
         others = key.rsplit("/", 2)[0] + "/*/*"  # of any type: one that nobody reads is told
         self._held.append(self._session.declare_subscriber(others, hear))
@@ -307,10 +306,8 @@ class Rclpy(Link):
         self._thread.start()
 
     def _spin(self) -> None:
-        import contextlib
-
         # the executor raises one of several errors when its context ends
-        with contextlib.suppress(Exception):
+        with suppress(Exception):
             while self._context.ok():
                 self._executor.spin_once(timeout_sec=0.01)
 
@@ -367,16 +364,17 @@ class Rclpy(Link):
 
     def call(self, service: str, timeout_s: float = 2.0) -> tuple[bool, str] | None:
         kind: Any = self._class(TRIGGER)
-        client, end = (
-            self._node.create_client(kind, self.name(service)),
-            time.monotonic() + timeout_s,
-        )
+        end = time.monotonic() + timeout_s
+        client = self._node.create_client(kind, self.name(service))
         if not client.wait_for_service(timeout_sec=timeout_s):
             return None
         asked = client.call_async(kind.Request())
         while not asked.done() and time.monotonic() < end:
             time.sleep(0.005)  # the answer comes in the executor's thread
-        return (asked.result().success, asked.result().message) if asked.done() else None
+        if not asked.done():
+            return None
+        answer = asked.result()
+        return answer.success, answer.message
 
     def close(self) -> None:
         self._executor.shutdown(timeout_sec=1.0)
@@ -393,6 +391,16 @@ def domain_of() -> int:
     return int(word)
 
 
+REMEDIES = {
+    "rclpy": "source the setup.bash of a ROS 2 installation",
+    "zenoh": "pip install 'vstestbed[ros]'",
+}
+
+
+def _installed(name: str) -> bool:
+    return importlib.util.find_spec(name) is not None
+
+
 def connected(
     node: str,
     backend: Backend = "auto",
@@ -404,20 +412,15 @@ def connected(
     Raises EnvironmentLackError: neither rclpy nor zenoh, or not the one that is wanted.
     ParameterError: an address for rclpy.
     """
-    there = {name: importlib.util.find_spec(name) is not None for name in ("rclpy", "zenoh")}
-    if (connect or listen) and backend == "rclpy":
+    addressed = connect or listen
+    if addressed and backend == "rclpy":
         raise ParameterError.only_for(
             "--connect and --listen", "--backend zenoh; rclpy finds the others by ROS_DOMAIN_ID"
         )
     if backend == "auto":
-        backend = "rclpy" if there["rclpy"] and not (connect or listen) else "zenoh"
-    if not there[backend]:
-        remedy = (
-            "source the setup.bash of a ROS 2 installation"
-            if backend == "rclpy"
-            else "pip install 'vstestbed[ros]'"
-        )
-        raise EnvironmentLackError(f"{backend} is not installed", remedy)
+        backend = "rclpy" if _installed("rclpy") and not addressed else "zenoh"
+    if not _installed(backend):
+        raise EnvironmentLackError(f"{backend} is not installed", REMEDIES[backend])
     if backend == "rclpy":
         return Rclpy(node, domain_of(), rules)
     return Zenoh(node, domain_of(), rules, connect, listen)

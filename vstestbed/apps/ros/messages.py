@@ -43,29 +43,24 @@ except ImportError as error:
     ) from error
 
 NS = 1_000_000_000
-OPTICAL, WORLD = "camera_optical_frame", "world"
-IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
-COMPRESSED, JOINTS, IMU, ODOMETRY = (
-    "sensor_msgs/msg/CompressedImage",
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/Imu",
-    "nav_msgs/msg/Odometry",
-)
-RANGE, TWIST, TRANSFORMS = (
-    "sensor_msgs/msg/Range",
-    "geometry_msgs/msg/TwistStamped",
-    "tf2_msgs/msg/TFMessage",
-)
-CLOCK, TEXT, POSE = (
-    "rosgraph_msgs/msg/Clock",
-    "std_msgs/msg/String",
-    "geometry_msgs/msg/PoseStamped",
-)
+OPTICAL = "camera_optical_frame"
+WORLD = "world"
+IMAGE = "sensor_msgs/msg/Image"
+INFO = "sensor_msgs/msg/CameraInfo"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+JOINTS = "sensor_msgs/msg/JointState"
+IMU = "sensor_msgs/msg/Imu"
+ODOMETRY = "nav_msgs/msg/Odometry"
+RANGE = "sensor_msgs/msg/Range"
+TWIST = "geometry_msgs/msg/TwistStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+CLOCK = "rosgraph_msgs/msg/Clock"
+TEXT = "std_msgs/msg/String"
+POSE = "geometry_msgs/msg/PoseStamped"
 TRIGGER = "std_srvs/srv/Trigger"
 
-Message = (
-    Any  # of one of rosbags' message classes: a dataclass whose fields are those of the ROS message
-)
+# of one of rosbags' message classes: a dataclass whose fields are those of the ROS message
+Message = Any
 
 
 @cache
@@ -74,14 +69,11 @@ def types() -> Any:
     of the service Trigger.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(
-        get_types_from_msg(
-            "uint8 structure_needs_at_least_one_member\n", "std_srvs/msg/Trigger_Request"
-        )
-    )
-    store.register(
-        get_types_from_msg("bool success\nstring message\n", "std_srvs/msg/Trigger_Response")
-    )
+    for kind, fields in (
+        ("std_srvs/msg/Trigger_Request", "uint8 structure_needs_at_least_one_member\n"),
+        ("std_srvs/msg/Trigger_Response", "bool success\nstring message\n"),
+    ):
+        store.register(get_types_from_msg(fields, kind))
     return store
 
 
@@ -104,8 +96,7 @@ def from_cdr(data: bytes, kind: str) -> Message:
     """The message of what was received; of a range also one of Humble, which has a field less.
     ParameterError: it is none of that kind.
     """
-    works = f"the CDR of {kind}"
-    with foreign("message", works):
+    with foreign("message", f"the CDR of {kind}"):
         try:
             return types().deserialize_cdr(data, kind)
         except SerdeError:
@@ -188,32 +179,25 @@ class PassedOver:
 # Pictures.
 def image(t: float, picture: Image) -> Message:
     """A picture (H, W, 3), RGB."""
-    height, width = picture.shape[:2]
-    data = np.ascontiguousarray(picture).reshape(-1)
-    return made(
-        IMAGE,
-        header=header(t, OPTICAL),
-        height=height,
-        width=width,
-        encoding="rgb8",
-        is_bigendian=0,
-        step=3 * width,
-        data=data,
-    )
+    return _image(t, picture, "rgb8")
 
 
 def depth_image(t: float, depth: DepthImage) -> Message:
     """A depth picture (H, W) [m]."""
-    height, width = depth.shape
-    data = np.ascontiguousarray(depth, np.float32).view(np.uint8).reshape(-1)
+    return _image(t, depth.astype(np.float32, copy=False), "32FC1")
+
+
+def _image(t: float, pixels: Image | DepthImage, encoding: str) -> Message:
+    height, width = pixels.shape[:2]
+    data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
     return made(
         IMAGE,
         header=header(t, OPTICAL),
         height=height,
         width=width,
-        encoding="32FC1",
+        encoding=encoding,
         is_bigendian=0,
-        step=4 * width,
+        step=data.size // height,
         data=data,
     )
 
@@ -272,12 +256,15 @@ def depth_of(message: Message) -> DepthImage:
 
 def _rows(message: Message, kind: np.dtype[Any], channels: int) -> Any:
     """The numbers (H, W, channels) of an Image, without what stands between its rows."""
-    height, width, used = message.height, message.width, message.width * channels * kind.itemsize
+    height = message.height
+    width = message.width
     if not 0 < height * width <= MOST_PIXELS:
         raise ParameterError(
             "image", f"must have between 1 and {MOST_PIXELS} pixels", f"{width} x {height}"
         )
-    data, step = np.asarray(message.data, np.uint8), message.step or used
+    used = width * channels * kind.itemsize
+    data = np.asarray(message.data, np.uint8)
+    step = message.step or used
     if step < used or data.size < step * height:
         words = (
             f"has {data.size} bytes in rows of {step};"
@@ -285,14 +272,15 @@ def _rows(message: Message, kind: np.dtype[Any], channels: int) -> Any:
         )
         raise ParameterError("image", words)
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :used]).view(kind)
-    return (rows.byteswap() if message.is_bigendian and kind.itemsize > 1 else rows).reshape(
-        height, width, channels
-    )
+    if message.is_bigendian:
+        rows = rows.byteswap()  # of single bytes it changes nothing
+    return rows.reshape(height, width, channels)
 
 
 def camera_info(t: float, camera: Camera) -> Message | None:
     """The calibration of a camera; None of a lens that ROS has no model of."""
-    if (lens := as_ros(camera)) is None:
+    lens = as_ros(camera)
+    if lens is None:
         return None
     K, model, k = lens
     region = made(
@@ -353,19 +341,21 @@ def twist_of(message: Message) -> Array:
 
 def transforms(t: float, poses: Mapping[tuple[str, str], Array]) -> Message:
     """Poses (4, 4) by the names of the frame in which they are and of that whose they are."""
-    found = [
-        made(
-            "geometry_msgs/msg/TransformStamped",
-            header=header(t, parent),
-            child_frame_id=child,
-            transform=made(
-                "geometry_msgs/msg/Transform",
-                translation=vector(T[:3, 3]),
-                rotation=quaternion(T[:3, :3]),
-            ),
+    found: list[Message] = []
+    for (parent, child), T in poses.items():
+        way = made(
+            "geometry_msgs/msg/Transform",
+            translation=vector(T[:3, 3]),
+            rotation=quaternion(T[:3, :3]),
         )
-        for (parent, child), T in poses.items()
-    ]
+        found.append(
+            made(
+                "geometry_msgs/msg/TransformStamped",
+                header=header(t, parent),
+                child_frame_id=child,
+                transform=way,
+            )
+        )
     return made(TRANSFORMS, transforms=found)
 
 
@@ -414,42 +404,43 @@ UNKNOWN = np.zeros(36)
 NONE = np.array([-1.0, *[0.0] * 8])
 
 
+def joint_state(t: float, names: Sequence[str], q: Array, qd: Array) -> Message:
+    """Positions and velocities (n,) [rad, m] of joints, in arrays of its own."""
+    return made(
+        JOINTS,
+        header=header(t, ""),
+        name=list(names),
+        position=np.array(q, dtype=float),
+        velocity=np.array(qd, dtype=float),
+        effort=np.zeros(0),
+    )
+
+
 def readings(t: float, robot: Robot, reading: Reading) -> dict[str, Message]:
     """A reading [rad, m, s] as messages by topic: joints; of a vehicle or a craft its attitude; of
     a craft its velocity and its height.
     """
     found: dict[str, Message] = {}
     if robot.joints:
-        q, qd = np.asarray(reading.q, dtype=float), np.asarray(reading.qd, dtype=float)
-        found["joint_states"] = made(
-            JOINTS,
-            header=header(t, ""),
-            name=list(robot.joints),
-            position=q.copy(),
-            velocity=qd.copy(),
-            effort=np.zeros(0),
-        )
+        found["joint_states"] = joint_state(t, robot.joints, reading.q, reading.qd)
     if robot.base == "fixed":
         return found
     known = reading.heading is not None or reading.tilt is not None
     roll, pitch = (0.0, 0.0) if reading.tilt is None else reading.tilt
-    R, craft = (
-        rotation_from_rpy(np.array([roll, pitch, reading.heading or 0.0])),
-        isinstance(reading, FlightReading),
-    )
-    found["imu"] = made(
+    R = rotation_from_rpy(np.array([roll, pitch, reading.heading or 0.0]))
+    imu = found["imu"] = made(
         IMU,
         header=header(t, "base_link"),
         orientation=quaternion(R),
         orientation_covariance=np.zeros(9) if known else NONE,
-        angular_velocity=vector(
-            reading.estimate.rates if isinstance(reading, FlightReading) else (0.0, 0.0, 0.0)
-        ),
-        angular_velocity_covariance=np.zeros(9) if craft else NONE,
-        linear_acceleration=vector((0.0, 0.0, 0.0)),
+        angular_velocity=vector(np.zeros(3)),
+        angular_velocity_covariance=NONE,
+        linear_acceleration=vector(np.zeros(3)),
         linear_acceleration_covariance=NONE,
     )
     if isinstance(reading, FlightReading):
+        imu.angular_velocity = vector(reading.estimate.rates)
+        imu.angular_velocity_covariance = np.zeros(9)
         moved = made(
             "geometry_msgs/msg/Twist",
             linear=vector(reading.estimate.velocity),
@@ -482,8 +473,11 @@ def readings(t: float, robot: Robot, reading: Reading) -> dict[str, Message]:
 
 def reading_of(robot: Robot, found: Mapping[str, Message]) -> Reading:
     """The reading that messages by topic tell. ParameterError: a topic or a joint is missing."""
-    if missing := sorted(set(sensors_of(robot)) - set(found)):
-        words = ", ".join(f"{name} ({sensors_of(robot)[name]})" for name in missing)
+    missing = [
+        f"{topic} ({kind})" for topic, kind in sensors_of(robot).items() if topic not in found
+    ]
+    if missing:
+        words = ", ".join(sorted(missing))
         raise ParameterError("readings", f"need {words}, of which nothing was heard")
     q = qd = np.zeros(0)
     if robot.joints:
@@ -491,53 +485,58 @@ def reading_of(robot: Robot, found: Mapping[str, Message]) -> Reading:
     if robot.base == "fixed":
         return Reading(q, qd)
     imu = found["imu"]
-    o, oriented = imu.orientation, imu.orientation_covariance[0] >= 0
-    R = rotation_from_quaternion(
-        np.array([o.w, o.x, o.y, o.z]) / (math.hypot(o.w, o.x, o.y, o.z) or 1.0)
-    )
+    numbers = _four(imu.orientation)
+    R = rotation_from_quaternion(np.array(numbers) / (math.hypot(*numbers) or 1.0))
     roll, pitch, heading = np.radians(rpy_of(R.tolist())).tolist()
+    if not _oriented(imu):
+        heading = None
     if robot.base == "planar":
-        return Reading(q, qd, heading if oriented else None)
-    tilt, rates = np.array([roll, pitch]), np.array(three(imu.angular_velocity))
+        return Reading(q, qd, heading)
+    tilt = np.array([roll, pitch])
+    rates = np.array(three(imu.angular_velocity))
     velocity = np.array(three(found["odom"].twist.twist.linear))
+    recovers = bool(R[2, 2] < math.cos(RECOVER_RAD))
     # Of the flight loops' own state these messages tell nothing: their references are what the
     # craft does.
-    estimate = FlightEstimate(
-        velocity, rates, tilt, rates, 0.0, bool(R[2, 2] < math.cos(RECOVER_RAD)), False
-    )
-    return FlightReading(
-        q,
-        qd,
-        heading if oriented else None,
-        tilt,
-        range_m=float(found["range"].range),
-        estimate=estimate,
-    )
+    estimate = FlightEstimate(velocity, rates, tilt, rates, 0.0, recovers, False)
+    range_m = float(found["range"].range)
+    return FlightReading(q, qd, heading, tilt, range_m=range_m, estimate=estimate)
+
+
+def _four(o: Message) -> list[float]:
+    """The numbers of a quaternion, w first."""
+    return [o.w, o.x, o.y, o.z]
+
+
+def _oriented(imu: Message) -> bool:
+    """Whether an IMU tells its attitude."""
+    return imu.orientation_covariance[0] >= 0
 
 
 def check_finite(topic: str, message: Message) -> None:
     """Refuse a message of an IMU, an odometry or a range with a number that is none;
     ParameterError. A range is infinite over nothing.
     """
-    oriented = False
+    attitude: list[float] = []
+    numbers: list[float] = []
     if topic == "imu":
-        o, oriented = message.orientation, message.orientation_covariance[0] >= 0
-        numbers = [o.w, o.x, o.y, o.z] if oriented else []
-        numbers += (
-            three(message.angular_velocity) if message.angular_velocity_covariance[0] >= 0 else []
-        )
+        if _oriented(message):
+            attitude = _four(message.orientation)
+        if message.angular_velocity_covariance[0] >= 0:
+            numbers = three(message.angular_velocity)
+    elif topic == "odom":
+        numbers = three(message.twist.twist.linear)
     else:
-        numbers = (
-            three(message.twist.twist.linear) if topic == "odom" else [math.atan(message.range)]
-        )
+        numbers = [math.atan(message.range)]
+    numbers = attitude + numbers
     if not np.isfinite(numbers).all():
         raise ParameterError.infinite(topic, numbers)
-    if topic == "imu" and oriented and abs(math.hypot(*numbers[:4]) - 1.0) > UNIT:
+    if attitude and abs(math.hypot(*attitude) - 1.0) > UNIT:
         words = (
             "is no unit quaternion;"
             " a driver without an attitude sets the first number of its covariance to -1"
         )
-        raise ParameterError("imu.orientation", words, numbers[:4])
+        raise ParameterError("imu.orientation", words, attitude)
 
 
 def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
@@ -548,15 +547,19 @@ def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
     _check_joints(message, names)
     there = {name: i for i, name in enumerate(message.name)}
     order = [there[name] for name in names]
-    q, qd = np.asarray(message.position, dtype=float), np.asarray(message.velocity, dtype=float)
-    if not np.isfinite(q[order]).all():
-        raise ParameterError.infinite("joint_states", q[order].tolist())
-    return q[order], qd[order] if len(qd) else np.full(len(order), np.nan)
+    q = np.asarray(message.position, dtype=float)[order]
+    if not np.isfinite(q).all():
+        raise ParameterError.infinite("joint_states", q.tolist())
+    if not len(message.velocity):
+        return q, np.full(len(order), np.nan)
+    return q, np.asarray(message.velocity, dtype=float)[order]
 
 
 def _check_joints(message: Message, names: Sequence[str]) -> None:
     """Refuse joints that a message does not tell once each, and numbers of some of them alone."""
-    told, q, qd = list(message.name), len(message.position), len(message.velocity)
+    told = list(message.name)
+    q = len(message.position)
+    qd = len(message.velocity)
     if missing := [name for name in names if name not in told]:
         words = (
             f"have no {', '.join(missing)};"

@@ -41,18 +41,17 @@ from vstestbed.apps.ros.messages import (
 )
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.loop.ego_motion import mount_at
+from vstestbed.loop.ego_motion import believed_mount, mount_at
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Watcher
-from vstestbed.robots import Mount, Reading
+from vstestbed.robots import Reading
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Frame
 
 Pace = Literal["lockstep", "wall"]
 AGAIN_S = 0.01  # after so long without an answer readings are told again [s]
-FASTEST = (
-    1e6  # a faster twist is a mistake, and squares of its numbers could be infinite [m/s, rad/s]
-)
+# a faster twist is a mistake, and squares of its numbers could be infinite [m/s, rad/s]
+FASTEST = 1e6
 
 
 class Voice:
@@ -63,8 +62,11 @@ class Voice:
 
     def __init__(self, scenario: Scenario, link: Link, truth: bool, offset_s: float = 0.0):
         check_single(scenario.camera)
-        self._scenario, self._link, self._truth, self._offset = scenario, link, truth, offset_s
-        self._mount = Mount.of(scenario.believed_camera.mount.T)
+        self._scenario = scenario
+        self._link = link
+        self._truth = truth
+        self._offset = offset_s
+        self.mount = believed_mount(scenario)
         self._info = camera_info(0.0, scenario.believed_camera)
         self._readings: list[tuple[float, Reading]] = []
         self.stamp = self.now = 0.0
@@ -93,30 +95,40 @@ class Voice:
         """A frame that has just arrived: readings at its exposure and now, where the camera is,
         then the picture.
         """
-        s, link, shot = self._scenario, self._link, episode.controller.before
+        link = self._link
+        shot = episode.controller.before
         assert shot is not None and frame.image is not None
-        t, now = shot.t + self._offset, episode.now + self._offset
+        self.stamp = t = shot.t + self._offset
+        self.now = now = episode.now + self._offset
         reading = episode.plant.reading()
-        self.stamp, self.now, self.q = t, now, reading.q
+        self.q = reading.q
         link.publish("/clock", clock(now), now)
-        self._readings = [(t, shot.reading)] if now <= t else [(t, shot.reading), (now, reading)]
+        self._readings = [(t, shot.reading)]
+        if now > t:
+            self._readings.append((now, reading))
         self.readings()
-        of_arm, parent = s.robot.base == "fixed" and s.robot.joints, body_frame(s.robot)
-        poses = {(WORLD, "flange"): s.robot.flange_pose(shot.reading.q)} if of_arm else {}
-        poses[WORLD if s.target.on_gripper else parent, OPTICAL] = self._mount.T_flange_camera
-        link.publish("/tf", transforms(t, poses), t)
+        link.publish("/tf", transforms(t, self._poses(shot.reading.q)), t)
         if self._truth:
-            link.publish(
-                "/truth/camera_pose", pose(frame.t + self._offset, frame.truth.T_world_camera), now
-            )
-            link.publish(
-                "/truth/target_pose", pose(frame.t + self._offset, frame.truth.T_world_target), now
-            )
+            taken = frame.t + self._offset
+            link.publish("/truth/camera_pose", pose(taken, frame.truth.T_world_camera), now)
+            link.publish("/truth/target_pose", pose(taken, frame.truth.T_world_target), now)
         if self._info is not None:
             link.publish("~/camera_info", replace(self._info, header=header(t, OPTICAL)), now)
         if frame.depth_image is not None:
             link.publish("~/depth", depth_image(t, frame.depth_image), now)
         link.publish("~/image_raw", image(t, frame.image), now)
+
+    def _poses(self, q: Array) -> dict[tuple[str, str], Array]:
+        """The poses (4, 4) of an arm's flange and of the camera, as the robot knows them, each by
+        its parent frame and its own; q: the joints (n,).
+        """
+        s = self._scenario
+        poses: dict[tuple[str, str], Array] = {}
+        if s.robot.base == "fixed" and s.robot.joints:
+            poses[WORLD, "flange"] = s.robot.flange_pose(q)
+        parent = WORLD if s.target.on_gripper else body_frame(s.robot)
+        poses[parent, OPTICAL] = self.mount.T_flange_camera
+        return poses
 
 
 class RobotNode:
@@ -147,22 +159,24 @@ class RobotNode:
         ended: threading.Event | None = None,
     ):
         check_scenario(scenario)
-        self.scenario, self.link, self._pace, self._truth = scenario.resolved, link, pace, truth
+        self.scenario = scenario.resolved
+        self.link = link
+        self._pace = pace
+        self._truth = truth
         self._voice = Voice(self.scenario, link, truth)
         self.record: Link | None = None
         self.watchdog_s = watchdog_of(self.scenario, watchdog_s)
+        self._order_s = self.scenario.timing.order_s(self.scenario.camera)
         self._news = threading.Condition()
-        self._command: tuple[float, Array, float] | None = (
-            None  # stamp, twist of the camera, when it came
-        )
+        # stamp, twist of the camera, when it came
+        self._command: tuple[float, Array, float] | None = None
         # commands of stamps before it came too late: of the last one obeyed, or when it was told to
         # rest
         self._past = 0.0
         self._least_age_s = math.inf  # of all commands: clocks may differ by so much
         self._stopped = False
         self._as_told = np.zeros(6), command_frame(scenario)
-        self._heard, self._silent = False, False  # a command ever; none for too long
-        self._mount = Mount.of(self.scenario.believed_camera.mount.T)
+        self._heard = self._silent = False  # a command ever; none for too long
         self.answered_s: list[float] = []  # from a picture's sending to its command
         self.behind_s = 0.0  # at most, of simulated behind wall time
         self.refused = ""
@@ -176,7 +190,8 @@ class RobotNode:
     def stop(self) -> tuple[bool, str]:
         """Rest, whatever is commanded, until `start`."""
         with self._news:
-            self._stopped, self._command = True, None
+            self._stopped = True
+            self._command = None
             self._news.notify()
         return True, "the robot rests until ~/start"
 
@@ -189,38 +204,38 @@ class RobotNode:
 
     def _hear(self, message: Message) -> None:
         try:
-            v = twist_of(message)
-            frame = message.header.frame_id
-            if frame not in (OPTICAL, body_frame(self.scenario.robot), ""):
-                words = (
-                    f"is in the frame {frame};"
-                    f" works: {OPTICAL} or {body_frame(self.scenario.robot)}"
-                )
-                raise ParameterError("twist", words)
-            if np.abs(v).max() > FASTEST:
-                raise ParameterError.bound(
-                    "twist", "at most", f"{FASTEST:g} m/s and rad/s", v.tolist()
-                )
+            v = self._checked(message)
         except ParameterError as error:
             self._refuse(str(error))
             return
         age_s = self._age_s(message)
-        if time_of(message) and abs(age_s) <= self.scenario.timing.order_s(self.scenario.camera):
-            self._least_age_s = min(self._least_age_s, age_s)
         # a rest is obeyed, whenever it was ordered
         if v.any() and (self._drops(age_s) or self._outdated(message)):
             return
-        stamp, came = time_of(message), time.monotonic() - max(age_s, 0.0)
+        stamp = time_of(message)
+        came = time.monotonic() - max(age_s, 0.0)
         with self._news:
-            in_camera = frame == OPTICAL or (not frame and command_frame(self.scenario) == OPTICAL)
-            self._heard, self._as_told = True, (v, frame)
+            self._heard = True
+            self._as_told = v, message.header.frame_id
             if self._stopped:
                 return
             if self._command is not None and 0 != stamp == self._command[0]:  # the same one again
                 came = min(came, self._command[2])
-            self._command = stamp, v if in_camera else self._of_body(v), came
+            self._command = stamp, self._of_camera(*self._as_told), came
             self._passes(stamp if v.any() else self._latest())
             self._news.notify()
+
+    def _checked(self, message: Message) -> Array:
+        """The twist (6,) of a command; ParameterError: in no frame of this robot, or no speed."""
+        v = twist_of(message)
+        frame = message.header.frame_id
+        body = body_frame(self.scenario.robot)
+        if frame not in (OPTICAL, body, ""):
+            words = f"is in the frame {frame}; works: {OPTICAL} or {body}"
+            raise ParameterError("twist", words)
+        if np.abs(v).max() > FASTEST:
+            raise ParameterError.bound("twist", "at most", f"{FASTEST:g} m/s and rad/s", v.tolist())
+        return v
 
     def _passes(self, t: float) -> None:
         """Commands stamped before t [s] are past, and those before the newest one; unless the clock
@@ -232,21 +247,25 @@ class RobotNode:
         """The latest stamp that a command may have which was sent before now [s]: the law's clock
         may be behind this one.
         """
-        return time.time() - (
-            max(self._least_age_s, 0.0) if math.isfinite(self._least_age_s) else 0.0
-        )
+        behind_s = max(self._least_age_s, 0.0)
+        return time.time() - (behind_s if math.isfinite(behind_s) else 0.0)
 
     def _is_ahead(self, t: float) -> bool:
-        return t - time.time() > self.scenario.timing.order_s(self.scenario.camera)
+        return t - time.time() > self._order_s
 
     def _age_s(self, message: Message) -> float:
-        """How old a command is by its stamp [s]; 0 where it has none, or time is simulated."""
+        """How old a command is by its stamp [s], of which the least is kept; 0 where it has none,
+        or time is simulated.
+        """
         stamp = time_of(message)
-        return time.time() - stamp if self._pace == "wall" and stamp else 0.0
+        age_s = time.time() - stamp if self._pace == "wall" and stamp else 0.0
+        if stamp and abs(age_s) <= self._order_s:
+            self._least_age_s = min(self._least_age_s, age_s)
+        return age_s
 
     def _drops(self, age_s: float) -> bool:
         """Whether a command is not obeyed, by its age [s]; said once of clocks that differ."""
-        if abs(age_s) <= self.scenario.timing.order_s(self.scenario.camera):
+        if abs(age_s) <= self._order_s:
             return False
         self.dropped += 1
         side = f"s {'behind' if age_s > 0 else 'ahead of'} this clock"
@@ -260,17 +279,16 @@ class RobotNode:
         """Whether a command was stamped before the one in force, or before the robot was told to
         rest, whenever that was ordered.
         """
-        if (
-            self._pace != "wall"
-            or not 0 < time_of(message) < self._past
-            or self._is_ahead(self._past)
-        ):
+        before = self._pace == "wall" and 0 < time_of(message) < self._past
+        if not before or self._is_ahead(self._past):
             return False
         self.dropped += 1
         words = "a command that is older than the one in force, or than the last rest, is dropped"
-        behind = self._least_age_s > 2 * self.scenario.camera.period
-        skew = f"all stamps were {self._least_age_s:.2g} s or more behind this clock; {SET_CLOCKS}"
-        self._refuse(f"{words}; {skew if behind else 'does more than one law send commands?'}")
+        why = "does more than one law send commands?"
+        least_s = self._least_age_s
+        if least_s > 2 * self.scenario.camera.period:
+            why = f"all stamps were {least_s:.2g} s or more behind this clock; {SET_CLOCKS}"
+        self._refuse(f"{words}; {why}")
         return True
 
     def _refuse(self, words: str) -> None:
@@ -280,9 +298,11 @@ class RobotNode:
             self.link.publish("~/status", text(words))
             logging.getLogger("vstestbed").warning("%s", words)
 
-    def _of_body(self, v: Array) -> Array:
-        """The camera's twist of one of the flange or the base."""
-        return mount_at(self.scenario, self._mount, self._voice.q).to_camera @ v
+    def _of_camera(self, v: Array, frame: str) -> Array:
+        """The camera's twist (6,) of one in a frame, by default in that of commands."""
+        if (frame or command_frame(self.scenario)) == OPTICAL:
+            return v
+        return mount_at(self.scenario, self._voice.mount, self._voice.q).to_camera @ v
 
     def fly(
         self,
@@ -296,35 +316,45 @@ class RobotNode:
         episode = Episode(scenario, True, tuple(watch), folder)
         with contextlib.closing(episode):
             frame = episode.advance()
-            began, simulated = time.monotonic(), 0.0 if frame is None else frame.t
-            offset = time.time() - simulated if self._pace == "wall" else 0.0
-            self._voice = Voice(self.scenario, self.link, self._truth, offset)
-            recorded = self.record and Voice(self.scenario, self.record, True, offset)
-            while frame is not None and episode.outcome is None and not self.ended.is_set():
-                if recorded is not None:
-                    recorded.frame(episode, frame)
-                self._voice.frame(episode, frame)
-                if self._pace == "lockstep" and not self._heard:
-                    self._wait_for_the_first(episode, frame)
-                    began = time.monotonic() - (frame.t - simulated)
-                sent = time.monotonic()
-                v = self._wait(began + frame.t - simulated + scenario.camera.period)
-                if v is not None:
-                    self.answered_s.append(time.monotonic() - sent)
-                    if self.record is not None:
-                        raw, frame_id = self._as_told
-                        self.record.publish(
-                            command_topic(scenario),
-                            twist(self._voice.now, raw, frame_id),
-                            self._voice.now,
-                        )
-                episode.changed_by_hand("commanded from outside")
-                frame = episode.advance(np.zeros(6) if v is None else v)
-                if frame is not None:
-                    self.behind_s = max(
-                        self.behind_s, time.monotonic() - began - (frame.t - simulated)
-                    )
+            if frame is not None:
+                self._follow(episode, frame)
         return episode.recording()
+
+    def _follow(self, episode: Episode, frame: Frame) -> None:
+        """Follow commands from the first frame on."""
+        began = time.monotonic() - frame.t  # when t = 0 was, by the own clock
+        offset = time.time() - frame.t if self._pace == "wall" else 0.0
+        self._voice = Voice(self.scenario, self.link, self._truth, offset)
+        recorded = self.record and Voice(self.scenario, self.record, True, offset)
+        while episode.outcome is None and not self.ended.is_set():
+            if recorded is not None:
+                recorded.frame(episode, frame)
+            self._voice.frame(episode, frame)
+            if self._pace == "lockstep" and not self._heard:
+                self._wait_for_the_first(episode, frame)
+                began = time.monotonic() - frame.t
+            v = self._answer(began + frame.t + self.scenario.camera.period)
+            episode.changed_by_hand("commanded from outside")
+            following = episode.advance(v)
+            if following is None:
+                return
+            frame = following
+            self.behind_s = max(self.behind_s, time.monotonic() - began - frame.t)
+
+    def _answer(self, due: float) -> Array:
+        """The twist (6,) that answers the frame that was told, zero where none does; due: when the
+        next picture is due [s].
+        """
+        sent = time.monotonic()
+        v = self._wait(due)
+        if v is None:
+            return np.zeros(6)
+        self.answered_s.append(time.monotonic() - sent)
+        if self.record is not None:
+            now = self._voice.now
+            raw, frame_id = self._as_told
+            self.record.publish(command_topic(self.scenario), twist(now, raw, frame_id), now)
+        return v
 
     def _wait_for_the_first(self, episode: Episode, frame: Frame) -> None:
         """Tell a frame again until there is a command: who will give it may not be there yet."""
@@ -339,9 +369,8 @@ class RobotNode:
                 self._voice.frame(episode, frame)
 
     def _wait(self, due: float) -> Array | None:
-        """The twist for the frame that was told; None for rest. due: when the next picture is due
-        [s]. What it tells meanwhile it tells without the lock: who hears it may be about to
-        command.
+        """The twist for the frame that was told; None for rest. What it tells meanwhile it tells
+        without the lock: who hears it may be about to command.
         """
         v = self._by_the_clock(due) if self._pace == "wall" else self._in_step()
         with self._news:
@@ -367,14 +396,12 @@ class RobotNode:
         end = time.monotonic() + wait_s
         while not self.ended.is_set() and (left := end - time.monotonic()) > 0:
             with self._news:
-                command = self._command
-                if (
-                    command is not None
-                    and command[0] >= self._voice.stamp - 1e-6
-                    and not self._stopped
-                ):
-                    self._command, self._silent = None, False  # each answers one picture
-                    return command[1]
+                if self._command is not None and not self._stopped:
+                    stamp, v, _ = self._command
+                    if stamp >= self._voice.stamp - 1e-6:
+                        self._command = None  # each answers one picture
+                        self._silent = False
+                        return v
                 heard = self._news.wait(min(left, AGAIN_S))
             if not heard:
                 self._voice.readings()
