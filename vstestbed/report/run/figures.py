@@ -12,7 +12,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import wrapped
-from vstestbed.report.chart import Chart, ChartPanel
+from vstestbed.report.chart import Chart, ChartPanel, Words
 from vstestbed.report.marks import (
     AXIS_COLORS,
     BAND,
@@ -73,7 +73,7 @@ def error(tracks: LogArrays) -> Chart:
         _draw_error(panel, tracks, one)
         for i in np.flatnonzero(np.diff(view) > 0) + 1:  # the goal view changed to the next
             panel.plot([tracks.t[i]] * 2, [-np.inf, np.inf], color=INK, linewidth=0.8, alpha=0.6)
-            panel.words.append((tracks.t[i], np.inf, f" view {view[i] + 1:.0f}", "start", INK))
+            panel.words.append(Words(tracks.t[i], np.inf, f" view {view[i] + 1:.0f}"))
     if modes:  # a strip with the mode over time, a colour for each
         panel, mode, t = chart.panels[-1], tracks.column("law_mode"), tracks.t
         panel.share, panel.ylim, panel.in_words = 0.22, (0.0, 1.0), (None, lambda _: "")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.features import Polar, Spherical
-from vstestbed.report.chart import Chart, ChartPanel, Space
+from vstestbed.report.chart import Chart, ChartPanel, Space, Words
 from vstestbed.report.marks import (
     AIM,
     AXIS_COLORS,
@@ -124,15 +124,8 @@ def draw_trails(
             panel.plot(*at, **look)
         at = _edge(goal[:, i], -1)
         if names and at.size:
-            panel.words.append(
-                (
-                    float(at[0, 0]),
-                    float(at[1, 0]),
-                    f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}",
-                    "start",
-                    color,
-                )
-            )
+            name = f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}"
+            panel.words.append(Words(*at[:, 0].tolist(), name, color=color))
     trail_keys(panel)
 
 
