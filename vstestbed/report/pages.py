@@ -9,7 +9,7 @@ import re
 from functools import cache
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.files import write_whole
 from vstestbed.report.marks import counted, number
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Of a table that sorts: sort key (None sorts last), words, whether the number differs
 # significantly, and small lines below it.
 Cell = tuple[float | str | None, str, bool, list[str]]
-NO_CELL: Final[Cell] = (None, "–", False, [])
+NO_CELL: Cell = (None, "–", False, [])
 # Title, source, and the name of the file beside the page, "" of an embedded one
 Film = tuple[str, str, str]
 
@@ -111,7 +111,7 @@ def _tex(words: str) -> str:
     return str(words).translate(_TEX)
 
 
-_TEX: Final = str.maketrans(
+_TEX = str.maketrans(
     {c: f"\\{c}" for c in "&%$#_{}"}
     | {
         "\\": r"\textbackslash{}",

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to
 # converge.
 BasinAxis = tuple[str, str, float, float]  # Name, unit, low, high
-ENDINGS: Final = {
+ENDINGS = {
     "target_lost": ("#f3c04b", "target out of sight"),
     "plane_crossed": ("#d55e00", "behind the target's plane"),
     "local_minimum": ("#a0287a", "local minimum"),
@@ -39,7 +39,7 @@ ENDINGS: Final = {
 Ito 2008), so that colour-blind readers can distinguish them, also in a grey print; blues are
 reserved for the converged.
 """
-OTHER: Final = "#000000"
+OTHER = "#000000"
 """Colour of any other outcome."""
 # Blues (r, g, b) of the earliest and the latest starts to converge
 SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])
@@ -209,7 +209,7 @@ def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], lis
 
 # Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the
 # others ended.
-LETTERS: Final = {
+LETTERS = {
     "target_lost": "L",
     "local_minimum": "M",
     "diverged": "D",
@@ -324,7 +324,7 @@ def write_sweep(
 # Measured and theoretical gain limits over delay as a figure, beside the root locus of the loop.
 
 Rows = Sequence[Mapping[str, Any]]
-DELAY_COLUMNS: Final = (
+DELAY_COLUMNS = (
     ("delay_frames", "delay [frames]", "g"),
     ("latency_s", "delay [s]", ".3g"),
     ("gain_limit", "gain limit [1/s]", ".4g"),
@@ -442,8 +442,8 @@ def write_delay(
 
 # A search for good settings, and its figures: trials over each parameter, the best so far.
 
-TUNING_COLUMNS: Final = 3  # Panels side by side
-WIDE: Final = 20.0  # Ratio of the largest to the smallest number from which an axis is logarithmic
+TUNING_COLUMNS = 3  # Panels side by side
+WIDE = 20.0  # Ratio of the largest to the smallest number from which an axis is logarithmic
 
 
 @dataclass(frozen=True)
@@ -565,7 +565,7 @@ def _points(axes: Axes, found: TuningPage, places: Sequence[float]) -> None:
     axes.margins(y=0.12)
 
 
-PLOTS: Final = (
+PLOTS = (
     (
         "slices",
         "Trials over each parameter",

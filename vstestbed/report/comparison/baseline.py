@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 import polars as pl
@@ -22,16 +22,14 @@ from vstestbed.report.marks import number, signed
 from vstestbed.report.pages import NO_CELL, Cell
 from vstestbed.tasks.metrics import Metric
 
-FILE: Final = "baseline.json"  # File of a comparison's folder that holds its `BaselineChanges`
-TOLERANCE: Final = 0.02
+FILE = "baseline.json"  # File of a comparison's folder that holds its `BaselineChanges`
+TOLERANCE = 0.02
 """Default share of the earlier mean by which a metric may get worse. Another version of a library
 or another processor changes the last digits of pixels, and lets a run converge a frame earlier or
 later, and 40 ms are a hundredth of 4 s: a real difference of that size is no fault of a law.
 """
-LEVEL: Final = 0.05  # Level of the one-sided test on lost runs
-FEWEST: Final = (
-    5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
-)
+LEVEL = 0.05  # Level of the one-sided test on lost runs
+FEWEST = 5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
 
 # NaN, which JSON has not, is null there
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
@@ -230,7 +228,7 @@ def read_changes(folder: Path) -> BaselineChanges | None:
 # page.
 
 # Differing metrics, and lost runs, that a line of the terminal names; the page has all of them
-MOST: Final = 4
+MOST = 4
 
 
 def text(changes: BaselineChanges) -> str:

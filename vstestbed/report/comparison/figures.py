@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -69,9 +69,8 @@ class Data:
     # of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for
     # runs without a log
     errors: tuple[NDArray[np.float32], ...] = ()
-    sampled: int | None = (
-        None  # the errors are of so many first runs of each controller; None: of all
-    )
+    # the errors are of so many first runs of each controller; None: of all
+    sampled: int | None = None
     # which error it is of each controller, with the threshold
     measured: tuple[MeasuredError, ...] = ()
 
@@ -163,9 +162,8 @@ def _resampled(path: Path, column: str, t: Array) -> Array:
     )
 
 
-BANDS = (
-    4  # Most controllers whose quartile bands are drawn in one panel: more bands hide each other
-)
+# Most controllers whose quartile bands are drawn in one panel: more bands hide each other
+BANDS = 4
 # Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
 PANELS = 24
 # Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
@@ -556,8 +554,8 @@ def _draw_strip(
 # over all values of a metric.
 
 # Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG
-STEPS: Final = 300
-COLUMNS: Final = 5  # Most panels side by side
+STEPS = 300
+COLUMNS = 5  # Most panels side by side
 
 
 def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array, int]:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.files import make_folder, write_whole
@@ -83,15 +83,15 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
 
 
 # A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB
-FILM_BYTES: Final = 8_000_000
-NOTEBOOK_PX: Final = 480  # Height of a comparison's result in a notebook [px]
+FILM_BYTES = 8_000_000
+NOTEBOOK_PX = 480  # Height of a comparison's result in a notebook [px]
 # Width of a paper's figure over one and two columns (IEEE) [in]
-COLUMN_IN: Final = {1: 3.5, 2: 7.16}
+COLUMN_IN = {1: 3.5, 2: 7.16}
 
 # The figures of a comparison in their order: key (of files, identifiers, and of the caption in
 # `comparison.html`), title, columns that it takes, function that draws it.
 Plot = tuple[str, str, int, Callable[[Data, float], "Figure | None"]]
-PLOTS: Final[tuple[Plot, ...]] = (
+PLOTS: tuple[Plot, ...] = (
     ("error", "Error over time", 1, figures.medians),
     ("success", "Success over time", 1, figures.success),
     ("runs", "Error of single runs", 2, figures.each_run),
@@ -102,8 +102,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ("differences", "Paired differences", 2, figures.differences),
 )
 # Controllers from which figures take longer than other processes take to import what draws them
-MANY: Final = 5
-GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
+MANY = 5
+GRID = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
 
 
 def write_comparison_report(
@@ -316,15 +316,14 @@ def _values(values: Sequence[object]) -> str:
 # Failed runs, grouped by outcome and reason, with commands that repeat them and pictures of their
 # ends.
 
-PICTURES: Final = 24
+PICTURES = 24
 # Most pictures in the gallery, and most bytes of all of them: they are embedded in the page
-PICTURE_BYTES: Final = 4_000_000
-LISTED: Final = 300  # Most failed runs whose commands are listed
-SEEDS: Final = 20  # Most seeds of a controller that are named with one kind of failure
-ERRORS: Final = 24
-ERROR_CHARACTERS: Final = (
-    4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
-)
+PICTURE_BYTES = 4_000_000
+LISTED = 300  # Most failed runs whose commands are listed
+SEEDS = 20  # Most seeds of a controller that are named with one kind of failure
+ERRORS = 24
+# Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
+ERROR_CHARACTERS = 4000
 
 # controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
 Failure = dict[str, Any]

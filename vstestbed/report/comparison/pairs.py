@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,14 @@ from vstestbed.report.comparison.verdict import (
 )
 from vstestbed.tasks.metrics import Metric
 
-MOST_CONTROLLERS: Final = 6
+MOST_CONTROLLERS = 6
 """Up to this many controllers every metric of every pair is compared; with more, those of each with
 the reference.
 """
 # Up to this many controllers every pair has a verdict; with more, each controller with the
 # reference
-MOST_PAIRED: Final = 24
-SUCCESS: Final = Metric("success", "Reached the goal", better=1)
+MOST_PAIRED = 24
+SUCCESS = Metric("success", "Reached the goal", better=1)
 Of = Literal["difference", "improvement"]
 Test = tuple[str, Of]  # An exploratory test of a pair: of which metric, and of what
 

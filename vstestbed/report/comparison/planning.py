@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Final
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -23,13 +23,11 @@ from vstestbed.report.comparison.verdict import (
     test_of,
 )
 
-SIMULATED: Final = (
-    500  # comparisons drawn for each number of starts; a power of 90 % is then known to 1.3 %
-)
-USUAL: Final = (
-    0.25  # usual time to the goal as a share of the limit, which should be 3 to 5 times that time
-)
-GAINS: Final = (0.02, 0.05, 0.1, 0.2)  # gains in time that a plan shows, as shares of the limit
+# comparisons drawn for each number of starts; a power of 90 % is then known to 1.3 %
+SIMULATED = 500
+# usual time to the goal as a share of the limit, which should be 3 to 5 times that time
+USUAL = 0.25
+GAINS = (0.02, 0.05, 0.1, 0.2)  # gains in time that a plan shows, as shares of the limit
 
 
 @spec

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -22,13 +22,13 @@ from vstestbed.report.comparison import statistics as stats
 from vstestbed.report.comparison.verdict import MARGIN
 from vstestbed.tasks.metrics import EVERY_RUN, SOME_FIGURES, Metric, own_metrics
 
-TASK: Final = "task"  # Column of the task of each run, which only a comparison with tasks has
-_TIMES: Final = ("time_to_converge_s", "sim_time_s")
-LIMIT: Final = Metric.named("limit_s")
-RESTRICTED: Final = Metric.named("time_to_goal_s")
-TIME: Final = Metric.named("time_to_converge_s")
-CENSORED: Final = 0.1  # Share of the runs counted at their limit above which a page warns
-DEFAULT_METRICS: Final = tuple(metric.name for metric in EVERY_RUN if metric.compared)
+TASK = "task"  # Column of the task of each run, which only a comparison with tasks has
+_TIMES = ("time_to_converge_s", "sim_time_s")
+LIMIT = Metric.named("limit_s")
+RESTRICTED = Metric.named("time_to_goal_s")
+TIME = Metric.named("time_to_converge_s")
+CENSORED = 0.1  # Share of the runs counted at their limit above which a page warns
+DEFAULT_METRICS = tuple(metric.name for metric in EVERY_RUN if metric.compared)
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
@@ -179,15 +179,12 @@ class ComparisonResults:
     # the metric that decides after success; "": the time to the goal, a failure counted at its
     # limit
     primary: str = ""
-    reference: str = (
-        ""  # label of the controller with which each other one is compared; "": all pairs
-    )
-    margin: float = (
-        MARGIN  # share of the starts by which a better one may reach the goal less often
-    )
-    settings: str = (
-        ""  # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
-    )
+    # label of the controller with which each other one is compared; "": all pairs
+    reference: str = ""
+    # share of the starts by which a better one may reach the goal less often
+    margin: float = MARGIN
+    # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
+    settings: str = ""
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from vstestbed.report.comparison.pairs import Pair
 from vstestbed.report.comparison.results import CENSORED, RESTRICTED, ComparisonResults
@@ -20,8 +20,8 @@ from vstestbed.tasks.metrics import Metric
 
 # Controllers that win against some, and controllers that arrive first, that the overall sentence
 # names
-MOST_NAMED: Final = 6
-MOST_SHOWN: Final = 6  # Pairs in words at the top of the page; the others can be unfolded
+MOST_NAMED = 6
+MOST_SHOWN = 6  # Pairs in words at the top of the page; the others can be unfolded
 
 
 @dataclass(frozen=True)

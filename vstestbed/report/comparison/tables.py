@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import polars as pl
 
@@ -26,7 +26,7 @@ heads and lines.
 
 # Tables; `section.html` says what their numbers are. Medians and differences count the runs that
 # reached the goal; interquartile means and improvements count every run.
-NEVER: Final = "fails"  # stands for an infinite mean or end of an interval: so many runs failed
+NEVER = "fails"  # stands for an infinite mean or end of an interval: so many runs failed
 
 
 def sections(
@@ -257,8 +257,8 @@ def _corrected(pair: Pair, name: str, of: Of = "difference") -> str:
 
 
 # The verdicts in a few lines for the terminal.
-MOST: Final = 12  # controllers, and pairs, that are listed
-FEW: Final = 3  # pairs of which also those without a verdict are
+MOST = 12  # controllers, and pairs, that are listed
+FEW = 3  # pairs of which also those without a verdict are
 
 
 def statistics_text(folder: Path) -> str:

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-AMOUNT: Final = "amount"
-DRAWN: Final = (TIME.name, "max_retreat_m")  # Metrics that are drawn where a comparison names none
-MOST_ROWS: Final = 3  # Metrics that are drawn: the first ones; all have tables
-MOST_AMOUNTS: Final = 20  # Most failed runs of a cell that are named
-ROUNDING: Final = 1e-6  # Values below this are rounding errors in the unit of any metric
+AMOUNT = "amount"
+DRAWN = (TIME.name, "max_retreat_m")  # Metrics that are drawn where a comparison names none
+MOST_ROWS = 3  # Metrics that are drawn: the first ones; all have tables
+MOST_AMOUNTS = 20  # Most failed runs of a cell that are named
+ROUNDING = 1e-6  # Values below this are rounding errors in the unit of any metric
 
 Cell = tuple[str, str, ControllerResults]  # A cell of the table: a law, a task, and its runs in it
 

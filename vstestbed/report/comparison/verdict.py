@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,20 +25,20 @@ from numpy.typing import ArrayLike, NDArray
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.statistics import MeanEstimate, holm, rounding, sign_test
 
-ALPHA: Final = 0.05  # of all verdicts together, and of all words on who is sooner together
-MARGIN: Final = 0.1  # share of the starts by which a better one may reach the goal less often
-FEWEST_UNLIKE: Final = 6
+ALPHA = 0.05  # of all verdicts together, and of all words on who is sooner together
+MARGIN = 0.1  # share of the starts by which a better one may reach the goal less often
+FEWEST_UNLIKE = 6
 """Fewest starts with different outcomes of which the exact test can be under ALPHA: 2 / 2^6 is, 2 /
 2^5 is not. A test that can call nothing real does not count among those for which the others are
 corrected (Tarone 1990, doi:10.2307/2531456).
 """
-MOST_STARTS: Final = 100_000  # numbers of starts beyond this are not named
+MOST_STARTS = 100_000  # numbers of starts beyond this are not named
 # periods by which two times may differ and be equal: one picture, and rounding
-ONE_PICTURE: Final = 1 + 1e-6
+ONE_PICTURE = 1 + 1e-6
 
 Side = Literal["a", "b"]
 Decision = Literal["better", "trade", "none"]
-_OTHER: Final[dict[Side | None, Side | None]] = {"a": "b", "b": "a", None: None}
+_OTHER: dict[Side | None, Side | None] = {"a": "b", "b": "a", None: None}
 
 
 class Starts(NamedTuple):

@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -37,17 +37,16 @@ if TYPE_CHECKING:
 
 Summary = Mapping[str, Any]
 Item = tuple[str, str, str]  # Title, number, unit
-FARTHEST_M: Final = (
-    1e6  # Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
-)
-EMBED_BYTES: Final = 30_000_000
+# Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
+FARTHEST_M = 1e6
+EMBED_BYTES = 30_000_000
 """Films up to this size together are embedded in the page; larger ones are linked, so that a
 browser can still open it.
 """
-NOTEBOOK_PX: Final = 720  # Height of the report in a notebook [px]
-FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
-TITLES: Final = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
-ROW_METRICS: Final = tuple(
+NOTEBOOK_PX = 720  # Height of the report in a notebook [px]
+FILMS = {"camera": "What the camera sees", "overview": "From outside"}
+TITLES = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
+ROW_METRICS = tuple(
     metric
     for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RUNS)
     if not metric.tile and metric.name != "judged_error"
@@ -60,12 +59,12 @@ STUCK, LEAST_TOLD, STUCK_FRAMES = 0.02, 1e-4, 4
 so large [rad/s, m/s], for so many frames.
 """
 LEAST_STOOD_S = 0.2  # in all, of a joint that is told of
-CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
+CONTINUING = ("worst_task_error_m", "path_length_m", "real_time_factor")
 """The large numbers of a continuing task, which has no goal pose to measure an error from."""
 
 # The figures of a run's page in their order, each with its title; `run.html` has the captions, by
 # the names of these functions.
-FIGURES: Final[dict[Callable[[LogArrays], Chart | None], str]] = {
+FIGURES: dict[Callable[[LogArrays], Chart | None], str] = {
     space.features: "Features in the image",
     space.other_cameras: "Features in the pictures of further cameras",
     space.polar: "Features in polar coordinates",

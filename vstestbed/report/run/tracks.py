@@ -94,9 +94,8 @@ class MeasuredError(NamedTuple):
     column: str = "error_px"  # of the log
     label: str = "RMS error [px]"  # of its axis, with the unit
     unit: str = "px"  # as a threshold has it
-    threshold: float | None = (
-        None  # under it the goal is reached; None where it decides nothing, or is unknown
-    )
+    # under it the goal is reached; None where it decides nothing, or is unknown
+    threshold: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,12 +117,10 @@ class Setting:
     goals: Array = field(default_factory=lambda: np.empty((0, 3)))
     # to be driven, by it or by what it follows, shape (M, 2) [m]
     reference_path: Array = field(default_factory=lambda: np.empty((0, 2)))
-    expected_path: Array | None = (
-        None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
-    )
-    band_m: float | None = (
-        None  # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
-    )
+    # path of an ideal vehicle from the same start, shape (K, 2) [m]
+    expected_path: Array | None = None
+    # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
+    band_m: float | None = None
     settle_s: float = 0.0
     names: tuple[str, ...] = ()  # of the markers; () where they have none
     # the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`
@@ -132,14 +129,12 @@ class Setting:
     # words for what the law does in a frame; () for a law without modes
     modes: tuple[str, ...] = ()
     changing: bool = False  # whether a row of the log may come to show another point
-    threshold_grey: float | None = (
-        None  # RMS difference of picture and goal picture that counts as converged [grey levels]
-    )
+    # RMS difference of picture and goal picture that counts as converged [grey levels]
+    threshold_grey: float | None = None
     own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
     slides: tuple[str, ...] = ()  # joints whose positions are in metres
-    told_speeds: bool = (
-        True  # whether the joints' inputs are speeds: of inner loops they are torques
-    )
+    # whether the joints' inputs are speeds: of inner loops they are torques
+    told_speeds: bool = True
     # further cameras' width and height [px]
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
