@@ -617,28 +617,17 @@ def write_tuning(folder: Path, found: TuningPage) -> Path:
 def _trials(found: TuningPage) -> list[list[Cell]]:
     """A line for each trial, the best ones first."""
     sign = -1 if found.higher else 1
-    order = sorted(
-        found.trials,
-        key=lambda t: (
-            t.runs - t.reached or not t.runs,
-            sign * t.mean if math.isfinite(t.mean) else math.inf,
-        ),
-    )
-    return [
-        [
-            (
-                trial.number,
-                f"{trial.number}{' (the best)' if trial.number == found.best else ''}",
-                False,
-                [],
-            ),
-            *(
-                (value, value if isinstance(value, str) else f"{value:g}", False, [])
-                for value in trial.values
-            ),
-            (trial.reached, f"{trial.reached} of {trial.runs}", False, []),
-            (trial.mean, number(trial.mean), False, []) if math.isfinite(trial.mean) else NO_CELL,
-            (trial.note, trial.note, False, []),
-        ]
-        for trial in order
-    ]
+
+    def goodness(trial: TrialRow) -> tuple[int, float]:
+        mean = sign * trial.mean if math.isfinite(trial.mean) else math.inf
+        return trial.runs - trial.reached or not trial.runs, mean
+
+    lines = []
+    for trial in sorted(found.trials, key=goodness):
+        name = f"{trial.number} (the best)" if trial.number == found.best else str(trial.number)
+        values = [Cell(v, v if isinstance(v, str) else f"{v:g}") for v in trial.values]
+        reached = Cell(trial.reached, f"{trial.reached} of {trial.runs}")
+        mean = Cell(trial.mean, number(trial.mean)) if math.isfinite(trial.mean) else NO_CELL
+        note = Cell.named(trial.note)
+        lines.append([Cell(trial.number, name), *values, reached, mean, note])
+    return lines

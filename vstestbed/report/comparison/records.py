@@ -122,7 +122,7 @@ def _of_pair(comparison: ComparisonResults, pair: Pair, sentence: str) -> dict[s
     """What a pair has once: the verdict, what it rests on, and its words. The counts of a are those
     of `against`.
     """
-    labels = [c.label for c in comparison.controllers]
+    labels = comparison.labels
     test, verdict = pair.test, pair.verdict
     by = [
         name

@@ -55,7 +55,7 @@ def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> Findin
     """The result in words; first that it is one of settings, where no search has found each law's
     values.
     """
-    labels = [c.label for c in comparison.controllers]
+    labels = comparison.labels
     if len(labels) == 1:
         return Findings(_alone(comparison))
     standing = _Standing(labels, list(all_pairs))
