@@ -334,30 +334,26 @@ def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
     """Failed runs by kind, and runs that were repeated because their worker process died, for
     `failures.html`.
     """
-    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
+    failed: list[Failure] = []
     repeated: list[str] = []
     for controller in comparison.controllers:
         rows = controller.runs.iter_rows(named=True)
         for row, reached in zip(rows, controller.success, strict=True):
             failure = _failure(folder, controller.label, row)
-            if (row.get("attempts") or 1) > 1:
+            if row.get("attempts") not in (None, 1):
                 ended = str(row["outcome"]).replace("_", " ")
                 repeated.append(f"{controller.label}, seed {row['seed']} ({ended})")
             if not reached:
-                # reasons that differ in numbers (times, pixels) only are one kind of failure
-                reason = re.sub(r"\d[\d.e+-]*", "#", failure["reason"])
-                kinds[failure["outcome"], reason].append(failure)
-    groups = sorted(kinds.values(), key=len, reverse=True)
-    # tracebacks of every kind of crash in turn, since there is room for only a few
-    for failure in _in_turn([g for g in groups if g[0]["outcome"] == "crashed"], ERRORS):
-        with contextlib.suppress(OSError):
-            text = (failure["place"] / "error.txt").read_text(encoding="utf-8", errors="replace")
-            failure["error"] = text[-ERROR_CHARACTERS:].strip()
+                failed.append(failure)
+    groups = _kinds(failed)
+    crashed = [group for group in groups if group[0]["outcome"] == "crashed"]
+    for failure in _in_turn(crashed, ERRORS):  # of every kind, since there is room for only a few
+        failure["error"] = _end_of_error(failure["place"])
     for failure in _in_turn(groups, LISTED):
         failure["command"] = rerun_command(failure["place"])
     pictured, pictures = _gallery(groups)
     return {
-        "failed": sum(map(len, groups)),
+        "failed": len(failed),
         "runs": len(comparison.table),
         "listed": LISTED,
         "kinds": [_kind(group) for group in groups],
@@ -365,6 +361,17 @@ def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
         "pictures": pictures,
         "repeated": repeated,
     }
+
+
+def _kinds(failed: list[Failure]) -> list[list[Failure]]:
+    """The failures by outcome and reason, the most frequent kind first; reasons that differ in
+    numbers (times, pixels) only are one kind.
+    """
+    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
+    for failure in failed:
+        reason = re.sub(r"\d[\d.e+-]*", "#", failure["reason"])
+        kinds[failure["outcome"], reason].append(failure)
+    return sorted(kinds.values(), key=len, reverse=True)
 
 
 def _failure(folder: Path, controller: str, row: dict[str, Any]) -> Failure:
@@ -375,6 +382,14 @@ def _failure(folder: Path, controller: str, row: dict[str, Any]) -> Failure:
         "reason": str(row.get("reason") or ""),
         "place": folder / str(row["folder"]),
     }
+
+
+def _end_of_error(place: Path) -> str:
+    """The end of a crashed run's traceback; "" where it cannot be read."""
+    with contextlib.suppress(OSError):
+        text = (place / "error.txt").read_text(encoding="utf-8", errors="replace")
+        return text[-ERROR_CHARACTERS:].strip()
+    return ""
 
 
 def rerun_command(place: Path) -> str:
