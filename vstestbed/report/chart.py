@@ -294,7 +294,7 @@ class ChartPanel:
         column.
         """
         xlim, ylim = self.limits()
-        parts: list[str] = []
+        parts = []
         title = text(box.left, box.top - 8, self.title, "start") if self.title else ""
         if self.equal:
             box = box.shaped(abs(xlim[1] - xlim[0]), abs(ylim[1] - ylim[0]))

@@ -24,7 +24,7 @@ from vstestbed.report.comparison.statistics import (
     success_rate,
 )
 from vstestbed.report.marks import LINE_COLORS, RULE, line_color
-from vstestbed.report.pages import write_page
+from vstestbed.report.pages import text_of, write_page
 from vstestbed.tasks.metrics import Metric
 
 FIGURES = "figures"  # the page's figures for a paper
@@ -65,6 +65,11 @@ class Score:
     rank: IntervalEstimate
     gap: IntervalEstimate
     values: Array
+
+    @property
+    def reached(self) -> int:
+        """How many of its runs reached the goal."""
+        return round(self.rate.mean * self.rate.n)
 
     @property
     def behind(self) -> bool:
@@ -168,7 +173,7 @@ def overall(found: Sequence[Score]) -> list[Standing]:
     by: dict[str, dict[str, Score]] = {}
     for score in found:
         by.setdefault(score.law, {})[score.task] = score
-    standings: list[Standing] = []
+    standings = []
     for tasks in dict.fromkeys(tuple(own) for own in by.values()):
         named = {
             law: [own[task].values for task in tasks]
@@ -278,7 +283,7 @@ def _page_tables(
 ) -> list[tuple[str, list[str], list[list[Any]]]]:
     """The page's tables, each with title, heads and lines."""
     by = {(s.law, s.task): s for s in found}
-    lines: list[list[Any]] = []
+    lines = []
     for s in ranked:
         small = [f"{_ends(s.rank)} on these", f"{_ends(s.alike)} on tasks like these"]
         mean = [f"{s.rank.mean:.1f} of {s.tasks} tasks", *small]
@@ -306,7 +311,7 @@ def _table(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> pl.DataF
             "task": s.task,
             "law": s.law,
             "metric": tasks[s.task].metric.label,
-            "reached": round(s.rate.mean * s.rate.n),
+            "reached": s.reached,
             "runs": s.rate.n,
         }
         for name in ("rate", "value", "rank", "gap"):
@@ -324,7 +329,7 @@ def _chances(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> list[l
     """Of each task: the law with the best mean, those that are not behind it beyond chance, and how
     many are.
     """
-    lines: list[list[str]] = []
+    lines = []
     for task in tasks:
         of_task = sorted((s for s in found if s.task == task), key=lambda s: s.value.mean)
         if of_task:
@@ -347,13 +352,12 @@ def _cell(score: Score | None, task: TaskOfSuite) -> list[str]:
     """
     if score is None:
         return ["-"]
-    rate, value, rank, unit = score.rate, score.value, score.rank, task.metric.unit
+    rate = score.rate
+    value = score.value
+    rank = score.rank
     return [
-        (
-            f"{round(rate.mean * rate.n)} of {rate.n}"
-            f" ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
-        ),
-        f"{value.mean:.3g} {unit} ({value.low:.3g} to {value.high:.3g})",
+        f"{score.reached} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)",
+        f"{value.mean:.3g} {task.metric.unit} ({value.low:.3g} to {value.high:.3g})",
         f"rank {rank.mean:.3g} ({rank.low:.3g} to {rank.high:.3g})",
     ]
 
@@ -416,18 +420,5 @@ def latex(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> str:
     number.
     """
     by = {(s.law, s.task): s for s in found}
-    lines = [
-        r"\begin{tabular}{lr" + "r" * len(tasks) + "}",
-        " & ".join(["law", "mean rank", *tasks]) + r" \\ \hline",
-    ]
-    for law, rank, *_ in overall(found):
-        words = [
-            f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.value.mean:.3g} {one.metric.unit}"
-            if (s := by.get((law, t)))
-            else "--"
-            for t, one in tasks.items()
-        ]
-        lines.append(
-            " & ".join([law.replace("_", r"\_"), f"{rank.mean:.1f} {_ends(rank)}", *words]) + r" \\"
-        )
-    return "\n".join([*lines, r"\end{tabular}", ""])
+    lines = [[_ends(s.rank), s, [by.get((s.law, task)) for task in tasks]] for s in overall(found)]
+    return text_of("scores.tex", tasks=tasks, lines=lines) + "\n"

@@ -155,7 +155,7 @@ def _plate(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
 
 def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
     """The coordinates that are not on the map, for each law if they differ."""
-    values: list[str] = []
+    values = []
     for s in summaries:
         # + 0.0 turns the -0.0 of rounding into 0
         fixed = [
@@ -289,7 +289,7 @@ def write_sweep(folder: Path, sweep: Sweep, command: str) -> Path:
     what = "median distance from the true goal, of those that converged [mm]"
     found = []
     for label, _, _, away_m in maps:
-        lines: list[list[str]] = []
+        lines = []
         for value, row in zip(y[1], away_m.tolist(), strict=True):
             lines.append([value, *(number(1e3 * m) if math.isfinite(m) else "-" for m in row)])
         lines.reverse()  # from top to bottom, as in the figure

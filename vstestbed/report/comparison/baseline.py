@@ -136,7 +136,7 @@ class BaselineChanges:
         """A sentence for each thing that got worse; `tolerance`: share of the earlier mean by which
         a metric may get worse.
         """
-        found: list[str] = []
+        found = []
         for c in self.controllers:
             if c.fails_more:
                 found.append(c.loss)

@@ -242,7 +242,7 @@ def _figures(
             f" since there are {n} of them."
         )
         return {"notes": [note]} | _plots(Data(comparison, all_pairs), [GRID], drawing.call, place)
-    notes: list[str] = []
+    notes = []
     if n > PANELS:
         comparison = comparison.first(PANELS)
         all_pairs = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
@@ -277,7 +277,7 @@ def _measured(
     """The error in the image that decides, of each controller; without a threshold where those with
     the same unit differ in it.
     """
-    found: list[MeasuredError] = []
+    found = []
     limits: dict[str, set[float | None]] = defaultdict(set)
     for controller in comparison.controllers:
         # one run per controller suffices: seeds do not change the stop block
@@ -334,8 +334,8 @@ def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
     """Failed runs by kind, and runs that were repeated because their worker process died, for
     `failures.html`.
     """
-    failed: list[Failure] = []
-    repeated: list[str] = []
+    failed = []
+    repeated = []
     for controller in comparison.controllers:
         rows = controller.runs.iter_rows(named=True)
         for row, reached in zip(rows, controller.success, strict=True):
@@ -433,7 +433,7 @@ def _gallery(groups: list[list[Failure]]) -> tuple[int, list[tuple[str, str]]]:
     """
     with_picture = [[f for f in group if (f["place"] / "end.png").is_file()] for group in groups]
     room = PICTURE_BYTES
-    pictures: list[tuple[str, str]] = []
+    pictures = []
     for failure in _in_turn(with_picture, PICTURES):
         png = (failure["place"] / "end.png").read_bytes()
         if len(png) <= room:  # a smaller one may still fit

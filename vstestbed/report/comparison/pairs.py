@@ -137,7 +137,7 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
         chosen = list(combinations(range(n), 2))
     common = [_Common(comparison, a, b) for a, b in chosen]
     tests = [test_of(one.starts, comparison.margin) for one in common]
-    found: list[Pair] = []
+    found = []
     for one, test, verdict in zip(common, tests, judge(tests), strict=True):
         explored = n <= MOST_CONTROLLERS or reference in (one.a, one.b)
         found.append(_pair(one, test, verdict, comparison.exploratory if explored else ()))

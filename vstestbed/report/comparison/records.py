@@ -163,7 +163,7 @@ def controller_records(comparison: ComparisonResults, means: Means) -> pl.DataFr
     """A row for each controller and metric in display units; an infinite `iqm` or end: a quarter of
     the runs failed, or could have.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     for controller, found in zip(comparison.controllers, means, strict=True):
         rate = controller.rate
         for metric in comparison.shown:

@@ -36,7 +36,7 @@ def sections(
     controllers' medians. means: `interquartiles`.
     """
     several = len(comparison.controllers) > 1
-    found: list[Section] = []
+    found = []
     if several:
         found.append(("Verdicts", _verdicts(comparison, all_pairs)))
     if every:
@@ -143,8 +143,8 @@ def _exploratory(comparison: ComparisonResults, all_pairs: list[Pair]) -> list[S
     """
     labels = comparison.labels
     metrics = comparison.exploratory
-    differences: list[Table] = []
-    improvements: list[Table] = []
+    differences = []
+    improvements = []
     for i, name in enumerate(labels):
         differ = []
         improve = []

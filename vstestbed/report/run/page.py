@@ -166,7 +166,7 @@ def render_page(
     tracks = LogArrays.of(log, setting)
     name = str(summary.get("scenario") or "Run")
     outcome = outcome_text(summary)
-    drawn: list[tuple[str, str, str]] = []
+    drawn = []
     for draw, title in FIGURES.items():
         chart = draw(tracks)
         if chart is not None:
@@ -384,7 +384,7 @@ def _had(metrics: Sequence[Metric], summary: Summary) -> list[Metric]:
 
 
 def _items(metrics: Iterable[Metric], summary: Summary) -> list[Item]:
-    found: list[Item] = []
+    found = []
     for metric in metrics:
         value = summary.get(metric.name)
         if isinstance(value, float):
@@ -400,7 +400,7 @@ def _is_number(value: object) -> TypeGuard[float]:
 def _films(videos: Mapping[str, Path]) -> list[Film]:
     """The films: embedded in the page as long as they fit, else linked to the files beside it."""
     left = EMBED_BYTES
-    films: list[Film] = []
+    films = []
     for name, path in videos.items():  # in their order: the camera's film is embedded first
         size = path.stat().st_size
         embedded = size <= left
